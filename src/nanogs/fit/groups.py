@@ -11,7 +11,7 @@ from nanogs.raster.camera import evenly
 from nanogs.raster.rendering import PreparedSplats
 
 FEWEST = 4  # views that make a group of their own
-RANGE = 4.0  # largest footprint of a pixel over the least, from which near and far are told apart
+RANGE = 4.0  # largest footprint of a pixel over the least, from which near and far are two groups
 EXACT = 2e-6  # mean squared error below which a view counts as equal: what 8 bits leave, 57 dB
 
 
@@ -56,7 +56,7 @@ def grouped(targets: Sequence[Target]) -> list[Group]:
 def hold_out(groups: Sequence[Group], count: int) -> list[Group]:
     """The part of each group that decides, together about `count` views.
 
-    Two or more where the group has eight, at most a quarter of it, at least one.
+    At least one and at most a quarter of the group; two or more where that allows it.
     """
     held = []
     for group in groups:

@@ -1,4 +1,4 @@
-"""Rounds of steps, of each of which as much is kept as brings the validation views nearer."""
+"""Rounds of steps; of each, the part is kept that brings the validation views nearer."""
 
 import math
 import time
@@ -22,11 +22,12 @@ from nanogs.splats import Splats
 if TYPE_CHECKING:
     from nanogs.fit.shared import Shared
 
-SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # of a round's way that are tried
-AVERAGED = 0.2  # of all steps, the last ones: their states are averaged; at most the last round's
-SHORTER = 0.7  # of the rate, after a round of which only a part was kept
-SHORTEST = 0.25  # after one of which nothing was
-LEAST = 0.05  # of the first rate: below it, what does not help is at an optimum
+# Shares of the way from the best state to the end of a round: the first that helps is kept.
+SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
+AVERAGED = 0.2  # share of all steps, the last ones, whose states are averaged; one round at most
+SHORTER = 0.7  # factor of the rate after a round of which only a part was kept
+SHORTEST = 0.25  # the same after a round of which nothing was kept
+LEAST = 0.05  # of the first rate: where no step helps below that, an optimum is reached
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ class Outcome:
 
 
 class Guard:
-    """Judges states on the views that decide, as the models that would be handed out.
+    """Judges states on the validation views, stored as the models that would be delivered.
 
     A state is better if the mean over the groups is higher and no group is below the input.
 
@@ -119,7 +120,7 @@ def fit(
             descent.rest()
         best, share = _furthest(guard, best, small, reached)
         if best is not None and not last and share == 1:
-            best = best.copy()  # the descent moves its own on; the judged model is gone again
+            best = best.copy()  # since the descent goes on to change its state in place
         seconds = time.perf_counter() - begin
         psnrs = _psnr(_mean(errors)), before, _mean(guard.best)
         reports.append(RoundReport(FITTED, len(errors), rate, *psnrs, share, seconds))
@@ -148,9 +149,16 @@ def fit(
 def _furthest(
     guard: Guard, best: State | None, small: Splats, state: State
 ) -> tuple[State | None, float]:
-    """The state furthest on the way from the best to another that is better, and its share.
+    """Go from the best state towards another, as far as the guard accepts.
 
-    The best is that of the input where there is none yet.
+    Args:
+        guard: Judges the states.
+        best: The best state so far; None for that of the input.
+        small: The input.
+        state: Where a round has ended.
+
+    Returns:
+        The best state now, and the share of the way to it: 0 where nothing was accepted.
     """
     for share in SHARES:
         between = state if share == 1 else (best or start(small)).towards(state, share)
@@ -160,7 +168,7 @@ def _furthest(
 
 
 def _round(descent: Descent, rate: float, number: int, tell: Parts) -> tuple[State, list[float]]:
-    """Where the steps of one round lead, and the errors that they met.
+    """Do the steps of one round; return the state they lead to, and the error at each step.
 
     The schedule of their lengths spans all rounds; the last states of the last one are averaged.
     """

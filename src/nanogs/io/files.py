@@ -14,12 +14,12 @@ BLOCK_ROWS = 8192
 # Packed files whose model takes no more are never refused for it, however small they are: models of
 # equal splats are honest.
 _SMALL_MODEL = 128 << 20
-# What others may take for each byte of theirs. Centres and colours do not pack well: real files
-# have 10 to 50 bytes a splat, whose 56 to 344 in memory are 3 to 30 times that.
+# Most bytes in memory for each byte of the file of a larger model. Centres and colours do not pack
+# well: real files have 10 to 50 bytes a splat, whose 56 to 344 in memory are 3 to 30 times that.
 _MAX_EXPANSION = 64
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _WEB_PAGE = (b"<!doctype", b"<html", b"<head", b"<body", b"<?xml")
-TOLD_BY = 256  # bytes that tell them
+TOLD_BY = 256  # bytes at a file's beginning that tell a pointer or a web page
 
 
 def input_size(path: Path) -> int:

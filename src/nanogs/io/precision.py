@@ -16,9 +16,9 @@ from nanogs.splats import Splats
 
 FEWEST_BITS, MOST_BITS = 4, 8
 MOST_SPARE_BITS = 6  # of 16, that a centre may do without
-_SHARE_OF_SIZE = 0.02  # of a splat's middle size that a step of its centre takes at 8 bits
+_SHARE_OF_SIZE = 0.02  # largest step of centres at 8 bits, over the middle axis of splats
 _AREA_POWER = 0.75
-_LEAST_SIZE = 1e-150  # whose square is not zero
+_LEAST_SIZE = 1e-150  # added to sizes, so that neither they nor their squares are zero
 _CODES = 256
 _VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts
 
@@ -52,7 +52,7 @@ class Precision:
 
     @property
     def alphas(self) -> int:
-        """Steps from alpha 0 to 1: a bit more, since what lies behind shows through all before."""
+        """Steps from alpha 0 to 1: a bit more, as light from behind passes many splats."""
         return min(_CODES, 2 << self.bits) - 1
 
     def spare_bits(self, blocks: Iterable[Splats], steps: Callable[[Splats], F64]) -> int:
@@ -83,9 +83,9 @@ FINEST = Precision(MOST_BITS)
 def visibility(splats: Splats) -> F64:
     """(N,) how much an error of a splat's colour counts on views, within limits.
 
-    Squares of errors go with the square of alpha and the area, of which large splats show less than
-    all. Views come nearer to the original by several dB than with all splats alike, and by 0.1 to
-    1.3 dB than with alpha times area.
+    Squared errors grow with alpha squared and with the area, of which large splats show only a
+    part: hence a power below 1. Weighed so, views come several dB nearer to the original than with
+    equal weights, and 0.1 to 1.3 dB nearer than with alpha times area.
     """
     scales = np.sort(splats.scales().astype(np.float64), axis=1)
     mass: F64 = splats.opacities() ** 2 * (scales[:, 1] * scales[:, 2]) ** _AREA_POWER

@@ -1,4 +1,4 @@
-"""The working set of a simplification: activated values, converted once at each edge."""
+"""Splats as the method works on them: activated values, converted once on the way in and out."""
 
 from dataclasses import dataclass, field
 
@@ -12,8 +12,8 @@ from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 from nanogs.stored import alphas
 
-_SAMPLE = 40_000  # centres that tell where most are
-# What finite values can stand for, so that finite splats are stored as such.
+_SAMPLE = 40_000  # centres, at most, of which the median is taken
+# Limits within which the logarithms and logits that are stored stay finite.
 LEAST_SCALE = float(np.finfo(np.float32).tiny)
 LEAST_ALPHA = float(np.finfo(np.float32).tiny)
 MOST_ALPHA = 1 - float(np.finfo(np.float64).epsneg)
@@ -96,7 +96,7 @@ def scene_origin(means: F) -> F64:
     Args:
         means: (N, 3) finite, scene units; evenly spread rows of a large model.
     """
-    # In float32 the mean of the two in the middle may overflow.
+    # In float64: a median may be the mean of two values, whose sum can overflow in float32.
     some = means[:: len(means) // _SAMPLE + 1].astype(np.float64)
     origin: F64 = np.median(some, axis=0)
     return origin

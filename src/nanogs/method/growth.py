@@ -36,17 +36,18 @@ def area_needs(
 ) -> tuple[F64, F64]:
     """How much larger each group has to be for an opaque splat to block enough light.
 
-    What has to be blocked is what members do (`blocked`) that count in proportion to how visible
-    they are, (sum w)² / (sum w²/a) for weights w and coverages a: all of them where all are seen
-    alike, and not those that hide behind others. Members that lie side by side on a sheet hide
-    none of each other: there it is what they cover. Groups of one are not to be asked for.
+    A group has to block as much light as its members do (`blocked`), where each counts by how
+    visible it is. Their coverage is then (sum w)² / (sum w²/a), for weights w and coverages a: that
+    of all members where all are equally visible, without those that are hidden behind others.
+    Members side by side on a flat sheet do not hide each other: there all their coverage counts.
+    Numbers of groups of one member mean nothing.
 
     Args:
         merged: G nodes from `gather`.
         leaves: (M) their members.
         labels: (M,) the group of each.
         areas: (G,) float64, footprints of the groups, square scene units.
-        sheets: Those of groups on flat sheets grow whatever others may (`growth_on_sheets`).
+        sheets: Whether groups on flat sheets grow, however little others may (`growth_on_sheets`).
 
     Returns:
         (G,) float64, how much larger to block enough, and (G,) float64, from 1, how much larger
@@ -70,7 +71,7 @@ def widened(scales: F32, larger: F64) -> F32:
 
     Args:
         scales: (G, 3) float32, scene units.
-        larger: (G,) float64, of their product.
+        larger: (G,) float64, factor of the product of the two longer scales.
     """
     factors = np.repeat(np.sqrt(larger)[:, None], 3, axis=1)
     factors[np.arange(len(scales)), np.argmin(scales, axis=1)] = 1.0
@@ -102,8 +103,8 @@ def covered_around(merged: Nodes, alphas: F64, groups: I32, scales: F32, quats: 
 def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -> F64:
     """(G,) float64: most that the axes of each group may grow, more on flat sheets.
 
-    Nothing lies behind a sheet of splats, and between Gaussians of the moments of its pieces half
-    the light gets through. Pieces of a thicker surface have others behind them.
+    Half the light gets through between Gaussians that have the moments of the pieces of a sheet,
+    and nothing behind the sheet stops it. Pieces of a thicker surface have others behind them.
 
     Args:
         merged: G nodes from `gather`.

@@ -68,7 +68,10 @@ def _one_round(leaves: Nodes, labels: I32, groups: int, threads: int) -> I32:
 def _refill(labels: I32, misfits: F64, groups: int) -> None:
     """Give every empty group the worst fitting splat of a group that keeps others; in place.
 
-    The misfits are negated.
+    Args:
+        labels: (N,) int32, the group of each; changed.
+        misfits: (N,) how badly each fits; overwritten.
+        groups: Their number.
     """
     sizes = np.bincount(labels, minlength=groups)
     empty = np.flatnonzero(sizes == 0)

@@ -79,7 +79,7 @@ def store_groups(
     sources, order, new = stored_order(leaves, labels, groups)
     places = np.empty(groups, np.int32)
     places[order] = np.arange(groups, dtype=np.int32)
-    # Gathered in the order in which they are stored, the features are the result's own.
+    # Numbered in the order in which groups are stored, so that gathered features need no copy.
     labels = places[labels]
     merged = gather(leaves, labels, groups)
     scales = np.empty((np.count_nonzero(new), 3), np.float32)
@@ -121,7 +121,7 @@ def _of_sources(splats: Splats, sources: I64, sh: F32) -> Splats:
 
 
 def _taken(column: Array, rows: I64) -> Array:
-    """The given rows of a column, which lie anywhere: all threads wait for them together."""
+    """The given rows of a column, copied by all threads: mostly they wait for memory."""
     found = np.empty((len(rows), *column.shape[1:]), column.dtype)
 
     def take(part: slice) -> None:

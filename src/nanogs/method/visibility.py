@@ -14,10 +14,10 @@ from nanogs.raster.rendering import PreparedSplats, Rendering, render
 from nanogs.splats import Splats
 from nanogs.views.roam import roaming_cameras
 
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; a third of the work
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; grey takes a third of the work
 SHOWN = 0.01  # of a splat that reaches the views, from which it counts as shown
 SMALL = 128  # pixels of a roaming view
-DECIDING = 6  # one view in so many also decides: what is chosen, and whether a fit is kept
+DECIDING = 6  # one view in so many decides which candidate is chosen and whether a fit is kept
 
 
 class Light:
@@ -41,7 +41,7 @@ class Light:
 
 
 def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> Light:
-    """The light of splats in views that are not kept."""
+    """Render views that are not kept, and add up the light of each splat in them."""
     light = Light(len(prepared))
     for camera in cameras:
         light.add(render(prepared, camera, contributions=True, sh_degree=0))
@@ -52,8 +52,8 @@ def visibility_of(looked: Light, anywhere: Light | None) -> tuple[F64, Bool]:
     """How visible splats are, and which lie in no view.
 
     Args:
-        looked: In the views that are looked from; a splat that lies in none counts as visible.
-        anywhere: In roaming views, which can only show more; None without any.
+        looked: Light in the views of the model; a splat that lies in none counts as visible.
+        anywhere: Light in roaming views, which can only make splats more visible; None without.
 
     Returns:
         (N,) float64 in [0, 1], and (N,) bool.
@@ -78,7 +78,7 @@ def roaming_views(
 
 
 def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
-    """(N,) float64: footprints, less where they are hidden.
+    """(N,) float64: coverages, less where splats are hidden.
 
     Args:
         coverages: (N,) alpha times footprint.
@@ -90,7 +90,7 @@ def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
 
 
 def shown_share(coverages: F64, visible: F64, missed: Bool) -> float:
-    """Share of all footprints, in [0, 1], that splats have which the views show.
+    """Share of all coverage, in [0, 1], that belongs to splats which the views show.
 
     Args:
         coverages: (N,) alpha times footprint.
@@ -102,5 +102,5 @@ def shown_share(coverages: F64, visible: F64, missed: Bool) -> float:
 
 
 def shown_coverage(coverages: F64, visible: F64, missed: Bool) -> float:
-    """Sum of the footprints that views show; the arguments are those of `shown_share`."""
+    """Coverage of the splats that the views show; the arguments are those of `shown_share`."""
     return float(coverages[(visible >= SHOWN) & ~missed].sum())

@@ -15,12 +15,12 @@ from nanogs.pipeline.weights import COUNTS
 from nanogs.progress import Stage, Tracker
 from nanogs.report import DrawProbeReport, StopReason
 
-SPAN = 0.02  # of what is asked, within which a result below it is near enough
+SPAN = 0.02  # share of what is asked: less by no more than this is near enough
 MOST_PROBES = 16
-PATIENCE = 5  # probes after which what is between two counts is halved as well
-TOLERANCE = 0.005  # share of a count that is next to it
+PATIENCE = 5  # probes, after which every second one halves the range that is left
+TOLERANCE = 0.005  # counts that differ by no larger share are neighbours: none is tried between
 POWER = 0.4  # splats a pixel grow as this power of the count; scenes here: 0.37 to 0.47
-POWERS = 0.2, 1.5  # between which a power that was measured is believed
+POWERS = 0.2, 1.5  # limits of a measured power: beyond them, small unevennesses mislead
 
 _Probe = DrawProbeReport | None
 
@@ -108,7 +108,7 @@ def _next(
     power: float,
     tried: int,
 ) -> int:
-    """The next count: along the line, or later each second time halfway between the two."""
+    """The next count: along the line from the latest; later, each second time, halfway between."""
     aim = asked * (1 - SPAN / 2)
     if fits is None and tried >= MOST_PROBES:
         return 0  # the fewest, which tell whether anything fits

@@ -1,4 +1,4 @@
-"""Results of any count of a scene in blocks, whose marks are kept for a run that goes on."""
+"""Results of any count of a scene in blocks; a resumed run finds their measurements again."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -42,8 +42,9 @@ class _Tried:
 class JobResults:
     """Results of a scene in blocks; see `results.Results`.
 
-    A level is added for each. Of those that are marked the files of one or two are kept. A run that
-    goes on does the same search again, which ends where it was: what was marked is not made again.
+    Each is a further level of the job. Files of two results at most are kept: of the latest, and of
+    the best so far. A resumed run searches again from the start, which comes to the same counts; it
+    takes measurements that are kept, and need not make these results again.
 
     Attributes:
         work: The job; what is done once is done.
@@ -128,7 +129,7 @@ class JobResults:
         self.tried.kept = result
 
     def verify(self, result: Result, progress: Tracker) -> None:
-        """Make again what is damaged of a result that a run before has made."""
+        """Make files of a result again that are damaged or missing, if a run before made them."""
         if self.run.resumed:
             self._do(result, progress)
 
@@ -148,7 +149,7 @@ class JobResults:
 
 
 def _discard(result: Result) -> None:
-    """Take away the files of a result, as far as they are there."""
+    """Delete the files of a result, as far as they are there."""
     work, level = result.work, result.level
     stages = [stage for stage, _ in level_stages(work.settings, level)]
     work.scratch.discard(tuple(f"{stage.name}-{level}-" for stage in stages))

@@ -31,7 +31,7 @@ COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 1
 _CODES = 2 * 8  # Morton codes and their order
 _HISTOGRAM = 8 << 16  # of the scores of a forest, for each balance
 _PLACE = 4 * 8  # of a group: its centre and reach
-_TRIED = 2  # models that are held against the original at a time; growths share all but scales
+_TRIED = 2  # models that are compared with the original at a time; growths share all but scales
 
 
 def most_coarse(level: int, block: int, splats: int) -> int:
@@ -70,7 +70,7 @@ def block_stages(
     bare, features = row_bytes(layout.bare()), 3 * (degree + 1) ** 2 * 4
     pixels = parameters.view_size**2
     coarse = plan_memory(block, 0, 0, plain, min(block, fine)).peak + block * (row + _CODES)
-    # What is drawn: the block and, copied with it, what surrounds it.
+    # Drawn together: the block and its surroundings, copied into one model.
     scene = (block + rough) * (12 + features + PREPARED)
     alone = block * (12 + features + PREPARED) + rough * (bare + PREPARED)
     views = 4 * pixels

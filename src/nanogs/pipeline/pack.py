@@ -1,4 +1,4 @@
-"""How results are packed for a size: what is tried is made, written, read back and looked at."""
+"""Choice of a packing for a size: each one tried is written, read back and measured on views."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
@@ -17,7 +17,7 @@ from nanogs.splats import Splats
 
 T = TypeVar("T")
 BLIND = "Nothing of the model is visible, so how the file is packed was not chosen by looking."
-CUTS = 0.5, 0.8  # of the count that fills a size, of plain cuts that tell what more splats bring
+CUTS = 0.5, 0.8  # of the count that fills a size: two plain cuts, from which the slope is measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +28,9 @@ class Packed:
         packing: The best.
         count: Splats that about fill the size with it.
         packings: What was tried.
-        highest: Degree of the harmonics that there might be.
-        tight: Whether nothing fits that is not packed as small as may be.
-        blind: Whether views would have told what is best, but show nothing of the model.
+        highest: The highest degree of harmonics that could be written.
+        tight: Whether nothing but the smallest packing fits.
+        blind: Whether views were to tell which is best, but show nothing of the model.
     """
 
     packing: Packing
@@ -57,7 +57,7 @@ class Packed:
 
 @dataclass(eq=False)
 class Packer(Generic[T]):
-    """Packs results of a model to see how that is done best.
+    """Chooses how results of a model are packed, by making some and measuring their files.
 
     Attributes:
         results: Of the model.
@@ -90,13 +90,13 @@ class Packer(Generic[T]):
         return Packed(*choose_packing(choices, self.wish.size, slope, *given), choices.degrees[-1])
 
     def _unseen(self, choices: Choices) -> Packing:
-        """The packing where nobody looks, or one without choices where a PSNR is to be reached."""
+        """The packing where nothing is rendered; without choices where a PSNR is to be reached."""
         if choices.by_psnr:
             return Packing(choices.degrees[-1])
         return unseen_packing(choices, self.guess, self.results.available)
 
     def guess(self, packing: Packing) -> int:
-        """The count of the model's own splats that fill the size with a packing, about."""
+        """About how many of the model's own splats fill the size with a packing."""
         if packing not in self._guesses:
             self._guesses[packing] = self._guess(packing)
         return self._guesses[packing]
@@ -184,7 +184,7 @@ class PackNear(Generic[T]):
         Returns:
             The results, and a count of about the same size.
         """
-        if self.wish.known.file_bytes is not None:  # fewer splats are what makes it smaller
+        if self.wish.known.file_bytes is not None:  # only the count decides it: nothing to choose
             return self.results, count
         self.progress.begin("guess")
         plain = self.results.plain(rounds=0)

@@ -1,10 +1,10 @@
 """Choice of harmonics, palette and bits for a file of a given size.
 
-A megabyte holds many splats of one colour each, or fewer that shine; which of them shows more only
-looking tells. Each way of packing is tried at a count that about fills the size: a result is made
-for it, packed, unpacked and held against the original on views. The bits are looked for among
-files of the first result, since they hardly change what is best else; there a lower degree is seen
-as well, and made only where it is not far behind.
+A megabyte holds many splats of one colour each, or fewer whose colour depends on the view; only
+renders tell which looks better. Each way of packing is tried at a count that about fills the size:
+a result is made for it, packed, unpacked and compared with the original on views. The bits are
+chosen among files of the first result, since they hardly change what else is best. Lower degrees
+are measured on the first result as well; only one that is not far behind gets a result of its own.
 """
 
 import math
@@ -22,16 +22,18 @@ PALETTE = "palette"  # the option of a format
 # Splats for an entry of the palette: what is tried first, and larger and smaller palettes.
 FIRST_SHARE = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
-# Between these a measured slope is believed, dB of quality for e times the bytes.
+# Limits of a measured slope, dB of quality for e times the bytes.
 SLOPES = 2.0, 40.0
-SAVED = 1.2  # splats more than the first bits leave room for, which coarser ones mostly make
+SAVED = 1.2  # the first count over the guess: coarser bits, mostly the best, make room for it
 # |log(bytes / size)| up to which a result need not be made again: for a packing, and for the bits
 # that are found best with it, whose files compare as they are when they are that near.
 NEAR, NEAR_BITS = 0.12, 0.03
 # dB by which a degree or a palette that nothing is fitted for may be behind and still be tried.
 BEHIND = 1.5
 FINE = 0.25  # dB by which a larger palette may be behind and still be looked at with other bits
-ENOUGH_SPLATS = 0.75  # of all, by a guess that is 10 to 20 % low: precision shows more than others
+# Share of all splats that fit by the guess, which is 10 to 20 % low: from there on finer bits show
+# more than further splats.
+ENOUGH_SPLATS = 0.75
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ class Results(Protocol[T]):
 
     @property
     def looks(self) -> bool:
-        """Whether results are made by what views show, so that quick ones are worth while."""
+        """Whether a result takes rendering and so a long time: quick ones then lead the search."""
 
     def plain(self, rounds: int | None = None) -> Self:
         """Results that are cut without looking; see `run.plain`."""
@@ -38,11 +38,12 @@ class Results(Protocol[T]):
         """Results that are fitted in few steps; see `run.brief`."""
 
     def packed(self, sh_degree: int, sharing: Sharing | None) -> Self:
-        """Results whose harmonics are of a degree at most, and fitted as a palette has them.
+        """Results with harmonics of a degree at most, fitted in sets as a palette holds them.
 
         Args:
             sh_degree: Of the harmonics, as far as the scene's are.
-            sharing: How many sets of higher ones there are, or None where each splat has its own.
+            sharing: How many sets of higher harmonics there are, or None where each splat has its
+                own.
         """
 
     def stages(self, count: int) -> list[Stage]:
@@ -52,16 +53,17 @@ class Results(Protocol[T]):
         """The result of a count."""
 
     def marked(self, count: int, mark: Callable[[T], M], progress: Tracker) -> tuple[T, M]:
-        """The result of a count, and what a function says of it.
+        """Make the result of a count, and measure it.
 
         Args:
             count: Splats.
-            mark: Measures the result, by what JSON holds; a function of nothing else.
+            mark: Measures the result. It depends on nothing else and returns values that JSON
+                holds, so that a resumed run takes them from its files.
             progress: Told of each stage.
         """
 
     def keep(self, result: T) -> None:
-        """Keep this result; one that was kept before is not needed any more."""
+        """Keep what is needed of this result; one that was kept before may be discarded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,4 +123,4 @@ class HeldResults:
         return outcome, mark(outcome)
 
     def keep(self, result: Outcome) -> None:
-        """As `Results` says: who asked holds it."""
+        """Do nothing: the caller holds the result itself."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
 VISIBLE = "visible"
-DISTANT = 0.2  # of a view's pixels, in a smaller part of which a block is too far away
+DISTANT = 0.2  # share of a view's pixels: a block that is smaller in every view gets its own
 
 
 def write_look(work: "Work", name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
@@ -53,7 +53,7 @@ def looks_at(work: "Work", block: int) -> list[Lit]:
 
 
 def closer_views(work: "Work", own: Splats) -> list[Camera]:
-    """Views of a block alone, where it is small in all those of the scene: a city is no object.
+    """Views of a block alone, where it is small in all views of the scene, such as of a city.
 
     Args:
         work: The job, its views chosen.
@@ -72,7 +72,7 @@ def closer_views(work: "Work", own: Splats) -> list[Camera]:
 
 
 def typical_weight(work: "Work") -> float:
-    """Mean of the weights of all splats, of which those of nodes are multiples."""
+    """Mean weight of all splats, the unit of the weights of nodes; 1 where all are 0."""
     facts = [record.facts for record in work.of_blocks("look")]
     mean = sum(float(each["weight"]) for each in facts) / work.partition.splats
     return mean if mean > 0 else 1.0

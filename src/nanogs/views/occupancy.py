@@ -73,12 +73,12 @@ def quantiles(values: F64, weights: F64, *shares: float) -> list[float]:
 
 
 def capped(areas: F64) -> F64:
-    """Areas without the few huge ones, which would outvote all others."""
+    """Areas, none above their 99th percentile: a few huge ones would outvote all others."""
     return np.minimum(areas, np.quantile(areas, 0.99))
 
 
 def sample(model: Splats | Source) -> Matter:
-    """Finite and visible splats of a model, the same of a source, which is read twice.
+    """Sample finite and visible splats: the same ones of a source, which is read twice.
 
     Raises:
         FormatError: The source cannot be read.
@@ -99,8 +99,9 @@ def _visible(splats: Splats) -> I64:
 
 
 def _thinned(model: Splats | Source) -> tuple[Splats, int]:
-    """Every so many-th of the visible splats, and how many that is."""
-    # What is in memory is looked at once; of what is not, nothing is kept between the two passes.
+    """Every n-th of the visible splats, and n."""
+    # Visible rows of a model in memory are found once. A source is read twice, and nothing is kept
+    # in between.
     whole = [(model, _visible(model))] if isinstance(model, Splats) else None
 
     def blocks() -> Iterable[tuple[Splats, I64]]:
@@ -135,7 +136,7 @@ def find_core(matter: Matter) -> Core:
         some = some[distance <= reach]
     points, alphas = matter.points[some], matter.alphas[some]
     rows = np.flatnonzero(np.linalg.norm(matter.points - centre, axis=1) <= reach)
-    # Its middle, so that it fills a view; the median sits where splats are many.
+    # The middle of its extent, so that it fills a view: the median is where most splats are.
     ends = [quantiles(column, alphas, 0.02, 0.98) for column in points.T]
     centre = np.array(ends).mean(axis=1)
     extent = np.linalg.norm(matter.arms[some, 0], axis=1)

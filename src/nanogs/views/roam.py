@@ -1,4 +1,4 @@
-"""Cameras for who walks freely: anywhere in free space, near to what can be seen and far from it.
+"""Cameras of viewers who walk freely: anywhere in free space, near to things and far from them.
 
 A target is drawn among the splats, each as likely as it has weight in the pictures so far (those of
 automatic views, and of the views already found): so insides of rooms are found as well as outsides
@@ -32,7 +32,7 @@ from nanogs.views.poses import look_at
 FOV = 60.0  # degrees, of the longer side
 NEAREST, FARTHEST = 0.12, 1.5  # from the target, over the radius
 HELD = 0.9  # share of the splats within the radius
-AWAY = 2.5  # radii from the middle within which cameras stand: a sky is far
+AWAY = 2.5  # radii from the middle within which cameras stand, however far away a sky is
 TRIES = 60  # for each camera asked for
 SEEDS = 16  # automatic views that the search begins with
 SIZE = 96  # pixels along the longer side of the pictures that candidates are judged by
@@ -68,7 +68,8 @@ class Known:
     """The findings of the search so far.
 
     Attributes:
-        weights: (N,) float64, what each splat has of the pictures so far; each adds up to 1.
+        weights: (N,) float64, light of each splat in the pictures so far, where that of a picture
+            adds up to 1.
         free: Free space.
         cameras: The views found.
     """
@@ -193,7 +194,7 @@ def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str)
 
 
 def _add(known: Known, place: F64, contributions: F64) -> None:
-    """Take a place for free, and weigh splats by what they have of the picture from there."""
+    """Note a place as free, and weigh splats by their light in the picture from there."""
     total = contributions.sum()
     if total > 0:
         known.weights += contributions / total
@@ -238,7 +239,7 @@ def _keeps(scene: Scene, known: Known, candidate: Candidate) -> bool:
 
 
 def _shown(splats: PreparedSplats, candidate: Candidate) -> F64 | None:
-    """(N,) what each splat has of the picture; None where that shows something else."""
+    """(N,) light of each splat in the picture; None for one that is not to be kept."""
     camera, distance = candidate.camera, candidate.distance
     view = project(splats, camera, sh_degree=0)
     depths = view.features[:, 3]
