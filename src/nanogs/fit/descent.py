@@ -86,7 +86,7 @@ class Descent:
         return MeanOf(self)
 
     def rest(self) -> None:
-        """Give back the memory that only steps need: none follow, or `begin` comes first."""
+        """Free the memory that only steps need; before further steps, call `begin`."""
         del self._state, self._active, self._seen, self._blocks, self._weights
 
     def step(self, rate: float, share: float) -> float:
@@ -162,10 +162,10 @@ class Descent:
 
 
 class Averaging(Protocol):
-    """The mean of states that a descent comes by."""
+    """The mean of states that a descent passes through."""
 
     def add(self) -> None:
-        """Count the state as it is."""
+        """Add the state as it is now."""
 
     def state(self) -> State:
         """The mean, with unit quaternions; of at least one state."""
@@ -178,7 +178,7 @@ class MeanOf:
         self._descent, self._mean = descent, MeanState()
 
     def add(self) -> None:
-        """Count the state as it is."""
+        """Add the state as it is now."""
         self._mean.add(self._descent.state)
 
     def state(self) -> State:

@@ -42,7 +42,7 @@ class State:
         return State(*(getattr(self, field.name).copy() for field in fields(self)))
 
     def towards(self, other: "State", share: float) -> "State":
-        """The state a share of the way to another one that came of it, in [0, 1]."""
+        """The state at a share, in [0, 1], of the way to a later one of the same descent."""
         left = 1 - share
         quats = left * self.quats + share * _facing(other.quats, self.quats)
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
@@ -57,7 +57,7 @@ class State:
 
 
 class MeanState:
-    """The mean of states that a descent comes by (Polyak and Juditsky, 1992).
+    """The mean of states that a descent passes through (Polyak and Juditsky, 1992).
 
     Each step follows one view, and states go to and fro between what views ask for; their mean
     does not.
@@ -68,7 +68,7 @@ class MeanState:
         self._count = 0
 
     def add(self, state: State) -> None:
-        """Count one more state."""
+        """Add one more state."""
         self._count += 1
         if self._mean is None:
             self._mean = state.copy()
@@ -77,7 +77,7 @@ class MeanState:
         for mean, new in (
             (self._mean.means, state.means),
             (self._mean.log_scales, state.log_scales),
-            (self._mean.quats, state.quats),  # of a way of small turns: none is on the other side
+            (self._mean.quats, state.quats),  # turns are small, so that none has changed its sign
             (self._mean.logits, state.logits),
             (self._mean.sh, state.sh),
         ):

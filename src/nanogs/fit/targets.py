@@ -40,7 +40,7 @@ class Target:
         image: (H, W, 4) uint8, the colours as a screen shows them over black, and alpha; 255 for 1:
             a quarter of the memory of float32.
         footprint: Width of a pixel at the median depth of what is seen, scene units; infinite where
-            nothing is seen, or where it is of no use.
+            nothing is seen, or where it was not asked for.
         blocks: Its set bits are the blocks of every tile that are drawn; the others are empty.
     """
 
@@ -56,9 +56,10 @@ class Fitting:
 
     Attributes:
         kept: Views that are rendered already.
-        original: What the others show; None where there are none.
-        further: Their cameras.
-        surroundings: What is drawn with the model and stays as it is; in the views, too.
+        original: The model that the others are drawn from; None where there are none.
+        further: Cameras of the others.
+        surroundings: Splats that are drawn with the model, and not changed; the views show them,
+            too.
     """
 
     kept: Sequence[Target]

@@ -54,7 +54,7 @@ def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilati
 
     That is where a splat's surroundings, the ball about it that holds a quarter of the alpha, are
     `pixels` across: about as far away as viewers stand, whatever else the model holds elsewhere.
-    A MIP model's rasteriser takes back from the opacity what it adds to the size: nothing.
+    For a MIP model it is 0: the rasteriser takes from the opacity what it adds to the size.
 
     Args:
         means: (N, 3) float64, N >= 1, scene units.

@@ -60,7 +60,7 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
     """
     count = made = len(leaves)
     nodes, ids = leaves, np.arange(count, dtype=np.int32)
-    del leaves  # where the caller keeps none either, they make room for the passes to come
+    del leaves  # if the caller does not keep them, this frees memory for the passes
     parts: list[tuple[I32, F32]] = []
     passes: list[PassReport] = []
     stop = StopReason.TARGET
@@ -77,7 +77,7 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
             children, ids, starts, members = _joined_pairs(plan.pairs, ids, made)
             parts.append((children, increments))
             made += len(plan)
-            del plan  # makes room for the nodes to come
+            del plan  # frees memory for the next nodes
             # The features of pairs of splats, half a model, are not stored but mixed when needed.
             told(0.9)
             nodes = (gather_groups if passes else gather_pairs)(nodes, starts, members)
@@ -126,13 +126,13 @@ def _one_pass(
 
 
 def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) -> F32:
-    """(E,) float32: increments weighed, slice by slice, since both are twice as large."""
+    """(E,) float32: weighted sums of increments, by slices, as those take twice the memory."""
     costs = np.empty(len(pairs), dtype=np.float32)
 
     def weigh(part: slice) -> None:
         some = np.ascontiguousarray(pairs[part])
         increments = _increments(merge_increments.here, some, nodes, dets)
-        with np.errstate(over="ignore"):  # a pair that costs too much to be said comes last
+        with np.errstate(over="ignore"):  # a cost beyond float32 is infinite and comes last
             increments[:, 0] *= np.float32(parameters.lambda_app)
             np.add(increments[:, 0], increments[:, 1], out=costs[part])
 

@@ -1,6 +1,6 @@
 """Nodes: splats, or groups of splats, by their moments; what the merge forest is made of.
 
-The weight of a node is what it may lose by: its footprint, times the share of it that views see.
+The weight of a node says how much its errors matter: its footprint, times the share that is seen.
 Its coverage is the footprint alone, which a merge must conserve (`store_groups`).
 """
 
@@ -22,8 +22,8 @@ from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats, pick
 from nanogs.stored import alphas
 
-UNRESOLVED = 1e-15  # of the squared trace: what rounding may leave of minors
-NEARER = 4.0  # from a view of the whole model to one of its parts
+UNRESOLVED = 1e-15  # of the squared trace: smaller minors may be rounding alone
+NEARER = 4.0  # times as near as for a view of the whole model, to look at a part
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
 
 
@@ -127,7 +127,7 @@ def _shapes(
     splats: Splats, rows: I32, origin: F64, pixel: float, thinnest: float | None
 ) -> tuple[F64, F64]:
     """The means and covariances of `activate_nodes`."""
-    covariances = np.empty((len(rows), 6))  # before the temporaries: freeing them leaves no hole
+    covariances = np.empty((len(rows), 6))  # before temporaries, whose freeing leaves no hole
     means, scales, quats = activated(splats, rows, origin)
     least = thinnest_axis(scales, means, pixel) if thinnest is None else thinnest
     covariances_of(scales, quats, FLATTEST, least, covariances)
@@ -147,7 +147,7 @@ def thinnest_axis(scales: F32, means: F64, pixel: float) -> float:
 
 
 def normalised(weights: F64) -> F64:
-    """(N,) float64: weights over their mean, and a little for what has none."""
+    """(N,) float64: weights over their mean, and 1e-9 in place of 0."""
     mean = float(weights.mean())
     return np.maximum(weights / mean, 1e-9) if mean > 0 else np.ones(len(weights))
 

@@ -21,7 +21,7 @@ def cut_block(scratch: Scratch, forest: Record, groups: int, balance: int = 0) -
         scratch: Where the forest is.
         forest: Its record.
         groups: Groups to keep.
-        balance: Number of the one by whose scores.
+        balance: Number of the balance whose scores order the merges.
     """
     with Table(scratch, forest) as table:
         children, scores = table.read(CHILDREN), table.read(scores_of(balance))
@@ -62,7 +62,7 @@ def write_cut(
 
 
 def _reach(centres: F64, threads: int) -> F64:
-    """(G,) distance to the furthest of the neighbours that a splat of the group may move to."""
+    """(G,) distance from each group to the furthest one that its splats may move to."""
     nearest = nearest_neighbours(centres, NEIGHBOURS, threads)
     if nearest.shape[1] == 0:
         return np.zeros(len(centres))

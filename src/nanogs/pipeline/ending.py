@@ -134,7 +134,7 @@ class Ending:
         return written._replace(costs=[each.numbers for each in costs] or None)
 
     def _sealed(self, made: Path, place: Path) -> list[Written] | None:
-        """The results that were sealed, if they are what stands at a place."""
+        """The results as sealed, if the files at a place are these; else None."""
         with suppress(OSError, ValueError, LookupError, TypeError):
             note = json.loads(_note(made).read_bytes())
             files = note["files"]

@@ -15,10 +15,10 @@ from nanogs.splats import Splats
 
 AIM = 0.993  # of the size: a probe is put there, so that it is seldom just above
 ENOUGH = 0.98  # of the size: a file that takes so much of it ends the search
-TOLERANCE = 0.01  # or counts one of which fits, and one so much larger does not
+TOLERANCE = 0.01  # share of a count: where one larger by this is too large, the search ends, too
 MOST_PROBES = 12
 SAMPLE = 8192  # splats of the input that are written for the first guess
-HOPELESS = 0.5  # of the file of one splat: no smaller one can be made
+HOPELESS = 0.5  # of the file of one splat: a smaller size is refused at once
 # Of a count that is too large: the next is at most so much of it, at first and later on.
 _STEPS = 0.995, 0.97
 _LEAP = 16  # times a count that fits: the next is at most so many
@@ -161,11 +161,11 @@ def _next(fits: Probe, over: Probe, size: int, probes: Sequence[SizeProbeReport]
 
 
 def _along(probes: Sequence[SizeProbeReport], aim: float) -> float:
-    """Where a line through the latest counts, or else through nothing, has so many bytes."""
+    """The count of so many bytes on a line through the latest two; else through one and zero."""
     latest = probes[-1]
     for before in probes[:-1]:
         each = (before.bytes - latest.bytes) / (before.count - latest.count)
-        if each > 0:  # of a splat; the rest of a file does not depend on the count
+        if each > 0:  # bytes of a splat; what is below 0 is noise
             return latest.count - (latest.bytes - aim) / each
     return latest.count * aim / latest.bytes
 
@@ -219,8 +219,8 @@ def fit_size(
 ) -> tuple[T, Fitted]:
     """The largest result of a model that is found to fit, and takes most of the size.
 
-    The count is looked for among results as one cut has them; of what is delivered, chosen by
-    measurement or fitted, few are made.
+    The count is searched for with plain cuts of the forest, which are quick. Only few results are
+    made as they are delivered, chosen by measurement or fitted.
 
     Args:
         results: Of the model.
@@ -269,7 +269,7 @@ def fit_size(
         progress.begin("search")
         found = search(results.plain(), SIZES, guess)
         probes, guess = found.probes, found.count
-        if found.bytes < enough:  # the size cannot be used up, and so results need not try
+        if found.bytes < enough:  # no count uses up the size, so what this one took is enough
             enough = ENOUGH * found.bytes
         if not results.looks:
             return best[0], found

@@ -66,7 +66,7 @@ def grow(
 
 
 def passes_of(forests: Sequence[Record]) -> tuple[PassReport, ...]:
-    """The passes of all forests together; one that has ended before keeps what it has left."""
+    """The passes of all forests, added up; a forest of fewer passes stays at what it has left."""
     passes = [[PassReport(**each) for each in record.facts["passes"]] for record in forests]
     found = []
     for number in range(max(map(len, passes), default=0)):
@@ -88,7 +88,7 @@ def passes_of(forests: Sequence[Record]) -> tuple[PassReport, ...]:
 
 
 def keys(scores: F32) -> U32:
-    """(M,) uint32 in the order of the scores: an integer's bits sort as those of a float do not."""
+    """(M,) uint32 keys that sort as the scores do, unlike the bits of floats below zero."""
     bits = (scores + np.float32(0)).view(np.uint32)  # -0 becomes 0
     negative = bits >> 31 != 0
     result: U32 = np.where(negative, ~bits, bits | np.uint32(1 << 31))

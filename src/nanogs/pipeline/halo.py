@@ -12,8 +12,8 @@ from nanogs.pipeline.settings import MOST_SEEN
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table
 
-# A splat moves to one of the nearest groups of its own: those of one reach around a block decide
-# over its splats in the first round, and what is behind them over these in the next.
+# A splat may move to groups within the reach of its own. Groups one reach around a block decide on
+# its splats in the first round; these depend on groups one reach farther in the next.
 REACHES = 2.0
 
 

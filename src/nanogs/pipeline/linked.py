@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _ROOTS = 1 << 10  # of all blocks, about; each takes as many reads as there are layers in the end
 _TOGETHER = 4  # splats that become one, step by step, up to the roots
-_STRETCHES, _LONG = 64, 1024  # of the finest level, that say what is usual
+_STRETCHES, _LONG = 64, 1024  # runs of rows of the finest level, and rows of each, in a sample
 _ROWS = 1 << 14  # that are written at a time
 _SPLATS, _CHILDREN, _ROOT = "splats-", "children-", "root-"
 

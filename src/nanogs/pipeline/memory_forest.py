@@ -18,16 +18,17 @@ _PAIRS_PER_NEIGHBOUR = 0.67
 _LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
 _CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
 _TILES = 3  # tiles of a view of 560 pixels that a splat lies in, on average: 2.3 to 3.2
-_IMAGES = VIEWS * PIXELS**2 * 3 * _F4  # of the original, that results are judged by
-PIXEL = 80  # of a view while it is drawn with contributions and depths
-COMPARED = 64  # and while it is held against the original's, or pulls
+_IMAGES = VIEWS * PIXELS**2 * 3 * _F4  # pictures of the original, by which results are judged
+PIXEL = 80  # bytes of a pixel of a view while it is drawn with contributions and depths
+COMPARED = 64  # and while it is compared with the original's, or its pull is computed
 _BATCH = 2 * _I4 + 2 * _F4 + 2 * _F8  # of a pair, in a batch of which the costs are computed
 PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rasteriser reads them
 DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
 SHARES = 6 * _F8 + _TILES * _F4  # of every splat in a view and in all
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
-# That a splat of the result lies in. In views of 560 pixels it is 3 to 8, of half and of a tenth of
-# the splats; what else is counted makes up for it, measured, and in larger views it does not.
+# Tiles that a splat of the result lies in. In views of 560 pixels it is 3 to 8, for results of half
+# and of a tenth of the splats. Measured, the rest of the plan is large enough to make up for that,
+# but not in larger views.
 _FIT_TILES = 2
 # Of a splat that is drawn in a step: its projection, its sums, and those of its tiles.
 FIT_STEP = 8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F4 + _FIT_TILES * (25 * _F4 + _I4)

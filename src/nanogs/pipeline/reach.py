@@ -17,14 +17,15 @@ from nanogs.report import ProbeReport, StopReason
 SPAN = 0.3  # dB above what is asked within which a result is near enough
 MOST_PROBES = 24
 GUESS = 0.1  # share of the splats to begin with
-TOLERANCE = 0.01  # share of a count that is next to it, and of the splats that must be saved
-STEPS = 6  # counts that are tried below a step
-STRIDE = 0.05  # of its count, how far these are from each other
-PATIENCE = 6  # probes after which what is between two counts is halved as well
+# Counts that differ by no larger share are neighbours; and the share of splats that must be saved.
+TOLERANCE = 0.01
+STEPS = 6  # counts that are tried below a step of the PSNR
+STRIDE = 0.05  # distance between these, as a share of the count of the step
+PATIENCE = 6  # probes, after which every second one halves the range that is left
 USUAL_SLOPE = 3.0  # dB for e times the splats; trained scenes: 2 to 5
-SLOPES = 1.0, 10.0  # dB, between which a slope that was measured is believed
-LEAP = 3.0  # logarithm of the most that a count changes by where one side is open
-FAR = 0.7  # share of the most beyond which that is tried at once
+SLOPES = 1.0, 10.0  # dB, limits of a measured slope: beyond them, small unevennesses mislead
+LEAP = 3.0  # most that the logarithm of the count changes at once, while one side is unknown
+FAR = 0.7  # share of the largest count, beyond which the largest is tried at once
 HOPELESS = 6.0  # dB that a quick result may lack for the delivered one to be worth a probe
 
 _Probe = ProbeReport | None
@@ -139,7 +140,7 @@ def _ending(
 
 
 def _between(misses: ProbeReport, reaches: ProbeReport, asked: float, tried: int) -> int:
-    """A count between two: where a line has what is aimed at; later each second time halfway."""
+    """A count between two: on the line through both; later, each second time, halfway."""
     low, high = math.log(misses.count), math.log(reaches.count)
     share = 0.5
     if math.isfinite(reaches.psnr) and (tried < PATIENCE or tried % 2):
@@ -148,7 +149,7 @@ def _between(misses: ProbeReport, reaches: ProbeReport, asked: float, tried: int
 
 
 def _beyond(probes: list[ProbeReport], asked: float, most: int, slope: float | None) -> int:
-    """A count along the line from the latest one; the most where that leads far up."""
+    """A count along the line from the latest one; the largest where that leads far up."""
     latest = probes[-1]
     if len(probes) > 1 or slope is None:
         slope = _slope(probes)

@@ -1,8 +1,8 @@
-"""Candidates, held against the original on the views that decide; the best one is chosen.
+"""Candidates, compared with the original on the views that decide; the best one is chosen.
 
 Cuts of several balances are tried, the best one with its splats reassigned, and the best of these
-grown more. Errors of blocks add up in a picture: of each block it is what its own splats do, its
-surroundings being the same in both pictures. So that one choice is made for the whole scene.
+grown more. One choice is made for the whole scene: errors are added up over the blocks, each of
+which is measured by itself, with the same surroundings in both pictures.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ Errors = list[tuple[float, float]]  # of each view: squares of a channel, and 1 
 
 
 def try_balances(scene: Scene, name: str, number: int, level: int) -> Record:
-    """Write how a block's cuts of all balances do.
+    """Measure a block's cuts of all balances, and write their errors.
 
     Args:
         scene: With its forests, and the count of the result.
@@ -46,20 +46,20 @@ def try_balances(scene: Scene, name: str, number: int, level: int) -> Record:
 
 
 def pick_balance(scene: Scene, name: str, level: int) -> Record:
-    """Write which balance does best in the whole scene, the first of equal ones."""
+    """Write which balance is best in the whole scene, the first of equal ones."""
     reports = _cuts(scene, level)
     best = max(range(len(reports)), key=lambda number: reports[number].quality)
     return scene.write(name, {}, {"balance": best})
 
 
 def try_reassigned(scene: Scene, name: str, number: int, level: int) -> Record:
-    """Write how a block's groups do after reassignment."""
+    """Measure a block's groups after reassignment, and write their errors."""
     growth = scene.settings.parameters.growth
     return _try(scene, name, number, level, growth, reassigned=True)
 
 
 def try_growth(scene: Scene, name: str, number: int, level: int, step: int) -> Record:
-    """Write how the better groups of a block do if they grow more."""
+    """Measure the better groups of a block, grown more, and write their errors."""
     best = candidates(scene, level, step)[1]
     growth = further_growths(scene.settings.parameters.growth)[step]
     return _try(scene, name, number, level, growth, reassigned=best.reassigned)
@@ -82,7 +82,7 @@ def choose(scene: Scene, name: str, level: int) -> Record:
 def candidates(
     scene: Scene, level: int, steps: int | None = None
 ) -> tuple[list[CandidateReport], CandidateReport]:
-    """How all candidates of a level did that were tried, and the best of them.
+    """Scores of all candidates of a level that were tried, and the best of them.
 
     A reassignment that does not help is taken back, and so is a growth that does not help clearly.
 
@@ -133,7 +133,7 @@ def _cuts(scene: Scene, level: int) -> list[CandidateReport]:
 def _try(
     scene: Scene, name: str, number: int, level: int, growth: float, *, reassigned: bool
 ) -> Record:
-    """Write how one candidate does in a block."""
+    """Measure one candidate in a block, and write its errors."""
     members = scene.members(number, level, reassigned=reassigned)
     wanted, others = scene.pictures(number, members), scene.surroundings(number)
     model = scene.stored(members).grown(growth)
@@ -161,7 +161,7 @@ def _errors(
 def _report(
     scene: Scene, level: int, stage: str, candidate: CandidateReport, number: int = 0
 ) -> CandidateReport:
-    """A candidate with its marks, from the errors that a stage has found in all blocks."""
+    """A candidate with its scores, from the errors that a stage has found in all blocks."""
     pixels = np.array([camera.width * camera.height for camera in scene.deciding])
     errors = [record.facts["errors"][number] for record in scene.of_blocks(stage, level)]
     sums = np.sum([np.array(each) for each in errors], axis=0)
