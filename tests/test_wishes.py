@@ -137,8 +137,34 @@ def test_a_large_head_of_a_file_does_not_make_the_search_creep():
 
 def test_a_search_that_ends_early_says_so():
     fitted = search_fit(lambda count: 4000 + count.bit_length(), 10**6, 1, 1, 10**99)
-    assert len(fitted.probes) == MOST_PROBES
+    assert (len(fitted.probes), fitted.stop) == (MOST_PROBES, "settled")
     assert "enough others were tried" in fitted.leap(10**6, 10**99)[0]
+
+
+@pytest.mark.parametrize(
+    ("bytes_of", "available", "stop"),
+    [
+        (lambda count: 40 * count, 1000, "target"),
+        (lambda count: 40 * count, 10, "target"),  # the whole model
+        (lambda count: 40 * count if count <= 60 else 10**6, 1000, "step"),
+    ],
+)
+def test_a_search_says_why_it_ended(bytes_of, available, stop):
+    fitted = search_fit(bytes_of, 4000, 30, 1, available)
+    assert fitted.stop == stop
+    assert fitted.stop.met
+    assert fitted.bytes <= 4000
+
+
+@pytest.mark.parametrize("block", [None, 15])
+def test_a_report_says_why_the_search_for_a_size_ended(tmp_path, block):
+    """A splat of so few takes more than 2 % of the size, which may stay unused."""
+    source = tmp_path / "in.ply"
+    nanogs.save(random_splats(40), source)
+    report = nanogs.simplify_blocks(
+        source, tmp_path / "a.spz", size=900, preset="fast", block=block
+    )
+    assert report.stop == ("target" if report.achieved_size >= 0.98 * 900 else "step")
 
 
 def test_a_job_that_cannot_be_divided_leaves_nothing(tmp_path):

@@ -13,21 +13,20 @@ from nanogs.protocol import Judged, PackingLoss
 
 
 class StopReason(StrEnum):
-    """Why the loop of passes, or the search for a PSNR or a draw cost, ended."""
+    """Why the loop of passes, or the search for a size, a PSNR or a draw cost, ended."""
 
     TARGET = "target"  # the asked count is reached
     NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
     NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
-    STEP = (
-        "step"  # what was asked is stepped over: a hundredth of the splats more or less misses it
-    )
+    STEP = "step"  # what was asked is stepped over: a hundredth of the splats more or less misses
     UNREACHED = "unreached"  # 99 % of the splats miss the asked PSNR; the whole model was delivered
     PROBES = "probes"  # enough counts were tried; a smaller one may reach the asked PSNR too
+    SETTLED = "settled"  # enough counts were tried; a larger one may fit into the asked size too
 
     @property
     def met(self) -> bool:
         """Whether what was asked for is what was delivered."""
-        return self in (StopReason.TARGET, StopReason.STEP)
+        return self in (StopReason.TARGET, StopReason.STEP, StopReason.SETTLED)
 
 
 @dataclass(frozen=True, slots=True)

@@ -289,6 +289,7 @@ def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracke
     fitted, packed = found.fitted, found.packed
     return replace(
         outcome,
+        stop=fitted.stop if outcome.stop is StopReason.TARGET else outcome.stop,
         achieved_size=fitted.bytes,
         size_probes=fitted.probes,
         notes=(*outcome.notes, *fitted.leap(size, results.available), *packed.notes),

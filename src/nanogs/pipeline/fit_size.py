@@ -10,7 +10,7 @@ from nanogs.formatting import counted
 from nanogs.pipeline.results import Results, T
 from nanogs.pipeline.weights import RESULTS, SIZES, write_weight
 from nanogs.progress import Stage, Tracker
-from nanogs.report import SizeProbeReport
+from nanogs.report import SizeProbeReport, StopReason
 from nanogs.splats import Splats
 
 AIM = 0.993  # of the size: a probe is put there, so that it is seldom just above
@@ -32,11 +32,12 @@ Probe = SizeProbeReport | None
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The largest count found to fit, its bytes, and what was tried in order."""
+    """The largest count found to fit, its bytes, what was tried in order, and why it ended."""
 
     count: int
     bytes: int
     probes: tuple[SizeProbeReport, ...]
+    stop: StopReason = StopReason.TARGET
 
     def leap(self, size: int, available: int) -> tuple[str, ...]:
         """A sentence where much of the size is left, mostly as a few splats more take far more."""
@@ -122,8 +123,8 @@ def search_fit(
         if fits is None:
             if count == fewest:
                 raise too_small(size, count, probe.bytes)
-        elif fits.bytes >= enough or _final(fits, over, available, len(probes)):
-            return Fitted(fits.count, fits.bytes, tuple(probes))
+        elif stop := _stop(fits, over, enough, available, len(probes)):
+            return Fitted(fits.count, fits.bytes, tuple(probes), stop)
         count = _next(fits, over, size, probes)
         count = min(max(count, fewest), available)
 
@@ -139,10 +140,15 @@ def too_small(size: int, fewest: int, needed: int) -> TooSmallError:
     )
 
 
-def _final(fits: SizeProbeReport, over: Probe, available: int, tried: int) -> bool:
-    """Whether no count is left that is worth a probe."""
-    close = over is not None and over.count <= max((1 + TOLERANCE) * fits.count, fits.count + 1)
-    return fits.count == available or close or tried >= MOST_PROBES
+def _stop(
+    fits: SizeProbeReport, over: Probe, enough: float, available: int, tried: int
+) -> StopReason | None:
+    """Why no count is left that is worth a probe; None where one is."""
+    if fits.bytes >= enough or fits.count == available:
+        return StopReason.TARGET
+    if over is not None and over.count <= max((1 + TOLERANCE) * fits.count, fits.count + 1):
+        return StopReason.STEP
+    return StopReason.SETTLED if tried >= MOST_PROBES else None
 
 
 def _next(fits: Probe, over: Probe, size: int, probes: Sequence[SizeProbeReport]) -> int:
@@ -264,16 +270,18 @@ def fit_size(
         return search_fit(bytes_for, size, guess, fewest, available, enough)
 
     probes: tuple[SizeProbeReport, ...] = ()
-    enough = ENOUGH * size
+    enough, otherwise = ENOUGH * size, StopReason.TARGET
     if not near:
         progress.begin("search")
         found = search(results.plain(), SIZES, guess)
         probes, guess = found.probes, found.count
         if found.bytes < enough:  # no count uses up the size, so what this one took is enough
-            enough = ENOUGH * found.bytes
+            enough, otherwise = ENOUGH * found.bytes, found.stop
         if not results.looks:
             return best[0], found
         best.clear()
     progress.begin("deliver")
     found = search(results, RESULTS, guess, enough)
-    return best[0], replace(found, probes=probes + found.probes)
+    short = found.bytes < ENOUGH * size and found.count < results.available
+    stop = otherwise if short and found.stop is StopReason.TARGET else found.stop
+    return best[0], replace(found, probes=probes + found.probes, stop=stop)

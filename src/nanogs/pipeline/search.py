@@ -141,6 +141,7 @@ class Search:
         if fitted.count == results.available and known.file_bytes is None:
             notes += (WHOLE_FITS,)
         entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}
+        entries |= {"stop": fitted.stop}
         return _Found(result, entries | packed.entries(files.count(result)), notes)
 
     def _wish(self, work: Work, size: int) -> Wish:
