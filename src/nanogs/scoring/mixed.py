@@ -254,7 +254,7 @@ def _means(
 
 
 def _notes(score: MixedScore, chunks: int) -> list[str]:
-    """What the reader of a score should know.
+    """Notes for the reader of a score, one sentence each.
 
     Args:
         score: Of a stream.
