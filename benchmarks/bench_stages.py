@@ -202,7 +202,7 @@ def test_store(timed, scene):
             scene["splats"],
             scene["origin"],
             scene["pixel"],
-            freely=True,
+            growth=1.25,
         ).grown(1.1),
         scene["merged"].features,
     )

@@ -173,7 +173,7 @@ def test_spheres_at_one_place_become_one_that_blocks_as_much():
     for pixel in (0.0, 3.0):
         leaves = activate_nodes(splats, np.arange(10), np.zeros(3), same_pixel(pixel))
         labels = np.zeros(10, np.int32)
-        groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(pixel), freely=False)
+        groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(pixel))
         one = groups.grown(1.0)
         assert one.scales()[0] == pytest.approx([2, 2, 2], rel=1e-4)
         assert one.opacities()[0] == pytest.approx(0.44382, rel=2e-3)
@@ -190,7 +190,7 @@ def test_coverage_is_conserved_between_a_near_and_a_far_view():
     splats.opacity_logits[:] = 0
     leaves = activate_nodes(splats, np.arange(count), np.zeros(3), same_pixel(pixel))
     labels = np.zeros(count, np.int32)
-    groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(pixel), freely=False)
+    groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(pixel))
     one = groups.grown(1.0)
     merged = gather(leaves, labels, 1)
 
@@ -225,7 +225,7 @@ def test_axes_grow_to_what_is_blocked_but_for_the_thinnest():
     scales = np.float32([[2, 0.1, 1], [1, 1, 1]])
     wider = widened(scales, np.array([4.0, 1.0]))
     assert wider == pytest.approx(np.array([[4, 0.1, 2], [1, 1, 1]]))
-    groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(0.0), freely=False)
+    groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(0.0))
     for growth, factor in ((3.0, 3.5731), (1.25, 1.25**2), (1.0, 1.0)):
         lengths = np.exp(groups.grown(growth).log_scales[0])
         assert np.sort(lengths) == pytest.approx([0.1, factor**0.5, 2 * factor**0.5], rel=1e-4)

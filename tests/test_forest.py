@@ -128,7 +128,7 @@ def test_stored_groups_block_what_their_members_did(n, seed, pixel):
     labels = (np.arange(n) // 2).astype(np.int32)
     groups = int(labels[-1]) + 1
     merged = gather(nodes, labels, groups)
-    stored = store_groups(nodes, labels, splats, np.zeros(3), same_pixel(pixel), freely=False)
+    stored = store_groups(nodes, labels, splats, np.zeros(3), same_pixel(pixel))
     small = stored.grown(1.0)
     assert len(small) == groups
     alphas = small.opacities()

@@ -278,7 +278,7 @@ def _standing_for(
         splats = below.read(rows.start, rows.stop)
         nodes = _nodes(splats, moments, rows, frame)
         labels = np.repeat(np.arange(last - first, dtype=np.int32), counts[first:last])
-        stored = store_groups(nodes, labels, splats, frame.origin, frame.added, freely=False)
+        stored = store_groups(nodes, labels, splats, frame.origin, frame.added)
         # Groups are stored in the order of their heaviest members, which is theirs here.
         made.append(replace(stored.grown(_GROWTH), notes=()))
         merged = gather(nodes, labels, last - first)

@@ -58,7 +58,7 @@ def store_groups(
     origin: F64,
     dilation: Dilation,
     *,
-    freely: bool,
+    growth: float | None = None,
 ) -> Groups:
     """Stored values of groups, in the order of their dominant members in the input.
 
@@ -72,8 +72,9 @@ def store_groups(
         splats: The input.
         origin: (3,) what `activate_nodes` took off the centres, scene units.
         dilation: As `activate_nodes` takes it.
-        freely: Groups on flat sheets, and those that others cover on all sides, may grow more
-            (`growth.growth_on_sheets`, `growth.covered_around`).
+        growth: Most that others will grow where groups on flat sheets, and those that others cover
+            on all sides, may grow more (`growth.growth_on_sheets`, `growth.covered_around`); None
+            where all may grow alike.
     """
     groups = int(labels.max()) + 1
     sources, order, new = stored_order(leaves, labels, groups)
@@ -86,11 +87,11 @@ def store_groups(
     quats = np.empty((len(scales), 4), np.float32)
     areas = footprints(merged.covariances, dilation.at(merged.means))
     principal_axes(merged.covariances[new], scales, quats)
-    needed, least = area_needs(merged, leaves, labels, areas, sheets=freely)
+    needed, least = area_needs(merged, leaves, labels, areas, sheets=growth is not None)
     every = np.clip(blocked(merged.coverages, areas) / areas, LEAST_ALPHA, MOST_OPAQUE)
     alphas, covered = every[new], np.zeros(len(scales))
-    if freely:
-        asked = np.flatnonzero(needed[new] > 1.0)
+    if growth is not None:
+        asked = np.flatnonzero(needed[new] > growth**2)
         rows = np.flatnonzero(new)[asked].astype(np.int32)
         covered[asked] = covered_around(merged, every, rows, scales[asked], quats[asked])
     sh = merged.features.reshape(groups, *splats.sh.shape[1:])

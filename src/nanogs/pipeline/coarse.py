@@ -43,7 +43,7 @@ def write_coarse(work: "Work", name: str, block: int, level: int) -> Record:
     frame, groups = work.frame, int(work.of_job("outline").facts["groups"][level][block])
     leaves = leaves_of(splats, rows, frame)
     labels = cut_block(work.scratch, work.of_block("rough", block), groups)
-    stored = store_groups(leaves, labels, splats, frame.centre(), frame.dilation(), freely=True)
+    stored = store_groups(leaves, labels, splats, frame.centre(), frame.dilation(), growth=GROWTH)
     return write_table(work.scratch, name, columns_of(stored.grown(GROWTH)), {})
 
 

@@ -285,7 +285,7 @@ class OneBlock(Scene):
         del self._stored[:-1]
         groups = store_groups(
             self._leaves, members.labels, self.splats, origin, added,
-            freely=not self.measures,
+            growth=None if self.measures else self.settings.parameters.growth,
         )  # fmt: skip
         self._stored.append((members.labels, groups))
         return groups

@@ -233,10 +233,11 @@ class Work(Scene):
     def stored(self, members: Members) -> Groups:
         """The groups of a block as splats."""
         leaves = leaves_of(members.splats, members.rows, self.frame, self.seen(members.visible))
-        frame, freely = self.frame, not self.measures
+        frame, growth = self.frame, self.settings.parameters.growth
         return store_groups(
-            leaves, members.labels, members.splats, frame.centre(), frame.dilation(), freely=freely
-        )
+            leaves, members.labels, members.splats, frame.centre(), frame.dilation(),
+            growth=None if self.measures else growth,
+        )  # fmt: skip
 
     def visible_with(self, block: int, halo: Sequence[Halo]) -> F64:
         """(V,) how visible a block's splats are, and after them those of its halo."""
