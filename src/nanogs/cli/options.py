@@ -419,9 +419,7 @@ def parse_model(text: str | Path) -> Path:
     Raises:
         OptionError: It is `-`.
     """
-    if str(text) == "-":
-        raise OptionError("This command does not read stdin; put the model in a file, and name it.")
-    return parse_place(text)
+    return _no_dash(text, "does not read stdin; put the model in a file, and name it")
 
 
 def parse_output(text: str | Path) -> Path:
@@ -430,8 +428,12 @@ def parse_output(text: str | Path) -> Path:
     Raises:
         OptionError: It is `-`.
     """
+    return _no_dash(text, "does not write to stdout; name a file or folder")
+
+
+def _no_dash(text: str | Path, instead: str) -> Path:
     if str(text) == "-":
-        raise OptionError("This command does not write to stdout; name a file or folder.")
+        raise OptionError(f"This command {instead}.")
     return parse_place(text)
 
 
