@@ -233,6 +233,8 @@ def test_views_are_named_or_given_and_not_ignored(pair, files, tmp_path):
             nanogs.simplify(pair[0], count=9, preset="fast", **views)
         with pytest.raises(OptionError, match="renders nothing here"):
             list(nanogs.levels(pair[0], [0.5], preset="fast", **views))
+        with pytest.raises(OptionError, match="renders nothing here"):
+            nanogs.write_levels(pair[0], tmp_path / "l", [0.5], preset="fast", **views)
     out = tmp_path / "out.ply"
     for views in ({"cameras": "roam"}, {"up": (0, 0, 1)}):
         with pytest.raises(OptionError, match="renders nothing here"):

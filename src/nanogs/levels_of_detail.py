@@ -129,6 +129,7 @@ def write_levels(
         chunks=chunks_of(layout, chunk, chunk_min, plain=plain, place=place), frame=frame,
         overwrite=overwrite, measured=measured, overrides=overrides, **given,
     )  # fmt: skip
+    request.refuse_unused_views()
     sink = sink_of(request, suffix=suffix, source=source, layout=layout)
     sky = surroundings(environment, environment_ratio, layout)
     with drawn(progress) as tell:

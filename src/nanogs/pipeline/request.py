@@ -147,6 +147,14 @@ class Request:
         refuse_device(self.device, self.preset, self.parameters, self.goal)
         refuse_searches(self.goal, self.preset, self.output)
         check_degree(self.sh_degree)
+        self.refuse_unused_views()
+
+    def refuse_unused_views(self) -> None:
+        """Refuse certain views for a preset that renders nothing.
+
+        Raises:
+            OptionError: They are asked for.
+        """
         given = self.cameras not in (None, AUTO) or self.up is not None
         refuse_unused_views(self.preset, self.parameters, given=given)
 
