@@ -2,7 +2,8 @@
 
 import math
 from dataclasses import dataclass, field, fields
-from typing import Any, SupportsFloat, SupportsIndex
+from numbers import Integral, Real
+from typing import Any
 
 from nanogs.errors import OptionError
 
@@ -19,6 +20,7 @@ class Parameter:
         help: Of the command's option; empty where it has none.
         option: The option's name, where it is not the parameter's.
         views: Whether it is about views.
+        whole: Whether it is a whole number, as its default is.
     """
 
     low: float
@@ -28,9 +30,12 @@ class Parameter:
     help: str
     option: str
     views: bool
+    whole: bool
 
-    def expected(self, value: float) -> str:
+    def expected(self, value: Any) -> str:  # noqa: ANN401 - whatever a caller gives
         """The words that follow "must be" where a value is refused; empty where it is not."""
+        if not is_number(value, whole=self.whole):
+            return "a whole number" if self.whole else "a number"
         if not math.isfinite(value):
             return "a finite number"
         enough = value > self.low if self.above else value >= self.low
@@ -55,7 +60,7 @@ def parameter(
     views: bool = False,
 ) -> Any:  # noqa: ANN401 - as `dataclasses.field` has it
     """A field of a dataclass with a range; see `Parameter`."""
-    known = Parameter(low, high, above, unit, help, option, views)
+    known = Parameter(low, high, above, unit, help, option, views, isinstance(default, int))
     return field(default=default, metadata={"parameter": known})
 
 
@@ -76,10 +81,11 @@ def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
     """
     for name, known in known_parameters(chosen).items():
         value = getattr(chosen, name)
-        whole = next(each.type for each in fields(chosen) if each.name == name) is int
-        number = isinstance(value, SupportsIndex if whole else SupportsFloat)
-        if isinstance(value, bool) or not number:
-            kind = "a whole number" if whole else "a number"
-            raise OptionError(f"{name} must be {kind}, not {value!r}.")
-        if expected := known.expected(float(value)):
-            raise OptionError(f"{name} must be {expected}, not {value:g}.")
+        if expected := known.expected(value):
+            shown = f"{value:g}" if is_number(value) else repr(value)
+            raise OptionError(f"{name} must be {expected}, not {shown}.")
+
+
+def is_number(value: object, *, whole: bool = False) -> bool:
+    """Whether it is a number, or a whole one, of Python or NumPy; True and False are none."""
+    return not isinstance(value, bool) and isinstance(value, Integral if whole else Real)

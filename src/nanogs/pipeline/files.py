@@ -25,7 +25,7 @@ from nanogs.pipeline.job import NanPolicy, import_stages
 from nanogs.pipeline.presets import DEFAULT_PRESET, renders
 from nanogs.pipeline.reading import read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
-from nanogs.pipeline.target import Goal, is_searched
+from nanogs.pipeline.target import Goal
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
@@ -313,19 +313,12 @@ def _stages(request: Request, plan: Plan) -> list[Stage]:
 
     splats, suffix, goal = plan.splats, request.output.suffix, request.goal
     count = None if goal.size is not None else goal.target(splats, lambda _count: 0)
-    if goal.size is not None and not _is_searched(request, plan):
+    if goal.size is not None and not request.searches(plan.sh_degree):
         count = max(splats // 10, 1)  # or any: the size tells it once the model is read
     stages = reading_stages(request.edits, splats)
     stages += simplify_stages(request.parameters, goal, splats, count, suffix)
     stages.append(Stage("write", write_weight(suffix, count or splats // 10)))
     return [*stages, measure_stage(splats)] if is_measured(request) and not goal.psnr else stages
-
-
-def _is_searched(request: Request, plan: Plan) -> bool:
-    """Whether only trying tells how many splats a size comes to."""
-    known, looks = registry.writable(request.output), renders(request.parameters)
-    degree = plan.sh_degree if request.sh_degree is None else 0
-    return is_searched(request.goal, known, degree=degree, looks=looks)
 
 
 def _around(clock: StageClock, inner: dict[str, float]) -> dict[str, float]:

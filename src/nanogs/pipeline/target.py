@@ -4,12 +4,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from operator import index
-from typing import SupportsFloat
 
 from nanogs.errors import OptionError, TooSmallError
 from nanogs.formatting import counted
 from nanogs.io.format import Format
+from nanogs.ranges import is_number
+
+_KINDS = {"count": int, "size": int, "ratio": float, "psnr": float, "draw_cost": float}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +36,7 @@ class Goal:
 
     def __post_init__(self) -> None:
         """Refuse none, several, and values that mean nothing; NumPy's numbers become Python's."""
-        for name in ("count", "size"):
-            object.__setattr__(self, name, _whole(name, getattr(self, name)))
-        for name in ("ratio", "psnr", "draw_cost"):
-            object.__setattr__(self, name, _real(name, getattr(self, name)))
+        self._make_plain()
         wishes = self.ratio, self.count, self.size, self.psnr, self.draw_cost
         if sum(wish is not None for wish in wishes) != 1:
             raise OptionError("Give exactly one of `ratio`, `count`, `size`, `psnr`, `draw_cost`.")
@@ -54,6 +52,21 @@ class Goal:
             raise OptionError(
                 f"The draw cost is a share above 0 and at most 1, not {self.draw_cost:g}."
             )
+
+    def _make_plain(self) -> None:
+        """Make numbers of NumPy Python's.
+
+        Raises:
+            OptionError: A wish is no number, or no whole one where it has to be.
+        """
+        for name, kind in _KINDS.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if not is_number(value, whole=kind is int):
+                wanted = f"The {name} must be a whole" if kind is int else f"`{name}` must be a"
+                raise OptionError(f"{wanted} number, not {value!r}.")
+            object.__setattr__(self, name, kind(value))
 
     @property
     def is_measured(self) -> bool:
@@ -75,25 +88,6 @@ class Goal:
         if self.size is not None:
             return count_for_size(available, self.size, file_bytes)
         return target_count(available, self.ratio, self.count)
-
-
-def _whole(name: str, value: object) -> int | None:
-    if value is None:
-        return None
-    try:
-        if not isinstance(value, bool):
-            return index(value)  # type: ignore[arg-type]
-    except TypeError:
-        pass
-    raise OptionError(f"The {name} must be a whole number, not {value!r}.")
-
-
-def _real(name: str, value: object) -> float | None:
-    if value is None:
-        return None
-    if isinstance(value, SupportsFloat) and not isinstance(value, bool):
-        return float(value)
-    raise OptionError(f"`{name}` must be a number, not {value!r}.")
 
 
 def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:

@@ -1,10 +1,10 @@
 """Holding files against the model that they were made of, as they give it back."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from nanogs.costs import DrawCost
 from nanogs.errors import FormatError, ModelError
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from nanogs.scoring.draw_views import DrawViews
     from nanogs.scoring.held_out import HeldOut
     from nanogs.scoring.switch_views import SwitchViews
+
+T = TypeVar("T")
 
 
 @dataclass(slots=True, eq=False)
@@ -59,16 +61,10 @@ class FileJudge:
             path: The file.
             level: Of a streamed model, which level of detail.
         """
-        if self.views is None:
+        views = self.views
+        if views is None:
             return None
-        from nanogs.threads import use_threads
-
-        try:
-            with use_threads(self.threads):
-                return self._judged(self.views, path, level)
-        except (ModelError, FormatError) as error:
-            self._say(error)
-            return None
+        return self._tried(lambda: self._judged(views, path, level), None)
 
     def costs(self, path: Path, level: int = 0) -> tuple[DrawCost, ...]:
         """Costs of drawing a file and the model; none where they cannot be measured.
@@ -79,14 +75,13 @@ class FileJudge:
         """
         if self.drawing is None:
             return ()
-        from nanogs.threads import use_threads
+        drawing = self.drawing
 
-        try:
-            with use_threads(self.threads), open_model(path, level=level) as file:
-                return self.drawing.cost(self._source_back(file)), self.drawing.original
-        except (ModelError, FormatError) as error:
-            self._say(error)
-            return ()
+        def measure() -> tuple[DrawCost, ...]:
+            with open_model(path, level=level) as file:
+                return drawing.cost(self._source_back(file)), drawing.original
+
+        return self._tried(measure, ())
 
     def at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> Switch | None:
         """A level where a viewer begins to draw it; None where that cannot be measured.
@@ -99,17 +94,16 @@ class FileJudge:
         if self.views is None or self.original is None:
             return None
         from nanogs.scoring.switch_views import switch_views, typical_deviation
-        from nanogs.threads import use_threads
 
-        try:
-            with use_threads(self.threads), self._read(path, level) as model:
+        original, cameras = self.original, [view.camera for view in self.views.views]
+
+        def measure() -> Switch | None:
+            with self._read(path, level) as model:
                 if self._switching is None:
-                    cameras = [view.camera for view in self.views.views]
-                    self._switching = switch_views(self.original, cameras, self.max_memory)
+                    self._switching = switch_views(original, cameras, self.max_memory)
                 return self._switching.judge(model, pixel_of(level, typical_deviation(model)))
-        except (ModelError, FormatError) as error:
-            self._say(error)
-            return None
+
+        return self._tried(measure, None)
 
     def beside(self, path: Path, result: Splats) -> tuple[Judged | None, PackingLoss | None]:
         """Scores of a file, and the loss by packing alone where its format rounds.
@@ -121,21 +115,27 @@ class FileJudge:
         suffix = registry.writable(path).suffix
         if self.views is None or not rounds(suffix):
             return self.of(path), None
+        views = self.views
+
+        def measure() -> tuple[Judged | None, PackingLoss | None]:
+            both = self._turned_back(result), self._turned_back(load(path))
+            return views.judge_packed(*both, suffix)
+
+        nothing: tuple[Judged | None, PackingLoss | None] = None, None
+        return self._tried(measure, nothing)
+
+    def _tried(self, measure: Callable[[], T], otherwise: T) -> T:
+        """Measure on the threads; a note tells, once for all files, of what cannot be measured."""
         from nanogs.threads import use_threads
 
         try:
             with use_threads(self.threads):
-                both = self._turned_back(result), self._turned_back(load(path))
-                return self.views.judge_packed(*both, suffix)
+                return measure()
         except (ModelError, FormatError) as error:
-            self._say(error)
-            return None, None
-
-    def _say(self, error: Exception) -> None:
-        """Add a note on what was not measured, once for all files."""
-        note = _unmeasured(error)
-        if note not in self.notes:
-            self.notes = (*self.notes, note)
+            note = _unmeasured(error)
+            if note not in self.notes:
+                self.notes = (*self.notes, note)
+            return otherwise
 
     def _turned_back(self, splats: Splats) -> Splats:
         return change_frame(splats, self.turn[1], self.turn[0]) if self.turn else splats
