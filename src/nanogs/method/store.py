@@ -88,9 +88,10 @@ def store_groups(
     areas = footprints(merged.covariances, dilation.at(merged.means))
     principal_axes(merged.covariances[new], scales, quats)
     needed, least = area_needs(merged, leaves, labels, areas, sheets=growth is not None)
-    every = np.clip(blocked(merged.coverages, areas) / areas, LEAST_ALPHA, MOST_OPAQUE)
-    alphas, covered = every[new], np.zeros(len(scales))
+    alphas, covered = _alphas(merged.coverages[new], areas[new]), np.zeros(len(scales))
     if growth is not None:
+        every = np.empty(groups)
+        every[new], every[~new] = alphas, _alphas(merged.coverages[~new], areas[~new])
         asked = np.flatnonzero(needed[new] > growth**2)
         rows = np.flatnonzero(new)[asked].astype(np.int32)
         covered[asked] = covered_around(merged, every, rows, scales[asked], quats[asked])
@@ -106,6 +107,11 @@ def store_groups(
 
     spread.each(slices(len(alone)), restore)
     return Groups(stored, new, scales, needed[new], least[new], covered)
+
+
+def _alphas(coverages: F64, areas: F64) -> F64:
+    """Opacities with which groups of such footprints block as much as their members do."""
+    return np.clip(blocked(coverages, areas) / areas, LEAST_ALPHA, MOST_OPAQUE)
 
 
 def _of_sources(splats: Splats, sources: I64, sh: F32) -> Splats:
