@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import nanogs.spread as spread_module
 from nanogs.spread import Spread, each
 from nanogs.threads import use_threads
 
@@ -169,6 +170,24 @@ def test_an_interrupt_does_not_wait_for_parts_that_nobody_has_begun(signalled):
         each(range(200), work)
     assert len(begun) < 100
     assert time.perf_counter() - started < 4
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
+def test_an_interrupt_while_others_are_asked_leaves_nobody_at_work(monkeypatch):
+    pool = spread_module._pool()
+    begun = []
+
+    class Interrupted:
+        def submit(self, *args):
+            pool.submit(*args)
+            time.sleep(0.1)  # time enough to begin
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(spread_module, "_pool", Interrupted)
+    with use_threads(2), pytest.raises(KeyboardInterrupt):
+        each(range(20), begun.append)
+    time.sleep(0.1)
+    assert begun == []
 
 
 def test_work_within_work_of_the_pool_stays_on_its_thread():

@@ -7,7 +7,8 @@ of each is optimised as a function of its own and again with all that surrounds 
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from threading import Lock, local
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar
@@ -108,6 +109,16 @@ class _Parts(Generic[T]):
         with self._lock:
             self._waiting.clear()
 
+    @contextmanager
+    def closed(self) -> Iterator[None]:
+        """Let nobody begin before the end of the block; or at all, if it fails."""
+        with self._lock:
+            try:
+                yield
+            except BaseException:
+                self._waiting.clear()
+                raise
+
 
 def _on(threads: int, parts: Sequence[T], work: Callable[[T], None]) -> None:
     """Work on parts with at most so many threads, this one among them; none works on afterwards.
@@ -115,8 +126,10 @@ def _on(threads: int, parts: Sequence[T], work: Callable[[T], None]) -> None:
     On this one alone, if it is of the pool: all that are would wait for each other.
     """
     shared, more = _Parts(parts), 0 if _own.of_pool else min(threads, len(parts)) - 1
-    others = [_pool().submit(shared.work_on, work) for _ in range(more)]
+    others: list[Future[None]] = []
     try:
+        with shared.closed():  # who begins before all are known is not waited for if it fails
+            others = [_pool().submit(shared.work_on, work) for _ in range(more)]
         shared.work_on(work)
         failures = _ended(others)
     except BaseException:  # an interrupt may come while others are waited for
