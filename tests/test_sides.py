@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import nanogs
 import twins
 from nanogs.kernels.sides import AWAY, ENOUGH, THICK
-from nanogs.method.growth import MOST_GROWTH, covered_around
+from nanogs.method.growth import MOST_GROWTH, Cover, covered_around
 from nanogs.method.nodes import Nodes
 from nanogs.method.store import Groups
 from nanogs.neighbours import nearest_neighbours
@@ -24,6 +25,10 @@ def nodes_of(means, scales, turns):
     nodes = Nodes(ones, ones, means, covariances, np.zeros((len(means), 3), np.float32), rows)
     quats = Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]]
     return nodes, scales.astype(np.float32), quats.astype(np.float32)
+
+
+def cover(nodes, alphas=1.0):
+    return Cover(nodes.means, nodes.covariances, np.broadcast_to(alphas, len(nodes)).copy())
 
 
 def twin(means, scales, turns, alphas, k):
@@ -58,7 +63,7 @@ def test_what_covers_the_sides_equals_the_twin(seed):
     alphas = rng.uniform(0.1, 1, count)
     nodes, stored, quats = nodes_of(means, scales, turns)
     some = np.arange(0, count, 2, dtype=np.int32)
-    found = covered_around(nodes, alphas, some, stored[some], quats[some])
+    found = covered_around(cover(nodes, alphas), some, stored[some], quats[some])
     expected = twin(means, scales, turns, alphas, 16)[some]
     assert found == pytest.approx(expected, rel=1e-4, abs=1e-6)
     assert 0 < expected.mean() < 1
@@ -71,18 +76,18 @@ def test_those_in_the_middle_are_covered_and_those_at_the_edge_are_not():
     scales = np.tile([0.29, 0.28, 0.01], (len(means), 1))  # those of squares of side 1
     nodes, stored, quats = nodes_of(means, scales, np.tile(np.eye(3), (len(means), 1, 1)))
     rows = np.arange(len(means), dtype=np.int32)
-    found = covered_around(nodes, np.ones(len(means)), rows, stored, quats)
+    found = covered_around(cover(nodes), rows, stored, quats)
     edge = np.maximum(np.abs(x), np.abs(y)) == 4
     assert (found[edge] < 1e-3).all()
     assert (found[~edge] == 1).all()
-    faint = covered_around(nodes, np.full(len(means), 0.1), rows, stored, quats)
+    faint = covered_around(cover(nodes, 0.1), rows, stored, quats)
     assert (faint[~edge] < 0.5).all()
 
 
 def test_one_group_alone_is_covered_by_none():
     nodes, stored, quats = nodes_of(np.zeros((1, 3)), np.ones((1, 3)), np.eye(3)[None])
     one = np.zeros(1, np.int32)
-    assert covered_around(nodes, np.ones(1), one, stored, quats).tolist() == [0.0]
+    assert covered_around(cover(nodes), one, stored, quats).tolist() == [0.0]
 
 
 def shell(count):
@@ -119,7 +124,7 @@ def test_a_rough_wall_lets_less_light_through(monkeypatch):
 
     with_it = lost()
     monkeypatch.setattr(
-        "nanogs.method.store.covered_around", lambda *given: np.zeros(len(given[2]))
+        "nanogs.method.store.covered_around", lambda *given: np.zeros(len(given[1]))
     )
     assert with_it < 0.5 * lost()
 
@@ -137,3 +142,65 @@ def test_the_covered_may_grow_more_and_others_as_much_as_all():
     half = 1.25 + 0.5 * (MOST_GROWTH - 1.25)
     assert areas(1.25) == pytest.approx([1.25**2, half**2, MOST_GROWTH**2, 1.1], rel=1e-5)
     assert areas(3.0) == pytest.approx(needed, rel=1e-5)
+
+
+@pytest.fixture(scope="module")
+def wall(tmp_path_factory):
+    """A rough wall, as a model and in a file."""
+    path, splats = tmp_path_factory.mktemp("wall") / "wall.ply", shell(20_000)
+    nanogs.save(splats, path)
+    return splats, path
+
+
+def in_blocks(path, **changes):
+    """A fiftieth of a file, made in five blocks or so."""
+    out = path.with_name("small.ply")
+    given = {"ratio": 0.02, "preset": "fast", "block": 4000, "overwrite": True} | changes
+    report = nanogs.simplify_blocks(path, out, **given)
+    assert report.blocks.blocks >= 5
+    return nanogs.load(out)
+
+
+def test_a_block_sees_the_groups_of_others_as_they_are_delivered(wall, monkeypatch):
+    seen = []
+
+    def noted(cover, *given):
+        seen.append(cover)
+        return covered_around(cover, *given)
+
+    monkeypatch.setattr("nanogs.method.store.covered_around", noted)
+    small = in_blocks(wall[1], threads=1)
+    delivered, alphas = small.means.astype(np.float64), 1 / (1 + np.exp(-small.opacity_logits))
+    tree, every = cKDTree(delivered), np.concatenate([cover.means for cover in seen])
+    shift = delivered[0] - every[np.argmin(np.linalg.norm(every - delivered[0], axis=1))]
+    others = 0
+    for cover in seen:
+        assert cover.means.shape == (len(cover.alphas), 3)
+        assert cover.covariances.shape == (len(cover.alphas), 6)
+        distances, rows = tree.query(cover.means + shift)
+        # A block that sees no more of a third one cannot know all that comes from there.
+        same = distances < 1e-6
+        assert same.mean() > 0.75
+        assert distances.max() < 0.05  # of 0.18 between groups
+        assert len(np.unique(rows[same])) == same.sum()
+        assert cover.alphas[same] == pytest.approx(alphas[rows[same]], abs=1e-5)
+        others += len(rows)
+    assert others > 1.2 * len(small)
+
+
+def test_walls_in_blocks_let_hardly_more_light_through(wall, monkeypatch):
+    splats, path = wall
+    cameras = automatic_cameras(splats, 4, width=128, height=128)
+    before = [render(prepare(splats), camera).alpha for camera in cameras]
+
+    def lost(small):
+        drawn = prepare(small)
+        after = [render(drawn, camera).alpha for camera in cameras]
+        return np.mean([(a - b)[a > 0.98].mean() for a, b in zip(before, after, strict=True)])
+
+    whole = lost(nanogs.simplify(splats, ratio=0.02, preset="fast")[0])
+    together = lost(in_blocks(path))
+    monkeypatch.setattr("nanogs.pipeline.work.near_groups", lambda *_given: [])
+    apart = lost(in_blocks(path))
+    assert together < 1.1 * whole
+    assert apart > 1.2 * whole

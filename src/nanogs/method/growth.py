@@ -1,5 +1,8 @@
 """Growth: merged splats that block too little light although they are opaque become larger."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from nanogs._types import F32, F64, I32
@@ -13,6 +16,30 @@ from nanogs.slices import slices
 # Most that an axis of a group may grow that lies on a sheet, or between others on all sides.
 MOST_GROWTH = 1.8
 _AROUND = 16  # nearest groups that may cover the sides of one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cover:
+    """Merged splats without growth, which may cover the sides of groups.
+
+    Attributes:
+        means: (G, 3) float64, scene units, relative to the origin of the run.
+        covariances: (G, 6) float64, xx, xy, xz, yy, yz, zz, square scene units.
+        alphas: (G,) float64 in (0, 1).
+    """
+
+    means: F64
+    covariances: F64
+    alphas: F64
+
+    @staticmethod
+    def joined(parts: Sequence["Cover"]) -> "Cover":
+        """One after the other."""
+        return Cover(
+            np.concatenate([part.means for part in parts]),
+            np.concatenate([part.covariances for part in parts]),
+            np.concatenate([part.alphas for part in parts]),
+        )
 
 
 def blocked(coverages: F64, areas: F64) -> F64:
@@ -78,24 +105,23 @@ def widened(scales: F32, larger: F64) -> F32:
     return scales * factors.astype(np.float32)
 
 
-def covered_around(merged: Nodes, alphas: F64, groups: I32, scales: F32, quats: F32) -> F64:
+def covered_around(cover: Cover, groups: I32, scales: F32, quats: F32) -> F64:
     """(R,) float64 in [0, 1], how far others cover all four sides of some groups.
 
     Where they do, a group that grows fills gaps between it and them; where they do not, it reaches
     beyond the surface.
 
     Args:
-        merged: G nodes from `gather`.
-        alphas: (G,) float64 of all, as they are stored.
+        cover: G groups, these among them.
         groups: (R,) int32, rows of those asked for.
         scales: (R, 3) float32 of these, scene units.
         quats: (R, 4) float32 of these, wxyz, unit.
     """
     shares = np.zeros(len(groups))
-    if len(groups) and len(merged) > 1:
-        neighbours = nearest_neighbours(merged.means, _AROUND)
+    if len(groups) and len(cover.means) > 1:
+        neighbours = nearest_neighbours(cover.means, _AROUND)
         covered_sides(
-            groups, scales, quats, neighbours, merged.means, merged.covariances, alphas, shares
+            groups, scales, quats, neighbours, cover.means, cover.covariances, cover.alphas, shares
         )
     return shares
 

@@ -139,6 +139,24 @@ def without_coverages(nodes: Nodes) -> Nodes:
     return replace(nodes, coverages=nodes.weights)
 
 
+def without_features(nodes: Nodes) -> Nodes:
+    """The nodes for what has no use for colours."""
+    return replace(nodes, features=nodes.features[:, :0])
+
+
+def among(nodes: Nodes, chosen: Bool) -> Nodes:
+    """Some of the nodes, which are of one row each.
+
+    Args:
+        nodes: N nodes.
+        chosen: (N,) which.
+    """
+    return replace(
+        nodes, weights=nodes.weights[chosen], coverages=nodes.coverages[chosen],
+        means=nodes.means[chosen], covariances=nodes.covariances[chosen], rows=nodes.rows[chosen],
+    )  # fmt: skip
+
+
 def thinnest_axis(scales: F32, means: F64, pixel: float) -> float:
     """Thinnest axis of any node, scene units: points have one too; above 0 for every scene."""
     if pixel > 0:

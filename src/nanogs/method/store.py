@@ -1,5 +1,6 @@
 """Groups of splats as stored splats."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +10,15 @@ from nanogs._types import F32, F64, I32, I64, Array, Bool
 from nanogs.kernels.nodes import principal_axes
 from nanogs.method.extent import Dilation
 from nanogs.method.gaussians import LEAST_ALPHA, LEAST_SCALE
-from nanogs.method.growth import MOST_GROWTH, area_needs, blocked, covered_around, widened
-from nanogs.method.nodes import Nodes, footprints, gather, stored_order
+from nanogs.method.growth import (
+    MOST_GROWTH,
+    Cover,
+    area_needs,
+    blocked,
+    covered_around,
+    widened,
+)
+from nanogs.method.nodes import Nodes, footprints, gather, stored_order, without_features
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 
@@ -59,6 +67,7 @@ def store_groups(
     dilation: Dilation,
     *,
     growth: float | None = None,
+    others: Sequence[Cover] = (),
 ) -> Groups:
     """Stored values of groups, in the order of their dominant members in the input.
 
@@ -75,6 +84,7 @@ def store_groups(
         growth: Most that others will grow where groups on flat sheets, and those that others cover
             on all sides, may grow more (`growth.growth_on_sheets`, `growth.covered_around`); None
             where all may grow alike.
+        others: Groups near by that are stored elsewhere and may cover these.
     """
     groups = int(labels.max()) + 1
     sources, order, new = stored_order(leaves, labels, groups)
@@ -92,9 +102,12 @@ def store_groups(
     if growth is not None:
         every = np.empty(groups)
         every[new], every[~new] = alphas, _alphas(merged.coverages[~new], areas[~new])
+        cover = Cover(merged.means, merged.covariances, every)
+        if others:
+            cover = Cover.joined([cover, *others])
         asked = np.flatnonzero(needed[new] > growth**2)
         rows = np.flatnonzero(new)[asked].astype(np.int32)
-        covered[asked] = covered_around(merged, every, rows, scales[asked], quats[asked])
+        covered[asked] = covered_around(cover, rows, scales[asked], quats[asked])
     sh = merged.features.reshape(groups, *splats.sh.shape[1:])
     stored = _of_sources(splats, sources, sh)
     stored.means[new] = merged.means[new] + origin
@@ -107,6 +120,20 @@ def store_groups(
 
     spread.each(slices(len(alone)), restore)
     return Groups(stored, new, scales, needed[new], least[new], covered)
+
+
+def cover_of(leaves: Nodes, labels: I32, groups: int, dilation: Dilation) -> Cover:
+    """Groups as what may cover others.
+
+    Args:
+        leaves: (M) nodes, one for each splat.
+        labels: (M,) the group of each; no group is empty.
+        groups: Their number.
+        dilation: As `activate_nodes` takes it.
+    """
+    merged = gather(without_features(leaves), labels, groups)
+    areas = footprints(merged.covariances, dilation.at(merged.means))
+    return Cover(merged.means, merged.covariances, _alphas(merged.coverages, areas))
 
 
 def _alphas(coverages: F64, areas: F64) -> F64:

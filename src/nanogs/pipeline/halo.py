@@ -35,19 +35,24 @@ class Halo:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Near:
-    """Groups of another block, how far they are in reaches, and how many splats they have."""
+class Near:
+    """The groups of another block that lie near a block.
+
+    Attributes:
+        block: The other.
+        groups: (H,) int64, these groups of it, ascending.
+        distances: (H,) float64, from the nearest group of the block, in reaches of that one.
+    """
 
     block: int
     groups: I64
     distances: F64
-    sizes: I64
 
 
 def find_halo(
     scratch: Scratch, cuts: Sequence[Record], block: int, splats: int, threads: int
 ) -> list[Halo]:
-    """Find what lies near a block in each of the others, in their order.
+    """Find what lies near a block in each of the others, in their order: the nearest groups.
 
     Args:
         scratch: Where the cuts are.
@@ -56,6 +61,13 @@ def find_halo(
         splats: Of that block.
         threads: Threads for the nearest-neighbour query.
     """
+    found = near_groups(scratch, cuts, block, threads)
+    kept = _nearest(found, _sizes(scratch, cuts, found), int(MOST_SEEN * splats))
+    return [_members(scratch, cuts, each) for each in kept]
+
+
+def near_groups(scratch: Scratch, cuts: Sequence[Record], block: int, threads: int) -> list[Near]:
+    """All groups near a block in each of the others, in their order; see `find_halo`."""
     with Table(scratch, cuts[block]) as table:
         centres, reach = table.read(CENTRES), table.read(REACH)
     around = REACHES * float(cuts[block].facts["reach"])
@@ -70,11 +82,9 @@ def find_halo(
             distances, nearest = nearest_to(theirs[inside], centres, threads)
             near = distances < REACHES * reach[nearest]
             if near.any():
-                sizes = np.bincount(table.read(LABELS), minlength=len(theirs))
-                groups = inside[near]
                 relative = distances[near] / reach[nearest[near]]
-                found.append(_Near(other, groups, relative, sizes[groups]))
-    return [_members(scratch, cuts, each) for each in _nearest(found, int(MOST_SEEN * splats))]
+                found.append(Near(other, inside[near], relative))
+    return found
 
 
 def _overlap(record: Record, low: F64, high: F64) -> bool:
@@ -83,12 +93,21 @@ def _overlap(record: Record, low: F64, high: F64) -> bool:
     return bool((np.array(facts["low"]) <= high).all() and (np.array(facts["high"]) >= low).all())
 
 
-def _nearest(found: Sequence[_Near], most: int) -> list[_Near]:
+def _sizes(scratch: Scratch, cuts: Sequence[Record], found: Sequence[Near]) -> list[I64]:
+    """Of each of these, how many splats its groups have."""
+    sizes = []
+    for each in found:
+        with Table(scratch, cuts[each.block]) as table:
+            sizes.append(np.bincount(table.read(LABELS))[each.groups])
+    return sizes
+
+
+def _nearest(found: Sequence[Near], counts: Sequence[I64], most: int) -> list[Near]:
     """The nearest groups of all, with no more splats than so many."""
     if not found:
         return []
     distances = np.concatenate([each.distances for each in found])
-    sizes = np.concatenate([each.sizes for each in found])
+    sizes = np.concatenate(counts)
     order = np.argsort(distances, kind="stable")
     taken = np.empty(len(order), np.bool_)
     taken[order] = np.cumsum(sizes[order]) <= most
@@ -97,13 +116,11 @@ def _nearest(found: Sequence[_Near], most: int) -> list[_Near]:
         mask = taken[start : start + len(each.groups)]
         start += len(mask)
         if mask.any():
-            kept.append(
-                _Near(each.block, each.groups[mask], each.distances[mask], each.sizes[mask])
-            )
+            kept.append(Near(each.block, each.groups[mask], each.distances[mask]))
     return kept
 
 
-def _members(scratch: Scratch, cuts: Sequence[Record], near: _Near) -> Halo:
+def _members(scratch: Scratch, cuts: Sequence[Record], near: Near) -> Halo:
     with Table(scratch, cuts[near.block]) as table:
         labels = table.read(LABELS)
     places = np.full(int(cuts[near.block].facts["groups"]), -1, np.int32)

@@ -13,6 +13,7 @@ from nanogs._types import F64, I32, I64, Array, Bool
 from nanogs.fit.groups import Group
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target
+from nanogs.method.growth import Cover
 from nanogs.method.store import Groups
 from nanogs.pipeline.partition import Partition
 from nanogs.pipeline.settings import Settings
@@ -68,9 +69,11 @@ class Members(Block):
 
     Attributes:
         labels: (M,) int32, the group of each row, in that order.
+        others: Groups of other blocks that may cover these, where that is asked for.
     """
 
     labels: I32
+    others: Sequence[Cover] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,20 +7,25 @@ counted once, whatever the neighbours found. One that ends in another block's gr
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from nanogs._types import F64, I32, I64, Array
-from nanogs.method.nodes import Nodes
+from nanogs.method.extent import Dilation
+from nanogs.method.growth import Cover
+from nanogs.method.nodes import Nodes, among
 from nanogs.method.reassign import reassign
+from nanogs.method.store import cover_of
 from nanogs.pipeline.cuts import LABELS
 from nanogs.pipeline.halo import Halo
 from nanogs.pipeline.scene import ROUNDS
 from nanogs.store.scratch import Scratch
-from nanogs.store.tables import Record, Sorted, write_table
+from nanogs.store.tables import Record, Sorted, Table, write_table
 
 GROUP = "group"
 GONE = -1  # the label of a splat that was handed over
+COVER = {name: f"cover_{name}" for name in ("means", "covariances", "alphas")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,17 +47,28 @@ class View:
     halo: Sequence[Halo]
 
 
-def settled(view: View, rounds: int, threads: int) -> tuple[I32, int]:
+class Settled(NamedTuple):
+    """How the splats of a view are reassigned.
+
+    Attributes:
+        after: (N,) int32, the group of each of the block's own rows, of which every group of the
+            block keeps one.
+        labels: (V,) int32, the group of each leaf of the view, the same for these.
+        rounds: In which splats moved.
+    """
+
+    after: I32
+    labels: I32
+    rounds: int
+
+
+def settled(view: View, rounds: int, threads: int) -> Settled:
     """Reassign, and find the group in which each of the block's splats ends.
 
     Args:
         view: What the block sees.
         rounds: Of reassignment, at most.
         threads: Threads for the nearest-neighbour query.
-
-    Returns:
-        (N,) int32, the group of each row in the view, of which every group of the block keeps one
-        of the block's own; and in how many rounds splats moved.
     """
     own = view.leaves.rows < view.own
     rows = view.leaves.rows[own]
@@ -63,7 +79,25 @@ def settled(view: View, rounds: int, threads: int) -> tuple[I32, int]:
     moved, done = reassign(view.leaves, view.labels, total, rounds, threads)
     after[rows] = moved[own]
     keep_every_group(after, before, weights, view.groups)
-    return after, done
+    moved[own] = after[rows]
+    return Settled(after, moved, done)
+
+
+def settled_cover(view: View, labels: I32, dilation: Dilation) -> Cover:
+    """The groups of a block, after reassignment, as what may cover those of others.
+
+    Args:
+        view: What the block sees.
+        labels: (V,) the group of each leaf.
+        dilation: As `activate_nodes` takes it.
+    """
+    own = labels < view.groups
+    return cover_of(among(view.leaves, own), labels[own], view.groups, dilation)
+
+
+def read_cover(table: Table, groups: I64) -> Cover:
+    """Some groups of the cover that `write_settled` was given."""
+    return Cover(**{name: table.read(column)[groups] for name, column in COVER.items()})
 
 
 def keep_every_group(after: I32, before: I32, weights: F64, groups: int) -> None:
@@ -93,22 +127,22 @@ def keep_every_group(after: I32, before: I32, weights: F64, groups: int) -> None
 def write_settled(
     scratch: Scratch,
     name: str,
-    after: I32,
+    found: Settled,
     view: View,
     columns: dict[str, Array],
-    rounds: int,
+    cover: Cover | None,
 ) -> Record:
     """Write the labels of a block's rows, and the rows that it hands over, block by block.
 
     Args:
         scratch: Where to.
         name: Of the table.
-        after: (N,) the group of each row in the view.
+        found: How splats are reassigned.
         view: What the block sees.
         columns: Of the view's splats, codes among them.
-        rounds: In which splats moved.
+        cover: The groups as what may cover those of others, where that is asked for.
     """
-    start = view.groups
+    after, start = found.after, view.groups
     rows: list[I64] = [np.empty(0, np.int64)]
     groups: list[I64] = [np.empty(0, np.int64)]
     handed: dict[str, list[int]] = {}
@@ -125,7 +159,9 @@ def write_settled(
     taken = np.concatenate(rows)
     table: dict[str, Array | Sorted] = {LABELS: labels, GROUP: np.concatenate(groups)}
     table |= {key: Sorted(column, taken) for key, column in columns.items()}
-    facts = {"handed": handed, "seen": len(view.leaves) - view.own, ROUNDS: rounds}
+    if cover is not None:
+        table |= {column: getattr(cover, name) for name, column in COVER.items()}
+    facts = {"handed": handed, "seen": len(view.leaves) - view.own, ROUNDS: found.rounds}
     return write_table(scratch, name, table, facts)
 
 

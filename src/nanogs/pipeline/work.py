@@ -15,6 +15,7 @@ from nanogs._types import F64, I32, I64, Array, Bool
 from nanogs.errors import OutputError
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Target, as_target
+from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import SHOWN
 from nanogs.pipeline.blocks import Seen, leaves_of, morton_rows, read_block, with_codes
@@ -24,7 +25,7 @@ from nanogs.pipeline.cuts import LABELS, cut_block
 from nanogs.pipeline.fitting import fit_report, fit_views, notes_on_fits
 from nanogs.pipeline.forests import grow, passes_of
 from nanogs.pipeline.frame import Frame, frame_of, survey
-from nanogs.pipeline.halo import Halo, find_halo
+from nanogs.pipeline.halo import Halo, find_halo, near_groups
 from nanogs.pipeline.memory_blocks import FINE, ROUGH
 from nanogs.pipeline.partition import Partition, partition_of
 from nanogs.pipeline.parts import read_part
@@ -39,7 +40,15 @@ from nanogs.pipeline.seen import (
     write_look,
 )
 from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.settle import GONE, GROUP, settled, view_of, write_settled
+from nanogs.pipeline.settle import (
+    GONE,
+    GROUP,
+    read_cover,
+    settled,
+    settled_cover,
+    view_of,
+    write_settled,
+)
 from nanogs.pipeline.unpack import Unpacked
 from nanogs.pipeline.views import Views, parts_of, views_of
 from nanogs.progress import Parts, untold
@@ -228,7 +237,8 @@ class Work(Scene):
             by_row = by_row[~gone]
         rows = morton_rows(columns[CODES])
         splats = splats_of(columns, self.settings.layout)
-        return Members(splats, rows, columns.get(VISIBLE), by_row[rows])
+        others = [] if self.measures else self._near_cover(block, level)
+        return Members(splats, rows, columns.get(VISIBLE), by_row[rows], others)
 
     def stored(self, members: Members) -> Groups:
         """The groups of a block as splats."""
@@ -236,7 +246,7 @@ class Work(Scene):
         frame, growth = self.frame, self.settings.parameters.growth
         return store_groups(
             leaves, members.labels, members.splats, frame.centre(), frame.dilation(),
-            growth=None if self.measures else growth,
+            growth=None if self.measures else growth, others=members.others,
         )  # fmt: skip
 
     def visible_with(self, block: int, halo: Sequence[Halo]) -> F64:
@@ -320,8 +330,10 @@ class Work(Scene):
         seen = self.seen(columns.get(VISIBLE))
         leaves = leaves_of(splats, morton_rows(columns[CODES]), self.frame, seen)
         view = view_of(leaves, labels, own, self.groups(block, level), halo)
-        after, rounds = settled(view, settings.parameters.rounds, self.threads)
-        return write_settled(self.scratch, name, after, view, columns, rounds)
+        found = settled(view, settings.parameters.rounds, self.threads)
+        # Where results are measured, nothing grows by what covers it.
+        cover = None if self.measures else settled_cover(view, found.labels, self.frame.dilation())
+        return write_settled(self.scratch, name, found, view, columns, cover)
 
     @property
     def deciding(self) -> Sequence[Camera]:
@@ -372,6 +384,15 @@ class Work(Scene):
         """As `Scene` says."""
         facts = {"gained": [report.psnr_before, report.psnr_after] if report else None}
         return self.write(name, columns_of(fitted), facts)
+
+    def _near_cover(self, block: int, level: int) -> list[Cover]:
+        """The groups of other blocks that may cover those of one, block by block."""
+        near = near_groups(self.scratch, self.of_blocks("cut", level), block, self.threads)
+        found = []
+        for each in near:
+            with self.table("settle", each.block, level) as table:
+                found.append(read_cover(table, each.groups))
+        return found
 
     def _handed_to(self, block: int, level: int) -> list[tuple[Record, int, int]]:
         """Rows that other blocks hand over to one, block by block."""
