@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import nanogs
 from nanogs.errors import OptionError
 from nanogs.kernels import harmonics, listing, raster
 from nanogs.kernels import project as project_kernels
@@ -466,6 +467,25 @@ def test_a_part_of_a_view_has_the_pixels_of_the_whole():
     assert whole.alpha[48:80, 16:48].any()
     alone = dataclasses.replace(part, whole=None)
     assert np.abs(render(splats, alone).color - some.color).max() > 1e-3
+
+
+def test_a_part_of_a_view_is_reduced_as_its_whole_is():
+    splats = make_splats(200, 5, size=0.5, spread=2.0)
+    camera = make_camera(128, 96, 40.0)
+    part = camera.cropped(16, 48, 32, 32).reduced(16)
+    whole = render(splats, camera.reduced(64))
+    np.testing.assert_allclose(render(splats, part).color, whole.color[24:40, 8:24], atol=1e-5)
+    edge = dataclasses.replace(part, whole=None)
+    assert np.abs(render(splats, edge).color - whole.color[24:40, 8:24]).max() > 1e-3
+
+
+def test_parts_of_views_can_be_learnt_from():
+    """Whose pictures are larger than those that are looked at."""
+    splats = make_splats(60, 5, size=0.5, spread=2.0)
+    cameras = [make_camera(128, 96, focal).cropped(16, 8, 64, 48) for focal in (40.0, 50.0, 60.0)]
+    small, report = nanogs.simplify(splats, count=20, cameras=cameras, view_size=32, steps=2)
+    assert len(small) == 20
+    assert report.shown > 0
 
 
 @pytest.mark.parametrize("scale", [1e-3, 0.1, 3.0])

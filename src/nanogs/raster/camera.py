@@ -71,9 +71,11 @@ class Camera:
         return self.resized(width, height)
 
     def resized(self, width: int, height: int) -> "Camera":
-        """Give the view other numbers of pixels."""
-        assert self.whole is None, "parts of views keep their pixels"  # noqa: S101
+        """Give the view other numbers of pixels; a part stays the same part of its whole."""
         along, down = width / self.width, height / self.height
+        whole = self.whole
+        if whole is not None:
+            whole = whole[0] * along, whole[1] * down, whole[2] * along, whole[3] * down
         return replace(
             self,
             width=width,
@@ -82,6 +84,7 @@ class Camera:
             fy=self.fy * down,
             cx=self.cx * along,
             cy=self.cy * down,
+            whole=whole,
         )
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
