@@ -28,6 +28,7 @@ from nanogs.pipeline.views import LEAST, Views, deciding_count, parts_of, views_
 from nanogs.pipeline.work import Work
 from nanogs.progress import untold
 from nanogs.raster.camera import Camera
+from nanogs.raster.lens import Lens, lens_notes
 from nanogs.raster.rendering import prepare, render, together
 from nanogs.source import Layout
 from nanogs.splats import concatenate
@@ -208,6 +209,23 @@ def test_views_survive_json(splats):
         np.testing.assert_array_equal(one.world_to_camera, other.world_to_camera)
         assert one.name == other.name
     assert len(again.deciding) == deciding_count(3) == 1
+
+
+def test_lenses_and_parts_survive_json(splats):
+    lens = Lens("OPENCV", above=(0.1, 0.0), tangential=(0.01, 0.0))
+    camera = automatic_cameras(splats, 1, width=70, height=50)[0]
+    part = dataclasses.replace(camera.cropped(10, 5, 32, 16), lens=lens)
+    again = views_of(json.loads(json.dumps(Views((part,), (), (), ()).to_dict()))).kept[0]
+    np.testing.assert_array_equal(again.intrinsics, part.intrinsics)
+    assert again.lens == lens
+
+
+def test_blocks_say_that_lenses_are_left_out(scene, splats, tmp_path):
+    cameras = automatic_cameras(splats, 3, width=60, height=40)
+    cameras = [dataclasses.replace(each, lens=Lens("OPENCV", above=(0.1,))) for each in cameras]
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, cameras=cameras, **BLOCKS)
+    assert report.blocks.blocks > 1
+    assert [note for note in report.notes if "lens" in note] == lens_notes(cameras)
 
 
 def test_the_part_of_a_view_holds_what_a_block_draws(splats):

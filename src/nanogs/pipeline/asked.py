@@ -3,13 +3,14 @@
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nanogs.raster.camera import Camera
+from nanogs.raster.lens import Lens
 
 if TYPE_CHECKING:
     from nanogs.views.cameras import Cameras
@@ -62,10 +63,15 @@ def asked_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Asked:
 
 
 def plain_camera(camera: Camera) -> dict[str, Any]:
-    """A camera as plain data, without what bent its picture; floats keep every digit in JSON."""
+    """A camera as plain data; floats keep every digit in JSON."""
     names = ("width", "height", "fx", "fy", "cx", "cy", "name", "near")
     plain = {name: _plain(getattr(camera, name)) for name in names}
-    return plain | {"world_to_camera": camera.world_to_camera.tolist()}
+    plain["world_to_camera"] = camera.world_to_camera.tolist()
+    if camera.lens is not None:
+        plain["lens"] = asdict(camera.lens)
+    if camera.whole is not None:
+        plain["whole"] = [_plain(value) for value in camera.whole]
+    return plain
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - a number of NumPy's or Python's, or text
@@ -74,4 +80,13 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - a number of NumPy's or Python's
 
 def camera_of(data: Mapping[str, Any]) -> Camera:
     """A camera from what `plain_camera` made of it."""
-    return Camera(**{**data, "world_to_camera": np.array(data["world_to_camera"])})
+    fixed: dict[str, Any] = {**data, "world_to_camera": np.array(data["world_to_camera"])}
+    if "lens" in data:
+        fixed["lens"] = Lens(**{name: _fixed(value) for name, value in data["lens"].items()})
+    if "whole" in data:
+        fixed["whole"] = _fixed(data["whole"])
+    return Camera(**fixed)
+
+
+def _fixed(value: Any) -> Any:  # noqa: ANN401 - what JSON holds
+    return tuple(value) if isinstance(value, list) else value
