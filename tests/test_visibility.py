@@ -8,12 +8,13 @@ import pytest
 import nanogs
 from builders import random_splats
 from looking import judged, looked
-from nanogs.errors import ModelError
+from nanogs.errors import ModelError, OptionError
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.io import precision
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method import visibility
 from nanogs.method.parameters import PICTURES, ForestParameters
+from nanogs.pipeline import run
 from nanogs.pipeline.fitting import HIDDEN, weights_of_colours
 from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason
@@ -208,3 +209,28 @@ def test_it_is_said_where_fewer_roaming_views_are_found(monkeypatch):
     monkeypatch.setattr(visibility, "roaming_cameras", none)
     views = looked(box_with_something_inside(), None, looking(views=3, view_size=32, roaming=2))
     assert views.views.notes == ("Of 2 roaming views to look from 0 were found.",)
+
+
+@pytest.mark.parametrize("block", [None, 150])
+def test_views_too_small_to_choose_by_are_refused_before_the_forest(block, tmp_path, monkeypatch):
+    path, stages, done = tmp_path / "a.ply", [], run.do
+    nanogs.save(random_splats(300), path)
+    cameras = automatic_cameras(nanogs.load(path), 3, width=160, height=20)
+    given = {"ratio": 0.5, "cameras": cameras, "view_size": 64, "steps": 1}
+
+    def noted(scene, task):
+        stages.append(task.stage)
+        return done(scene, task)
+
+    def made(name, **more):
+        if block is None:
+            return nanogs.simplify(path, **given, **more)[1]
+        return nanogs.simplify_blocks(path, tmp_path / name, block=block, **given, **more)
+
+    monkeypatch.setattr(run, "do", noted)
+    words = "'fit_001' is 64 x 8 pixels here, .* views of 11 x 11 or more; raise `view_size`"
+    with pytest.raises(OptionError, match=words):
+        made("b.ply")
+    assert stages[-1] == "look"
+    assert "grow" not in stages
+    assert made("c.ply", measure=False).achieved_count == 150

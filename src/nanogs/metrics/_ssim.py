@@ -12,6 +12,7 @@ from nanogs.kernels.window import similarity_rows
 from nanogs.metrics._images import check_range, image_pair
 
 RADIUS = 5  # 11 x 11 window
+LEAST = 2 * RADIUS + 1  # pixels along each side of an image
 SIGMA = 1.5  # pixels
 K1 = 0.01
 K2 = 0.03
@@ -38,7 +39,7 @@ def ssim(a: Array, b: Array, data_range: float = 1.0) -> float:
     """
     check_range(data_range)
     first, second = image_pair(a, b)
-    if min(first.shape[:2]) < 2 * RADIUS + 1:
+    if min(first.shape[:2]) < LEAST:
         raise OptionError(f"SSIM needs at least 11 x 11 pixels, not {first.shape[:2]}.")
     distances = np.arange(-RADIUS, RADIUS + 1) / SIGMA
     taps = np.exp(-(distances**2) / 2)

@@ -1,11 +1,13 @@
 """The views of a scene, and what they show of each block, with all others before and behind it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from nanogs.errors import ModelError
+from nanogs.errors import ModelError, OptionError
 from nanogs.fit.views import choose_cameras
 from nanogs.method.visibility import Light, light_in, roaming_views, visibility_of
+from nanogs.metrics._ssim import LEAST
 from nanogs.pipeline.scene import Lit, Scene
 from nanogs.pipeline.views import Views
 from nanogs.raster.lens import lens_notes
@@ -45,6 +47,9 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
         scene: With its views.
         name: Of what is kept.
         number: Of the block.
+
+    Raises:
+        OptionError: A view that results are to be chosen by is too small to compare them.
     """
     own, views = scene.bare(number), scene.views
     count = len(own.splats)
@@ -68,4 +73,18 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     del drawn
     visible, missed = visibility_of(looked, anywhere)
     # The surroundings' are not asked for.
-    return scene.keep_look(name, replace(own, visible=visible[:count]), missed[:count], lights)
+    record = scene.keep_look(name, replace(own, visible=visible[:count]), missed[:count], lights)
+    if scene.measures:
+        _refuse_small(scene.deciding)
+    return record
+
+
+def _refuse_small(deciding: Sequence["Camera"]) -> None:
+    """Refuse views that no candidate can be judged by, before the forest is grown."""
+    for camera in deciding:
+        if min(camera.width, camera.height) < LEAST:
+            raise OptionError(
+                f"The view of camera {camera.name!r} is {camera.width} x {camera.height} pixels"
+                f" here, and results are chosen by views of {LEAST} x {LEAST} or more; raise"
+                " `view_size` where it makes views smaller, or leave the camera out."
+            )
