@@ -231,6 +231,20 @@ def test_axes_grow_to_what_is_blocked_but_for_the_thinnest():
         assert np.sort(lengths) == pytest.approx([0.1, factor**0.5, 2 * factor**0.5], rel=1e-4)
 
 
+@pytest.mark.parametrize("logit", [-np.inf, -45.0, -42.0])
+def test_members_that_cover_nothing_do_not_keep_the_others_from_growing(logit):
+    splats = random_splats(1).take(np.zeros(25, np.int64))
+    splats.log_scales[:] = np.log([2, 0.1, 1])
+    splats.opacity_logits[:20], splats.opacity_logits[20:] = 40, logit
+    leaves = activate_nodes(splats, np.arange(25), np.zeros(3), same_pixel(0.0))
+    labels = np.r_[np.zeros(21), np.ones(4)].astype(np.int32)  # and four of these by themselves
+    merged = gather(leaves, labels, 2)
+    areas = footprints(merged.covariances, 0.0)
+    needed, _ = area_needs(merged, leaves, labels, areas, sheets=False)
+    assert needed[0] == pytest.approx(3.5731, rel=1e-4)
+    assert needed[1] == pytest.approx(merged.coverages[1] / areas[1], abs=1e-15)
+
+
 # Scenes
 
 

@@ -1,5 +1,7 @@
 """Growth of merged splats on flat sheets, behind which there is nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,7 +13,7 @@ from nanogs.method.growth import MOST_GROWTH, growth_on_sheets
 from nanogs.method.nodes import Nodes, gather
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import prepare, render
-from nanogs.splats import Splats
+from nanogs.splats import Splats, concatenate
 from nanogs.views.automatic import automatic_cameras
 
 
@@ -88,3 +90,18 @@ def test_a_plane_of_one_colour_has_no_holes(ratio, least):
         return np.mean([psnr(a, b) for a, b in zip(original, shown, strict=True)])
 
     assert score("fast") > max(score("paper") + 1, least)
+
+
+def test_splats_of_alpha_zero_leave_no_holes():
+    """Such as those whose alpha a format of eight bits has rounded to 0."""
+    alive = plane(3000)
+    dead = replace(alive.take(np.arange(1000)), opacity_logits=np.full(1000, -np.inf, np.float32))
+    cameras = automatic_cameras(alive, 4, width=128, height=128)
+
+    def score(splats):
+        small = nanogs.simplify(splats, count=300, preset="fast")[0]
+        return np.mean(
+            [psnr(render(alive, each).shown(), render(small, each).shown()) for each in cameras]
+        )
+
+    assert score(concatenate([alive, dead])) > score(alive) - 1

@@ -9,7 +9,7 @@ from nanogs._types import F32, F64, I32
 from nanogs.kernels.sheets import sheet_growths
 from nanogs.kernels.sides import covered_sides
 from nanogs.method.integrals import exponential_integral
-from nanogs.method.nodes import Nodes, member_lists
+from nanogs.method.nodes import LEAST_WEIGHT, Nodes, member_lists
 from nanogs.neighbours import nearest_neighbours
 from nanogs.slices import slices
 
@@ -66,6 +66,8 @@ def area_needs(
     A group has to block as much light as its members do (`blocked`), where each counts by how
     visible it is. Their coverage is then (sum w)² / (sum w²/a), for weights w and coverages a: that
     of all members where all are equally visible, without those that are hidden behind others.
+    Members of the least weight, such as splats of alpha 0, have it whatever they cover, and are
+    left out; of a group that has no others all coverage counts.
     Members side by side on a flat sheet do not hide each other: there all their coverage counts.
     Numbers of groups of one member mean nothing.
 
@@ -83,9 +85,11 @@ def area_needs(
     squares = np.zeros(len(merged))
     with np.errstate(divide="ignore", over="ignore"):
         for part in slices(len(leaves)):
-            shares = leaves.weights[part] ** 2 / leaves.coverages[part]
+            weights = leaves.weights[part]
+            shares = weights**2 / leaves.coverages[part]
+            shares[weights <= LEAST_WEIGHT] = 0.0
             np.add.at(squares, labels[part], shares)
-        wanted = merged.weights**2 / squares
+        wanted = np.where(squares > 0, merged.weights**2 / squares, merged.coverages)
     least = np.ones(len(merged))
     if sheets:
         most = growth_on_sheets(merged, leaves, labels, 1.0)
