@@ -18,7 +18,7 @@ from nanogs.errors import FormatError, OptionError
 from nanogs.io.rad.header import read_header
 from nanogs.io.rad.levels import heights
 from nanogs.lod import links
-from nanogs.lod.tree import as_rows, layers_of
+from nanogs.lod.tree import Layer, as_rows, build, frame_of, layers_of
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
 from nanogs.source import InMemory
@@ -55,6 +55,24 @@ def made(model, tmp_path_factory):
     done = run("lod", folder / "a.ply", folder / "a.rad", "--levels", levels, "--preset", "fast")
     assert done.returncode == 0, done.stderr
     return folder / "a.rad"
+
+
+def test_leaves_that_cover_nothing_do_not_keep_those_above_from_growing():
+    """Four of them are one node of the next layer, which is merged with nodes of others."""
+    splats = random_splats(1).take(np.zeros(24, np.int64))
+    splats.means[:] = np.random.default_rng(3).normal(0, 1e-3, (24, 3))
+    splats.opacity_logits[:] = 40
+    splats.opacity_logits[20:] = -np.inf
+
+    def root(count):
+        leaves, fives = InMemory(splats.take(np.arange(count))), np.arange(count) // 4
+        means = leaves.load().means.astype(np.float64)
+        middle = np.array([means[fives == each].mean(axis=0) for each in range(count // 4)])
+        layers = [Layer(means, fives), Layer(middle, np.zeros(count // 4, np.int64))]
+        top = Layer(means.mean(axis=0)[None], np.empty(0, np.int64))
+        return build(leaves, [*layers, top], frame_of(InMemory(splats))).layers[-1].load()
+
+    assert np.allclose(root(24).log_scales, root(20).log_scales, atol=1e-3)
 
 
 def rows_sorted(means):

@@ -22,7 +22,7 @@ from nanogs.errors import OptionError
 from nanogs.io.in_order import in_order
 from nanogs.lod.links import Shapes, parents_of, shapes_of
 from nanogs.method.extent import Dilation, dilation
-from nanogs.method.nodes import Nodes, activate_nodes, gather, thinnest_axis
+from nanogs.method.nodes import LIGHTEST, Nodes, activate_nodes, gather, thinnest_axis
 from nanogs.method.order import morton_codes, morton_order
 from nanogs.method.store import store_groups
 from nanogs.source import InMemory, Joined, Source
@@ -36,7 +36,6 @@ _PIXELS = 160
 _GROWTH = 2.0
 _SAMPLE = 1 << 16  # leaves that say what is usual
 _ROWS = 1 << 15  # that are merged at a time, but for those of one parent
-_LEAST_WEIGHT = 1e-9
 _NO_FEATURES, _NO_ROWS = np.empty((0, 0), np.float32), np.empty(0, np.int32)
 
 
@@ -309,6 +308,9 @@ def _nodes(splats: Splats, moments: Nodes | None, rows: slice, frame: Frame) -> 
     own: I32 = np.arange(len(splats), dtype=np.int32)
     if moments is None:
         leaves = activate_nodes(splats, own, frame.origin, frame.added, frame.thinnest)
-        return replace(leaves, weights=np.maximum(leaves.coverages / frame.usual, _LEAST_WEIGHT))
+        return replace(leaves, weights=np.maximum(leaves.coverages / frame.usual, LIGHTEST))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
-    return replace(_moments(moments, rows), features=features, rows=own)
+    some = _moments(moments, rows)
+    # Of many that cover nothing the least weights have added up, which `area_needs` tells them by.
+    weights = np.where(some.coverages <= LIGHTEST * frame.usual, LIGHTEST, some.weights)
+    return replace(some, weights=weights, features=features, rows=own)

@@ -9,7 +9,7 @@ from nanogs._types import F32, F64, I32
 from nanogs.kernels.sheets import sheet_growths
 from nanogs.kernels.sides import covered_sides
 from nanogs.method.integrals import exponential_integral
-from nanogs.method.nodes import LEAST_WEIGHT, Nodes, member_lists
+from nanogs.method.nodes import LIGHTEST, Nodes, member_lists
 from nanogs.neighbours import nearest_neighbours
 from nanogs.slices import slices
 
@@ -87,7 +87,7 @@ def area_needs(
         for part in slices(len(leaves)):
             weights = leaves.weights[part]
             shares = weights**2 / leaves.coverages[part]
-            shares[weights <= LEAST_WEIGHT] = 0.0
+            shares[weights <= LIGHTEST] = 0.0
             np.add.at(squares, labels[part], shares)
         wanted = np.where(squares > 0, merged.weights**2 / squares, merged.coverages)
     least = np.ones(len(merged))

@@ -24,7 +24,7 @@ from nanogs.stored import alphas
 
 UNRESOLVED = 1e-15  # of the squared trace: smaller minors may be rounding alone
 NEARER = 4.0  # times as near as for a view of the whole model, to look at a part
-LEAST_WEIGHT = 1e-9  # over the mean of all: of what covers nothing, or nearly so
+LIGHTEST = 1e-9  # weight, over the mean of all, of what covers nothing or nearly so
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
 
 
@@ -166,9 +166,9 @@ def thinnest_axis(scales: F32, means: F64, pixel: float) -> float:
 
 
 def normalised(weights: F64) -> F64:
-    """(N,) float64: weights over their mean, `LEAST_WEIGHT` and above."""
+    """(N,) float64: weights over their mean, `LIGHTEST` or more."""
     mean = float(weights.mean())
-    return np.maximum(weights / mean, LEAST_WEIGHT) if mean > 0 else np.ones(len(weights))
+    return np.maximum(weights / mean, LIGHTEST) if mean > 0 else np.ones(len(weights))
 
 
 def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64, I32, I64, U64, Array
-from nanogs.method.nodes import LEAST_WEIGHT, Nodes, activate_nodes, without_coverages
+from nanogs.method.nodes import LIGHTEST, Nodes, activate_nodes, without_coverages
 from nanogs.method.visibility import visible_weights
 from nanogs.pipeline.frame import Frame
 from nanogs.pipeline.partition import Partition
@@ -96,7 +96,7 @@ def leaves_of(
         weights = nodes.coverages / frame.coverage
     else:
         weights = visible_weights(nodes.coverages, seen.visible[rows], seen.hidden) / seen.typical
-    np.maximum(weights, LEAST_WEIGHT, out=nodes.weights)
+    np.maximum(weights, LIGHTEST, out=nodes.weights)
     return without_coverages(nodes) if bare else nodes
 
 
