@@ -259,6 +259,54 @@ def test_what_python_is_given_is_refused_in_a_sentence(pair, call, message):
         call(pair[0])
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"nan": "eror"}, "`nan` must be 'drop' or 'error', not 'eror'"),
+        ({"nan": None}, "`nan` must be 'drop' or 'error', not None"),
+        ({"sh_degree": 0.5}, "SH degree must be a whole number, not 0.5"),
+        ({"sh_degree": "1"}, "SH degree must be a whole number, not '1'"),
+        ({"threads": "1"}, "threads must be a whole number, not '1'"),
+        ({"threads": True}, "threads must be a whole number, not True"),
+        ({"max_memory": "much"}, "must be like 20MB"),
+        ({"max_memory": 2.5}, "is a number of bytes or text"),
+    ],
+)
+def test_options_of_all_calls_are_refused_in_a_sentence(pair, files, tmp_path, options, message):
+    model, given = pair[0], {"preset": "fast", **options}
+    for call in (
+        lambda: nanogs.simplify(model, count=9, **given),
+        lambda: list(nanogs.levels(model, [0.5], **given)),
+        lambda: nanogs.grow(model, **given),
+        lambda: nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **given),
+        lambda: nanogs.write_levels(files[0], tmp_path / "l", [0.5], **given),
+    ):
+        with pytest.raises(OptionError, match=message):
+            call()
+    assert not list(tmp_path.iterdir())
+    assert len(nanogs.simplify(model, count=9, preset="fast", max_memory="2GB")[0]) == 9
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"block": -5}, "`block` must be a whole number of splats, 1 or more, not -5"),
+        ({"block": 0}, "`block` must be a whole number of splats, 1 or more, not 0"),
+        ({"block": 10.0}, r"`block` must be a whole number of splats, 1 or more, not 10\.0"),
+        ({"patience": "x"}, "`patience` must be seconds, 0 or more, not 'x'"),
+        ({"patience": -1}, "`patience` must be seconds, 0 or more, not -1"),
+        ({"up": (1, 2), "block": 20}, r"three finite numbers, not all zero, not \(1, 2\)"),
+        ({"up": (0, 0, 0), "block": 20}, "three finite numbers, not all zero"),
+        ({"up": "z", "block": 20}, "three finite numbers, not all zero, not 'z'"),
+    ],
+)
+def test_options_of_jobs_are_refused_before_anything_is_written(files, tmp_path, options, message):
+    given = {"view_size": 64, "views": 2, "steps": 1, **options}
+    with pytest.raises(OptionError, match=message):
+        nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **given)
+    assert not list(tmp_path.iterdir())
+
+
 def test_one_format_needs_no_list(pair):
     cost = nanogs.packing_cost(pair[0], ".spz")
     assert [file.format for file in cost.files] == [".spz"]

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from nanogs.errors import OptionError
+from nanogs.ranges import is_number
 
 
 def processors() -> int:
@@ -35,6 +36,8 @@ def use_threads(threads: int | None) -> Iterator[int]:
 
     most = int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     chosen = most if threads is None else threads
+    if not is_number(chosen, whole=True):
+        raise OptionError(f"threads must be a whole number, not {chosen!r}.")
     if not 1 <= chosen <= most:
         raise OptionError(f"threads must be from 1 to {most} on this machine, not {chosen}.")
     before = numba.get_num_threads()

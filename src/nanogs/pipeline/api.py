@@ -53,7 +53,7 @@ def simplify(
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
-    max_memory: int | None = None,
+    max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Splats, SimplifyReport]:
@@ -91,8 +91,8 @@ def simplify(
             graphics card, "auto" for one where there is one. What is merged is merged on the CPU.
             Results differ in the last digits; the notes name another device than the CPU.
         threads: Threads to use; all by default. The result does not depend on it.
-        max_memory: Bytes that this process may take; by default what is free, less a tenth. More
-            is refused before anything is computed.
+        max_memory: Bytes that this process may take, a number or text like "4GB"; by default what
+            is free, less a tenth. More is refused before anything is computed.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`: the stage, which of how many it is, and the
             fraction of the whole that is done; the last step has the fraction 1.

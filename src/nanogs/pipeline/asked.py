@@ -48,11 +48,16 @@ def asked_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Asked:
         up: Up direction of views that are found, or None.
 
     Raises:
-        NanogsError: A file is none of cameras.
+        NanogsError: A file is none of cameras, or `up` is no direction.
     """
     from nanogs.views.cameras import FOUND, cameras_from, given_cameras
 
-    direction = None if up is None else tuple(map(float, up))
+    direction = None
+    if up is not None:
+        from nanogs.views.automatic import unit_up
+
+        unit_up(up)
+        direction = tuple(map(float, up))
     if cameras is None or (isinstance(cameras, str) and cameras in FOUND):
         return Asked(cameras or AUTO, direction)
     if isinstance(cameras, str | PathLike):

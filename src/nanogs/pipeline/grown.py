@@ -200,7 +200,7 @@ def grow(
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
-    max_memory: int | None = None,
+    max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Grown:

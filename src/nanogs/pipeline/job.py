@@ -18,8 +18,10 @@ from nanogs.pipeline.cameras import chosen_cameras, refuse_unused_views
 from nanogs.pipeline.memory import plan_memory
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.presets import Parameters, parameters, renders
+from nanogs.pipeline.rows import check_nan
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
+from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats
 
@@ -54,27 +56,29 @@ class Job:
     sh_degree: int | None = None
 
     def refuse_too_large(
-        self, target: int | None, max_memory: int | None, *, judged: bool = False
+        self, target: int | None, max_memory: int | str | None, *, judged: bool = False
     ) -> None:
         """Refuse what takes more memory than there is, the model being held already.
 
         Args:
             target: Splats of the largest result, or None where that is not known beforehand.
-            max_memory: Bytes that this process may take; None for what is free.
+            max_memory: Bytes that this process may take, or text; None for what is free.
             judged: Whether results are held against views of the original whatever the preset.
 
         Raises:
             NotEnoughMemoryError: It takes more.
+            OptionError: The limit is no number of bytes.
         """
         splats = self.splats
+        allowed = None if max_memory is None else as_bytes(max_memory)
         extra = sum(column.itemsize for column in splats.extras.values())
         most = len(splats) if target is None else target
         plan = plan_memory(
             len(splats), splats.sh_degree, extra, self.parameters, most, judged=judged
         )
-        held = 0 if max_memory else plan.input_columns
+        held = 0 if allowed else plan.input_columns
         refuse_too_large(
-            "Simplifying this model", plan.peak - held, allowed_memory(max_memory),
+            "Simplifying this model", plan.peak - held, allowed_memory(allowed),
             "free some, or use nanogs.simplify_blocks, which works on files block by block",
         )  # fmt: skip
 
@@ -183,11 +187,12 @@ def prepare_job(
     A method that does not look at views gets the model without harmonics above the degree.
 
     Raises:
-        OptionError: There is no such preset or parameter, or views are given that are no cameras or
-            mean nothing to the preset.
+        OptionError: There is no such preset, parameter or policy for NaN, or views are given that
+            are no cameras or mean nothing to the preset.
         ModelError: No splat is usable, or `nan="error"` and one is not.
     """
     chosen = parameters(preset, overrides)
+    check_nan(nan)
     refuse_unused_views(preset, chosen, given=cameras is not None)
     if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(sh_degree)

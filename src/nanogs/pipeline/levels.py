@@ -35,7 +35,7 @@ def levels(
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
-    max_memory: int | None = None,
+    max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
@@ -86,7 +86,7 @@ def judged_levels(
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
-    max_memory: int | None = None,
+    max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:

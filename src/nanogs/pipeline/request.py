@@ -24,8 +24,9 @@ from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory, plan_writing
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
-from nanogs.pipeline.rows import Changes, check_degree, open_parts
+from nanogs.pipeline.rows import Changes, check_degree, check_nan, open_parts
 from nanogs.pipeline.target import Goal, is_searched, target_count
+from nanogs.ranges import is_number
 from nanogs.source import Joined
 from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
@@ -80,6 +81,17 @@ class Request:
     ratios: Sequence[float] = ()
     chunks: Chunked | Linked | None = None
     environment: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse what says nothing, before anything is read."""
+        check_nan(self.nan)
+        check_degree(self.sh_degree)
+        if self.block is not None and not (is_number(self.block, whole=True) and self.block >= 1):
+            raise OptionError(
+                f"`block` must be a whole number of splats, 1 or more, not {self.block!r}."
+            )
+        if not is_number(self.patience) or not self.patience >= 0:
+            raise OptionError(f"`patience` must be seconds, 0 or more, not {self.patience!r}.")
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -141,12 +153,11 @@ class Request:
         """Refuse, before anything is read, what cannot be had together.
 
         Raises:
-            OptionError: A search is asked of a preset that has none, or there is no such degree,
-                device or format to write, or the device or views would have nothing to do.
+            OptionError: A search is asked of a preset that has none, or there is no such device or
+                format to write, or the device or views would have nothing to do.
         """
         refuse_device(self.device, self.preset, self.parameters, self.goal)
         refuse_searches(self.goal, self.preset, self.output)
-        check_degree(self.sh_degree)
         self.refuse_unused_views()
 
     def refuse_unused_views(self) -> None:

@@ -18,6 +18,7 @@ from nanogs.pipeline.asked import AUTOMATIC, Asked
 from nanogs.pipeline.inputs import Inputs, input_file
 from nanogs.pipeline.settings import Access, InputFile, Segment, Settings, Sieve
 from nanogs.pipeline.unpack import Unpacked
+from nanogs.ranges import is_number
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats, concatenate
 
@@ -68,8 +69,22 @@ def check_degree(sh_degree: int | None) -> None:
     Raises:
         OptionError: It is neither None nor from 0 to 4.
     """
-    if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
+    if sh_degree is None:
+        return
+    if not is_number(sh_degree, whole=True):
+        raise OptionError(f"The SH degree must be a whole number, not {sh_degree!r}.")
+    if not 0 <= sh_degree <= MAX_SH_DEGREE:
         raise OptionError(f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
+
+
+def check_nan(nan: str) -> None:
+    """Refuse what says nothing of splats with NaN or infinite values.
+
+    Raises:
+        OptionError: It is neither "drop" nor "error".
+    """
+    if nan not in ("drop", "error"):
+        raise OptionError(f"`nan` must be 'drop' or 'error', not {nan!r}.")
 
 
 def look_at(

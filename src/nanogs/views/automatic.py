@@ -132,7 +132,7 @@ def survey(
         raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
     if not isinstance(model, Source):
         refuse_other(model)
-    given = None if up is None else _unit(up)
+    given = None if up is None else unit_up(up)
     matter = sample(model)
     if given is not None:
         stance = upright(body_of(matter), given)
@@ -161,9 +161,17 @@ def _check(count: int, width: int, height: int, fov: float | None, split: str) -
         raise OptionError(f"The field of view must be 1 to 170 degrees, not {fov}.")
 
 
-def _unit(up: Sequence[float] | F64) -> F64:
-    given = np.array(up, dtype=np.float64)
+def unit_up(up: Sequence[float] | F64) -> F64:
+    """(3,) float64, the direction at length 1.
+
+    Raises:
+        OptionError: It is none.
+    """
+    try:
+        given = np.array(up, dtype=np.float64)
+    except (TypeError, ValueError):
+        given = np.empty(0)  # which is no direction either
     if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
-        raise OptionError(f"Up must be three finite numbers, not all zero, not {up}.")
+        raise OptionError(f"Up must be three finite numbers, not all zero, not {up!r}.")
     unit: F64 = given / np.linalg.norm(given)
     return unit
