@@ -1,5 +1,6 @@
 """The documentation: what it shows works, what it links to is there, and the site can be built."""
 
+import importlib
 import importlib.util
 import json
 import os
@@ -285,3 +286,14 @@ def test_the_site_can_be_built_and_asks_nothing_of_others(tmp_path):
     assert len(pictures) == 4
     assert (site / "pictures" / "curve.svg").read_text().startswith("<svg")
     assert all(picture.read_bytes()[:4] == b"\x89PNG" for picture in pictures)
+
+
+def test_functions_and_numbers_of_the_method_are_those_of_the_code():
+    text = (DOCS / "method.md").read_text("utf-8")
+    named = set(re.findall(r"`(\w+)\.(\w+)`", text)) - {("nanogs", "simplify")}
+    named = {(module, name) for module, name in named if name not in ("md", "py")}
+    assert ("forest", "grow_forest") in named
+    for module, name in named:
+        assert hasattr(importlib.import_module(f"nanogs.method.{module}"), name), (module, name)
+    default, best = (PRESETS[preset].hidden for preset in ("default", "best"))
+    assert f"h = {default}, with `best` {best} " in text
