@@ -174,6 +174,21 @@ def test_what_was_measured_lifts_what_plain_cuts_show():
     assert curve.missing() == 50
 
 
+def test_a_result_that_equals_the_model_says_nothing_of_smaller_ones():
+    curve, whole = Curve(1000, 1, lambda n: n, exact=True), Point(1000, 1000, math.inf, False)
+    guessed = curve.count_for(Goal(psnr=30))
+    curve.add(whole)
+    assert curve.psnr_of(100) is None
+    assert curve.count_for(Goal(psnr=30)) == guessed
+    for count, mark in ((10, 20.0), (100, 30.0)):
+        curve.add(Point(count, count, mark, coarse=True))
+    assert curve.psnr_of(100) == pytest.approx(30)
+    assert curve.count_for(Goal(psnr=30)) == 100
+    curve.add(Point(100, 100, 32.0, coarse=False))
+    assert curve.psnr_of(100) == pytest.approx(32)
+    assert curve.psnr_of(300) == pytest.approx(32 + 10 * math.log10(3))
+
+
 @given(
     available=st.integers(1000, 10**6), at_all=st.floats(28, 60), slope=st.floats(1.5, 6),
     share=st.floats(0.02, 0.9),

@@ -23,7 +23,7 @@ class Point:
     Attributes:
         count: Splats.
         bytes: Of the file.
-        psnr: As `nanogs compare` says it, dB.
+        psnr: As `nanogs compare` says it, dB; infinite where it equals the model.
         coarse: Whether it is a plain cut, which looks a little worse than what is delivered.
     """
 
@@ -71,7 +71,7 @@ class Curve:
             size = goal.size
             return self._last(lambda count: self.bytes_of(count) <= size)
         wanted = goal.psnr or 0.0
-        if not self.points:
+        if self.psnr_of(self.available) is None:
             return self._within(_GUESS * self.available)
         return self._last(lambda count: (self.psnr_of(count) or 0.0) <= wanted)
 
@@ -87,10 +87,12 @@ class Curve:
     def psnr_of(self, count: int) -> float | None:
         """PSNR of a result of so many splats, about, dB; None where nothing is known.
 
-        Plain cuts give the shape; what was measured of delivered results lifts it.
+        Plain cuts give the shape; what was measured of delivered results lifts it. A result that
+        equals the model, as that of all its splats does, says nothing of smaller ones.
         """
-        coarse = {point.count: point.psnr for point in list(self.points.values()) if point.coarse}
-        fine = {point.count: point.psnr for point in list(self.points.values()) if not point.coarse}
+        finite = [point for point in list(self.points.values()) if math.isfinite(point.psnr)]
+        coarse = {point.count: point.psnr for point in finite if point.coarse}
+        fine = {point.count: point.psnr for point in finite if not point.coarse}
         base = coarse or fine
         if not base:
             return None
