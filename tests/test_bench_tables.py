@@ -165,6 +165,6 @@ def test_figures_are_written_as_published():
 
 
 def test_numbers_read_the_same_everywhere():
-    values = [1_234_567.0, -1.0, None, float("nan"), float("inf")]
-    texts = ["1,234,567.0", "-1.0", NONE, NONE, "∞"]
+    values = [1_234_567.0, -1.0, None, math.nan, math.inf, -math.inf, -0.04]
+    texts = ["1,234,567.0", "-1.0", NONE, NONE, "∞", "-∞", "0.0"]
     assert [number_text(value, 1) for value in values] == texts

@@ -112,6 +112,17 @@ def test_a_model_that_equals_the_original_loses_all_that_it_has(files, temporary
     assert packed.packed.psnr == packed.psnr < math.inf
     nothing = nanogs.compare(scene, scene, packed=[".npz"], **SMALL).models[1].packed
     assert (nothing.psnr_cost, nothing.ssim_cost, nothing.psnr) == (0, 0, math.inf)
+    assert packed.packed.text == "the loss is packing alone"
+
+
+def test_a_file_that_the_original_was_read_from_gains_all(files, temporary):
+    """Packing rounds the model to the original itself."""
+    found = nanogs.compare(files / "half.spz", files / "half.ply", packed=[".spz"], **SMALL)
+    model, packed = found.models
+    assert (model.psnr < math.inf, packed.psnr) == (True, math.inf)
+    assert packed.packed.psnr_cost == -math.inf
+    assert packed.packed.text == "packing alone costs -∞ dB"
+    assert packed.packed.psnr == model.psnr
 
 
 def test_photographs_take_the_place_of_the_original(files, tmp_path, temporary):

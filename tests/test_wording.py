@@ -1,6 +1,7 @@
 """Sentences as people write them: one of a thing, and many of it."""
 
 import ast
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +10,16 @@ import pytest
 
 import nanogs
 from nanogs.findings import Finding, Names, join_findings, negative_scales, of_plain, to_plain
-from nanogs.formatting import counted, undrawn
+from nanogs.formatting import (
+    NONE,
+    bytes_text,
+    counted,
+    plain,
+    sizes_text,
+    time_text,
+    undrawn,
+)
+from nanogs.report import StopReason
 
 SOURCES = sorted(Path(nanogs.__file__).parent.rglob("*.py"))
 TESTS = sorted(Path(__file__).parent.glob("*.py"))
@@ -41,6 +51,47 @@ def test_what_follows_a_number_follows_it():
     assert counted(3, "opacity is", "opacities are") == "3 opacities are"
     assert undrawn(1) == "1 splat with a NaN or infinite value was not drawn"
     assert undrawn(2) == "2 splats with a NaN or infinite value were not drawn"
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [
+        (None, NONE), (0, "0 B"), (999, "999 B"), (1000, "1.0 kB"), (999_949, "999.9 kB"),
+        (999_950, "1.0 MB"), (1_500_000, "1.5 MB"), (76_040_000, "76.0 MB"),
+        (999_949_999, "999.9 MB"), (999_950_000, "1.0 GB"), (12_345_000_000_000, "12345.0 GB"),
+    ],
+)  # fmt: skip
+def test_bytes_have_the_unit_that_fits(count, text):
+    assert bytes_text(count) == text
+
+
+def test_two_sizes_share_a_unit_where_they_have_the_same():
+    assert sizes_text(76_000_000, 1_200_000, "→") == "76.0 → 1.2 MB"
+    assert sizes_text(1_200_000, 76_000, "to") == "1.2 MB to 76.0 kB"
+    assert sizes_text(76_000, 76, "→") == "76.0 kB → 76 B"  # both units end in B
+    assert sizes_text(None, 76, "→") == f"{NONE} → 76 B"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0, "0.0 s"), (0.44, "0.4 s"), (0.94, "0.9 s"), (0.95, "1 s"), (6.4, "6 s"),
+        (89.4, "89 s"), (90, "2 min"), (720, "12 min"), (5340, "89 min"), (5400, "1.5 h"),
+        (36_000, "10.0 h"),
+    ],
+)  # fmt: skip
+def test_seconds_are_said_roughly(seconds, text):
+    assert time_text(seconds) == text
+
+
+def test_what_json_lacks_is_text():
+    inner = {"psnr": math.inf, "path": Path("a", "b"), "stop": StopReason.TARGET, "none": None}
+    data = plain({"models": (inner, [math.nan, -math.inf, 1.5, 2, True])})
+    assert data["models"] == [
+        {"psnr": "inf", "path": str(Path("a", "b")), "stop": "target", "none": None},
+        ["nan", "-inf", 1.5, 2, True],
+    ]
+    assert type(data["models"][0]["stop"]) is str
 
 
 def test_findings_of_blocks_add_up_to_one_sentence():

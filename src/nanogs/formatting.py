@@ -13,7 +13,9 @@ def number_text(value: float | None, digits: int = 2) -> str:
     """A rounded number with commas at thousands, the sign of infinity, or a dash for none."""
     if value is None or math.isnan(value):
         return NONE
-    return "∞" if math.isinf(value) else f"{round(value, digits) + 0.0:,.{digits}f}"  # no -0.00
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    return f"{round(value, digits) + 0.0:,.{digits}f}"  # no -0.00
 
 
 def counted(count: int, one: str, more: str = "") -> str:

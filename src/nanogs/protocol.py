@@ -93,7 +93,8 @@ class PackingLoss:
     Attributes:
         format: Suffix of the file's format.
         psnr_cost: The model's PSNR less that of its file, both against the original, dB: what
-            packing costs. Infinite where the model equals the original.
+            packing costs. Infinite where the model equals the original, minus infinite where its
+            file does, as that which the original was read from.
         ssim_cost: The same of SSIM.
         psnr: Of the file against the model that was packed, mean over the views, dB.
         ssim: The same of SSIM.
@@ -110,7 +111,7 @@ class PackingLoss:
     @property
     def text(self) -> str:
         """The cost in a few words: "packing alone costs 0.18 dB"."""
-        if math.isinf(self.psnr_cost):
+        if self.psnr_cost == math.inf:
             return "the loss is packing alone"
         return f"packing alone costs {number_text(self.psnr_cost)} dB"
 
