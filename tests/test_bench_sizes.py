@@ -187,6 +187,12 @@ def test_the_picture_shows_the_points_in_the_colours_of_the_page():
     assert not (pixels == (0x2C, 0xA0, 0x2C)).all(axis=1).any()
 
 
+def test_names_in_the_picture_are_no_formulas():
+    """For matplotlib, text between two signs of a dollar is one; it refuses these."""
+    rows = rows_of("$_$", BASE, scene="a $b_c_d$")
+    assert SizeCharts(rows).png().startswith(b"\x89PNG")
+
+
 def test_words_of_others_are_escaped_in_the_page():
     rows = [*rows_of("<them>", BASE), *rows_of("ours", plus(2))]
     page = size_page(rows, ["<them>"], "nanogs bench <x>")

@@ -47,13 +47,18 @@ def test_marks_stand_at_their_values():
 
 @pytest.mark.parametrize("line", [
     [(0.001, 13.27), (0.1, 13.28)], [(5.0, 30.0)], [(1.0, -5.0), (1e7, 1e5)],
+    [(3.0, 30.0), (4.0, 32.0)], [(2.05, 30.0), (9.9, 32.0)], [(1.0, 30.0), (1.01, 32.0)],
 ])  # fmt: skip
 def test_there_are_a_few_round_marks_on_each_axis(line):
     drawing = drawn(Chart("", "splats", {"x": line}))
     rules = [found.get("d") for found in drawing.iter(f"{SVG}path")][1:]
-    upright = sum("V" in rule for rule in rules)
-    assert 2 <= upright <= 9
-    assert 3 <= len(rules) - upright <= 7
+    upright = [float(rule[1:].split()[0]) for rule in rules if "V" in rule]
+    level = [float(rule.split()[1].split("H")[0]) for rule in rules if "H" in rule]
+    assert len(upright) + len(level) == len(rules)
+    assert 2 <= len(upright) <= 9
+    assert 3 <= len(level) <= 7
+    assert 0 <= min(upright) < max(upright) <= 440
+    assert 0 <= min(level) < max(level) <= 300
     numbers = texts(drawing)[3 : 3 + len(rules)]
     assert max(len(number.strip("0-").replace(",", "")) for number in numbers) <= 8
 
@@ -64,6 +69,34 @@ def test_names_are_in_the_legend_and_are_no_markup():
     )
     assert {"<b>", "a & b", "c", "d", "ratio"} <= set(texts(drawing))
     assert len(list(drawing.iter(f"{SVG}g"))) >= 2
+
+
+def test_the_legend_has_a_dot_of_each_colour_before_its_name():
+    drawing = drawn(Chart("", "splats", {"a": [(1.0, 2.0)], "b": [], "c": []}))
+    lines = [group for group in drawing.iter(f"{SVG}g") if group.get("fill", "").startswith("#")]
+    dots = [list(group.iter(f"{SVG}circle"))[-1] for group in lines]
+    names = {found.text: found for found in drawing.iter(f"{SVG}text")}
+    assert len({group.get("fill") for group in lines}) == 3
+    assert [float(dot.get("cy")) for dot in dots] == [8, 28, 48]
+    for dot, name in zip(dots, "abc", strict=True):
+        assert float(dot.get("cx")) == 456  # right of the axes
+        assert float(names[name].get("x")) == float(dot.get("cx")) + 10
+        assert float(names[name].get("y")) == float(dot.get("cy")) + 4
+
+
+@pytest.mark.parametrize(
+    ("count", "columns", "size"),
+    [(0, None, (700, 400)), (3, None, (2100, 400)), (3, 2, (1400, 800)), (4, 2, (1400, 800))],
+)
+def test_charts_stand_in_rows_that_the_drawing_holds(count, columns, size):
+    drawing = ET.fromstring(svg([Chart("", "x", {})] * count, columns))
+    assert (int(drawing.get("width")), int(drawing.get("height"))) == size
+    assert drawing.get("viewBox") == f"0 0 {size[0]} {size[1]}"
+    places = [group.get("transform") for group in drawing if group.get("transform")]
+    corners = [(70, 40), (770, 40), (70, 440), (770, 440)]
+    if columns is None:
+        corners = [(70, 40), (770, 40), (1470, 40)]
+    assert places == [f"translate({x} {y})" for x, y in corners[:count]]
 
 
 def test_nothing_is_a_drawing_too():

@@ -75,7 +75,7 @@ def _drawn(chart: Chart) -> str:
         f'<path d="M0 0V{_HEIGHT}H{_WIDTH}" fill="none" stroke="#222"/>',
     ]
     if x:
-        parts += [_mark(across.place(math.log10(value)), value) for value in _decades(across)]
+        parts += [_mark(across.place(math.log10(value)), value) for value in _marks(across)]
         parts += [_rule(_HEIGHT - up.place(value), value) for value in _steps(up)]
     for number, (name, line) in enumerate(chart.lines.items()):
         places = [(across.place(math.log10(a)), _HEIGHT - up.place(b)) for a, b in sorted(line)]
@@ -90,12 +90,17 @@ def _axis(values: Sequence[float], pixels: int) -> _Axis:
     return _Axis(low - room, high + room, pixels)
 
 
-def _decades(axis: _Axis) -> list[float]:
-    """Powers of ten on an axis of logarithms, and twice and five times those where they are few."""
+def _marks(axis: _Axis) -> list[float]:
+    """Round values on an axis of logarithms.
+
+    Powers of ten, and twice and five times those where they are few; where it has none of these or
+    one, values at equal distances.
+    """
     exponents = range(math.floor(axis.low), math.ceil(axis.high) + 1)
     leads = (1, 2, 5) if axis.high - axis.low < 2.5 else (1,)
     values = [lead * 10.0**exponent for exponent in exponents for lead in leads]
-    return [value for value in values if axis.low <= math.log10(value) <= axis.high]
+    found = [value for value in values if axis.low <= math.log10(value) <= axis.high]
+    return found if len(found) > 1 else _steps(_Axis(10**axis.low, 10**axis.high, axis.pixels))
 
 
 def _steps(axis: _Axis) -> list[float]:

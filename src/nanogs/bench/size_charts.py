@@ -87,7 +87,9 @@ def _draw(chart: Chart, axes: "Axes") -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set(title=chart.title, xlabel=chart.across, ylabel="PSNR (dB)")
+    axes.set_title(chart.title, parse_math=False)  # names are no formulas, whatever $ they hold
+    axes.set(xlabel=chart.across, ylabel="PSNR (dB)")
     axes.grid(alpha=0.3)
     if chart.lines:
-        axes.legend(fontsize="small")
+        for text in axes.legend(fontsize="small").get_texts():
+            text.set_parse_math(False)
