@@ -1,6 +1,7 @@
 """`bench` with sizes of files: gains, charts and pages of made-up rows, and the command."""
 
 import json
+import math
 from dataclasses import replace
 from io import BytesIO
 from xml.etree import ElementTree as ET
@@ -17,9 +18,10 @@ from nanogs.bench.output import ResultFolder
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status, Wish, size_name
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.size_charts import SizeCharts
-from nanogs.bench.size_tables import size_page
+from nanogs.bench.size_tables import file_table, size_page
 from nanogs.bench.tables import markdown
 from nanogs.errors import OptionError
+from nanogs.formatting import NONE
 
 SIZES = (250_000, 500_000, 1_000_000, 2_000_000)
 SVG = "{http://www.w3.org/2000/svg}"
@@ -80,9 +82,18 @@ def test_a_mean_is_over_scenes_and_the_least_is_beside_it():
 
 
 def test_a_rate_that_some_scenes_lack_says_of_how_many_it_is():
-    rows = [row for scene in "ab" for row in rows_of("them", BASE, scene=scene)]
-    rows += [*rows_of("ours", plus(1), scene="a"), *rows_of("ours", plus(50), scene="b")]
-    assert " % (of 1) | 2 |" in markdown(rows, others=["them"])
+    rows = [row for scene in "abc" for row in rows_of("them", BASE, scene=scene)]
+    rows += [row for scene in "ac" for row in rows_of("ours", plus(1), scene=scene)]
+    rows += rows_of("ours", plus(50), scene="b")
+    assert " % (of 2) | 3 |" in markdown(rows, others=["them"])
+
+
+def test_files_that_were_not_measured_are_in_no_curve():
+    rows = [*rows_of("them", BASE), *rows_of("ours", plus(2))]
+    failed = BenchRow("a", "ours", None, Status.FAILED, "boom", format=".sog", size=4_000_000)
+    equal = [replace(row, psnr=math.inf) for row in rows_of("ours", BASE[:1], sizes=[8_000_000])]
+    [gain] = mean_gains([*rows, failed, *equal], ["them"])
+    assert gain.psnr == pytest.approx(2)
 
 
 def test_against_several_the_best_at_each_size_counts():
@@ -113,6 +124,9 @@ def test_photographs_are_views_of_a_name_of_their_own():
     text = markdown([replace(row, label="", against=Against.PHOTOGRAPHS) for row in rows])
     assert "| ours | them | .sog | photographs | +2.00 (+2.00) |" in text
     assert "Published" not in text
+    failing = [*rows_of("them", BASE), *rows_of("ours", BASE[:1], sizes=SIZES[:1])]
+    text = markdown([replace(row, label="", against=Against.PHOTOGRAPHS) for row in failing])
+    assert "- ours against them, .sog: no figure: it takes two sizes of each (a).\n" in text
 
 
 @pytest.mark.parametrize(
@@ -145,11 +159,15 @@ def test_sizes_have_names_that_files_can_have():
 
 
 def test_rows_of_files_go_on_after_a_run_that_ended(tmp_path):
-    first, second = rows_of("fast", BASE[:2], sizes=SIZES[:2])
+    first, second, third = rows_of("fast", BASE[:3], sizes=SIZES[:3])
     begun = ResultFolder(tmp_path, run="this")
     begun.add(first)
     begun.add(second)
-    assert ResultFolder(tmp_path, run="this").done == [first, second]
+    again = ResultFolder(tmp_path, run="this")
+    assert again.done == [first, second]
+    again.add(first)
+    again.add(third)
+    assert ResultFolder(tmp_path, run="this").done == [first, second, third]
 
 
 def test_a_chart_for_the_mean_and_each_scene_has_every_point():
@@ -199,6 +217,33 @@ def test_words_of_others_are_escaped_in_the_page():
     assert "<them>" not in page
     assert "<x>" not in page
     assert "&lt;them&gt;" in page
+
+
+def test_every_file_has_its_numbers():
+    rows = rows_of("ours", (24.0, math.inf), sizes=(250_000, 1_234_567), near=3)
+    rows.append(BenchRow("a", "ours", None, Status.FAILED, "boom", format=".sog", size=5))
+    rows.append(BenchRow("a", ORIGINAL, 1.0, psnr=40.0, ssim=1.0, label="auto 64"))
+    table = file_table(rows)
+    assert table.head == (
+        "scene", "method", "size", "bytes", "splats", "seconds",
+        "PSNR auto 64", "SSIM auto 64", "PSNR roam 64", "SSIM roam 64",
+    )  # fmt: skip
+    assert table.rows == [
+        [
+            "a",
+            "ours",
+            "0.25MB .sog",
+            "250,000",
+            "25,000",
+            "1.5",
+            "24.00",
+            "0.240",
+            "21.00",
+            "0.500",
+        ],
+        ["a", "ours", "1.234567MB .sog", "1,234,567", "123,456", "1.5", *[NONE] * 4],
+    ]
+    assert table.left == 3
 
 
 def test_nothing_measured_is_a_page_all_the_same(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -10,7 +11,7 @@ from nanogs.bench.means import mean_rows
 from nanogs.bench.plot import curves, plot
 from nanogs.bench.published import DATASETS
 from nanogs.bench.published_table import figures_cell, published_table
-from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status
 from nanogs.bench.tables import json_line, markdown, mean_table, scene_table
 from nanogs.formatting import NONE, number_text
 
@@ -70,6 +71,33 @@ def test_the_original_model_is_compared_with_nothing():
     ]
 
 
+def test_every_figure_has_its_mean():
+    figures = {
+        "psnr": (20.0, 30.0), "least_psnr": (18.0, 20.0), "ssim": (0.9, 0.5), "views": (2, 3),
+        "splats": (10, 15), "file_bytes": (100, 301), "seconds": (1.0, 2.0),
+        "read_seconds": (0.5, 1.0), "peak_memory": (1000, 2001), "fps": (10.0, 20.0),
+        "fps_gsplat": (100.0, 300.0),
+    }  # fmt: skip
+    one, two = ({name: pair[side] for name, pair in figures.items()} for side in (0, 1))
+    further = SetScore("roam 64", 4, 10.0, 5.0, 0.5, {"flip": 0.1})
+    other = SetScore("roam 64", 6, 20.0, 7.0, 0.7, {"flip": 0.3, "lpips": 1.0})
+    rows = [
+        row("a", extras={"lpips": 0.2}, further=(further,), **one),
+        row("b", extras={"lpips": 0.4}, further=(other,), **two),
+    ]
+    (mean,) = mean_rows(rows)
+    found = mean.methods["x"]
+    assert {name: getattr(found, name) for name in figures} == {
+        "psnr": 25.0, "least_psnr": 19.0, "ssim": pytest.approx(0.7), "views": 5,
+        "splats": 12, "file_bytes": 200, "seconds": 1.5, "read_seconds": 0.75,
+        "peak_memory": 1500, "fps": 15.0, "fps_gsplat": 200.0,
+    }  # fmt: skip
+    assert found.extras == {"lpips": pytest.approx(0.3)}
+    assert found.further == (
+        SetScore("roam 64", 10, 15.0, 6.0, pytest.approx(0.6), {"flip": pytest.approx(0.2)}),
+    )
+
+
 def test_a_figure_that_a_scene_lacks_has_no_mean():
     (mean,) = mean_rows([row("a", seconds=1.0), row("b")])
     assert mean.methods["x"].seconds is None
@@ -90,6 +118,41 @@ def test_equal_images_score_infinity_in_table_and_json():
     text = scene_table([row(psnr=math.inf)])
     assert "| ∞ |" in text
     assert json.loads(json_line(row(psnr=math.inf)))["psnr"] == "inf"
+
+
+def test_rows_come_back_from_their_lines():
+    rows = [
+        row("inf", "nan", psnr=math.inf, extras={"flip": 0.1}, label="-inf", notes=("inf", "n")),
+        row(further=(SetScore("nan", 2, math.inf, 3.0, -math.inf, {"lpips": math.inf}),)),
+        skipped("a", "y"),
+    ]
+    assert [BenchRow.from_dict(json.loads(json_line(each))) for each in rows] == rows
+    assert rows[0].key == ("inf", "nan", (0.1, "", None))
+
+
+def test_a_scene_has_its_own_rows_with_every_column_that_is_known():
+    whole = row(
+        splats=12345, file_bytes=1234567, seconds=1.234, peak_memory=250_400_000, psnr=20.004,
+        least_psnr=18.5, ssim=0.9124, extras={"lpips": 0.1236}, fps=12.34, fps_gsplat=412.6,
+    )  # fmt: skip
+    near = replace(whole, label="auto 64", further=(SetScore("roam 64", 1, 21.0, 17.0, 0.8),))
+    text = markdown([whole, row("b", views=1)], heading="##")
+    assert (
+        "## b\n\nAgainst the original model, 1 view.\n\n"
+        "| method | ratio | splats | bytes | seconds | peak MB | PSNR | worst | SSIM | frames/s |\n"
+        "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n"
+        "| x | 0.1 | – | – | – | – | 20.00 | – | 0.900 | – |\n"  # noqa: RUF001
+    ) in text
+    assert (
+        "| method | ratio | splats | bytes | seconds | peak MB | PSNR | worst | SSIM | LPIPS"
+        " | frames/s | gsplat frames/s |\n"
+        "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n"
+        "| x | 0.1 | 12,345 | 1,234,567 | 1.23 | 250 | 20.00 | 18.50 | 0.912 | 0.124"
+        " | 12.3 | 413 |\n"
+    ) in scene_table([whole])
+    text = scene_table([near])
+    assert "Against the original model, 2 views (auto 64), 1 view (roam 64).\n" in text
+    assert " | PSNR, roam 64 | worst, roam 64 | SSIM, roam 64 | frames/s |" in text
 
 
 def test_skips_and_failures_are_visible_with_their_reason():

@@ -9,6 +9,7 @@ import pytest
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
+from nanogs.metrics._images import colour_pair
 
 RNG = np.random.default_rng(0)
 IMAGE = RNG.random((29, 23, 3))
@@ -37,6 +38,12 @@ def test_ssim_agrees_with_scikit_image(shape):
     options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     expected = metrics.structural_similarity(a, b, channel_axis=-1, data_range=1.0, **options)
     assert ssim(a, b) == pytest.approx(expected, abs=1e-6)
+
+
+def test_ssim_does_not_depend_on_the_unit():
+    expected = ssim(IMAGE, NOISY)
+    assert ssim(255 * IMAGE, 255 * NOISY, data_range=255) == pytest.approx(expected, abs=1e-12)
+    assert ssim(IMAGE / 8, NOISY / 8, data_range=1 / 8) == pytest.approx(expected, abs=1e-12)
 
 
 def test_psnr_agrees_with_scikit_image():
@@ -74,6 +81,14 @@ def test_bytes_are_refused_rather_than_wrapped(metric):
         metric(image, image)
 
 
+def test_colours_are_clipped_for_metrics_of_colours():
+    image = np.array([[[-0.5, 0.25, 1.5]]])
+    for pair in (colour_pair(image, 2 * image), colour_pair(2 * image, image)):
+        assert {tuple(each.ravel()) for each in pair} == {(0, 0.25, 1), (0, 0.5, 1)}
+    first, second = colour_pair(image, 2 * image)
+    assert (first[0, 0, 1], second[0, 0, 1]) == (0.25, 0.5)
+
+
 def test_broadcastable_and_empty_shapes_are_refused():
     for a, b in [(IMAGE, IMAGE[:, :, :1]), (IMAGE[:0], IMAGE[:0]), (IMAGE[0, 0], IMAGE[0, 0])]:
         with pytest.raises(OptionError):
@@ -96,6 +111,8 @@ def test_depth_error_counts_only_what_both_cover():
     depth, reference = np.array([[2.2, 9.0, np.inf, 4.0]]), np.array([[2.0, 3.0, np.inf, 4.0]])
     alpha, cover = np.array([[0.9, 0.5, 0.0, 1.0]]), np.array([[0.8, 1.0, 0.0, 1.0]])
     assert depth_error(depth, alpha, reference, cover) == pytest.approx(0.05)
+    assert depth_error(depth, np.array([[0.51, 0.5, 0, 0]]), reference, cover) == pytest.approx(0.1)
+    assert depth_error(depth, alpha, reference, np.array([[0.5, 1, 0, 0.51]])) == 0
 
 
 def test_depth_error_without_common_cover_is_refused():
