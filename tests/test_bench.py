@@ -318,6 +318,33 @@ def test_external_files_are_scored_and_missing_ones_skipped(model, tmp_path):
     assert "ball_0.01_them.ply" in missing.reason
 
 
+def test_bytes_of_an_external_folder_are_those_of_all_its_files(model, tmp_path):
+    path = tmp_path / "ball_0.1" / "meta.json"
+    nanogs.save(nanogs.load(model).take(np.arange(40)), path)
+    settings = BenchSettings(
+        ratios=(0.1,), methods=(), views=1, sizes=(32,),
+        externals={"them": str(tmp_path / "{scene}_{ratio}" / "meta.json")},
+    )  # fmt: skip
+    _, row = run_bench([scene_of_file(model)], settings)
+    assert row.file_bytes == sum(file.stat().st_size for file in path.parent.iterdir())
+    assert row.file_bytes > path.stat().st_size
+
+
+@pytest.mark.parametrize(
+    "note", ['{"peak_memory": Infinity}', '{"seconds": null}', "[1]", "3", "{", '{"seconds": "x"}']
+)
+def test_a_note_beside_an_external_file_that_holds_no_numbers_is_a_failure(note, model, tmp_path):
+    nanogs.save(nanogs.load(model).take(np.arange(40)), tmp_path / "them.ply")
+    (tmp_path / "them.ply.json").write_text(note)
+    settings = BenchSettings(
+        ratios=(0.1,), methods=(), views=1, sizes=(32,),
+        externals={"them": str(tmp_path / "them.ply")},
+    )  # fmt: skip
+    _, row = run_bench([scene_of_file(model)], settings)
+    assert row.status is Status.FAILED
+    assert "must be a JSON object with the numbers seconds and peak_memory" in row.reason
+
+
 def write_photographs(folder, model, angle=0.8, size=32):
     """A data set of two views in the layout of NeRF-Synthetic, photographed by our renderer."""
     frames = []

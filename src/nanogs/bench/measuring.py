@@ -122,7 +122,7 @@ def external_row(
         return replace(row, status=Status.SKIPPED, reason=f"There is no file {path}.")
     try:
         splats = load(path, render_mode=settings.render_mode)
-        row = replace(row, file_bytes=path.stat().st_size, **_producer_figures(path))
+        row = replace(row, file_bytes=inspect(path).file_bytes, **_producer_figures(path))
     except NanogsError as error:
         return replace(row, status=Status.FAILED, reason=str(error))
     if wish.size is not None:
@@ -168,10 +168,10 @@ def _producer_figures(path: Path) -> dict[str, Any]:
     if not note.exists():
         return {}
     try:
-        noted = json.loads(note.read_text(encoding="utf-8"))
+        noted = dict(json.loads(note.read_text(encoding="utf-8")))
         kinds = {"seconds": float, "peak_memory": int}
         return {name: kind(noted[name]) for name, kind in kinds.items() if name in noted}
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         raise OptionError(
             f"{note} must be a JSON object with the numbers seconds and peak_memory."
         ) from None
