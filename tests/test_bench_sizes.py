@@ -219,6 +219,14 @@ def test_words_of_others_are_escaped_in_the_page():
     assert "&lt;them&gt;" in page
 
 
+def test_a_scene_whose_name_is_no_utf8_has_results(tmp_path):
+    ResultFolder(tmp_path).finish(rows_of("ours", BASE, scene="a\udcff"))
+    for name in ("results.md", "results.html", "plot.svg"):
+        assert "a\\udcff" in (tmp_path / name).read_text(encoding="utf-8")
+    line = (tmp_path / "results.jsonl").read_text(encoding="utf-8").splitlines()[0]
+    assert json.loads(line)["scene"] == "a\udcff"
+
+
 def test_every_file_has_its_numbers():
     rows = rows_of("ours", (24.0, math.inf), sizes=(250_000, 1_234_567), near=3)
     rows.append(BenchRow("a", "ours", None, Status.FAILED, "boom", format=".sog", size=5))

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import sys
 from urllib.parse import urlsplit
 
 import pytest
@@ -47,6 +48,18 @@ def test_the_page_has_headers_that_let_nothing_else_in(studio):
     assert headers["cache-control"] == "no-store"
     assert headers["x-frame-options"] == "DENY"
     assert "server" not in headers
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are UTF-8 elsewhere")
+def test_a_scene_whose_name_is_no_utf8_has_a_page_and_a_command(tmp_path):
+    scene = os.fsdecode(b"\xff.ply")
+    nanogs.save(random_splats(100), tmp_path / scene)
+    with running(scene, cwd=tmp_path) as studio:
+        status, _, body = studio.request("GET")
+        assert (status, b"\\udcff.ply" in body) == (200, True)
+        status, headers, body = studio.request("POST", "command", ASK | {"path": "out.ply"})
+    assert (status, headers["content-type"]) == (200, "application/json")
+    assert json.loads(body)["command"].startswith(f"nanogs simplify '{scene}' out.ply")
 
 
 def test_it_listens_on_this_machine_alone(studio):

@@ -306,6 +306,18 @@ def test_the_second_model_is_measured_as_by_compare(files, tmp_path):
     assert "PSNR" not in without_licences((tmp_path / "b.html").read_text(encoding="utf-8"))
 
 
+def test_names_that_are_no_utf8_stand_on_pages(files, tmp_path):
+    require_bundle()
+    inputs, page = (
+        [("a\udcff", files / "scene.ply"), ("b", files / "scene.ply")],
+        tmp_path / "a.html",
+    )
+    view_files(inputs, page, psnr=False)
+    assert "<title>a\\udcff and b</title>" in page.read_text(encoding="utf-8")
+    compare_files(inputs[0], inputs[1:], views=1, sizes=[(32, 32)], report=page, overwrite=True)
+    assert "<title>a\\udcff: comparison</title>" in page.read_text(encoding="utf-8")
+
+
 def test_roaming_views_measure_a_page_that_begins_as_others_do(files, tmp_path):
     require_bundle()
     inputs = [("a", files / "scene.ply"), ("b", files / "small.compressed.ply")]

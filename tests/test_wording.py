@@ -18,6 +18,7 @@ from nanogs.formatting import (
     sizes_text,
     time_text,
     undrawn,
+    utf8,
 )
 from nanogs.report import StopReason
 
@@ -92,6 +93,11 @@ def test_what_json_lacks_is_text():
         ["nan", "-inf", 1.5, 2, True],
     ]
     assert type(data["models"][0]["stop"]) is str
+
+
+def test_any_name_of_a_file_is_utf8():
+    """Python keeps bytes of names that are none as lone surrogates."""
+    assert utf8("é\udcff☃") == b"\xc3\xa9\\udcff\xe2\x98\x83"
 
 
 def test_findings_of_blocks_add_up_to_one_sentence():

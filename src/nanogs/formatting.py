@@ -63,6 +63,11 @@ def time_text(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
+def utf8(text: str) -> bytes:
+    r"""A text as pages and tables hold it; bytes that a file's name has beyond UTF-8 as \udcff."""
+    return text.encode("utf-8", "backslashreplace")
+
+
 def plain(value: Any) -> Any:  # noqa: ANN401 - whatever a report holds
     """Dictionaries, lists, numbers and text; infinities and NaN, which JSON lacks, as text."""
     if is_dataclass(value) and not isinstance(value, type):

@@ -15,6 +15,7 @@ from nanogs.bench.size_charts import SizeCharts
 from nanogs.bench.size_tables import size_page
 from nanogs.bench.tables import json_line, markdown
 from nanogs.errors import ExistsError, OutputError
+from nanogs.formatting import utf8
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
 PAGE, PICTURE = "results.html", "plot.png"  # of files of sizes
@@ -99,11 +100,11 @@ class ResultFolder:
             TABLE: preamble + markdown(rows, others=others),
             PLOT: plot(rows),
         }
-        contents = {name: text.encode() for name, text in texts.items()}
+        contents = {name: utf8(text) for name, text in texts.items()}
         if any(row.size is not None for row in rows):
             charts = SizeCharts(rows)
-            contents[PLOT], contents[PICTURE] = charts.svg().encode(), charts.png()
-            contents[PAGE] = size_page(rows, others, preamble).encode()
+            contents[PLOT], contents[PICTURE] = utf8(charts.svg()), charts.png()
+            contents[PAGE] = utf8(size_page(rows, others, preamble))
         for name, content in contents.items():
             with _writing(self.path / name):
                 (self.path / name).write_bytes(content)

@@ -8,6 +8,7 @@ from nanogs.bench.gains import score_on, views_of
 from nanogs.bench.means import mean_rows, unique
 from nanogs.bench.rows import ORIGINAL, BenchRow
 from nanogs.charts import Chart, svg
+from nanogs.formatting import utf8
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,14 +83,21 @@ def _draw(chart: Chart, axes: "Axes") -> None:
 
     for name, points in chart.lines.items():
         places = [[point[side] for point in points] for side in (0, 1)]
-        axes.plot(*places, marker="o", markersize=4, label=name)
+        axes.plot(*places, marker="o", markersize=4, label=_legible(name))
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_title(chart.title, parse_math=False)  # names are no formulas, whatever $ they hold
+    axes.set_title(
+        _legible(chart.title), parse_math=False
+    )  # names are no formulas, whatever $ they hold
     axes.set(xlabel=chart.across, ylabel="PSNR (dB)")
     axes.grid(alpha=0.3)
     if chart.lines:
         for text in axes.legend(fontsize="small").get_texts():
             text.set_parse_math(False)
+
+
+def _legible(name: str) -> str:
+    """A name as matplotlib takes it, which refuses lone surrogates."""
+    return utf8(name).decode()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.errors import OptionError
-from nanogs.formatting import counted
+from nanogs.formatting import counted, utf8
 from nanogs.io import open as open_model
 from nanogs.io.atomic import atomic_write
 from nanogs.io.format import FormatOptions
@@ -153,7 +153,7 @@ def compare_files(
         tracker.begin("write")
         page_text = render_page(comparison, sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
-            file.write(page_text.encode("utf-8"))
+            file.write(utf8(page_text))
     tracker.finish()
     return comparison
 

@@ -8,7 +8,7 @@ from typing import Any
 from nanogs.clock import StageClock
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
-from nanogs.formatting import counted
+from nanogs.formatting import counted, utf8
 from nanogs.io import FileInfo, inspect, load
 from nanogs.io import open as open_model
 from nanogs.io.atomic import atomic_write
@@ -148,7 +148,7 @@ def view_files(
     with clock.time("write"):
         text = render_page(_shown(infos, inputs, models, packed, judged), start, background)
         with atomic_write(page, overwrite=overwrite) as file:
-            file.write(text.encode("utf-8"))
+            file.write(utf8(text))
     tracker.finish()
     return ViewReport(
         output=str(page),

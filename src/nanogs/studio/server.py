@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs._version import __version__
 from nanogs.errors import ExistsError, NanogsError, OptionError
+from nanogs.formatting import utf8
 from nanogs.studio.choice import Choice, choice_of
 from nanogs.studio.jobs import Job
 from nanogs.studio.listing import Folder
@@ -143,9 +144,10 @@ class Studio:
         from jinja2 import Environment
         from starlette.responses import HTMLResponse
 
-        text = _package("nanogs.studio", "page.html.j2")
-        template = Environment(autoescape=True).from_string((text or b"").decode())
-        return HTMLResponse(template.render(name=self._scene.path.name, version=__version__))
+        source = _package("nanogs.studio", "page.html.j2")
+        template = Environment(autoescape=True).from_string((source or b"").decode())
+        text = template.render(name=self._scene.path.name, version=__version__)
+        return HTMLResponse(utf8(text))
 
     async def _viewer(self, _request: "Request") -> "Response":
         return _file("nanogs.view", "viewer.js", "viewer.js")
@@ -301,9 +303,11 @@ def _pace(said: object) -> float | None:
 
 
 def _json(data: object, status: int = 200) -> "Response":
-    from starlette.responses import JSONResponse
+    from starlette.responses import Response
 
-    return JSONResponse(data, status)
+    # In ASCII, which holds any name of a file.
+    text = json.dumps(data, allow_nan=False)
+    return Response(text, status, media_type="application/json")
 
 
 def _file(package: str, path: str, name: str) -> "Response":
