@@ -162,6 +162,20 @@ def test_wishes_come_to_counts_that_there_are(points, count, size, psnr):
             assert curve.bytes_of(point.count) == pytest.approx(point.bytes, abs=1)
 
 
+def test_the_largest_count_that_fits_is_taken():
+    curve = Curve(1000, 10, lambda n: 41 * n, exact=True)
+    counts = [curve.count_for(Goal(size=size)) for size in (1, 409, 20_499, 20_500, 20_501, 10**6)]
+    assert counts == [10, 10, 499, 500, 500, 1000]
+
+
+def test_counts_to_measure_are_none_below_the_fewest():
+    curve, found = Curve(1000, 60, lambda n: n, exact=True), []
+    while (count := curve.missing()) is not None:
+        found.append(count)
+        curve.add(Point(count, count, 30.0, coarse=True))
+    assert found == [60, 200, 500, 100]
+
+
 def test_what_was_measured_lifts_what_plain_cuts_show():
     curve = Curve(1000, 1, lambda n: n, exact=True)
     for count, mark in ((10, 20.0), (100, 30.0), (1000, 40.0)):
@@ -172,6 +186,8 @@ def test_what_was_measured_lifts_what_plain_cuts_show():
     assert curve.psnr_of(100) == pytest.approx(32)
     assert curve.count_for(Goal(psnr=32)) == 100
     assert curve.missing() == 50
+    curve.add(Point(10_000, 10_000, 55.0, coarse=False))  # beyond all plain cuts
+    assert curve.psnr_of(10_000) == pytest.approx(55)
 
 
 def test_a_result_that_equals_the_model_says_nothing_of_smaller_ones():

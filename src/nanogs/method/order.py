@@ -41,11 +41,13 @@ def code_box(means: F64) -> tuple[F64, float]:
 def _quantiles(means: F64, shares: tuple[float, ...]) -> F64:
     """(S, 3) float64: quantiles along each axis, in the same bits as `np.quantile` has them.
 
+    Of one row at least; shares are below 1.
+
     One call of that would find all of them on one thread.
     """
     found = np.empty((len(shares), 3))
     places = [(len(means) - 1) * share for share in shares]
-    starts = [min(int(place), max(len(means) - 2, 0)) for place in places]
+    starts = [int(place) for place in places]
     needed = [rank for start in starts for rank in (start, start + 1) if rank < len(means)]
 
     def find(axis: int) -> None:
