@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 import nanogs
 import twins
 from nanogs.kernels.sheets import DENSE, FLATNESS
-from nanogs.method.growth import MOST_GROWTH, growth_on_sheets
+from nanogs.method.growth import MOST_GROWTH, area_needs, blocked, growth_on_sheets
 from nanogs.method.nodes import Nodes, gather
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import prepare, render
@@ -76,6 +76,19 @@ def test_only_sheets_grow():
     assert growths(nodes_at(sheet, small), 1.1) == MOST_GROWTH
     for points in (line, cloud, sheet[:3], np.zeros((20, 3))):
         assert growths(nodes_at(points, small), 1.1) == 1.1
+
+
+@pytest.mark.parametrize(
+    ("times", "larger"), [(0.5, 1), (2, 2), (3.2, 3.2), (3.3, 1.8**2), (10, 1.8**2)]
+)
+def test_a_sheet_grows_to_the_coverage_of_its_members_or_as_far_as_it_may(times, larger):
+    sheet = np.random.default_rng(4).normal(size=(20, 3)) * [1, 1, 0]
+    nodes, labels = nodes_at(sheet, 1e-4 * np.eye(3)), np.zeros(20, np.int32)
+    merged, areas = gather(nodes, labels, 1), np.array([nodes.coverages.sum() / times])
+    for sheets, least in ((True, larger), (False, 1)):
+        needs, found = area_needs(merged, nodes, labels, areas, sheets=sheets)
+        assert found == pytest.approx(least)
+        assert needs == pytest.approx(blocked(nodes.coverages.sum(), areas) / areas)
 
 
 @pytest.mark.parametrize(("ratio", "least"), [(0.1, 28.0), (0.01, 20.0)])

@@ -5,6 +5,7 @@ import threading
 from contextlib import nullcontext
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,6 +16,7 @@ from nanogs.studio import asking
 from nanogs.studio.asking import QUICK, TRIES, UNSEEN, Answers
 from nanogs.studio.choice import choice_of
 from nanogs.studio.curve import Curve, Point
+from nanogs.studio.held import Sifted
 from nanogs.views.opening import opening_for
 
 
@@ -133,6 +135,25 @@ def test_a_page_that_draws_slowly_gets_few_splats_at_once(answers, forest, monke
         assert made == told.said[0]["splats"] == 50
         sizes.append(drafted)
     assert sizes == [50, 50, 40, 10]
+
+
+def test_a_page_that_sees_another_model_gets_it_and_the_points_of_its_curve(answers, forest):
+    forest.go_on.set()
+    stays, splats = np.arange(len(forest.splats)) > 0, forest.splats.take(slice(1, None))
+    answers._held.sifted = lambda choice: Sifted(splats, stays, ())
+    wish = {"wish": {"splats": 50}}
+    for number, told in ((1, Told(1)), (2, Told(2))):
+        told.page = f"page {number}"
+        answers.ask(choice_of(wish | {"filters": {"min_opacity": 0.1}}), told)
+        others = ["point"] * (number - 1)  # which the page before has asked for
+        assert told.events == ["filtered", *others, "draft", "made", "point", "measured"]
+        filtered = {"type": "filtered", "took": [], "left": len(splats), "preview": False}
+        assert told.said[0] == filtered
+        assert told.shown[0][1].entry["splats"] == len(splats)
+        points = [event for event in told.said if event["type"] == "point"]
+        assert [(event["splats"], event["format"]) for event in points] == [(50, ".ply")] * number
+        answers.ask(choice_of(wish), again := Told(number + 2))
+        assert "filtered" not in again.events, "that page shows the whole scene"
 
 
 COUNTS = st.integers(1, 10_000)
