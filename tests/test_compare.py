@@ -125,6 +125,12 @@ def test_error_map_is_black_where_equal_and_bright_where_not():
     heat = error_map(a, b)
     assert heat[1, 1].max() < 0.02
     assert heat[0, 0].min() > 0.5
+    b[0, 1], b[1, 0] = 0.25, (0.125, 0, 0.25)
+    full, half = (0xFC, 0xFF, 0xA4), (187, 55, 84)  # between the middle two
+    heat = np.rint(255 * error_map(b, a))
+    assert (heat[0, 0] == full).all()
+    assert (heat[0, 1] == full).all()
+    assert (heat[1, 0] == half).all()
 
 
 def test_plot_has_a_line_for_each_name_and_leaves_infinity_out():
@@ -136,6 +142,7 @@ def test_plot_has_a_line_for_each_name_and_leaves_infinity_out():
     assert svg.startswith("<svg")
     assert "ours" in svg
     assert svg.count("<polyline") == 1
+    assert rate_distortion_plot(comparison.models[-1:]) == ""
 
 
 @pytest.mark.parametrize(("text", "size"), [("512", (512, 512)), ("1280x720", (1280, 720))])

@@ -65,10 +65,10 @@ def _text(name: str) -> str:
 def rate_distortion_plot(models: Sequence[ModelScore]) -> str:
     """An SVG element: PSNR against the number of splats, a line for each name.
 
-    Models whose PSNR is infinite have no place on it and are left out.
+    Models whose PSNR is infinite have no place on it and are left out; empty where none is left.
     """
     lines: dict[str, list[tuple[float, float]]] = {}
     for model in models:
         if math.isfinite(model.psnr):
             lines.setdefault(model.name, []).append((model.splats, model.psnr))
-    return svg([Chart("", "splats", lines)])
+    return svg([Chart("", "splats", lines)]) if lines else ""
