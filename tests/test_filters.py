@@ -254,3 +254,28 @@ def test_bad_filters_write_nothing(scene, tmp_path, options, words):
         assert words in result.stderr
         assert result.stderr.count("\n") == 1
         assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        filters.box((-1, -2, -3), (1, 0.5, 3)), filters.sphere((0.5, 0, 0), 1.2),
+        filters.within((0.5, 0, 0), 0.8), filters.beyond((0.5, 0, 0), 0.8),
+        filters.opaque_enough(0.4), filters.in_company(1, 0.5),
+    ],
+    ids=lambda chosen: chosen.plain[0],
+)  # fmt: skip
+def test_a_filter_is_the_same_from_its_plain_form(chosen):
+    splats = random_splats(200)
+    again = filters.filter_of(*chosen.plain)
+    assert (again.name, again.argument, again.plain) == (
+        chosen.name, chosen.argument, chosen.plain,
+    )  # fmt: skip
+    kept = chosen.keep(splats)
+    assert 0 < kept.sum() < 200
+    assert np.array_equal(again.keep(splats), kept)
+
+
+def test_a_filter_of_no_kind_is_refused():
+    with pytest.raises(OptionError, match="There is no filter 'cube'"):
+        filters.filter_of("cube", ())
