@@ -49,6 +49,20 @@ def test_pages_do_not_disturb_each_other():
     assert not queue.dropped
 
 
+def test_a_page_that_cancels_has_its_running_job_dropped_once():
+    queue = Queue()
+    running, waiting, kept = Job("ask", "a"), Job("filter", "a"), Job("save", "a")
+    for job in (running, waiting, kept):
+        queue.put(job)
+    assert queue.next() is running
+    assert queue.cancel("a", ("filter",)) == [waiting]
+    assert not queue.dropped
+    assert queue.cancel("a", ("ask", "filter")) == [running]
+    assert queue.dropped
+    assert queue.cancel("a", ("ask",)) == []
+    assert list(queue) == [kept]
+
+
 def test_pages_take_turns():
     queue, served = Queue(), []
     for number in range(3):
