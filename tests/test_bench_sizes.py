@@ -67,8 +67,10 @@ def test_two_decibels_at_every_size_are_a_gain_of_two():
 
 
 def test_half_the_bytes_are_a_rate_of_minus_half():
-    [gain] = mean_gains([*rows_of("them", BASE), *rows_of("ours", BASE, share=0.5)], ["them"])
+    rows = [*rows_of("them", BASE), *rows_of("ours", BASE, share=0.5)]
+    [gain] = mean_gains(rows, ["them"])
     assert gain.rate == pytest.approx(-0.5)
+    assert " | -50 % | 1 |\n" in markdown(rows, others=["them"])
 
 
 def test_a_mean_is_over_scenes_and_the_least_is_beside_it():

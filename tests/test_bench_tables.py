@@ -44,6 +44,7 @@ def test_a_mean_is_over_scenes_that_every_method_has():
 def test_a_method_without_any_result_is_named_and_does_not_empty_the_mean():
     (mean,) = mean_rows([row("a", "x", psnr=10), skipped("a", "y"), row("b", "x", psnr=20)])
     assert mean.methods["x"].psnr == 15
+    assert "- At 0.1: mean of 2 scenes (a, b).\n" in mean_table([mean])
     assert mean.absent == ("y",)
     assert "not compared, without any result: y" in mean_table([mean])
 
@@ -65,7 +66,14 @@ def test_ratios_have_scenes_of_their_own():
     assert [mean.scenes for mean in mean_rows(rows)] == [("a", "b"), ("a",)]
 
 
+def test_views_that_a_scene_lacks_are_in_no_mean():
+    further = (SetScore("roam 64", 4, 10.0, 5.0, 0.5),)
+    (mean,) = mean_rows([row("a", further=further), row("b")])
+    assert (mean.methods["x"].psnr, mean.methods["x"].further) == (20, ())
+
+
 def test_the_original_model_is_compared_with_nothing():
+    assert "Means" not in markdown([row("a", ORIGINAL, 1.0)])
     assert [mean.wish.ratio for mean in mean_rows([row("a", ORIGINAL, 1.0), row("a", "x")])] == [
         0.1
     ]
@@ -143,13 +151,14 @@ def test_a_scene_has_its_own_rows_with_every_column_that_is_known():
         "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n"
         "| x | 0.1 | – | – | – | – | 20.00 | – | 0.900 | – |\n"  # noqa: RUF001
     ) in text
-    assert (
+    assert scene_table([whole]) == (
+        "Against the original model, 2 views.\n\n"
         "| method | ratio | splats | bytes | seconds | peak MB | PSNR | worst | SSIM | LPIPS"
         " | frames/s | gsplat frames/s |\n"
         "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n"
         "| x | 0.1 | 12,345 | 1,234,567 | 1.23 | 250 | 20.00 | 18.50 | 0.912 | 0.124"
         " | 12.3 | 413 |\n"
-    ) in scene_table([whole])
+    )
     text = scene_table([near])
     assert "Against the original model, 2 views (auto 64), 1 view (roam 64).\n" in text
     assert " | PSNR, roam 64 | worst, roam 64 | SSIM, roam 64 | frames/s |" in text
@@ -176,6 +185,8 @@ def test_tables_are_well_formed():
 def test_ablations_are_differences_to_the_whole():
     text = markdown([row(method="paper", psnr=30), row(method="paper:tau=0", psnr=29.5, ssim=0.95)])
     assert "| 0.1 | paper:tau=0 | 29.50 | 0.950 | -0.50 | +0.050 |" in text
+    for rows in ([row(method="paper"), row(method="fast:rounds=0")], [row(method="paper:tau=0")]):
+        assert "Ablations" not in markdown(rows)
 
 
 def test_curves_leave_out_infinity_and_ascend():

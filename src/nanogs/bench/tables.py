@@ -99,8 +99,9 @@ def mean_table(means: Sequence[WishMean]) -> str:
 
 
 def _coverage(mean: WishMean) -> str:
+    scenes = counted(len(mean.scenes), "scene")
     lines = [
-        f"- At {mean.wish.text}: mean of {_counted(mean.scenes)} ({_names(mean.scenes)})."
+        f"- At {mean.wish.text}: mean of {scenes} ({_names(mean.scenes)})."
         if mean.scenes
         else f"- At {mean.wish.text}: no scene has results of all methods, so there is no mean."
     ]
@@ -112,10 +113,6 @@ def _coverage(mean: WishMean) -> str:
             f"- At {mean.wish.text}, not compared, without any result: {_names(mean.absent)}."
         )
     return "\n".join(lines) + "\n"
-
-
-def _counted(scenes: Sequence[str]) -> str:
-    return counted(len(scenes), "scene")
 
 
 def ablation_table(means: Sequence[WishMean]) -> str:
