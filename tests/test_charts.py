@@ -76,6 +76,9 @@ def test_the_legend_has_a_dot_of_each_colour_before_its_name():
     lines = [group for group in drawing.iter(f"{SVG}g") if group.get("fill", "").startswith("#")]
     dots = [list(group.iter(f"{SVG}circle"))[-1] for group in lines]
     names = {found.text: found for found in drawing.iter(f"{SVG}text")}
+    across, up = names["splats"], names["PSNR (dB)"]
+    assert (float(across.get("x")), float(across.get("y"))) == (220, 344)
+    assert (float(up.get("x")), float(up.get("y"))) == (0, 0)  # of a group that is turned
     assert len({group.get("fill") for group in lines}) == 3
     assert [float(dot.get("cy")) for dot in dots] == [8, 28, 48]
     for dot, name in zip(dots, "abc", strict=True):
