@@ -53,8 +53,12 @@ def test_counts(text, value):
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("4G", 4 * 10**9), ("4GB", 4 * 10**9), ("20M", 2 * 10**7), ("512k", 512_000), ("7", 7)],
-)
+    [
+        ("4G", 4 * 10**9), ("4GB", 4 * 10**9), ("20M", 2 * 10**7), ("20 mb", 2 * 10**7),
+        ("512k", 512_000), ("512kB", 512_000), ("7", 7), ("7 B", 7), ("1.5KiB", 1536),
+        ("2MiB", 2 * 1024**2), ("1GiB", 1024**3),
+    ],
+)  # fmt: skip
 def test_bytes(text, value):
     assert parse_bytes(text) == as_bytes(text) == as_bytes(value) == as_bytes(float(value)) == value
 
