@@ -196,3 +196,71 @@ def test_folders_that_were_made_go_with_what_failed(folder, tmp_path):
     above.mkdir()  # this one is the user's
     run("convert", folder / "no.ply", "--out-dir", deep, "--format", "splat")
     assert list(above.iterdir()) == []
+
+
+# A folder in the place of one model
+
+
+@pytest.fixture
+def holding_one(folder):
+    """A folder with one model, a text and a folder beside it."""
+    (folder / "b.spz").unlink()
+    return folder
+
+
+FEW = ("--views", 6, "--pixels", 32)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("info", "IN"),
+        ("convert", "IN", "OUT.spz"),
+        ("simplify", "IN", "OUT.spz", "-r", "0.5", "--preset", "fast"),
+        ("lod", "IN", "OUT", "--levels", "0.5", "--preset", "fast"),
+        ("render", "IN", "OUT.png", "--pixels", "32"),
+        ("compare", "IN", "IN", "--views", "1", "--pixels", "32"),
+        ("refit", "IN", "IN", "OUT.spz", "--rounds", "1", *FEW),
+    ],
+    ids=lambda words: words[0],
+)
+@pytest.mark.parametrize("name", ["", "garden"], ids=["a file", "SOG"])
+def test_every_command_takes_a_folder_with_one_model(holding_one, tmp_path, words, name):
+    places = {"IN": holding_one / name}
+    filled = [places.get(word, str(word).replace("OUT", str(tmp_path / "out"))) for word in words]
+    done = run(*filled)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("lod", "IN", "OUT", "--preset", "fast"),
+        ("render", "IN", "OUT"),
+        ("compare", "IN", "IN"),
+        ("refit", "IN", "IN", "OUT.ply"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_folder_of_several_is_refused_by_their_names(folder, tmp_path, words):
+    places = {"IN": folder, "OUT": tmp_path / "out", "OUT.ply": tmp_path / "out.ply"}
+    done = run(*(places.get(word, word) for word in words))
+    assert done.returncode == 2
+    assert done.stderr == f"error: The folder {folder} holds 2 models; name one: a.ply, b.spz.\n"
+    assert names(tmp_path) == ["in"]
+
+
+def test_a_folder_that_is_loaded_is_called_one(folder):
+    with pytest.raises(FormatError, match=r"garden is a folder; name the model file inside it\."):
+        nanogs.load(folder / "garden")
+
+
+@pytest.mark.parametrize("words", [["simplify", "-r", "1"], ["lod", "--levels", "1"]])
+@pytest.mark.parametrize("given", ["", "*.*[yz]"], ids=["folder", "pattern"])
+def test_parts_of_a_scene_are_named_by_a_folder_or_pattern(folder, tmp_path, words, given):
+    command, *options = words
+    target = tmp_path / ("out.ply" if command == "simplify" else "out")
+    done = run(command, folder / given, target, "--join", *options, "--preset", "fast", "--json")
+    assert done.returncode == 0, done.stderr
+    whole = target if command == "simplify" else target / "level_0.ply"
+    assert len(nanogs.load(whole)) == 130

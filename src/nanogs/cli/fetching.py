@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from nanogs.cli.progress import shown
+from nanogs.io.collect import model_in
 from nanogs.io.stand_ins import Telling, at_hand
 from nanogs.progress import Parts, Progress, Stage, Step, Tracker
 
@@ -13,13 +14,13 @@ DOWNLOAD = "download it to a file with the suffix of its format"
 
 @contextmanager
 def fetched(paths: Sequence[Path], *, quiet: bool) -> Iterator[list[Path]]:
-    """Files in place of URLs that are read; other paths as they are.
+    """Files in place of URLs and of folders with one model; other paths as they are.
 
     Raises:
-        NanogsError: As for `at_hand`.
+        NanogsError: As for `at_hand` and `model_in`.
     """
     with at_hand(paths, telling=a_bar(quiet=quiet), remedy=DOWNLOAD) as (files, _):
-        yield files
+        yield [model_in(file) for file in files]
 
 
 def a_bar(*, quiet: bool) -> Telling:

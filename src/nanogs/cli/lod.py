@@ -155,10 +155,12 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
     """The files of the model, and the output.
 
     Raises:
+        FormatError: A folder holds no model, or several without --join.
         OptionError: There is none of one, or several models without --join, or the output is
-            stdout.
+            stdout, or nothing matches a pattern.
     """
     from nanogs.cli.many import refuse_units
+    from nanogs.io.collect import collect, model_in
 
     refuse_units(paths)
     if len(paths) == 1:
@@ -172,7 +174,8 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
         raise OptionError(
             "Levels do not go to stdout; name a folder in place of -, or a .ssog or .rad file."
         )
-    return list(paths[:-1]), paths[-1]
+    *models, target = paths
+    return collect(models) if join else [model_in(models[0])], target
 
 
 def exit_if_short(manifest: "Manifest") -> None:

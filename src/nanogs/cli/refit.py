@@ -64,6 +64,7 @@ def refit(
     from nanogs.card.device import check_device
     from nanogs.cli.fetching import DOWNLOAD, a_bar
     from nanogs.io import check_writable, inspect
+    from nanogs.io.collect import model_in
     from nanogs.io.stand_ins import at_hand
     from nanogs.needs import refit_bytes
 
@@ -75,7 +76,8 @@ def refit(
     with at_hand(
         [original, small], target, overwrite=run.overwrite, telling=bar, remedy=DOWNLOAD
     ) as near:
-        (first, second), made = near
+        inputs, made = near
+        first, second = (model_in(file) for file in inputs)
         run.refuse_too_large(
             f"Fitting {small}",
             refit_bytes(inspect(first), inspect(second), chosen.size**2, chosen.kept + chosen.held),

@@ -73,11 +73,12 @@ def simplify(
     with uncollected():
         from nanogs.cli import many, plan, simplify_run
         from nanogs.cli.simplify_report import print_report
+        from nanogs.io.collect import collect
         from nanogs.pipeline.target import Goal
 
     # Whatever can be refused is refused here, before minutes of computing.
-    joined = tuple(paths[:-1]) if method.blocks.join else ()
-    pairs = many.plan_pairs([paths[0], paths[-1]] if joined else paths, files)
+    joined = tuple(collect(paths[:-1])) if method.blocks.join else ()
+    pairs = many.plan_pairs([joined[0], paths[-1]] if joined else paths, files)
     method.check(paths)
     wishes = simplify_run.Wishes(
         wish=plan.wish_of(

@@ -79,6 +79,8 @@ def reader(path: Path) -> Format:
     if known is None:
         if not (path.suffix or isinstance(path, Address) or path.exists()):
             raise FormatError(f"{path}: no such file or folder; check the path.")
+        if path.is_dir() and not isinstance(path, Address):
+            raise FormatError(f"{path} is a folder; name the model file inside it.")
         suffixes = [known.suffix for known in formats() if known.readable]
         meant = _meant(path, suffixes)
         raise FormatError(f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}.")
