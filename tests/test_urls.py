@@ -130,6 +130,16 @@ def test_a_folder_of_textures_is_fetched(folder, host, temporary):
         refused(launch.run("info", f"{host}/{name}"), f"{host}/{name}", "download the whole folder")
 
 
+def test_levels_in_one_file_are_fetched(folder, host, temporary, tmp_path):
+    for name in ("levels.ssog", "tree.rad"):
+        levels = ("--levels", "1,0.5", "--preset", "fast")
+        ran("lod", folder / "scene.ply", folder / name, *levels)
+        ran("convert", f"{host}/{name}{QUERY}", tmp_path / "url.ply", "--level", "1", "-w")
+        ran("convert", folder / name, tmp_path / "file.ply", "--level", "1", "-w")
+        assert len(nanogs.load(tmp_path / "url.ply")) == 150
+        assert (tmp_path / "url.ply").read_bytes() == (tmp_path / "file.ply").read_bytes()
+
+
 def test_simplify_convert_and_lod_make_the_bytes_of_files(folder, host, temporary, tmp_path):
     url, options = f"{host}/scene.ply{QUERY}", ("--ratio", "0.1", "--preset", "fast")
     first = ran("simplify", url, tmp_path / "a.ply", *options, "-v", "--json")
@@ -159,6 +169,10 @@ def test_commands_that_look(folder, host, temporary, tmp_path):
     assert not any(word in (tmp_path / "r.html").read_text() for word in SECRETS)
     refused(launch.run("render", url, f"{host}/pictures"), "is a URL")
     refused(launch.run("lod", url, "s3://bucket/lod"), "is a URL")
+    for words in ((url,), ("--scene", f"a={url}"), ("--scene", f"a={url}:{folder}")):
+        result = launch.run("bench", *words, "--out", tmp_path / "bench")
+        refused(result, f"{host}/scene.ply is a URL; every method reads a file", "download it")
+    assert not (tmp_path / "bench").exists()
 
 
 def test_view(host, temporary, tmp_path):

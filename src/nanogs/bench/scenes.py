@@ -12,6 +12,8 @@ from nanogs.errors import FormatError, OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.collect import WHOLE_FOLDERS, collect
+from nanogs.io.stand_ins import refuse_address
+from nanogs.io.urls import is_url, place
 from nanogs.protocol import BLACK, Background, background_text
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
@@ -23,6 +25,7 @@ if TYPE_CHECKING:  # these bring Numba
     from nanogs.scoring.scores import ReferenceView
 
 TRAINED_MODEL = "{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply"
+_DOWNLOAD = "every method reads a file in a process of its own: download it first"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +60,10 @@ def scenes_of_files(paths: Sequence[Path]) -> list[BenchScene]:
     """The scenes of model files, and of the models in folders; the head of each file is read.
 
     Raises:
-        NanogsError: A path is no model and holds none.
+        NanogsError: A path is no model and holds none, or a URL.
     """
+    for path in paths:
+        refuse_address(path, _DOWNLOAD)
     models = collect(paths)
     for model in models:
         inspect(model)
@@ -69,9 +74,11 @@ def parse_scene(text: str) -> BenchScene:
     """The scene that `NAME=MODEL` or `NAME=MODEL:FOLDER` stands for.
 
     Raises:
-        OptionError: It is of another form.
+        OptionError: It is of another form, or the model a URL.
     """
     name, _, rest = text.partition("=")
+    if is_url(rest):
+        refuse_address(place(rest), _DOWNLOAD)
     model, _, folder = rest.rpartition(":")
     if len(model) < 2:  # no colon, or only that of a drive letter
         model, folder = rest, ""

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 def bench(
     *,
     models: Annotated[
-        list[Path] | None, typer.Argument(metavar="[MODEL...]", help="Models to measure on.")
+        list[Path] | None,
+        typer.Argument(
+            metavar="[MODEL...]", parser=options.parse_model, help="Models to measure on."
+        ),
     ] = None,
     scene: Annotated[
         list[str] | None,

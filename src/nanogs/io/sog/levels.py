@@ -279,8 +279,10 @@ class SogLevel(Packed):
     @property
     def files(self) -> Sequence[Path]:
         """The manifest and all files of the level; see `FileSource`."""
+        if _is_archive(self.path):
+            return (self.path,)
         models = (file for model in self._models for file in model.files)
-        return tuple(dict.fromkeys((self.path, *models)))  # of a zip it is the same for all
+        return tuple(dict.fromkeys((self.path, *models)))
 
     @property
     def levels(self) -> tuple[int, ...]:
