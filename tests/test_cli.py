@@ -160,6 +160,16 @@ def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("options", "tried"),
+    [((), "0.5 or 1"), (("--balance", "0.3"), "0.3 or 0.5 or 1"), (("--preset", "fast"), "0.8")],
+)
+def test_a_plan_says_which_balances_are_tried(scene, tmp_path, options, tried):
+    plan = run("simplify", scene, tmp_path / "small.ply", "-r", "0.1", *options, "--dry-run")
+    [line] = [line for line in plan.stderr.splitlines() if line.startswith("parameters")]
+    assert f", balance {tried}, rounds" in line
+
+
 def test_overwrite_needs_its_flag(scene, tmp_path):
     small = tmp_path / "small.ply"
     small.write_text("mine")

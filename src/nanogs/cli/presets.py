@@ -3,7 +3,6 @@
 from dataclasses import asdict
 
 from nanogs.cli import options
-from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.presets import DEFAULT_PRESET, PRESETS, SUMMARIES, effective
 
 
@@ -19,8 +18,6 @@ def presets(json: options.Json = False) -> None:
     rows = {}
     for name, own in PRESETS.items():
         values = effective(own)
-        if isinstance(own, ForestParameters):  # it is not one where results are measured
-            values["balance"] = " or ".join(f"{balance:g}" for balance in own.balances)
         parameters = ", ".join(f"{key} {value}" for key, value in values.items())
         usual = " (where none is named)" if name == DEFAULT_PRESET else ""
         rows[name] = f"{SUMMARIES[name]}{usual}\n{parameters}"

@@ -78,9 +78,14 @@ def refuse_search(preset: str, wish: str) -> None:
 
 
 def effective(chosen: Parameters) -> dict[str, Any]:
-    """The parameters that have an effect, by name: without views, none that is about views."""
+    """The parameters that have an effect, by name: without views, none that is about views.
+
+    Where several balances are tried, that is the text "0.5 or 1".
+    """
     unused: set[str] = set()
+    values = dataclasses.asdict(chosen)
     if isinstance(chosen, ForestParameters):
+        values["balance"] = " or ".join(f"{balance:g}" for balance in chosen.balances)
         if not chosen.measure:
             unused |= {"hidden"}
         if not chosen.steps:
@@ -88,7 +93,7 @@ def effective(chosen: Parameters) -> dict[str, Any]:
         if not chosen.measure and not chosen.steps:
             views = {name for name, known in known_parameters(chosen).items() if known.views}
             unused |= {"steps"} | views
-    return {name: value for name, value in dataclasses.asdict(chosen).items() if name not in unused}
+    return {name: value for name, value in values.items() if name not in unused}
 
 
 def renders(chosen: Parameters) -> bool:
