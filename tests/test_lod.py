@@ -169,6 +169,19 @@ def test_nothing_is_measured_where_nothing_is_rendered(splats, tmp_path):
     assert manifest.levels[0].psnr is manifest.levels[0].ssim is manifest.protocol is None
 
 
+def test_a_level_that_is_equal_has_an_infinite_psnr_as_in_compare(scene, tmp_path):
+    out = tmp_path / "levels"
+    done = run("lod", scene, out, "--levels", "1,0.5", "--preset", "fast", "--measure")
+    assert done.returncode == 0, done.stderr
+    cells = [line.split() for line in done.stderr.splitlines() if line.startswith("level_")]
+    assert cells[0][5:7] == ["∞", "1.0000"]
+    assert float(cells[1][5]) < 100
+    manifest = json.loads((out / "levels.json").read_text())
+    assert manifest["levels"][0]["psnr"] is None
+    done = run("lod", scene, tmp_path / "fast", "--levels", "1", "--preset", "fast")
+    assert [line.split()[5:7] for line in done.stderr.splitlines()[1:2]] == [["–", "–"]]
+
+
 @pytest.mark.parametrize(
     ("out", "fitted"),
     [

@@ -1,5 +1,6 @@
 """`nanogs lod`: plan the levels, make them, whole or in blocks, and show them."""
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -162,4 +163,5 @@ def _cells(number: int, level: Level | ChunkedLevel) -> Iterator[str]:
     else:
         yield f"{number}, {counted(len(level.files), 'file')}"
     yield from (f"{level.ratio:g}", f"{level.count:,}", bytes_text(level.bytes))
-    yield from (number_text(level.psnr), number_text(level.ssim, 4))
+    equal = level.psnr is None and level.ssim is not None  # JSON has no infinity
+    yield from (number_text(math.inf if equal else level.psnr), number_text(level.ssim, 4))
