@@ -92,7 +92,9 @@ def test_names(source, suffix, target):
         (["a.ply", "a.spz"], "sog", "out/a.sog"),
         (["a.ply"], "obj", "does not write"),
         (["a.ksplat"], None, "add `format="),
-        (["garden/meta.json"], None, "add `format="),
+        (["garden/lod-meta.json"], None, r'does not write lod-meta\.json; add `format="ply"`'),
+        (["garden/meta.json"], None, r'results are files; add `format="sog"`'),
+        (["a.ply"], "meta.json", r"^meta\.json describes a folder of files; .* such as \.sog\.$"),
     ],
 )
 def test_names_that_cannot_be(sources, suffix, words):

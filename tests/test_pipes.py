@@ -115,6 +115,8 @@ def test_what_is_refused(scene, tmp_path):
     refused(run("convert", "-", "-", data=data[:-5]), "stdin", "cut short")
     refused(run("convert", "-", "-", "--from", "obj", data=data), "unknown suffix")
     refused(run("convert", "-", "-", "--to", "obj", data=data), "does not write")
+    textures = run("convert", "-", "-", "--to", "meta.json", data=data)
+    refused(textures, "error: meta.json describes a folder of files; take a format of one file")
     refused(run("convert", "-", "-", "--from", "ksplat", data=data), "add --to ply")
     ksplat = ("--from", "ksplat", "--to", "ply")
     refused(run("convert", "-", "-", *ksplat, data=data), "stdin.ksplat")

@@ -110,6 +110,10 @@ def _suffix(source: Path, asked: str | None) -> str:
         registry.writer(registry.file_of(asked))
         return registry.suffix_of(asked)
     known = registry.find(source)
+    if known is not None and known.write is None and known.writable:
+        raise OptionError(
+            f'{source} describes a folder of files, and results are files; add `format="sog"`.'
+        )
     if known is not None and known.write is None:
         raise OptionError(f'{source}: nanogs does not write {known.suffix}; add `format="ply"`.')
     return known.suffix if known else source.suffix

@@ -108,7 +108,7 @@ def writer(path: Path, options: FormatOptions | None = None) -> Writer:
     known = writable(path)
     if known.write is None:
         raise OptionError(
-            f"{path} describes a folder of files; name a file, such as {path.with_suffix('.sog')}."
+            f"{known.suffix} describes a folder of files; take a format of one file, such as .sog."
         )
     write = known.write if known.streams else partial(_write_whole, known.write)
     return partial(write, **keywords(known, options or {}))
