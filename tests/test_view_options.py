@@ -65,6 +65,22 @@ def test_a_camera_file_has_views_of_its_own(folder, words, option):
     assert not [path for path in folder.iterdir() if path.name not in ("a.ply", "cams.json")]
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ["render", "a.ply", "out", "--transparent", "--background", "white"],
+            "--background is without effect beside --transparent",
+        ),
+        (["compare", "a.ply", "a.ply", "--no-interactive"], "--no-interactive is for the page of"),
+        (["compare", "a.ply", "a.ply", "--interactive"], "--interactive is for the page of --rep"),
+    ],
+)
+def test_what_has_no_effect_is_refused(folder, words, said):
+    assert_refused(run(*words, cwd=folder), said)
+    assert not [path for path in folder.iterdir() if path.name not in ("a.ply", "cams.json")]
+
+
 def test_what_has_an_effect_is_taken(folder, tmp_path):
     page = ("--up", "0,0,1", "--report", tmp_path / "page.html", "-w")
     for given in (SMALL, ("--cameras", "cams.json"), ("--cameras", "cams.json", *page)):

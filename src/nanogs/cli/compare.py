@@ -45,9 +45,12 @@ def compare(
         ),
     ] = None,
     interactive: Annotated[
-        bool,
-        typer.Option(help="Put the models into the page, to be loaded and moved there."),
-    ] = True,
+        bool | None,
+        typer.Option(
+            help="Put the models into the page, to be loaded and moved there.",
+            show_default="interactive",
+        ),
+    ] = None,
     photos: Annotated[
         Path | None,
         typer.Option(
@@ -112,6 +115,10 @@ def compare(
     pixels = options.parse_sizes(str(PIXELS) if sizes is None else sizes)
     color = None if background is None else options.parse_background(background)
     extras = [name.strip() for name in metrics.split(",") if name.strip()]
+    if interactive is not None and not report:
+        option = "--interactive" if interactive else "--no-interactive"
+        raise OptionError(f"{option} is for the page of --report; give both, or leave it out.")
+    interactive = interactive is not False
     # A page turns its models by --up, wherever its pictures are from.
     found: Given = {"--views": views, "--sizes": sizes}
     found["--up"] = None if report and interactive else up

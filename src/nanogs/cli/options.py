@@ -140,17 +140,18 @@ Up = Annotated[
         metavar="X,Y,Z",
     ),
 ]
+
+
+def _background(usual: str) -> Any:  # noqa: ANN401 - as typer has it
+    return _view("black, white, or #rrggbb.", "--background", metavar="COLOUR", show_default=usual)
+
+
 BackgroundOption = Annotated[
     str, _view("black, white, or #rrggbb.", "--background", metavar="COLOUR")
 ]
+GivenBackground = Annotated[str | None, _background("black")]  # None where none is given
 PhotoBackground = Annotated[
-    str | None,
-    _view(
-        "black, white, or #rrggbb.",
-        "--background",
-        metavar="COLOUR",
-        show_default="black; white for NeRF-Synthetic photographs with alpha",
-    ),
+    str | None, _background("black; white for NeRF-Synthetic photographs with alpha")
 ]
 SpzVersion = Annotated[
     int | None,

@@ -37,7 +37,7 @@ def render(
     pixels: Annotated[str | None, options.pixels(_PIXELS)] = None,
     cameras: options.Cameras = "auto",
     up: options.Up = None,
-    background: options.BackgroundOption = "black",
+    background: options.GivenBackground = None,
     transparent: Annotated[
         bool, typer.Option(help="Keep alpha in the PNG files instead of a background.")
     ] = False,
@@ -59,8 +59,12 @@ def render(
     count = views or (1 if _is_picture(target) else 8)
     width, height = options.parse_pixels(_PIXELS if pixels is None else pixels)
     refuse_beside_file(cameras, {"--views": views, "--pixels": pixels, "--up": up})
-    # Straight alpha is taken from a rendering over black.
-    color = options.parse_background("black" if transparent else background)
+    if transparent and background is not None:
+        raise OptionError(
+            "--background is without effect beside --transparent, which keeps alpha in its place;"
+            " leave one of them out."
+        )
+    color = options.parse_background(background or "black")  # alpha is taken from one over black
     from nanogs.card.device import device_notes, use_device
     from nanogs.progress import Stage, Tracker
     from nanogs.threads import use_threads
