@@ -16,6 +16,7 @@ from builders import model_bytes, random_splats
 from launch import run
 from nanogs.cli.lod import exit_if_short
 from nanogs.errors import OptionError, OutputError
+from nanogs.formatting import NONE
 from nanogs.io.folder import atomic_folder
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod.manifest import made_files
@@ -179,7 +180,7 @@ def test_a_level_that_is_equal_has_an_infinite_psnr_as_in_compare(scene, tmp_pat
     manifest = json.loads((out / "levels.json").read_text())
     assert manifest["levels"][0]["psnr"] is None
     done = run("lod", scene, tmp_path / "fast", "--levels", "1", "--preset", "fast")
-    assert [line.split()[5:7] for line in done.stderr.splitlines()[1:2]] == [["–", "–"]]
+    assert [line.split()[5:7] for line in done.stderr.splitlines()[1:2]] == [[NONE, NONE]]
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,10 @@ def test_a_camera_file_has_views_of_its_own(folder, words, option):
             "--background is without effect beside --transparent",
         ),
         (["compare", "a.ply", "a.ply", "--no-interactive"], "--no-interactive is for the page of"),
+        (
+            ["simplify", "a.ply", "b.ply", "-r", "0.5", "--preset", "fast", "--view-size", "99"],
+            "The preset fast renders nothing here, so that --views, --view-size, --cameras and --",
+        ),
         (["compare", "a.ply", "a.ply", "--interactive"], "--interactive is for the page of --rep"),
     ],
 )

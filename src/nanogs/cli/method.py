@@ -126,7 +126,8 @@ class Method(options.Telling):
             OptionError: A value is out of range, views are given where nothing is rendered, an up
                 direction beside views of a file, or options for blocks contradict each other.
         """
-        given = "views" in self.overrides or self.cameras != "auto" or self.up is not None
-        refuse_unused_views(self.preset, self.chosen, given=given)
+        given = {"views", "view_size"} & {*self.overrides}
+        found = self.cameras != "auto" or self.up is not None
+        refuse_unused_views(self.preset, self.chosen, given=bool(given) or found)
         refuse_beside_file(self.cameras, {"--up": self.up})
         self.blocks.check(paths)
