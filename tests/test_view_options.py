@@ -77,6 +77,8 @@ def test_a_camera_file_has_views_of_its_own(folder, words, option):
             ["simplify", "a.ply", "b.ply", "-r", "0.5", "--preset", "fast", "--view-size", "99"],
             "The preset fast renders nothing here, so that --views, --view-size, --cameras and --",
         ),
+        (["view", "a.ply", "--views", "2"], "--views is for the PSNR of two models"),
+        (["view", "a.ply", "a.ply", "--no-psnr", "--pixels", "9"], "--pixels is for the PSNR of"),
         (["compare", "a.ply", "a.ply", "--interactive"], "--interactive is for the page of --rep"),
     ],
 )

@@ -10,7 +10,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
-from nanogs.cli.looking import refuse_beside_file
+from nanogs.cli.looking import Given, refuse_beside_file
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
@@ -76,11 +76,17 @@ def view(
     from nanogs.view.bundle import check_built
 
     width, height = options.parse_pixels(str(PIXELS) if pixels is None else pixels)
-    refuse_beside_file(cameras, {"--views": views, "--pixels": pixels})
+    of_psnr: Given = {"--views": views, "--pixels": pixels}
+    refuse_beside_file(cameras, of_psnr)
     color = options.parse_background(background)
     inputs = [options.parse_named(text) for text in models]
     if len(inputs) > 2:
         raise OptionError(f"A page shows one model or two, and these are {len(inputs)}.")
+    unused = [option for option, value in of_psnr.items() if value is not None]
+    if unused and not (psnr and len(inputs) > 1):
+        raise OptionError(
+            f"{unused[0]} is for the PSNR of two models, which is not measured here; leave it out."
+        )
     check_built()
     page = output or page_path([path for _, path in inputs])
     check_writable(page, overwrite=run.overwrite)
