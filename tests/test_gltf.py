@@ -494,6 +494,10 @@ REFUSED = {
         broken(("nodes", 0, "matrix"), [1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]),
         "shears its splats",
     ),
+    "by rows": (
+        broken(("nodes", 0, "matrix"), [1, 0, 0, 5, 0, 1, 0, 6, 0, 0, 1, 7, 0, 0, 0, 1]),
+        "last row is not 0, 0, 0, 1",
+    ),
     "mirror": (broken(("nodes", 0, "scale"), [-1, 1, 1]), "mirrors"),
     "flat": (broken(("nodes", 0, "scale"), [0, 0, 0]), "flattens"),
     "huge scale": (

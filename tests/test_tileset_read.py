@@ -202,6 +202,10 @@ REFUSED = {
         "mirrors or flattens",
     ),
     "children": (tile(children=[3]), "must be a JSON object"),
+    "by rows": (
+        tile(tile(uri="1.glb", transform=[1, 0, 0, 5, 0, 1, 0, 6, 0, 0, 1, 7, 0, 0, 0, 1])),
+        "last row is not 0, 0, 0, 1, as if rows were written in place of columns",
+    ),
 }
 
 
@@ -210,6 +214,19 @@ def test_what_cannot_be_read_is_refused(tileset, name):
     root, words = REFUSED[name]
     with pytest.raises(FormatError, match=words):
         io.load(tileset(root))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("shift", [0, 1e30])
+def test_transforms_that_overflow_together_are_refused(tileset, shift):
+    """Each is in the range of single precision; a dozen of them are beyond double."""
+    step = {"transform": matrix(1e38 * np.eye(3), [shift, 0, 0])}
+    root = tile(uri="1.glb", **step)
+    for _ in range(12):
+        root = tile(root, **step)
+    for read in (io.load, io.inspect):
+        with pytest.raises(FormatError, match="too large with its transform and those above it"):
+            read(tileset(root))
 
 
 def test_nobody_writes_one_with_save_or_convert(tileset, tmp_path):

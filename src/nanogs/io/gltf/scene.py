@@ -189,8 +189,13 @@ def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
         error: Makes the error of what is wrong with it.
 
     Raises:
-        FormatError: It mirrors, flattens or shears.
+        FormatError: It mirrors, flattens or shears, or its last row is not 0, 0, 0, 1.
     """
+    if np.isfinite(matrix).all() and np.abs(matrix[3] - (0, 0, 0, 1)).max() > _CLOSE:
+        raise error(
+            "is placed by a transform whose last row is not 0, 0, 0, 1, as if rows were written in"
+            " place of columns"
+        )
     with np.errstate(all="ignore"):
         matrix = _TO_PLY @ matrix
         linear = matrix[:3, :3]

@@ -179,7 +179,11 @@ class _Reader:
         if "implicitTiling" in data:
             raise refused(where, "is tiled implicitly, which nanogs does not read")
         adds = _adds(data.get("refine"), place.adds, where)
-        inner = replace(place, above=place.above @ _transform(data, where), adds=adds)
+        with np.errstate(all="ignore"):
+            above = place.above @ _transform(data, where)
+        if not np.isfinite(above).all():
+            raise refused(where, "is too large with its transform and those above it")
+        inner = replace(place, above=above, adds=adds)
         contents, below = [], []
         for file in self._contents(data, place.path):
             if file.name.lower().endswith(".json"):
@@ -253,7 +257,9 @@ def _seen_from(root: _Tile, place: F64, back: F64) -> _Tile:
     children = tuple(_seen_from(tile, place, back) for tile in root.children)
     # Nothing is rounded where there is nothing but the place.
     same = np.array_equal(root.above, place)
-    return replace(root, above=_IDENTITY if same else back @ root.above, children=children)
+    with np.errstate(all="ignore"):  # `pose_of` refuses what overflowed
+        above = _IDENTITY if same else back @ root.above
+    return replace(root, above=above, children=children)
 
 
 def _transform(data: dict[str, Any], where: str) -> F64:
