@@ -14,10 +14,12 @@ import typer
 import nanogs
 from builders import model_bytes, random_splats
 from launch import run
+from nanogs import io
 from nanogs.cli.lod import exit_if_short
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import NONE
 from nanogs.io.folder import atomic_folder
+from nanogs.io.sog import write as sog_write
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod.manifest import made_files
 from nanogs.report import StopReason
@@ -287,6 +289,23 @@ def test_a_changed_manifest_leads_to_no_file_elsewhere(tmp_path):
     manifest = {"format": "nanogs-levels", "levels": [*entries, {"file": 3}]}
     (tmp_path / "levels.json").write_text(json.dumps(manifest))
     assert made_files(tmp_path) == {"levels.json", "a.ply"}
+    entries = [{"file": name} for name in ("", ".", "..", "a\0b", "b.ply")]
+    (tmp_path / "levels.json").write_text(json.dumps(manifest | {"levels": entries}))
+    assert made_files(tmp_path) == {"levels.json", "b.ply"}
+
+
+@pytest.mark.parametrize("levels", [{}, {"levels": None}, {"levels": 3}, {"levels": ["a", None]}])
+def test_a_changed_manifest_names_no_levels(tmp_path, levels):
+    io.save(random_splats(9), tmp_path / "a.ply")
+    (tmp_path / "levels.json").write_text(json.dumps({"format": "nanogs-levels"} | levels))
+    assert nanogs.info(tmp_path).levels == ()
+
+
+@pytest.mark.parametrize("name", ["levels.json", "meta.json"])
+def test_descriptions_nested_without_end_are_not_ours(tmp_path, name):
+    (tmp_path / name).write_text("[" * 100_000)
+    owner = made_files if name == "levels.json" else sog_write.ours
+    assert owner(tmp_path) is None
 
 
 def test_a_failure_half_way_leaves_what_was(splats, tmp_path, monkeypatch):

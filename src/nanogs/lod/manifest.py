@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -186,27 +186,31 @@ def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
 
 def made_files(folder: Path) -> frozenset[str] | None:
     """Names of the files of a folder of levels, its manifest among them; None for other folders."""
-    try:
-        data = json.loads((folder / NAME).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    entries = _entries(folder)
+    if entries is None:
         return None
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        return None
-    names = {NAME, *_files(data.get("levels"))}
-    # Plain names only: a manifest that someone changed must not lead out of its folder.
-    return frozenset(name for name in names if Path(name).name == name)
+    names = {name for entry in entries if isinstance(name := entry.get("file"), str)}
+    return frozenset({NAME, *filter(_is_plain, names)})
 
 
 def level_counts(folder: Path) -> tuple[int, ...]:
     """Splats of each level as `levels.json` has them, the finest first; none in other folders."""
-    if made_files(folder) is None:
-        return ()
-    entries = json.loads((folder / NAME).read_text(encoding="utf-8")).get("levels")
-    counts = [entry.get("count") for entry in entries if isinstance(entry, dict)]
+    counts = [entry.get("count") for entry in _entries(folder) or ()]
     return tuple(count for count in counts if isinstance(count, int))
 
 
-def _files(levels: object) -> Iterable[str]:
-    entries = levels if isinstance(levels, list) else []
-    files = (entry.get("file") for entry in entries if isinstance(entry, dict))
-    return (name for name in files if isinstance(name, str))
+def _entries(folder: Path) -> list[dict[str, Any]] | None:
+    """The levels that `levels.json` lists, unchecked; None in other folders."""
+    try:
+        data = json.loads((folder / NAME).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        return None
+    levels = data.get("levels")
+    return [each for each in levels if isinstance(each, dict)] if isinstance(levels, list) else []
+
+
+def _is_plain(name: str) -> bool:
+    """Whether a manifest that someone may have changed leads nowhere but into its folder."""
+    return Path(name).name == name and name not in ("", "..") and "\0" not in name

@@ -230,7 +230,7 @@ def ours(folder: Path) -> frozenset[str] | None:
             if isinstance(own, dict)
             for name in own.get("files", [])
         ]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
     # Plain names only: a description that someone changed must not lead out of its folder.
     return frozenset({"meta.json", *filter(is_plain, named)})
