@@ -217,6 +217,17 @@ def test_obj_info_becomes_a_comment_with_a_note(load):
     assert model.notes == ("1 obj_info lines were kept as comments.",)
 
 
+def test_a_source_has_the_comments_of_the_model(tmp_path, load):
+    """Byte for byte, and those of `obj_info`: rows read in blocks are written with them."""
+    lines = b"comment caf\xe9\nobj_info num 3\nelement"
+    model = load(ply(("vertex", vertex())).replace(b"element", lines, 1))
+    path = tmp_path / "b.ply"
+    io.save(model, path)
+    path.write_bytes(path.read_bytes().replace(b"comment num", b"obj_info num"))
+    with io.open(path) as source:
+        assert source.columns.comments == source.load().comments == ("caf\udce9", "num 3")
+
+
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_carriage_returns_in_the_header(load, encoding):
     data = ply(("vertex", vertex()), encoding=encoding, eol="\r\n", comments=["hi"])

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import struct
 import zipfile
 
@@ -205,6 +206,19 @@ def test_zip_entries_are_checked(tmp_path):
     (tmp_path / "d.sog").write_bytes(b"PK but no zip")
     with pytest.raises(FormatError, match="is no zip file or is cut short"):
         io.load(tmp_path / "d.sog")
+
+
+@pytest.mark.parametrize("name", ["a.sog", "a.npz"])
+def test_damage_is_told_in_a_sentence_and_not_in_pages(tmp_path, name):
+    """Python quotes as many bytes as a damaged entry states for the length of its name."""
+    io.save(random_splats(2_000), tmp_path / name)
+    data = bytearray((tmp_path / name).read_bytes())
+    for at in (m.start() for m in re.finditer(rb"PK\x03\x04", bytes(data))):
+        data[at + 26 : at + 28] = b"\xff\x3f"
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(FormatError, match="is damaged") as caught:
+        io.load(tmp_path / name)
+    assert len(str(caught.value)) < len(str(tmp_path)) + 250
 
 
 def test_damaged_bundles_give_an_error_or_a_model(tmp_path):

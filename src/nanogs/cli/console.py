@@ -143,9 +143,12 @@ def _text(value: Any) -> str:  # noqa: ANN401 - whatever a report holds
 
 def show(console: Console, table: Table) -> None:
     """Print a table; into a pipe without the blanks that fill its lines up."""
-    if console.is_terminal:
-        console.print(table)
-        return
     with console.capture() as caught:
         console.print(table)
-    console.file.writelines(f"{line.rstrip()}\n" for line in caught.get().splitlines())
+    # Names of files may hold any bytes, which stdout, other than stderr, would refuse.
+    code = console.encoding
+    text = caught.get().encode(code, "backslashreplace").decode(code)
+    if console.is_terminal and text == caught.get():
+        console.print(table)
+        return
+    console.file.writelines(f"{line.rstrip()}\n" for line in text.splitlines())

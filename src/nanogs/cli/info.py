@@ -131,6 +131,8 @@ def _described(path: Path, source: Path, mode: str | None) -> "ModelInfo":
 
 
 def _rows(model: "ModelInfo", looked: bool) -> dict[str, str]:
+    from nanogs.io.texts import printable
+
     file = model.file
     kinds = Counter(kind for _, kind in file.properties)
     rows = {
@@ -151,10 +153,10 @@ def _rows(model: "ModelInfo", looked: bool) -> dict[str, str]:
         low, high = ([f"{value:.6g}" for value in corner] for corner in model.bounds)
         rows["bounds"] = f"{' '.join(low)} to {' '.join(high)}"
     if file.extras:
-        rows["extra columns"] = ", ".join(file.extras)
+        rows["extra columns"] = ", ".join(map(printable, file.extras))
     if file.elements:
         rows["elements"] = ", ".join(
-            f"{name} ({counted(count, 'row')})" for name, count in file.elements
+            f"{printable(name)} ({counted(count, 'row')})" for name, count in file.elements
         )
     if file.comments:
         rows["comments"] = "\n".join(file.comments)

@@ -8,6 +8,7 @@ from typing import BinaryIO
 
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size, reading
+from nanogs.io.texts import reason
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
@@ -71,7 +72,8 @@ class Bundle(Folder):
             self._zip = zipfile.ZipFile(file)
         except _DAMAGE as error:
             raise FormatError(
-                f"{path} is no zip file or is cut short ({error}); export or download it again."
+                f"{path} is no zip file or is cut short ({reason(error)}); export or download it"
+                " again."
             ) from error
 
     def where(self, name: str) -> str:
@@ -94,7 +96,7 @@ class Bundle(Folder):
             with self._zip.open(entry) as file:
                 data = file.read(min(limit, entry.file_size))
         except _DAMAGE as error:
-            raise self._error(name, f"is damaged ({error})") from error
+            raise self._error(name, f"is damaged ({reason(error)})") from error
         if len(data) < min(limit, entry.file_size):
             raise self._error(name, "is cut short")
         return data

@@ -13,6 +13,7 @@ from nanogs.findings import Finding, Names
 from nanogs.formatting import counted
 from nanogs.io import render_tag
 from nanogs.io.columns import NORMALS
+from nanogs.io.texts import printable
 from nanogs.source import Source, source_of
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
@@ -75,9 +76,9 @@ def left_out(
     said = [name for name, column in splats.extras.items() if name not in NORMALS or column.any()]
     if extras and said:
         text = f"Extra columns are left out, {suffix} has no room for them: {{}}."
-        out.append(Finding(text, Names(said), Names.union))
+        out.append(Finding(text, Names(map(printable, said)), Names.union))
     if splats.elements:
-        names = ", ".join(element.name for element in splats.elements)
+        names = ", ".join(printable(element.name) for element in splats.elements)
         out.append(f"Further elements are left out, {suffix} has no room for them: {names}.")
     lines = [line for line in splats.comments if render_tag.tag_of(line) is None]
     if comments and lines:

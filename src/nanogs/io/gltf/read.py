@@ -37,6 +37,7 @@ from nanogs.io.gltf.primitives import (
 )
 from nanogs.io.gltf.scene import EXTENSION, placed_splats
 from nanogs.io.parts import FileSource, Whole
+from nanogs.io.texts import is_utf8
 from nanogs.splats import RenderMode, Splats, empty_arrays
 
 COLOUR_SPACE = "srgb_rec709_display"
@@ -245,4 +246,6 @@ def _describe(scene: _Scene, primitive: Part, mode: RenderMode) -> None:
 
 
 def _is_line(text: object) -> bool:
-    return isinstance(text, str) and "\n" not in text and not text.endswith("\r")
+    if not isinstance(text, str) or "\n" in text or text.endswith("\r"):
+        return False
+    return is_utf8(text)

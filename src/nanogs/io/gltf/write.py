@@ -28,7 +28,7 @@ from nanogs.io.gltf.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
 from nanogs.io.gltf.primitives import MAX_DEGREE, attribute, coefficients
 from nanogs.io.gltf.read import COLOUR_SPACE, COMMENTS_KEY, MODE_KEY
 from nanogs.io.gltf.scene import EXTENSION, HALF_TURN
-from nanogs.io.ply.header import printable
+from nanogs.io.texts import as_utf8
 from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.stored import SH_C0
@@ -272,5 +272,5 @@ def _extras(splats: Splats) -> dict[str, Any]:
     if splats.render_mode is not RenderMode.DEFAULT:
         extras[MODE_KEY] = splats.render_mode.value
     if splats.comments:
-        extras[COMMENTS_KEY] = [printable(text) for text in splats.comments]
+        extras[COMMENTS_KEY] = [as_utf8(text) for text in splats.comments]
     return extras

@@ -27,7 +27,8 @@ from nanogs.errors import FormatError, ModelError
 from nanogs.io.files import check_expansion, input_size, unreadable
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
-from nanogs.io.ply.header import TYPE_NAMES, printable
+from nanogs.io.ply.header import TYPE_NAMES
+from nanogs.io.texts import printable, reason
 from nanogs.splats import RenderMode, Splats
 
 REQUIRED = ("means", "log_scales", "quats", "opacity_logits", "sh")
@@ -151,7 +152,9 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(path) as archive:
             yield archive
     except _ZIP_ERRORS as error:
-        raise FormatError(f"{path} is damaged ({error}); save or download it again.") from None
+        raise FormatError(
+            f"{path} is damaged ({reason(error)}); save or download it again."
+        ) from None
     except OSError as error:
         raise unreadable(path, error) from error
 

@@ -5,6 +5,7 @@ Positions and log-scales are 11-10-11 bits between the chunk's bounds, colours 8
 the three smaller parts in 10 bits each; an optional element `sh` holds a byte a coefficient.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,7 @@ class _Chunks(FileSource):
             render_tag=render_tag.described(header.all_comments),
             comments=header.printable_comments(),
         )
+        self.columns = replace(self.info.layout, comments=tuple(header.all_comments))
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
         """The further elements; see `Source`."""

@@ -1,7 +1,4 @@
-"""The header of a PLY file: what it says, and where the body begins.
-
-Text is decoded as UTF-8 with `surrogateescape`, so that comments in any encoding keep their bytes.
-"""
+"""The header of a PLY file: what it says, and where the body begins."""
 
 import re
 from dataclasses import dataclass, field
@@ -14,6 +11,7 @@ import numpy as np
 from nanogs.errors import FormatError
 from nanogs.io import render_tag
 from nanogs.io.files import input_size, reading
+from nanogs.io.texts import decode, printable
 
 MAX_HEADER_BYTES = 1 << 20
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
@@ -92,24 +90,6 @@ class Header:
     def printable_comments(self) -> tuple[str, ...]:
         """The comments without lone surrogates: Latin-1 where they are not UTF-8."""
         return tuple(printable(comment) for comment in self.comments)
-
-
-def decode(text: bytes) -> str:
-    """Header bytes as text that `encode` turns back into the same bytes."""
-    return text.decode("utf-8", "surrogateescape")
-
-
-def encode(text: str) -> bytes:
-    """The inverse of `decode`."""
-    return text.encode("utf-8", "surrogateescape")
-
-
-def printable(text: str) -> str:
-    """Decoded header text that any terminal can be given."""
-    try:
-        return encode(text).decode("utf-8")
-    except UnicodeDecodeError:
-        return encode(text).decode("latin-1")
 
 
 def header_notes(header: Header) -> list[str]:

@@ -18,8 +18,9 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, FileSource, Packed
 from nanogs.io.ply import compressed_read
-from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes, printable, read_header
+from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes, read_header
 from nanogs.io.ply.rows import Block, check_body, iter_blocks, iter_span
+from nanogs.io.texts import printable
 from nanogs.slices import slices
 from nanogs.splats import ExtraElement, Splats
 
@@ -68,6 +69,7 @@ class _Ply(FileSource):
             render_tag=render_tag.described(header.all_comments),
             comments=header.printable_comments(),
         )
+        self.columns = replace(self.info.layout, comments=tuple(header.all_comments))
 
     def _no_rows(self) -> list[ExtraElement]:
         """The further elements without their rows."""

@@ -10,7 +10,8 @@ from nanogs._types import Array
 from nanogs.errors import OutputError
 from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
-from nanogs.io.ply.header import MAX_HEADER_BYTES, TYPE_NAMES, encode
+from nanogs.io.ply.header import MAX_HEADER_BYTES, TYPE_NAMES
+from nanogs.io.texts import encode
 from nanogs.slices import slices
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
@@ -133,21 +134,14 @@ def header(comments: Sequence[str], elements: Iterable[ElementRows]) -> bytes:
     return text
 
 
-def _bytes(text: str) -> bytes:
-    try:
-        return encode(text)
-    except UnicodeEncodeError:
-        raise OutputError(f"The text {text[:40]!r} cannot be encoded; change it.") from None
-
-
 def _comment(text: str) -> bytes:
     if "\n" in text or text.endswith("\r"):
         raise OutputError(f"The comment {text[:40]!r} holds a line break; split it in two.")
-    return b"comment " + _bytes(text) if text else b"comment"
+    return b"comment " + encode(text) if text else b"comment"
 
 
 def _word(name: str) -> bytes:
-    word = _bytes(name)
+    word = encode(name)
     if word.split() != [word]:
         raise OutputError(f"The name {name!r} is empty or holds a space; rename it.")
     return word

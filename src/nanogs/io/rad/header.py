@@ -37,6 +37,7 @@ from nanogs.errors import FormatError
 from nanogs.io.files import check_expansion, reading, splat_bytes, unreadable
 from nanogs.io.json_fields import integer, numbers, parse, plain_name, refused, rows, table
 from nanogs.io.section import Section, whole_file
+from nanogs.io.texts import is_utf8
 
 MAGIC, CHUNK_MAGIC = b"RAD0", b"RADC"
 VERSION = 1
@@ -148,7 +149,7 @@ def read_header(path: Path) -> Header:
     check_expansion(where, count * splat_bytes(degree), size)
     codes = integer(data.get("shCodeCount") or 0, f"{where}, shCodeCount", 0, count)
     comment = data.get("comment")
-    if comment is not None and not (isinstance(comment, str) and _encodable(comment)):
+    if comment is not None and not (isinstance(comment, str) and is_utf8(comment)):
         raise refused(f"{where}, comment", "must be text")
     chunks, base = [], 0
     for section in sections:
@@ -190,14 +191,6 @@ def _no_start(where: str, start: bytes, magic: bytes) -> FormatError:
 def _check_version(data: dict[str, Any], where: str) -> None:
     if data.get("version") != VERSION:
         raise refused(f"{where}, version", f"is not {VERSION}, which is the one that nanogs reads")
-
-
-def _encodable(text: str) -> bool:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _sections(whole: Section, end: int, entries: Sequence[object]) -> list[Section]:

@@ -18,7 +18,6 @@ from nanogs.findings import Finding, negative_scales
 from nanogs.io import render_tag
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, check_level
-from nanogs.io.ply.header import printable
 from nanogs.io.rad.header import BANDS, CHILD_COUNT, CODES, LABEL, Chunk, read_header
 from nanogs.io.rad.levels import Heights, heights
 from nanogs.io.rad.values import (
@@ -29,6 +28,7 @@ from nanogs.io.rad.values import (
     shapes,
     type_name,
 )
+from nanogs.io.texts import printable
 from nanogs.source import joined_rows
 from nanogs.splats import Splats, empty_arrays
 from nanogs.stored import base_colour
@@ -104,7 +104,7 @@ class RadFile(FileSource):
     @property
     def _comments(self) -> list[str]:
         comment = self._header.comment
-        return [] if comment is None else comment.split("\n")
+        return [] if comment is None else [line.rstrip("\r") for line in comment.split("\n")]
 
     @cached_property
     def _ends(self) -> list[int]:

@@ -33,6 +33,7 @@ from nanogs.io.rad.header import (
 )
 from nanogs.io.rad.values import by_byte, by_component, differences, turns
 from nanogs.io.rotations import least_turned
+from nanogs.io.texts import as_utf8
 from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.stored import SH_C0, alphas, rounded_bytes
@@ -127,7 +128,7 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
             "allChunkBytes": at,
             "chunks": chunks,
             "splatEncoding": told,
-            **({"comment": "\n".join(lines)} if lines else {}),
+            **({"comment": "\n".join(map(as_utf8, lines))} if lines else {}),
         }
         file.write(_described(MAGIC, head))
         body.seek(0)

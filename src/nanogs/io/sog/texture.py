@@ -11,6 +11,7 @@ import numpy as np
 
 from nanogs._types import U8
 from nanogs.io.container import damaged
+from nanogs.io.texts import reason
 
 MAX_SIDE = 16_383  # of WebP: 14 bits
 HEAD_BYTES = 1 << 16  # enough for the chunks before the picture, profiles and the like aside
@@ -87,7 +88,7 @@ def decode(data: bytes, where: str) -> U8:
         with WebPImageFile(io.BytesIO(data)) as image:
             texels = np.asarray(image.convert("RGBA"))
     except (OSError, ValueError, SyntaxError, EOFError, DecompressionBombError) as error:
-        raise damaged(where, f"cannot be decoded ({error})") from error
+        raise damaged(where, f"cannot be decoded ({reason(error)})") from error
     if texels.shape != (height, width, 4):
         raise damaged(where, "is a damaged WebP file")
     return texels.reshape(-1, 4)
