@@ -185,6 +185,8 @@ def test_tensors_that_lie_about_their_storage(tmp_path, shape, steps, offset, co
     (tmp_path / "a.pt").write_bytes(file.bytes())
     with pytest.raises(FormatError):
         io.load(tmp_path / "a.pt")
+    with pytest.raises(FormatError):  # before anybody asks for memory that is not there
+        io.inspect(tmp_path / "a.pt")
 
 
 def test_what_holds_no_splats(tmp_path):

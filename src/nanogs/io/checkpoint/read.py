@@ -22,7 +22,7 @@ from nanogs.io.checkpoint.torch_file import TorchFile
 from nanogs.io.checkpoint.torch_pickle import Tensor
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
-from nanogs.io.ply.header import printable
+from nanogs.io.texts import printable
 from nanogs.splats import MAX_SH_DEGREE, Splats
 from nanogs.stored import alphas, base_colour
 
@@ -48,6 +48,8 @@ class Checkpoint(Whole):
         super().__init__(path)
         self._file = TorchFile(path)
         self._found = found = _find(path, self._file.content)
+        for tensor in found.values():
+            self._file.check(tensor)
         self.info = FileInfo(
             path=path,
             format="checkpoint",

@@ -23,7 +23,7 @@ from nanogs._types import Array
 from nanogs.errors import FormatError
 from nanogs.io.checkpoint.torch_pickle import Storage, Tensor, end_of_pickle, unpickled
 from nanogs.io.files import input_size, reading
-from nanogs.io.ply.header import printable
+from nanogs.io.texts import printable, reason
 
 # An object takes up to 72 times its bytes in the pickle; a tensor has 130, a model some ten.
 _MAX_PICKLE = 1 << 21
@@ -82,11 +82,11 @@ class TorchFile:
         """The numbers of a tensor; bfloat16 becomes float32.
 
         Raises:
-            FormatError: Its storage is missing, or does not hold so many.
+            FormatError: As for `check`, or its storage is missing, or does not hold so many.
         """
         kind = tensor.storage.kind
         dtype = _dtype(kind).newbyteorder(self._file.order)
-        self._check(tensor)
+        self.check(tensor)
         try:
             data = self._file.numbers(tensor.storage, tensor.storage.size * dtype.itemsize)
             numbers = np.frombuffer(data, dtype, tensor.storage.size)[tensor.offset :]
@@ -101,8 +101,16 @@ class TorchFile:
             return (numbers.astype("<u4") << 16).view("<f4")
         return np.array(numbers, np.dtype(kind))
 
-    def _check(self, tensor: Tensor) -> None:
-        """Every number must lie in the storage, and there be no more than it has."""
+    def check(self, tensor: Tensor) -> None:
+        """Look whether a tensor can be in the file, without reading its numbers.
+
+        Raises:
+            FormatError: It has numbers outside of its storage, or more than that, or the storage
+                is larger than the file.
+        """
+        bytes_ = tensor.storage.size * _dtype(tensor.storage.kind).itemsize
+        if bytes_ > self.file_bytes:
+            self._damaged(EOFError(f"a storage of {bytes_} bytes"))
         spans = zip(tensor.shape, tensor.strides, strict=True)
         last = tensor.offset + sum((size - 1) * step for size, step in spans)
         count = math.prod(tensor.shape)
@@ -113,9 +121,8 @@ class TorchFile:
             )
 
     def _damaged(self, error: Exception) -> NoReturn:
-        reason = printable(str(error))[:120] or type(error).__name__
         raise FormatError(
-            f"{self.path} is damaged or no file of torch.save ({reason}); save it again."
+            f"{self.path} is damaged or no file of torch.save ({reason(error)}); save it again."
         ) from error
 
 

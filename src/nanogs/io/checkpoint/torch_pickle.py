@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nanogs.errors import FormatError
-from nanogs.io.ply.header import printable
 
 _STORAGES = {
     "FloatStorage": "f4",
@@ -164,7 +163,7 @@ class _Unpickler(pickle.Unpickler):
             return _PARAMETER
         if (module, name) in _STAND_INS:
             return _StandIn
-        named = printable(f"{module}.{name}")[:80]
+        named = ascii(f"{module}.{name}")[1:-1][:80]
         raise FormatError(
             f"{self._path} names {named}, which no tensors need and which could run code of the"
             " file, so it is refused; save the state dictionary alone."
