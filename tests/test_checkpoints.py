@@ -189,6 +189,16 @@ def test_tensors_that_lie_about_their_storage(tmp_path, shape, steps, offset, co
         io.inspect(tmp_path / "a.pt")
 
 
+@pytest.mark.filterwarnings("error")
+def test_doubles_beyond_single_precision_are_counted(tmp_path):
+    content = gsplat(random_splats(4, degree=0))
+    content["splats"]["scales"] = content["splats"]["scales"].astype(np.float64)
+    content["splats"]["scales"][1, :2] = 1e300, np.inf
+    model = io.load(written(tmp_path / "a.pt", content))
+    assert np.isinf(model.log_scales).sum() == 2
+    assert model.notes == ("1 value of 'scales' beyond float became infinite.",)
+
+
 def test_what_holds_no_splats(tmp_path):
     model = random_splats(4)
     cases = {

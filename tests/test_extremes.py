@@ -152,3 +152,54 @@ def test_a_file_holds_every_splat_or_is_refused(suffix, data, tmp_path):
     path.unlink()
     assert len(back) == len(splats)
     assert back.finite().sum() == splats.finite().sum()
+
+
+def with_bits(model, column, bits):
+    """The model with some bits for the first number of its fourth splat."""
+    own = getattr(model, column).copy()
+    own[3:4].reshape(-1).view(bits.dtype)[0] = bits
+    return replace(model, **{column: own})
+
+
+def signalling(column):
+    """A model with a NaN that a processor tells of whenever it computes with it."""
+    if column == "doubles":
+        model = random_splats(50)
+        bits = np.uint64(0x7FF0_0000_0000_0001)
+        return with_bits(replace(model, means=model.means.astype(np.float64)), "means", bits)
+    normals = {name: np.ones(50, np.float32) for name in ("nx", "ny", "nz")}
+    if column == "normals":
+        normals["ny"].view(np.uint32)[3] = 0x7F80_0001
+        return random_splats(50, extras=normals)
+    return with_bits(random_splats(50), column, np.uint32(0x7F80_0001))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("column", [*COLUMNS, "doubles", "normals"])
+def test_signalling_nans_warn_nobody(column, tmp_path):
+    """As a flipped bit makes them of an infinity, in a file that is read all the same."""
+    path = tmp_path / "a.ply"
+    nanogs.save(signalling(column), path)
+    assert nanogs.info(path).nonfinite == (column != "normals")
+    filters = [nanogs.filters.sphere((0, 0, 0), 9), nanogs.filters.opaque_enough(0.1)]
+    nanogs.convert(path, tmp_path / "b.ply", frame=("rdf", "rfu"), filters=filters)
+    nanogs.simplify_blocks(path, tmp_path / "c.ply", ratio=0.5, preset="fast")
+    nanogs.load(path).to_gsplat()
+    for suffix in (".npz", ".spz", ".sog", ".rad", ".glb", ".usda", ".splat", ".compressed.ply"):
+        if column == "normals" or suffix == ".npz":
+            nanogs.convert(path, tmp_path / f"d{suffix}")
+            continue
+        with pytest.raises(OutputError, match="1 splat holds NaN or infinite values"):
+            nanogs.convert(path, tmp_path / f"d{suffix}")
+
+
+@pytest.mark.filterwarnings("error")
+def test_doubles_beyond_single_precision_warn_nobody(tmp_path):
+    model = random_splats(50)
+    means = model.means.astype(np.float64)
+    means[3:6] = [[1e300] * 3, [-1e40] * 3, [1e200, 0, 0]]
+    path = tmp_path / "a.ply"
+    nanogs.save(replace(model, means=means), path)
+    assert nanogs.info(path).nonfinite == 3
+    assert len(nanogs.filters.drop_floaters(nanogs.load(path))) == 47
+    assert np.isinf(nanogs.load(path).to_gsplat()["means"]).sum() == 7

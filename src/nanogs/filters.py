@@ -328,7 +328,8 @@ def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
         return found
     with use_threads(None) as threads:
         nearest = nearest_neighbours(means, neighbours, threads)
-    distances: F64 = np.linalg.norm(means[nearest[:, -1]] - means, axis=1)
+    with np.errstate(over="ignore"):  # doubles may be that far away
+        distances: F64 = np.linalg.norm(means[nearest[:, -1]] - means, axis=1)
     apart = np.log(distances[distances > 0])
     if len(apart):
         usual = float(np.median(apart))

@@ -46,7 +46,8 @@ class Change(NamedTuple):
 
     def of_means(self, means: F) -> F:
         """(N, 3) centres in the new frame."""
-        turned: F = means[:, list(self.axes)] * np.array(self.signs).astype(means.dtype)
+        with np.errstate(invalid="ignore"):  # at signalling NaNs
+            turned: F = means[:, list(self.axes)] * np.array(self.signs).astype(means.dtype)
         return turned
 
     @property
@@ -103,7 +104,8 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
     # The axes of a rotation are turned with all else; a mirror also changes its sense.
     sense = signs * round(np.linalg.det(change.matrix))
     quats = splats.quats.copy()
-    quats[:, 1:] = splats.quats[:, 1:][:, axes] * sense.astype(quats.dtype)
+    with np.errstate(invalid="ignore"):  # at signalling NaNs
+        quats[:, 1:] = splats.quats[:, 1:][:, axes] * sense.astype(quats.dtype)
     return replace(
         splats,
         means=change.of_means(splats.means),
@@ -118,9 +120,10 @@ def _turned(sh: F32, change: Change) -> F32:
     """(N, K, 3): coefficients whose colours are the old ones, seen from the turned side."""
     matrix = _band_matrix(int(sh.shape[1] ** 0.5) - 1, change)
     signs = np.diag(matrix)
-    if np.array_equal(np.abs(matrix), np.eye(len(matrix))):
-        return sh * signs[:, None].astype(np.float32)
-    mixed: F32 = np.einsum("jk,nkc->njc", matrix, sh.astype(np.float64)).astype(np.float32)
+    with np.errstate(invalid="ignore"):  # at signalling NaNs
+        if np.array_equal(np.abs(matrix), np.eye(len(matrix))):
+            return sh * signs[:, None].astype(np.float32)
+        mixed: F32 = np.einsum("jk,nkc->njc", matrix, sh.astype(np.float64)).astype(np.float32)
     return mixed
 
 
@@ -145,5 +148,6 @@ def _turned_normals(splats: Splats, axes: list[int], signs: Array) -> dict[str, 
     turned = {}
     for name, axis, sign in zip(_NORMALS, axes, signs, strict=True):
         column = splats.extras[_NORMALS[axis]]
-        turned[name] = np.where(column == 0, column, column * column.dtype.type(sign))
+        with np.errstate(invalid="ignore"):  # at signalling NaNs
+            turned[name] = np.where(column == 0, column, column * column.dtype.type(sign))
     return turned

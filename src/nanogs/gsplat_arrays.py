@@ -56,7 +56,8 @@ def to_gsplat(splats: Splats) -> dict[str, F32]:
         "sh0": splats.sh[:, :1],
         "shN": splats.sh[:, 1:],
     }
-    return {name: np.array(column, np.float32, order="C") for name, column in columns.items()}
+    with np.errstate(over="ignore", invalid="ignore"):  # of centres that are doubles
+        return {name: np.array(column, np.float32, order="C") for name, column in columns.items()}
 
 
 def _harmonics(given: Mapping[str, object], count: int) -> Array:

@@ -217,7 +217,7 @@ class Splats:
 
     def scales(self) -> F32:
         """(N, 3) float32: standard deviations along the splat's own axes, scene units."""
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):  # at signalling NaNs
             return np.exp(self.log_scales)
 
     def opacities(self) -> F64:

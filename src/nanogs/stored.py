@@ -13,7 +13,7 @@ Floats = TypeVar("Floats", F32, F64)
 
 def alphas(logits: F) -> F64:
     """(N,) float64 in [0, 1]: what logits stand for."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # at signalling NaNs
         return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
 
 

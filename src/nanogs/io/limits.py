@@ -39,7 +39,7 @@ def storable(source: Source, suffix: str) -> Iterator[Splats]:
         raise UnstorableError(f"The model holds no splats, which a {suffix} file cannot say.")
     first, wrong, at = 0, 0, 0
     for block in source.blocks():
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             good = block.finite() & np.isfinite(block.means.astype(np.float32)).all(axis=1)
         if not good.all():
             first = first if wrong else at + int(np.argmin(good))
@@ -72,8 +72,9 @@ def left_out(
         max_degree: The highest SH degree it holds.
     """
     out: list[str] = []
-    # Most writers put normals of zero into every .ply, which say nothing.
-    said = [name for name, column in splats.extras.items() if name not in NORMALS or column.any()]
+    with np.errstate(invalid="ignore"):
+        # Most writers put normals of zero into every .ply, which say nothing.
+        said = [name for name, each in splats.extras.items() if name not in NORMALS or each.any()]
     if extras and said:
         text = f"Extra columns are left out, {suffix} has no room for them: {{}}."
         out.append(Finding(text, Names(map(printable, said)), Names.union))

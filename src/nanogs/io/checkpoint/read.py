@@ -18,6 +18,7 @@ import numpy as np
 
 from nanogs._types import F32, Array
 from nanogs.errors import FormatError, ModelError
+from nanogs.formatting import counted
 from nanogs.io.checkpoint.torch_file import TorchFile
 from nanogs.io.checkpoint.torch_pickle import Tensor
 from nanogs.io.info import FileInfo
@@ -66,7 +67,10 @@ class Checkpoint(Whole):
 
     def load(self) -> Splats:
         """The whole model."""
-        arrays = {n: _floats(self.path, n, self._file.array(t)) for n, t in self._found.items()}
+        notes = list(_other_ranks(self.path))
+        arrays = {
+            n: _floats(self.path, n, self._file.array(t), notes) for n, t in self._found.items()
+        }
         count = len(arrays["means"])
         try:
             return Splats(
@@ -75,7 +79,7 @@ class Checkpoint(Whole):
                 quats=arrays["quats"].astype(np.float32),
                 opacity_logits=arrays["opacities"].astype(np.float32).reshape(count),
                 sh=_harmonics(arrays, count),
-                notes=_other_ranks(self.path),
+                notes=notes,
             )
         except (ModelError, ValueError) as error:
             raise FormatError(f"{self.path}: {error} Save the splats again.") from None
@@ -165,10 +169,17 @@ def _model(tensors: Mapping[str, Tensor], means: str) -> dict[str, Tensor] | Non
     return None
 
 
-def _floats(path: Path, name: str, array: Array) -> Array:
+def _floats(path: Path, name: str, array: Array, notes: list[str]) -> Array:
+    """The numbers of a tensor in single precision, or centres in double; notes get what is lost."""
     if array.dtype.kind != "f":
         raise FormatError(f"{path}: {name} is {array.dtype}, not floats; save the splats again.")
-    return array if name == "means" and array.dtype == np.float64 else array.astype(np.float32)
+    if name == "means" and array.dtype == np.float64:
+        return array
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = array.astype(np.float32)
+    if lost := int((np.isinf(single) & np.isfinite(array)).sum()):
+        notes.append(f"{counted(lost, 'value')} of {name!r} beyond float became infinite.")
+    return single
 
 
 def _harmonics(arrays: Mapping[str, Array], count: int) -> F32:
