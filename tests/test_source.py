@@ -207,6 +207,16 @@ def test_parts_are_joined_by_the_columns_that_all_have(tmp_path, small_pages):
         Joined([InMemory(one), InMemory(replace(one, render_mode="mip"))])
 
 
+def test_comments_of_further_inputs_are_said_to_be_left_out():
+    first = replace(model_of(), comments=("a", "b"))
+    others = [replace(first, comments=lines) for lines in ((), ("b",), ("b", "c"), ("d", "c"))]
+    with Joined([InMemory(first), *map(InMemory, others)]) as source:
+        assert source.columns.comments == source.read(0, 1).comments == ("a", "b")
+        said = "2 comment lines are left out: of several inputs only the first one's are kept."
+        assert source.columns.notes == source.load().notes == (said,)
+    assert Joined([InMemory(first), InMemory(others[1])]).columns.notes == ()
+
+
 def test_bands_above_a_degree_are_left_out(small_pages):
     model = model_of()
     assert_is(Reduced(InMemory(model), 1), model.with_sh_degree(1))

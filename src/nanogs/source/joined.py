@@ -7,6 +7,7 @@ from itertools import accumulate, pairwise
 import numpy as np
 
 from nanogs.errors import ModelError, OptionError
+from nanogs.formatting import counted
 from nanogs.source.base import Layout, Source, joined_rows
 from nanogs.splats import RenderMode, Splats, padded
 
@@ -82,6 +83,10 @@ def joined_layout(parts: Sequence[Source]) -> Layout:
         notes.append("The inputs' SH degrees differ: coefficients that one lacks are 0.")
     if any(rows for part in parts for _, rows in part.elements):
         notes.append("Further elements of the inputs are left out: blocks hold splats alone.")
+    others = {line for layout in layouts[1:] for line in layout.comments} - {*layouts[0].comments}
+    if others:
+        lines = counted(len(others), "comment line is", "comment lines are")
+        notes.append(f"{lines} left out: of several inputs only the first one's are kept.")
     return Layout(
         sh_degree=max(layout.sh_degree for layout in layouts),
         double_means=any(layout.double_means for layout in layouts),
