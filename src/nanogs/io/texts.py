@@ -47,7 +47,7 @@ def as_utf8(text: str) -> str:
 
 
 def reason(error: Exception) -> str:
-    """What a library says of damage, for a sentence: some quote pages of what they found."""
+    """The words of a library on damage, for a sentence: some quote pages of what they found."""
     text = printable(str(error))
     return (text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…") or type(error).__name__
 
