@@ -17,6 +17,10 @@ def folder(tmp_path_factory):
     return folder
 
 
+def no_pool():
+    raise AssertionError("another thread is asked for")
+
+
 @pytest.mark.parametrize(
     "command",
     [
@@ -30,9 +34,23 @@ def folder(tmp_path_factory):
     ],
 )
 def test_one_thread_reads_computes_and_writes(folder, tmp_path, monkeypatch, command):
-    def no_pool():
-        raise AssertionError("another thread is asked for")
-
     monkeypatch.chdir(folder)
     monkeypatch.setattr("nanogs.spread._pool", no_pool)
     assert run_here(*command.format(out=tmp_path).split(), "--threads", "1") == 0
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda large, _small: nanogs.simplify(large, ratio=0.1, preset="fast", threads=1),
+        lambda large, _small: list(nanogs.levels(large, [0.1], preset="fast", threads=1)),
+        lambda large, _small: nanogs.grow(large, preset="fast", threads=1),
+        lambda large, small: nanogs.refit(
+            large, small, parameters=nanogs.RefitParameters(views=2, size=64, rounds=1), threads=1
+        ),
+    ],
+    ids=["simplify", "levels", "grow", "refit"],
+)
+def test_a_path_is_read_with_one_thread_too(folder, monkeypatch, call):
+    monkeypatch.setattr("nanogs.spread._pool", no_pool)
+    call(folder / "large.ply", folder / "small.ply")

@@ -63,15 +63,15 @@ def refit(
     """
     begin, clock = time.perf_counter(), StageClock()
     chosen = parameters or RefitParameters()
-    large, given = as_splats(original, "the original"), as_splats(small, "the small model")
-    _refuse_unusable(large, "original")
-    _refuse_unusable(given, "small")
     # Here and not above: these bring Numba, which `--help` does without.
     from nanogs.fit.views import view_targets
     from nanogs.raster.lens import lens_notes
     from nanogs.threads import use_threads
 
     with use_device(device) as used, use_threads(threads) as threads_used, drawn(progress) as tell:
+        large, given = as_splats(original, "the original"), as_splats(small, "the small model")
+        _refuse_unusable(large, "original")
+        _refuse_unusable(given, "small")
         tracker = Tracker(tell, refit_stages(chosen, len(large), len(given)))
         tracker.begin("render")
         with clock.time("targets"):

@@ -120,13 +120,13 @@ def simplify(
     check_degree(sh_degree)
     if frame:
         change_between(*frame)  # which refuses other names
-    splats = as_splats(model)
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.pipeline.foreseen import simplify_stages
     from nanogs.pipeline.held_files import HeldFiles
     from nanogs.threads import use_threads
 
     with use_device(device) as used, use_threads(threads) as threads_used, drawn(progress) as tell:
+        splats = as_splats(model)
         with clock.time("check"):
             job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
             splats = job.splats

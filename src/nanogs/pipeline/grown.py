@@ -233,10 +233,10 @@ def grow(
     # Any result may be measured, which is what a card can do for a preset that renders nothing.
     refuse_device(device, preset, chosen, Goal(psnr=1.0))
     check_degree(sh_degree)
-    original = as_splats(model)
     from nanogs.pipeline.foreseen import build_stages
 
     with drawn(progress) as tell, _on(device, threads) as (_, used):
+        original = as_splats(model)
         with clock.time("check"):
             job = prepare_job(original, preset, overrides, cameras, nan, sh_degree)
             job.refuse_too_large(None, max_memory, judged=True)

@@ -113,7 +113,10 @@ def judged_levels(
     check_ratios(ratios)
     refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))
     check_degree(sh_degree)
-    job = prepare_job(as_splats(model), preset, overrides, cameras, nan, sh_degree)
+    from nanogs.threads import use_threads  # here and not above: this brings Numba
+
+    with use_threads(threads):
+        job = prepare_job(as_splats(model), preset, overrides, cameras, nan, sh_degree)
     refuse_misaligned_elements(job.splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
     job.refuse_too_large(counts[0], max_memory, judged=judged)
