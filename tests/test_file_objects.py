@@ -149,3 +149,11 @@ def test_large_files_go_to_the_disk(model, monkeypatch):
     nanogs.save(model, file, format=".ply")
     file.seek(0)
     assert_same(nanogs.load(file), model)
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+def test_no_format_takes_a_model_without_splats(tmp_path, suffix):
+    nothing = random_splats(3)[:0]
+    with pytest.raises(OutputError, match=rf"holds no splats, which a \{suffix} file cannot say"):
+        nanogs.save(nothing, tmp_path / f"a{suffix}")
+    assert not (tmp_path / f"a{suffix}").exists()

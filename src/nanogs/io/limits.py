@@ -29,14 +29,23 @@ def refuse_unstorable(model: Splats | Source, suffix: str) -> None:
         pass
 
 
+def refuse_empty(source: Source, suffix: str) -> None:
+    """Refuse a model without splats, of which no format makes a file that could be read.
+
+    Raises:
+        OutputError: It is one.
+    """
+    if not source.count:
+        raise UnstorableError(f"The model holds no splats, which a {suffix} file cannot say.")
+
+
 def storable(source: Source, suffix: str) -> Iterator[Splats]:
     """All blocks of a model; at their end, what `refuse_unstorable` refuses is refused.
 
     Raises:
         OutputError: As said.
     """
-    if not source.count:
-        raise UnstorableError(f"The model holds no splats, which a {suffix} file cannot say.")
+    refuse_empty(source, suffix)
     first, wrong, at = 0, 0, 0
     for block in source.blocks():
         with np.errstate(over="ignore", invalid="ignore"):

@@ -26,12 +26,13 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
     """Write a model, no more than some rows of it held; comments and further elements stay behind.
 
     Raises:
-        OutputError: An extra column's name or type does not go into such a file; nothing has been
-            written then.
+        OutputError: There is no splat, or an extra column's name or type does not go into such a
+            file; nothing has been written then.
         OSError: The system refuses to write.
     """
     source = source_of(model)
-    arrays = _arrays(source.read(0, min(source.count, 1)))
+    limits.refuse_empty(source, _SUFFIX)
+    arrays = _arrays(source.read(0, 1))
     names = [name for name in arrays if name != MODE]
     columns = encoded_columns(source, [partial(_column, name) for name in names])
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:

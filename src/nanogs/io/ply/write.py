@@ -8,7 +8,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import OutputError
-from nanogs.io import columns, render_tag
+from nanogs.io import columns, limits, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.ply.header import MAX_HEADER_BYTES, TYPE_NAMES
 from nanogs.io.texts import encode
@@ -23,11 +23,13 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
     """Write a model, every extra column, element and comment with it, block by block.
 
     Raises:
-        OutputError: The model holds something that PLY cannot; nothing has been written then.
+        OutputError: The model holds no splat, or something that PLY cannot; nothing has been
+            written then.
         OSError: The system refuses to write.
     """
     source = source_of(model)
-    first = replace(source.read(0, min(source.count, 1)), elements=source.read_elements())
+    limits.refuse_empty(source, ".ply")
+    first = replace(source.read(0, 1), elements=source.read_elements())
     tables = _tables(first)
     file.write(_header(first, tables, source.count))
     buffer = None
