@@ -22,7 +22,14 @@ from nanogs.errors import OptionError
 from nanogs.io.in_order import in_order
 from nanogs.lod.links import Shapes, parents_of, shapes_of
 from nanogs.method.extent import Dilation, dilation
-from nanogs.method.nodes import LIGHTEST, Nodes, activate_nodes, gather, thinnest_axis
+from nanogs.method.nodes import (
+    LIGHTEST,
+    Nodes,
+    activate_nodes,
+    gather,
+    thinnest_axis,
+    without_features,
+)
 from nanogs.method.order import morton_codes, morton_order
 from nanogs.method.store import store_groups
 from nanogs.source import InMemory, Joined, Source
@@ -36,7 +43,6 @@ _PIXELS = 160
 _GROWTH = 2.0
 _SAMPLE = 1 << 16  # leaves that say what is usual
 _ROWS = 1 << 15  # that are merged at a time, but for those of one parent
-_NO_FEATURES, _NO_ROWS = np.empty((0, 0), np.float32), np.empty(0, np.int32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,13 +217,13 @@ def build(
     orders, children = _places(layers)
     order = orders[0]
     made: list[Source] = [in_order(leaves, order)]
-    moments = None if nodes is None else _moments(nodes, order)
+    moments = None if nodes is None else without_features(nodes, order)
     for counts in children[1:]:
         splats, moments = _standing_for(made[-1], moments, counts, frame)
         made.append(InMemory(splats))
     if moments is None:
         alone = _nodes(made[0].load(), None, slice(None), frame)
-        moments = replace(alone, features=_NO_FEATURES, rows=_NO_ROWS)
+        moments = without_features(alone, slice(None))
     return Built(made, children, order, moments)
 
 
@@ -280,8 +286,7 @@ def _standing_for(
         stored = store_groups(nodes, labels, splats, frame.origin, frame.added)
         # Groups are stored in the order of their heaviest members, which is theirs here.
         made.append(replace(stored.grown(_GROWTH), notes=()))
-        merged = gather(nodes, labels, last - first)
-        found.append(replace(merged, features=_NO_FEATURES, rows=_NO_ROWS))
+        found.append(without_features(gather(nodes, labels, last - first), slice(None)))
     return concatenate(made), joined_nodes(found)
 
 
@@ -292,17 +297,6 @@ def joined_nodes(parts: Sequence[Nodes]) -> Nodes:
     return replace(parts[0], **columns)
 
 
-def _moments(nodes: Nodes, rows: I64 | slice) -> Nodes:
-    """Some nodes without features."""
-    return replace(
-        nodes,
-        weights=nodes.weights[rows],
-        coverages=nodes.coverages[rows],
-        means=nodes.means[rows],
-        covariances=nodes.covariances[rows],
-    )
-
-
 def _nodes(splats: Splats, moments: Nodes | None, rows: slice, frame: Frame) -> Nodes:
     """Nodes of some rows, which weigh as much as they cover: then moments of moments are right."""
     own: I32 = np.arange(len(splats), dtype=np.int32)
@@ -310,7 +304,7 @@ def _nodes(splats: Splats, moments: Nodes | None, rows: slice, frame: Frame) -> 
         leaves = activate_nodes(splats, own, frame.origin, frame.added, frame.thinnest)
         return replace(leaves, weights=np.maximum(leaves.coverages / frame.usual, LIGHTEST))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
-    some = _moments(moments, rows)
+    some = without_features(moments, rows)
     # Of many that cover nothing the least weights have added up, which `area_needs` tells them by.
     weights = np.where(some.coverages <= LIGHTEST * frame.usual, LIGHTEST, some.weights)
     return replace(some, weights=weights, features=features, rows=own)

@@ -140,21 +140,17 @@ def without_coverages(nodes: Nodes) -> Nodes:
     return replace(nodes, coverages=nodes.weights)
 
 
-def without_features(nodes: Nodes) -> Nodes:
-    """The nodes for what has no use for colours."""
-    return replace(nodes, features=nodes.features[:, :0])
-
-
-def among(nodes: Nodes, chosen: Bool) -> Nodes:
-    """Some of the nodes, which are of one row each.
+def without_features(nodes: Nodes, chosen: Bool | I64 | slice) -> Nodes:
+    """Some of the nodes, for what has no use for colours; they have no rows of them either.
 
     Args:
-        nodes: N nodes.
-        chosen: (N,) which.
+        nodes: N nodes, each of one row.
+        chosen: (N,) which, or the numbers of these.
     """
     return replace(
         nodes, weights=nodes.weights[chosen], coverages=nodes.coverages[chosen],
-        means=nodes.means[chosen], covariances=nodes.covariances[chosen], rows=nodes.rows[chosen],
+        means=nodes.means[chosen], covariances=nodes.covariances[chosen],
+        features=np.empty((0, 0), np.float32), rows=np.empty(0, np.int32),
     )  # fmt: skip
 
 

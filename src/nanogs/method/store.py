@@ -18,7 +18,7 @@ from nanogs.method.growth import (
     covered_around,
     widened,
 )
-from nanogs.method.nodes import Nodes, footprints, gather, stored_order, without_features
+from nanogs.method.nodes import Nodes, footprints, gather, stored_order
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 
@@ -126,12 +126,12 @@ def cover_of(leaves: Nodes, labels: I32, groups: int, dilation: Dilation) -> Cov
     """Groups as what may cover others.
 
     Args:
-        leaves: (M) nodes, one for each splat.
+        leaves: (M) nodes, one for each splat; they need no features.
         labels: (M,) the group of each; no group is empty.
         groups: Their number.
         dilation: As `activate_nodes` takes it.
     """
-    merged = gather(without_features(leaves), labels, groups)
+    merged = gather(leaves, labels, groups)
     areas = footprints(merged.covariances, dilation.at(merged.means))
     return Cover(merged.means, merged.covariances, _alphas(merged.coverages, areas))
 

@@ -14,7 +14,7 @@ import numpy as np
 from nanogs._types import F64, I32, I64, Array
 from nanogs.method.extent import Dilation
 from nanogs.method.growth import Cover
-from nanogs.method.nodes import Nodes, among
+from nanogs.method.nodes import Nodes, without_features
 from nanogs.method.reassign import reassign
 from nanogs.method.store import cover_of
 from nanogs.pipeline.cuts import LABELS
@@ -92,7 +92,7 @@ def settled_cover(view: View, labels: I32, dilation: Dilation) -> Cover:
         dilation: As `activate_nodes` takes it.
     """
     own = labels < view.groups
-    return cover_of(among(view.leaves, own), labels[own], view.groups, dilation)
+    return cover_of(without_features(view.leaves, own), labels[own], view.groups, dilation)
 
 
 def read_cover(table: Table, groups: I64) -> Cover:
