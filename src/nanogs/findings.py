@@ -110,6 +110,12 @@ def of_plain(data: str | Mapping[str, Any]) -> str:
     return Finding(data["template"], Names(value) if names else value, _MERGES[data["merge"]])
 
 
+def became_infinite(name: str, count: int) -> Finding:
+    """The sentence on so many values of a column that are beyond single precision."""
+    quoted = repr(name).replace("{", "{{").replace("}", "}}")
+    return Finding(f"{{:value|values}} of {quoted} beyond float became infinite.", count)
+
+
 def negative_scales(count: int) -> list[str]:
     """A sentence if so many splats of a file have a negative scale, which has no logarithm."""
     text = "{:splat has|splats have} a negative scale, which became NaN."

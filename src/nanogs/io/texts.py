@@ -4,6 +4,7 @@ They are decoded as UTF-8 with `surrogateescape`, so that those in any encoding 
 """
 
 from nanogs.errors import OutputError
+from nanogs.formatting import utf8
 
 _LONGEST = 120  # characters of a reason
 
@@ -30,7 +31,7 @@ def printable(text: str) -> str:
     try:
         return as_utf8(text)
     except OutputError:  # of no file
-        return text.encode("utf-8", "backslashreplace").decode()
+        return utf8(text).decode()
 
 
 def as_utf8(text: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs._version import __version__
+from nanogs.io.json_fields import is_plain
 from nanogs.protocol import Protocol
 from nanogs.report import SimplifyReport, StopReason
 from nanogs.sink import Written
@@ -190,7 +191,8 @@ def made_files(folder: Path) -> frozenset[str] | None:
     if entries is None:
         return None
     names = {name for entry in entries if isinstance(name := entry.get("file"), str)}
-    return frozenset({NAME, *filter(_is_plain, names)})
+    # Plain names only: a manifest that someone changed must not lead out of its folder.
+    return frozenset({NAME, *filter(is_plain, names)})
 
 
 def level_counts(folder: Path) -> tuple[int, ...]:
@@ -209,8 +211,3 @@ def _entries(folder: Path) -> list[dict[str, Any]] | None:
         return None
     levels = data.get("levels")
     return [each for each in levels if isinstance(each, dict)] if isinstance(levels, list) else []
-
-
-def _is_plain(name: str) -> bool:
-    """Whether a manifest that someone may have changed leads nowhere but into its folder."""
-    return Path(name).name == name and name not in ("", "..") and "\0" not in name

@@ -18,7 +18,7 @@ import numpy as np
 
 from nanogs._types import F32, Array
 from nanogs.errors import FormatError, ModelError
-from nanogs.formatting import counted
+from nanogs.findings import became_infinite
 from nanogs.io.checkpoint.torch_file import TorchFile
 from nanogs.io.checkpoint.torch_pickle import Tensor
 from nanogs.io.info import FileInfo
@@ -178,7 +178,7 @@ def _floats(path: Path, name: str, array: Array, notes: list[str]) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):
         single = array.astype(np.float32)
     if lost := int((np.isinf(single) & np.isfinite(array)).sum()):
-        notes.append(f"{counted(lost, 'value')} of {name!r} beyond float became infinite.")
+        notes.append(became_infinite(name, lost))
     return single
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from nanogs import spread
 from nanogs._types import Array
 from nanogs.errors import FormatError
-from nanogs.findings import Finding
+from nanogs.findings import became_infinite
 from nanogs.formatting import counted
 from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
@@ -287,10 +287,7 @@ class _Vertex:
             notes.append(
                 f"{counted(len(changed), f'{kinds} column')} became float: {_some(changed)}."
             )
-        for name, count in self._overflows().items():
-            quoted = repr(name).replace("{", "{{").replace("}", "}}")
-            text = f"{{:value|values}} of {quoted} beyond float became infinite."
-            notes.append(Finding(text, count))
+        notes += [became_infinite(name, count) for name, count in self._overflows().items()]
         return notes
 
     def _overflows(self) -> dict[str, int]:
