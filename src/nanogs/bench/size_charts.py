@@ -88,9 +88,8 @@ def _draw(chart: Chart, axes: "Axes") -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_title(
-        _legible(chart.title), parse_math=False
-    )  # names are no formulas, whatever $ they hold
+    # Names are no formulas, whatever $ they hold.
+    axes.set_title(_legible(chart.title), parse_math=False)
     axes.set(xlabel=chart.across, ylabel="PSNR (dB)")
     axes.grid(alpha=0.3)
     if chart.lines:

@@ -50,9 +50,8 @@ def _order(source: Source) -> I64 | I32:
     means = np.empty((source.count, 3), np.float32)
     at = 0
     for block in limits.storable(source, ".compressed.ply"):
-        with np.errstate(
-            over="ignore", invalid="ignore"
-        ):  # which is refused when all have been looked at
+        # What overflows is refused when all have been looked at.
+        with np.errstate(over="ignore", invalid="ignore"):
             means[at : at + len(block)] = block.means
         at += len(block)
     return morton_order(means)
