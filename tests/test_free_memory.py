@@ -487,7 +487,9 @@ def status(name):
     return int(re.search(name + r":\\s+(\\d+)", text)[1]) * 1024
 
 small, args = sys.argv[1], sys.argv[2:]
-run(*[small if a in ("large.ply", "plain.ply") else a for a in args])
+# What loads the same libraries, those of a palette too.
+less = {"large.ply": small, "plain.ply": small, "20000": "500"}
+run(*[less.get(a, a) for a in args])
 Path("/proc/self/clear_refs").write_text("5")
 before = status("VmRSS")
 run(*args)
