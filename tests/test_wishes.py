@@ -135,6 +135,25 @@ def test_a_large_head_of_a_file_does_not_make_the_search_creep():
     assert len(fitted.probes) <= 3
 
 
+def test_what_is_around_the_splats_of_a_page_is_no_use_of_its_size():
+    """Of a size that is hardly more than the viewer's, the splats take what it leaves."""
+    viewer = 1_400_000
+    fitted = search_fit(lambda n: viewer + 20 * n, viewer + 10_000, 1, 1, 10**6, around=viewer)
+    assert fitted.bytes - viewer >= 0.98 * 10_000
+    assert not fitted.leap(viewer + 10_000, 10**6, viewer)
+    assert "of the size asked for" in replace(fitted, bytes=viewer).leap(10**7, 10**6, viewer)[0]
+
+
+def test_a_page_takes_the_size_that_the_viewer_leaves(tmp_path):
+    scene = random_splats(400)
+    one = tmp_path / "one.html"
+    nanogs.save(scene.take(np.arange(1)), one)
+    size = one.stat().st_size + 3000
+    _, report = nanogs.simplify(scene, size=size, preset="fast", format=".html")
+    assert size - 300 <= report.achieved_size <= size
+    assert report.achieved_count > 50
+
+
 def test_a_search_that_ends_early_says_so():
     fitted = search_fit(lambda count: 4000 + count.bit_length(), 10**6, 1, 1, 10**99)
     assert (len(fitted.probes), fitted.stop) == (MOST_PROBES, "settled")

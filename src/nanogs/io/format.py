@@ -90,6 +90,7 @@ class Format:
     what they begin with, one of `starts`, or, where they are zips, by a file that is in them,
     `holds`. `check_options` fails where options do not go together. `settled` gives options that
     follow from the model unless they are given, by which a like one can be written in the same way.
+    `around` gives the bytes that every file has around its splats, where these are many.
     """
 
     suffix: str
@@ -113,6 +114,7 @@ class Format:
     settled: Callable[[Source, FormatOptions], FormatOptions] = lambda _source, _options: {}
     starts: tuple[bytes, ...] = ()
     holds: str = ""
+    around: Callable[[], int] = lambda: 0
 
     @property
     def readable(self) -> bool:

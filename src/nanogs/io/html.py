@@ -45,10 +45,17 @@ def write(splats: Splats, file: BinaryIO) -> None:
     file.write(render_page([shown], start, (0.0, 0.0, 0.0)).encode("utf-8"))
 
 
+def _around() -> int:
+    """Bytes of the viewer in a page."""
+    from nanogs.view.bundle import licences, program
+
+    return len(program()) + len(licences().encode("utf-8"))
+
+
 def losses(splats: Splats) -> tuple[str, ...]:
     """Name the parts of a model that the page does not show, one sentence each."""
     found = limits.left_out(splats, SUFFIX, max_degree=_MAX_DEGREE)
     return (*found, *limits.lost_mode(splats, SUFFIX, RenderMode.MIP))
 
 
-FORMATS = (Format(SUFFIX, unread, write, losses=losses, check=check),)
+FORMATS = (Format(SUFFIX, unread, write, around=_around, losses=losses, check=check),)

@@ -287,12 +287,13 @@ def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracke
     results = HeldResults(job.build(threads, clock, progress), clock)
     outcome, found = fill_size(Packer(results, wish, usable, files, progress))
     fitted, packed = found.fitted, found.packed
+    left_over = fitted.leap(size, results.available, known.around())
     return replace(
         outcome,
         stop=fitted.stop if outcome.stop is StopReason.TARGET else outcome.stop,
         achieved_size=fitted.bytes,
         size_probes=fitted.probes,
-        notes=(*outcome.notes, *fitted.leap(size, results.available), *packed.notes),
+        notes=(*outcome.notes, *left_over, *packed.notes),
         **packed.entries(len(outcome.splats)),
     )
 

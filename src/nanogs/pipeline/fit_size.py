@@ -13,8 +13,9 @@ from nanogs.progress import Stage, Tracker
 from nanogs.report import SizeProbeReport, StopReason
 from nanogs.splats import Splats
 
-AIM = 0.993  # of the size: a probe is put there, so that it is seldom just above
-ENOUGH = 0.98  # of the size: a file that takes so much of it ends the search
+# Shares of the size, less what every file of the format has around its splats:
+AIM = 0.993  # a probe is put there, so that it is seldom just above
+ENOUGH = 0.98  # a file that takes so much of it ends the search
 TOLERANCE = 0.01  # share of a count: where one larger by this is too large, the search ends, too
 MOST_PROBES = 12
 SAMPLE = 8192  # splats of the input that are written for the first guess
@@ -39,27 +40,39 @@ class Fitted:
     probes: tuple[SizeProbeReport, ...]
     stop: StopReason = StopReason.TARGET
 
-    def leap(self, size: int, available: int) -> tuple[str, ...]:
+    def leap(self, size: int, available: int, around: int = 0) -> tuple[str, ...]:
         """A sentence where much of the size is left, mostly as a few splats more take far more."""
         over = min((probe for probe in self.probes if probe.bytes > size), default=None, key=_count)
         if not self.probes or self.count == available:
             return ()
-        return little_used(size, self.bytes, over)
+        return little_used(size, self.bytes, over, around)
+
+
+def part_of(size: float, share: float, around: int) -> float:
+    """Bytes that a file takes whose splats take a share of what the size leaves for them.
+
+    Args:
+        size: Bytes that the file may have.
+        share: Of these, less what is around the splats.
+        around: Bytes that every file of the format has around its splats.
+    """
+    return around + share * (size - around)
 
 
 def _count(probe: SizeProbeReport) -> int:
     return probe.count
 
 
-def little_used(size: int, taken: int, over: Probe) -> tuple[str, ...]:
+def little_used(size: int, taken: int, over: Probe, around: int = 0) -> tuple[str, ...]:
     """A sentence where a file leaves much of the size, mostly since the next one is too large.
 
     Args:
         size: Bytes that the file may have.
         taken: Its bytes.
         over: One that is too large, or None where enough others were tried.
+        around: Bytes that every file of the format has around its splats.
     """
-    if taken >= ENOUGH * size:
+    if taken >= part_of(size, ENOUGH, around):
         return ()
     more = "enough others were tried to find a larger one"
     if over is not None:
@@ -90,6 +103,7 @@ def search_fit(
     fewest: int,
     available: int,
     enough: float | None = None,
+    around: int = 0,
 ) -> Fitted:
     """Interpolate bytes over counts until a file fits and takes most of the size.
 
@@ -103,7 +117,8 @@ def search_fit(
         guess: Count to begin with.
         fewest: Smallest count that can be delivered, at least 1.
         available: Largest.
-        enough: Bytes that are near enough to the size; by default 98 % of it.
+        enough: Bytes that are near enough to the size; by default 98 % of it, less what is around.
+        around: Bytes that every file of the format has around its splats.
 
     Raises:
         TooSmallError: Not even the fewest fit.
@@ -111,7 +126,8 @@ def search_fit(
     probes: list[SizeProbeReport] = []
     fits: Probe = None
     over: Probe = None
-    enough = ENOUGH * size if enough is None else enough
+    enough = part_of(size, ENOUGH, around) if enough is None else enough
+    aim = part_of(size, AIM, around)
     count = min(max(guess, fewest), available)
     while True:
         probe = SizeProbeReport(count, bytes_of(count))
@@ -125,7 +141,7 @@ def search_fit(
                 raise too_small(size, count, probe.bytes)
         elif stop := _stop(fits, over, enough, available, len(probes)):
             return Fitted(fits.count, fits.bytes, tuple(probes), stop)
-        count = _next(fits, over, size, probes)
+        count = _next(fits, over, aim, probes)
         count = min(max(count, fewest), available)
 
 
@@ -151,9 +167,9 @@ def _stop(
     return StopReason.SETTLED if tried >= MOST_PROBES else None
 
 
-def _next(fits: Probe, over: Probe, size: int, probes: Sequence[SizeProbeReport]) -> int:
-    """The count where the bytes should be just below the size."""
-    aim, tried = AIM * size, len(probes)
+def _next(fits: Probe, over: Probe, aim: float, probes: Sequence[SizeProbeReport]) -> int:
+    """The count where the bytes should be those aimed at, just below the size."""
+    tried = len(probes)
     if over is None:
         assert fits is not None  # noqa: S101 - one has been tried
         found = min(_along(probes[-2:], aim), _LEAP * fits.count)
@@ -176,7 +192,7 @@ def _along(probes: Sequence[SizeProbeReport], aim: float) -> float:
     return latest.count * aim / latest.bytes
 
 
-def guess_count(sample: Splats, available: int, size: int, encode: Encode) -> int:
+def guess_count(sample: Splats, available: int, size: int, encode: Encode, around: int = 0) -> int:
     """A count to begin with, from what some of the model's own splats take.
 
     Args:
@@ -184,11 +200,12 @@ def guess_count(sample: Splats, available: int, size: int, encode: Encode) -> in
         available: How many there are in all.
         size: Bytes that the file may have.
         encode: Bytes of a model's file.
+        around: Bytes that every file of the format has around its splats.
     """
     least = encode(sample.take(np.arange(1)))
     rows = np.arange(0, len(sample), -(-len(sample) // SAMPLE))
     each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
-    count = 1 + int((AIM * size - least) / each) if each > 0 else available
+    count = 1 + int((part_of(size, AIM, around) - least) / each) if each > 0 else available
     return min(max(count, 1), available)
 
 
@@ -222,6 +239,7 @@ def fit_size(
     progress: Tracker,
     *,
     near: bool = False,
+    around: int = 0,
 ) -> tuple[T, Fitted]:
     """The largest result of a model that is found to fit, and takes most of the size.
 
@@ -236,6 +254,7 @@ def fit_size(
         progress: Told of each stage.
         near: Whether the guess comes from results as they are delivered, so that nothing else leads
             nearer.
+        around: Bytes that every file of the format has around its splats.
 
     Returns:
         The result, and what was tried.
@@ -267,21 +286,22 @@ def fit_size(
             return int(found)
 
         fewest, available = results.fewest, results.available
-        return search_fit(bytes_for, size, guess, fewest, available, enough)
+        return search_fit(bytes_for, size, guess, fewest, available, enough, around)
 
     probes: tuple[SizeProbeReport, ...] = ()
-    enough, otherwise = ENOUGH * size, StopReason.TARGET
+    most = enough = part_of(size, ENOUGH, around)
+    otherwise = StopReason.TARGET
     if not near:
         progress.begin("search")
         found = search(results.plain(), SIZES, guess)
         probes, guess = found.probes, found.count
         if found.bytes < enough:  # no count uses up the size, so what this one took is enough
-            enough, otherwise = ENOUGH * found.bytes, found.stop
+            enough, otherwise = part_of(found.bytes, ENOUGH, around), found.stop
         if not results.looks:
             return best[0], found
         best.clear()
     progress.begin("deliver")
     found = search(results, RESULTS, guess, enough)
-    short = found.bytes < ENOUGH * size and found.count < results.available
+    short = found.bytes < most and found.count < results.available
     stop = otherwise if short and found.stop is StopReason.TARGET else found.stop
     return best[0], replace(found, probes=probes + found.probes, stop=stop)

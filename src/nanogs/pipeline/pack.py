@@ -111,7 +111,7 @@ class Packer(Generic[T]):
         def encode(part: Splats) -> int:
             return self.files.sample_bytes(part, packing.options(len(part)))
 
-        return guess_count(some, available, self.wish.size, encode)
+        return guess_count(some, available, self.wish.size, encode, self.wish.known.around())
 
     def made(self, packing: Packing) -> Results[T]:
         """Results that are made for a packing."""

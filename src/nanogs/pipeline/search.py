@@ -137,7 +137,7 @@ class Search:
         result, found = fill_size(Packer(results, wish, _sample(work), files, progress))
         results.verify(result, progress)
         fitted, packed = found.fitted, found.packed
-        notes = fitted.leap(size, results.available) + packed.notes
+        notes = fitted.leap(size, results.available, known.around()) + packed.notes
         if fitted.count == results.available and known.file_bytes is None:
             notes += (WHOLE_FITS,)
         entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}

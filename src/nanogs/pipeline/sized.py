@@ -96,6 +96,8 @@ def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
     def bytes_of(result: T) -> int:
         return files.bytes_of(result, packing.options(files.count(result)))
 
-    near = packed.tight or bool(packed.packings)
-    result, fitted = fit_size(chosen, wish.size, packed.count, bytes_of, progress, near=near)
+    near, around = packed.tight or bool(packed.packings), wish.known.around()
+    result, fitted = fit_size(
+        chosen, wish.size, packed.count, bytes_of, progress, near=near, around=around
+    )
     return result, Filled(fitted, packed)

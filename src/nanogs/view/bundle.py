@@ -1,5 +1,6 @@
 """The viewer's program, which the build of the package bundles (viewer/bundle.py)."""
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 from nanogs.errors import OptionError
@@ -28,6 +29,7 @@ def check_built() -> None:
         )
 
 
+@cache
 def program() -> str:
     """The program, gzipped, as base64: a third of its size.
 
