@@ -26,6 +26,8 @@ from nanogs.scoring.view_sets import view_sets
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
 from rivals import RIVALS, rival_version, run_tool
+from unbounded import SCENES as UNBOUNDED
+from unbounded import make
 
 KINDS = ("512", "1600", "roam", "photographs")
 SCENES = {
@@ -177,14 +179,17 @@ class Bench:
         return {"seconds": outcome.seconds, "peak_memory": outcome.peak_memory}
 
     def model(self, scene: str) -> Path:
-        """The scene as .ply, level 0 where there are levels."""
-        source = self.scenes / SCENES[scene]
+        """The scene as .ply, level 0 where there are levels; one of `unbounded` is made."""
         target = self.folder / "scenes" / f"{scene}.ply"
         if not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
-            level = ["-L", "0"] if source.name == "lod-meta.json" else []
             fresh = target.with_name(f"{os.getpid()}_{target.name}")
-            run_tool(*level, source, fresh)
+            if scene in UNBOUNDED:
+                make(scene, self.model, fresh)
+            else:
+                source = self.scenes / SCENES[scene]
+                level = ["-L", "0"] if source.name == "lod-meta.json" else []
+                run_tool(*level, source, fresh)
             fresh.replace(target)
         return target
 

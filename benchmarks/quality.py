@@ -4,6 +4,7 @@ r"""Measure our methods and another tool on real scenes, and print the tables of
     python benchmarks/quality.py --scenes plant,biker --ratios 0.1 \
         --methods default,rival --kinds 512,1600,roam                   # some minutes
     python benchmarks/quality.py --ablations --kinds 512,1600,roam
+    python benchmarks/quality.py --scenes outdoors,meadow --kinds 512,1600,roam    # of unbounded.py
 
 A method is one of ours (a preset, one with parameters such as default:k=12, a baseline); `rival`,
 both modes of splat-transform 3.7.0 on the CPU; or `nanogs-ref`, files that were made beforehand. A

@@ -1,5 +1,6 @@
 """Coverage and blocking of splats from near and from far, and how far away that is."""
 
+from dataclasses import replace
 from decimal import Decimal, localcontext
 
 import numba
@@ -11,7 +12,7 @@ import nanogs
 import twins
 from builders import random_splats, same_pixel
 from nanogs.datasets.synthetic import make_scene
-from nanogs.method.extent import ANCHORS, FARTHEST, Dilation, dilation
+from nanogs.method.extent import ANCHORS, FARTHEST, NEAR, Dilation, dilation
 from nanogs.method.growth import area_needs, blocked, widened
 from nanogs.method.integrals import exponential_integral
 from nanogs.method.nodes import NEARER, activate_nodes, footprints, gather
@@ -99,6 +100,40 @@ def test_the_surroundings_reach_as_the_twin_says_for_any_number_of_threads():
     finally:
         numba.set_num_threads(threads)
     assert alone.tobytes() == around.at(points).tobytes()
+
+
+def test_what_lies_beyond_the_scene_is_as_near_as_it_looks():
+    """Up to 2.5 radii all is 1; from there it falls as the picture of a splat does."""
+    means = ball(5000, 3.0)
+    found = dilation(means, np.ones(len(means)), RenderMode.DEFAULT, 512.0)
+    near = NEAR * np.quantile(found.radii, 0.1)
+    distances = np.array([0.0, 0.5 * near, near, 2 * near, 1e6 * near])
+    assert found.nearness(distances) == pytest.approx([1, 1, 1, 1 / 4, 1e-12])
+    assert (found.nearness(found.distances(means)) == 1).all()
+    mip = dilation(means, np.ones(len(means)), RenderMode.MIP, 512.0)
+    assert (mip.nearness(distances) == found.nearness(distances)).all()
+
+
+def test_a_scene_at_one_place_has_nothing_beyond_it():
+    found = dilation(np.zeros((9, 3)), np.ones(9), RenderMode.DEFAULT, 512.0)
+    assert (found.nearness(np.array([0.0, 5.0])) == 1).all()
+
+
+@pytest.mark.parametrize("options", [{"preset": "fast"}, {"block": 2500, "preset": "fast"}])
+def test_sky_does_not_take_the_splats_of_what_stands_before_it(tmp_path, options):
+    """As large a share of the pictures, but ten thousand times as large in scene units."""
+    front, sky = make_scene(6000, sh_degree=0), make_scene(2000, sh_degree=0, seed=1)
+    reach = np.abs(front.means).max()
+    ways = sky.means / np.linalg.norm(sky.means, axis=1, keepdims=True)
+    sky = replace(
+        sky, means=(100 * reach * ways).astype(np.float32),
+        log_scales=sky.log_scales + np.float32(np.log(100)),
+    )  # fmt: skip
+    nanogs.save(concatenate([front, sky]), tmp_path / "in.ply")
+    nanogs.simplify_blocks(tmp_path / "in.ply", tmp_path / "out.ply", ratio=0.1, **options)
+    small = nanogs.load(tmp_path / "out.ply")
+    kept = np.linalg.norm(small.means, axis=1) < 10 * reach
+    assert np.count_nonzero(kept) > 0.5 * len(small)
 
 
 def test_copies_far_away_hardly_change_a_pixel():

@@ -14,7 +14,9 @@ from nanogs.views.occupancy import quantiles
 # Share of all alpha that lies within a splat's surroundings; less than half, so that a second copy
 # of the scene far away does not widen them.
 SHARE = 0.25
+USUAL = 0.1  # quantile of the anchors' radii that stands for the least of them
 ANCHORS = 64  # splats whose surroundings are measured; others have them from the nearest ones
+NEAR = 2.5  # times the least radius: up to there viewers may stand beside any splat
 FARTHEST = 16.0  # times the usual radius; a stray's pixel must not outweigh all splats together
 _SAMPLE = 4096  # splats looked at; a stride thins larger models
 
@@ -35,12 +37,33 @@ class Dilation:
 
     def at(self, means: F64) -> F64:
         """(N,) float64: the standard deviation added at each of (N, 3) float64 centres."""
-        found = np.zeros(len(means))
-        if self.per_radius > 0:
-            reach(np.ascontiguousarray(means), self.anchors, self.radii, found)
-            np.minimum(found, FARTHEST * np.median(self.radii), out=found)
-            found *= self.per_radius
+        return self.added(self.distances(means))
+
+    def distances(self, means: F64) -> F64:
+        """(N,) float64: how far viewers stand from (N, 3) float64 centres, scene units."""
+        found = np.empty(len(means))
+        reach(np.ascontiguousarray(means), self.anchors, self.radii, found)
         return found
+
+    def added(self, distances: F64) -> F64:
+        """(N,) float64: the standard deviation added to what is so far from viewers."""
+        found = np.minimum(distances, FARTHEST * np.median(self.radii))
+        found *= self.per_radius
+        return found
+
+    def nearness(self, distances: F64) -> F64:
+        """(N,) float64 in (0, 1]: how large screens show what is so far from viewers.
+
+        Viewers stand where most splats are. Up to `NEAR` times the radius there, which is as far
+        as a room or an object reaches, they stand beside everything: 1. What lies beyond, such as
+        hills and sky, is looked at from there, and falls with the square of its distance.
+        """
+        near = NEAR * float(np.quantile(self.radii, USUAL))
+        if near == 0:
+            return np.ones(len(distances))
+        found = np.maximum(distances, near)
+        np.divide(near, found, out=found)
+        return np.square(found, out=found)
 
     @property
     def least(self) -> float:

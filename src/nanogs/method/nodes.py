@@ -1,7 +1,8 @@
 """Nodes: splats, or groups of splats, by their moments; what the merge forest is made of.
 
-The weight of a node says how much its errors matter: its footprint, times the share that is seen.
-Its coverage is the footprint alone, which a merge must conserve (`store_groups`).
+The weight of a node says how much its errors matter: its coverage, less where it is far from all
+viewers (`prominence`), times the share that is seen. A merge must conserve the coverage alone
+(`store_groups`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -106,10 +107,25 @@ def activate_nodes(
     """
     rows = rows.astype(np.int32, copy=False)
     means, covariances = _shapes(splats, rows, origin, dilation.least, thinnest)
+    distances = dilation.distances(means)
     if coverages is None:
-        coverages = _coverages(splats, rows, covariances, dilation.at(means))
+        coverages = _coverages(splats, rows, covariances, dilation.added(distances))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
-    return Nodes(normalised(coverages), coverages, means, covariances, features, rows)
+    weights = normalised(coverages * dilation.nearness(distances))
+    return Nodes(weights, coverages, means, covariances, features, rows)
+
+
+def prominence(coverages: F64, means: F64, dilation: Dilation) -> F64:
+    """(N,) float64: coverages as screens show them, less where splats are far from all viewers.
+
+    Args:
+        coverages: (N,) float64, square scene units.
+        means: (N, 3) float64, scene units, relative to the origin of the run.
+        dilation: Knows where viewers are likely to stand.
+    """
+    prominences = dilation.nearness(dilation.distances(means))
+    prominences *= coverages
+    return prominences
 
 
 def _coverages(splats: Splats, rows: I32, covariances: F64, pixels: F64) -> F64:

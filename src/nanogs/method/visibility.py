@@ -77,30 +77,30 @@ def roaming_views(
     return found, (lacking,) if len(found) < count else ()
 
 
-def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
-    """(N,) float64: coverages, less where splats are hidden.
+def visible_weights(prominences: F64, visible: F64, hidden: float) -> F64:
+    """(N,) float64: how much splats are seen, less where others hide them.
 
     Args:
-        coverages: (N,) alpha times footprint.
+        prominences: (N,) how large screens show each, as `nodes.prominence` has it.
         visible: (N,) in [0, 1].
         hidden: Weight of what is not seen at all, over that of what is in full sight.
     """
-    weights: F64 = coverages * (hidden + (1 - hidden) * visible)
+    weights: F64 = prominences * (hidden + (1 - hidden) * visible)
     return weights
 
 
-def shown_share(coverages: F64, visible: F64, missed: Bool) -> float:
-    """Share of all coverage, in [0, 1], that belongs to splats which the views show.
+def shown_share(prominences: F64, visible: F64, missed: Bool) -> float:
+    """Share of all prominence, in [0, 1], that belongs to splats which the views show.
 
     Args:
-        coverages: (N,) alpha times footprint.
+        prominences: (N,) how large screens show each, as `nodes.prominence` has it.
         visible: (N,) in [0, 1].
         missed: (N,) which lie in no view.
     """
-    total = float(coverages.sum())
-    return shown_coverage(coverages, visible, missed) / total if total > 0 else 0.0
+    total = float(prominences.sum())
+    return shown_prominence(prominences, visible, missed) / total if total > 0 else 0.0
 
 
-def shown_coverage(coverages: F64, visible: F64, missed: Bool) -> float:
-    """Coverage of the splats that the views show; the arguments are those of `shown_share`."""
-    return float(coverages[(visible >= SHOWN) & ~missed].sum())
+def shown_prominence(prominences: F64, visible: F64, missed: Bool) -> float:
+    """Prominence of the splats that the views show; the arguments are those of `shown_share`."""
+    return float(prominences[(visible >= SHOWN) & ~missed].sum())

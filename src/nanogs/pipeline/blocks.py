@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64, I32, I64, U64, Array
-from nanogs.method.nodes import LIGHTEST, Nodes, activate_nodes, without_coverages
+from nanogs.method.nodes import LIGHTEST, Nodes, activate_nodes, prominence, without_coverages
 from nanogs.method.visibility import visible_weights
 from nanogs.pipeline.frame import Frame
 from nanogs.pipeline.partition import Partition
@@ -92,10 +92,11 @@ def leaves_of(
 ) -> Nodes:
     """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
     nodes = activate_nodes(splats, rows, frame.centre(), frame.dilation(), frame.thinnest)
+    prominences = prominence(nodes.coverages, nodes.means, frame.dilation())
     if seen is None:
-        weights = nodes.coverages / frame.coverage
+        weights = prominences / frame.prominence
     else:
-        weights = visible_weights(nodes.coverages, seen.visible[rows], seen.hidden) / seen.typical
+        weights = visible_weights(prominences, seen.visible[rows], seen.hidden) / seen.typical
     np.maximum(weights, LIGHTEST, out=nodes.weights)
     return without_coverages(nodes) if bare else nodes
 

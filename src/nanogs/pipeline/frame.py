@@ -10,7 +10,7 @@ from nanogs._types import F64, U64
 from nanogs.errors import NONE_USABLE, ModelError
 from nanogs.method.extent import Dilation, dilation
 from nanogs.method.gaussians import scene_origin
-from nanogs.method.nodes import activate_nodes, thinnest_axis
+from nanogs.method.nodes import activate_nodes, prominence, thinnest_axis
 from nanogs.method.order import code_box, codes_in
 from nanogs.pipeline.rows import sample
 from nanogs.pipeline.settings import Settings
@@ -27,7 +27,7 @@ class Frame:
         anchors: x, y, z relative to the origin and radius of each of those of `Dilation`.
         per_radius: As `Dilation` has it.
         thinnest: Axis of any node, scene units.
-        coverage: Of a typical splat, square scene units; weights are over this.
+        prominence: Of a typical splat, square scene units; weights are over this.
         corner: Lowest corner of the box of Morton cells, relative to the origin.
         width: Of that box, scene units.
     """
@@ -36,7 +36,7 @@ class Frame:
     anchors: tuple[tuple[float, ...], ...]
     per_radius: float
     thinnest: float
-    coverage: float
+    prominence: float
     corner: tuple[float, ...]
     width: float
 
@@ -84,14 +84,14 @@ def survey(settings: Settings, unpacked: Unpacked | None = None) -> Frame:
     added = dilation(means, some.opacities(), some.render_mode, settings.parameters.pixels)
     thinnest = thinnest_axis(some.scales(), means, added.least)
     nodes = activate_nodes(some, np.arange(len(some)), origin, added, thinnest)
-    coverage = float(nodes.coverages.mean())
+    typical = float(prominence(nodes.coverages, nodes.means, added).mean())
     corner, width = code_box(means)
     return Frame(
         origin=tuple(map(float, origin)),
         anchors=tuple(map(tuple, np.column_stack((added.anchors, added.radii)).tolist())),
         per_radius=added.per_radius,
         thinnest=thinnest,
-        coverage=coverage if coverage > 0 else 1.0,
+        prominence=typical if typical > 0 else 1.0,
         corner=tuple(map(float, corner)),
         width=width,
     )

@@ -17,7 +17,7 @@ from nanogs.method.cut import cut
 from nanogs.method.extent import Dilation, dilation
 from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.gaussians import scene_origin
-from nanogs.method.nodes import Nodes, activate_nodes, normalised, without_coverages
+from nanogs.method.nodes import Nodes, activate_nodes, normalised, prominence, without_coverages
 from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
@@ -138,8 +138,9 @@ class OneBlock(Scene):
         """As `Scene` says; None where none was rendered."""
         if self.visible is None or self.missed is None or self._leaves is None:
             return None
-        rows = self._leaves.rows
-        return shown_share(self._leaves.coverages, self.visible[rows], self.missed[rows])
+        leaves, rows = self._leaves, self._leaves.rows
+        prominences = prominence(leaves.coverages, leaves.means, self._placed.dilation)
+        return shown_share(prominences, self.visible[rows], self.missed[rows])
 
     # Looking.
 
@@ -242,7 +243,8 @@ class OneBlock(Scene):
         if self.visible is None or not self.measures:
             return nodes
         hidden = self.settings.parameters.hidden
-        weights = visible_weights(nodes.coverages, self.visible[rows], hidden)
+        shown = prominence(nodes.coverages, nodes.means, added)
+        weights = visible_weights(shown, self.visible[rows], hidden)
         return replace(nodes, weights=normalised(weights))
 
     def open(self, block: int) -> Block:

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 from nanogs._types import F64, Bool
 from nanogs.fit.views import choose_cameras
-from nanogs.method.visibility import shown_coverage, visible_weights
+from nanogs.method.nodes import prominence
+from nanogs.method.visibility import shown_prominence, visible_weights
 from nanogs.pipeline.asked import camera_of, plain_camera
 from nanogs.pipeline.blocks import leaves_of
 from nanogs.pipeline.scene import Block, Lit
@@ -33,16 +34,17 @@ def write_look(work: "Work", name: str, own: Block, missed: Bool, lights: Sequen
         lights: The views.
     """
     assert own.visible is not None  # noqa: S101 - it was looked at
-    coverages, visible = leaves_of(own.splats, own.rows, work.frame).coverages, own.visible
-    weights = visible_weights(coverages, visible[own.rows], work.settings.parameters.hidden)
+    leaves, visible = leaves_of(own.splats, own.rows, work.frame), own.visible[own.rows]
+    prominences = prominence(leaves.coverages, leaves.means, work.frame.dilation())
+    weights = visible_weights(prominences, visible, work.settings.parameters.hidden)
     facts = {
         "cameras": [plain_camera(camera) for camera, _ in lights],
         "light": [light for _, light in lights],
         "weight": float(weights.sum()),
-        "coverage": float(coverages.sum()),
-        "shown": shown_coverage(coverages, visible[own.rows], missed[own.rows]),
+        "prominence": float(prominences.sum()),
+        "shown": shown_prominence(prominences, visible, missed[own.rows]),
     }
-    return write_table(work.scratch, name, {VISIBLE: visible}, facts)
+    return write_table(work.scratch, name, {VISIBLE: own.visible}, facts)
 
 
 def looks_at(work: "Work", block: int) -> list[Lit]:
@@ -79,9 +81,9 @@ def typical_weight(work: "Work") -> float:
 
 
 def shown_share(work: "Work") -> float:
-    """Share of the coverage of all splats, in [0, 1], that views show."""
+    """Share of the prominence of all splats, in [0, 1], that views show."""
     facts = [record.facts for record in work.of_blocks("look")]
-    total = sum(float(each["coverage"]) for each in facts)
+    total = sum(float(each["prominence"]) for each in facts)
     return sum(float(each["shown"]) for each in facts) / total if total > 0 else 0.0
 
 

@@ -1,0 +1,174 @@
+"""Scenes without bounds for `quality.py`: real models on a made-up ground, with hills and a sky.
+
+None of the real scenes has a sky or hills, as most captures outdoors have. `outdoors` is playbot
+with plants around it; `meadow` is a plant among pieces of flowers, which hold most of the splats.
+Both are the same each time, in units of the radius that holds nine tenths of the middle model's
+centres, y down.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from nanogs import load, save
+from nanogs._types import F32, F64
+from nanogs.splats import Splats, concatenate
+from nanogs.stored import SH_C0, quaternions, rotations
+
+UP = np.array([0.0, -1.0, 0.0])
+Source = Callable[[str], Path]
+
+
+def outdoors(source: Source, rng: np.random.Generator) -> list[Splats]:
+    """Playbot, nine plants four to nine radii away, ground, hills and sky."""
+    bot = standing(load(source("playbot")), 1.0, 0.0, 0.97)
+    plant = load(source("plant"))
+    found = [bot]
+    for turn in 0.3 + np.arange(9) * 2 * np.pi / 9:
+        far, size, spin = rng.uniform(4, 9), rng.uniform(1.2, 2.5), rng.uniform(0, 6)
+        some = standing(thinned(plant, 0.35, rng), size, spin, 0.98)
+        some.log_scales[:] += np.float32(0.3)
+        found.append(moved(some, [far * np.cos(turn), 0, far * np.sin(turn)]))
+    sand, green = (0.45, 0.38, 0.26), (0.25, 0.33, 0.22)
+    return [*found, ground(60_000, 1.2, sand, rng), hills(15_000, 50, green, rng), sky(rng)]
+
+
+def meadow(source: Source, rng: np.random.Generator) -> list[Splats]:
+    """A plant, four pieces of flowers, of which one is around it, ground, hills and sky."""
+    plant, flowers = load(source("plant")), load(source("flowers"))
+    found = [standing(thinned(plant, 0.6, rng), 1.0, 0.0, 0.99)]
+    for number, (x, z, size, share) in enumerate(
+        [(0, 0, 4, 0.5), (12, 5, 6, 0.25), (-10, -9, 6, 0.25), (5, -14, 7, 0.25)]
+    ):
+        piece = standing(thinned(flowers, share, rng), size, 1.3 * number, 0.6)
+        if number == 0:  # room for the plant
+            level = np.linalg.norm(piece.means[:, [0, 2]], axis=1)
+            piece = piece.take(np.flatnonzero((level > 1.2) | (piece.means[:, 1] > -0.1)))
+        found.append(moved(piece, [x, 0.05, z]))
+    grass, green = (0.3, 0.4, 0.15), (0.25, 0.33, 0.22)
+    return [*found, ground(30_000, 0.3, grass, rng), hills(15_000, 60, green, rng), sky(rng)]
+
+
+SCENES: dict[str, Callable[[Source, np.random.Generator], list[Splats]]] = {
+    "outdoors": outdoors,
+    "meadow": meadow,
+}
+
+
+def make(name: str, source: Source, target: Path) -> None:
+    """Write one of `SCENES`, of real scenes in the files that `source` names."""
+    save(concatenate(SCENES[name](source, np.random.default_rng(5))), target)
+
+
+def standing(model: Splats, size: float, spin: float, foot: float) -> Splats:
+    """A model of one colour a splat, of a radius, turned, on the ground at the origin.
+
+    Args:
+        model: Whose way up is that of trained models.
+        size: The radius that holds nine tenths of its centres.
+        spin: About the vertical, radians.
+        foot: Quantile of its heights, from above, at which the ground is.
+    """
+    model = model.with_sh_degree(0)
+    middle = np.median(model.means, axis=0)
+    scale = size / np.quantile(np.linalg.norm(model.means - middle, axis=1), 0.9)
+    cos, sin = np.cos(spin), np.sin(spin)
+    turn = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    means = (model.means.astype(np.float64) - middle) @ turn.T * scale
+    means[:, [0, 2]] -= np.median(means[:, [0, 2]], axis=0)
+    means[:, 1] -= np.quantile(means[:, 1], foot)
+    axes = turn @ rotations(model.unit_quats().astype(np.float64))
+    return splats_of(means, model.log_scales + np.log(scale), axes, model.opacity_logits, model.sh)
+
+
+def thinned(model: Splats, share: float, rng: np.random.Generator) -> Splats:
+    """A share of the splats, at random."""
+    return model.take(np.flatnonzero(rng.random(len(model)) < share))
+
+
+def moved(model: Splats, way: Sequence[float]) -> Splats:
+    """The model elsewhere."""
+    model.means[:] += np.array(way, model.means.dtype)
+    return model
+
+
+def ground(count: int, least: float, colour: Sequence[float], rng: np.random.Generator) -> Splats:
+    """A plane around the origin from so many radii to sixty, coarser where it is farther away."""
+    far = np.exp(rng.uniform(np.log(least), np.log(60), count))
+    turn = rng.uniform(0, 2 * np.pi, count)
+    points = np.stack([far * np.cos(turn), np.full(count, 0.05), far * np.sin(turn)], axis=1)
+    points[:, 1] += 0.01 * waves(points, [(3, 1.0)], 1)
+    tones = 0.12 * waves(points, [(2, 0.3), (9, 0.2), (0.3, 0.4)], 2)
+    shades = np.array(colour) + (tones + rng.normal(0, 0.05, count))[:, None]
+    return surface(points, np.tile(UP, (count, 1)), 0.016 * far, shades, 0.06, rng)
+
+
+def hills(count: int, far: float, colour: Sequence[float], rng: np.random.Generator) -> Splats:
+    """A ring of them, so far away."""
+    turn, height = rng.uniform(0, 2 * np.pi, count), rng.random(count)
+    tops = far / 8 * (1 + 0.5 * np.sin(3 * turn) + 0.3 * np.sin(7 * turn + 1))
+    ring = np.stack([np.cos(turn), np.zeros(count), np.sin(turn)], axis=1)
+    points = far * ring + np.outer(height * tops, UP)
+    tones = 0.08 * waves(points, [(0.5, 0.4), (2, 0.3)], 3) + rng.normal(0, 0.03, count)
+    shades = np.array(colour) + tones[:, None]
+    return surface(points, -ring, np.full(count, 0.01 * far), shades, 0.06, rng)
+
+
+def sky(rng: np.random.Generator) -> Splats:
+    """Half a sphere of large splats with clouds, 70 to 140 radii away."""
+    ways = rng.normal(size=(12_000, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    ways = ways[ways[:, 1] < 0.08]
+    far = rng.uniform(70, 140, len(ways))
+    clouds = np.clip(waves(ways, [(3, 0.4), (8, 0.25)], 4), 0, 1)[:, None]
+    blue = np.array([0.42, 0.6, 0.85]) * (1 - 0.25 * np.clip(-ways[:, 1:2], 0, 1))
+    shades = blue + clouds * np.array([0.45, 0.33, 0.12])
+    return surface(far[:, None] * ways, -ways, 0.022 * far, shades, 0.3, rng)
+
+
+def surface(
+    points: F64, normals: F64, widths: F64, shades: F64, flatness: float, rng: np.random.Generator
+) -> Splats:
+    """Splats of uneven sizes and opacities that lie on a surface, as trained ones do.
+
+    Args:
+        points: (N, 3).
+        normals: (N, 3) unit.
+        widths: (N,) their usual deviations.
+        shades: (N, 3) RGB in [0, 1].
+        flatness: Thickness over width.
+        rng: Chooses.
+    """
+    count = len(points)
+    widths = widths * np.exp(rng.normal(0, 0.5, count))
+    long = np.sqrt(np.exp(np.abs(rng.normal(0, np.log(2.5), count))))
+    thick = flatness * np.exp(rng.normal(0, 0.5, count))
+    opaque = rng.random(count) < 0.55
+    logits = np.where(opaque, rng.normal(3.5, 1.5, count), rng.normal(-1.0, 1.5, count))
+    points = points + normals * (rng.normal(0, 0.15, count) * widths)[:, None]
+    leaning = normals + rng.normal(0, 0.08, (count, 3))
+    along = np.cross(leaning, rng.normal(size=(count, 3)))
+    frames = np.stack([along, np.cross(leaning, along), leaning], axis=2)
+    frames /= np.linalg.norm(frames, axis=1, keepdims=True)
+    scales = np.stack([widths * long, widths / long, widths * thick], axis=1)
+    colours = (np.clip(shades, 0.01, 0.99) - 0.5) / SH_C0
+    return splats_of(points, np.log(scales), frames, logits, colours[:, None])
+
+
+def splats_of(
+    means: F64, log_scales: F32 | F64, axes: F64, logits: F32 | F64, sh: F32 | F64
+) -> Splats:
+    """Splats of these columns and of axes (N, 3, 3), which are columns, in float32."""
+    columns = (means, log_scales, quaternions(axes), logits, sh)
+    return Splats(*(np.ascontiguousarray(column, np.float32) for column in columns))
+
+
+def waves(points: F64, sizes: Sequence[tuple[float, float]], seed: int) -> F64:
+    """(N,) noise of a few frequencies, each with its height."""
+    rng, found = np.random.default_rng(seed), np.zeros(len(points))
+    for frequency, height in sizes:
+        for way in rng.normal(size=(6, 3)):
+            phase = rng.uniform(0, 2 * np.pi)
+            found += height * np.sin(points @ way * (frequency / np.linalg.norm(way)) + phase)
+    return found
