@@ -9,7 +9,7 @@ class RefitStop(StrEnum):
     """Why the rounds ended."""
 
     ROUNDS = "rounds"  # all of them were made
-    OPTIMUM = "optimum"  # steps of less than a tenth of the first length did not help either
+    OPTIMUM = "optimum"  # steps of less than a fifth of the first length did not help either
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class RoundReport:
         fitted: Groups of parameters that moved.
         steps: Steps made.
         rate: Length of its first step.
-        fit_psnr: Mean over its steps, each measured before the step on its views, dB.
+        fit_psnr: Of the mean of the squared errors before each step, of the step's own view, dB.
         psnr_before: On the validation views before it, dB, as in `RefitReport`.
         psnr_after: On the validation views after what was kept of it, dB.
         share: How much of its way was kept, from the state before it (0) to that after it (1).

@@ -27,7 +27,7 @@ SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 AVERAGED = 0.2  # share of all steps, the last ones, whose states are averaged; one round at most
 SHORTER = 0.7  # factor of the rate after a round of which only a part was kept
 SHORTEST = 0.25  # the same after a round of which nothing was kept
-LEAST = 0.05  # of the first rate: where no step helps below that, an optimum is reached
+LEAST = 0.05  # of the first rate: where nothing was kept and the next would be less, it ends
 
 
 @dataclass(frozen=True, slots=True)

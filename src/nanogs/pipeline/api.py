@@ -72,7 +72,7 @@ def simplify(
             has what to save the result with.
         psnr: dB that the result must reach as `nanogs compare` measures it at its defaults, on
             views that nothing is learnt from. A count is searched whose result lies from there to
-            0.3 dB above (see `reach`), as a file of the format gives it back.
+            0.3 dB above, as a file of the format gives it back.
         draw_cost: Most that the result may take to draw, as a share of the model's own splats a
             pixel (see `draw_cost`), on the views of `compare` at its defaults: the largest count
             is searched that takes so much, to 2 % below it.

@@ -128,7 +128,7 @@ def block_memory(
 
 
 def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters:
-    """The parameters of a preset that can do without renders.
+    """The parameters of a preset that grows a forest.
 
     Raises:
         OptionError: There is no such preset or parameter, or blocks cannot be simplified so.
