@@ -259,6 +259,52 @@ def test_what_python_is_given_is_refused_in_a_sentence(pair, call, message):
         call(pair[0])
 
 
+@pytest.mark.parametrize("several", [np.array, iter, tuple])
+def test_ratios_may_be_in_whatever_holds_numbers(pair, files, tmp_path, several):
+    given = [0.5, 0.1]
+    made = [len(small) for small, _ in nanogs.levels(pair[0], several(given), preset="fast")]
+    assert made == [200, 40]
+    folder = tmp_path / "levels"
+    manifest, _ = nanogs.write_levels(files[0], folder, several(given), preset="fast")
+    assert [level.ratio for level in manifest.levels] == given
+
+
+def test_paths_of_a_scene_may_come_one_at_a_time(files, tmp_path):
+    manifest, _ = nanogs.write_levels(iter([files[0]]), tmp_path / "levels", preset="fast")
+    assert manifest.levels[0].count == len(nanogs.load(files[0]))
+
+
+@pytest.mark.parametrize("block", [None, 300])
+def test_filters_may_come_one_at_a_time(files, tmp_path, block):
+    low, high = (-1, -1, -1), (0.2, 1, 1)
+    left = len(nanogs.filters.crop_box(nanogs.load(files[0]), low, high))
+    some = iter([nanogs.filters.box(low, high)])
+    out = tmp_path / "out.ply"
+    report = nanogs.simplify_blocks(
+        files[0], out, ratio=0.5, preset="fast", filters=some, block=block
+    )
+    assert report.filters[0].left == left
+    some = iter([nanogs.filters.box(low, high)])
+    assert nanogs.convert(files[0], out, filters=some, overwrite=True).splats == left
+
+
+def test_one_filter_is_no_list_of_them(files, tmp_path):
+    one, out = nanogs.filters.box((0, 0, 0), (1, 1, 1)), tmp_path / "out.ply"
+    for wrong in (one, [nanogs.filters.box], "box", 5):
+        with pytest.raises(OptionError, match="must be a list of filters, such as"):
+            nanogs.simplify_blocks(files[0], out, ratio=0.5, filters=wrong)
+        with pytest.raises(OptionError, match="must be a list of filters, such as"):
+            nanogs.convert(files[0], out, filters=wrong)
+
+
+def test_one_format_and_one_metric_are_several_of_one(pair):
+    found = nanogs.compare(pair[0], pair[1], packed=".splat", **SMALL)
+    listed = nanogs.compare(pair[0], pair[1], packed=[".splat"], **SMALL)
+    assert found == listed
+    with pytest.raises(OptionError, match="no metric 'flop'; choose from flip"):
+        nanogs.compare(pair[0], pair[1], metrics="flop", **SMALL)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

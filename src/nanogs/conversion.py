@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs import memory, needs
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
-from nanogs.filters import Filter, FilterReport, apply
+from nanogs.filters import Filter, FilterReport, apply, listed
 from nanogs.findings import join_findings
 from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
 from nanogs.io import open as open_model
@@ -89,7 +89,7 @@ def convert(
         source: The file to read, or its URL.
         target: The file to write, or a URL to send it to; see `nanogs.save`.
         level: Of a streamed model, which level of detail; 0 is the finest.
-        filters: What leaves out splats, such as `nanogs.filters.box(low, high)`.
+        filters: What leaves out splats, such as `[nanogs.filters.box(low, high)]`.
         sh_degree: The highest degree of spherical harmonics that stays, 0 to 4; all by default.
         frame: From and to which the model is turned, such as ("rdf", "rub").
         render_mode: "default" or "mip" in place of the render mode that the file names; see `open`.
@@ -108,7 +108,7 @@ def convert(
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     start, clock = time.perf_counter(), StageClock()
-    given, wanted = place(source), place(target)
+    given, wanted, filters = place(source), place(target), listed(filters)
     format_options = registry.framed(wanted, format_options, frame)
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(wanted, **saving)

@@ -5,7 +5,7 @@ A filter takes whole splats and changes none. The library's functions return the
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +61,20 @@ class FilterReport:
     argument: str
     removed: int
     left: int
+
+
+def listed(filters: Iterable[Filter]) -> tuple[Filter, ...]:
+    """Filters as a caller gives them, to be gone through more than once.
+
+    Raises:
+        OptionError: They are no list of filters.
+    """
+    found = tuple(filters) if isinstance(filters, Iterable) else (None,)
+    if not all(isinstance(each, Filter) for each in found):
+        raise OptionError(
+            "`filters` must be a list of filters, such as [nanogs.filters.box(low, high)]."
+        )
+    return found
 
 
 def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[FilterReport, ...]]:

@@ -32,7 +32,7 @@ from nanogs.pipeline.files import cameras_of, fitted_for, stated_frame
 from nanogs.pipeline.foreseen import levels_stages
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.job import import_stages
-from nanogs.pipeline.levels import check_ratios, judged_levels
+from nanogs.pipeline.levels import checked_ratios, judged_levels
 from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.pipeline.target import Goal, target_count
@@ -119,8 +119,8 @@ def write_levels(
     files = () if isinstance(paths, Splats | Source) else tuple(map(place_of, paths))
     for path in files:
         refuse_address(path, "give the source that nanogs.open makes of it")
-    ratios = usual_levels(paths, layout) if ratios is None else ratios
-    check_ratios(ratios)
+    held = paths if isinstance(paths, Splats | Source) else files
+    ratios = usual_levels(held, layout) if ratios is None else checked_ratios(ratios)
     read: dict[str, Callable[[Any], Any]] = {"max_memory": as_bytes, "job": Path}
     given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
     overrides = {key: given.pop(key) for key in given.keys() - _FIELDS}

@@ -118,7 +118,7 @@ def lod(
         from nanogs.io.collect import Pair
         from nanogs.io.stand_ins import refuse_address
         from nanogs.lod.layout import chunks_of, output_of
-        from nanogs.pipeline.levels import check_ratios
+        from nanogs.pipeline.levels import checked_ratios
         from nanogs.pipeline.target import Goal
 
     # Whatever can be refused is refused before minutes of computing.
@@ -127,8 +127,7 @@ def lod(
     refuse_address(target, "levels are written to a folder or file: name one")
     output = output_of(target, level_format)
     # The usual ones follow from the model's count, which of a stream is known once it is read.
-    ratios = (1.0,) if levels is None else options.parse_ratios(levels)
-    check_ratios(ratios)
+    ratios = (1.0,) if levels is None else checked_ratios(options.parse_ratios(levels))
     turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
     wishes = lod_run.Wishes(
         wish=plan.wish_of(

@@ -112,8 +112,8 @@ def simplify_blocks(
         resume: Continue the job in that folder; without one, begin it.
         overwrite: Replace the output if it exists.
         nan: "drop" splats that hold a NaN or an infinite value, or raise an "error".
-        filters: What leaves out splats first, such as `nanogs.filters.box(low, high)`; the inputs
-            are read once more for them. One that has to see the whole model is refused.
+        filters: What leaves out splats first, such as `[nanogs.filters.box(low, high)]`; the
+            inputs are read once more for them. One that has to see the whole model is refused.
         sh_degree: The highest degree of spherical harmonics that stays; all by default.
         frame: From and to which the result is turned, such as ("rdf", "rub").
         render_mode: "default" or "mip" in place of the render mode that the inputs name; see

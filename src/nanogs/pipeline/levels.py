@@ -110,7 +110,7 @@ def judged_levels(
     Raises:
         NanogsError: As for `levels`.
     """
-    check_ratios(ratios)
+    ratios = checked_ratios(ratios)
     refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))
     check_degree(sh_degree)
     from nanogs.threads import use_threads  # here and not above: this brings Numba
@@ -123,22 +123,21 @@ def judged_levels(
     from nanogs.pipeline.foreseen import levels_stages
 
     stages = levels_stages(job.parameters, len(job.rows), counts)
-    return _drawn(job, tuple(ratios), device, threads, progress, stages)
+    return _drawn(job, ratios, device, threads, progress, stages)
 
 
-def check_ratios(ratios: Sequence[float]) -> None:
-    """Refuse what is no list of levels.
+def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
+    """The ratios of levels as numbers of Python's, whatever holds them.
 
     Raises:
-        OptionError: It is empty, a ratio is out of range, or they do not fall from one to the next.
+        OptionError: There are none, one is out of range, or they do not fall from one to the next.
     """
     if not isinstance(ratios, Iterable):
         raise OptionError(f"The ratios of levels are several, such as [0.5, 0.1], not {ratios!r}.")
-    if len(ratios) == 0:
+    found = tuple(goal.ratio for ratio in ratios if (goal := Goal(ratio=ratio)).ratio is not None)
+    if not found:
         raise OptionError("Give at least one ratio for the levels.")
-    for ratio in ratios:
-        Goal(ratio=ratio)
-    for finer, coarser in pairwise(ratios):
+    for finer, coarser in pairwise(found):
         if finer == coarser:
             raise OptionError(f"The ratio {finer:g} is given twice; give each level once.")
         if finer < coarser:
@@ -146,6 +145,7 @@ def check_ratios(ratios: Sequence[float]) -> None:
                 f"Levels go from fine to coarse, and {coarser:g} comes after {finer:g}; order them "
                 "from the largest ratio to the smallest."
             )
+    return found
 
 
 def _drawn(

@@ -10,7 +10,7 @@ from nanogs.card.device import CPU, use_device
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
-from nanogs.filters import Filter
+from nanogs.filters import Filter, listed
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
 from nanogs.io.format import Sizer
@@ -84,6 +84,7 @@ class Request:
 
     def __post_init__(self) -> None:
         """Refuse what says nothing, before anything is read."""
+        object.__setattr__(self, "filters", listed(self.filters))
         check_nan(self.nan)
         check_degree(self.sh_degree)
         if self.block is not None and not (is_number(self.block, whole=True) and self.block >= 1):

@@ -38,8 +38,8 @@ def compare(
     pixels: Pixels = PIXELS,
     up: Sequence[float] | None = None,
     background: Background = BLACK,
-    metrics: Sequence[str] = (),
-    packed: Sequence[str] = (),
+    metrics: str | Sequence[str] = (),
+    packed: str | Sequence[str] = (),
     format_options: "FormatOptions | None" = None,
     device: str | None = None,
     threads: int | None = None,
@@ -62,9 +62,10 @@ def compare(
             several sizes, one after the other.
         up: (3,) direction of automatic views, scene units; found from the original by default.
         background: RGB in [0, 1] behind the splats.
-        metrics: Further ones: "flip", "lpips"; each needs its extra.
-        packed: Suffixes of formats, such as [".sog"]: each model is written as such a file, read
-            back and scored too, with what packing alone cost in `packed` of its score.
+        metrics: Further ones, one or several: "flip", "lpips"; each needs its extra.
+        packed: Suffix of a format, or several, such as [".sog", ".spz"]: each model is written as
+            such a file, read back and scored too, with what packing alone cost in `packed` of its
+            score.
         format_options: Of these formats, as `save` takes them; each gets those that it has.
         device: Where pictures are made, as `render` takes it; the notes name another than the CPU.
         threads: Threads to use; all by default. The result does not depend on it.
@@ -87,6 +88,7 @@ def compare(
     called, asked = _names(models, names), asked_views(cameras, pixels)
     largest, most = asked.pictures(views)
     packing = packing_of(packed, format_options) if packed else {}
+    extras = [metrics] if isinstance(metrics, str) else metrics
     given, limit = (original, *models), None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
         names = [file_name(original) or "original", *called]
@@ -113,7 +115,7 @@ def compare(
             reference, *others = (named(*entry, room is None) for entry in [(*first, ""), *entries])
             sets = asked.sets(reference.splats, views, up)
             comparison, _ = compare_on_sets(
-                reference, others, sets, background=background, extras=metrics, room=room,
+                reference, others, sets, background=background, extras=extras, room=room,
                 progress=tracker,
             )  # fmt: skip
             tracker.finish()

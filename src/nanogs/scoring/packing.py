@@ -22,11 +22,13 @@ _ALIKE = {"meta.json": "sog", "streamed sog": "sog"}
 _ROUNDED = {"sog", "spz", "compressed.ply", "splat", "ksplat"}  # which round what they hold
 
 
-def packing_of(formats: Sequence[str], format_options: FormatOptions | None = None) -> Packing:
+def packing_of(
+    formats: str | Sequence[str], format_options: FormatOptions | None = None
+) -> Packing:
     """The formats by suffix, each with those of the options that it has.
 
     Args:
-        formats: Suffixes, with their dot or without.
+        formats: A suffix, or several, with their dot or without.
         format_options: As `save` takes them.
 
     Raises:
@@ -36,7 +38,8 @@ def packing_of(formats: Sequence[str], format_options: FormatOptions | None = No
     if not formats:
         raise OptionError("Name at least one format to pack the model in, such as .sog.")
     given = {name: value for name, value in (format_options or {}).items() if value is not None}
-    found = [registry.writable(Path(f"model{registry.suffix_of(name)}")) for name in formats]
+    names = [formats] if isinstance(formats, str) else formats
+    found = [registry.writable(Path(f"model{registry.suffix_of(name)}")) for name in names]
     for known in found:
         if not known.readable:
             raise OptionError(

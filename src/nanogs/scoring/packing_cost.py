@@ -124,7 +124,7 @@ def packing_cost(
             or the model is a file of the format already.
         OutputError: A file cannot be written.
     """
-    packing = packing_of([formats] if isinstance(formats, str) else formats, format_options)
+    packing = packing_of(formats, format_options)
     limit = None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
         given = model_in(place(model)) if isinstance(model, str | PathLike) else model
