@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from nanogs.errors import TooSmallError
 from nanogs.formatting import counted
-from nanogs.pipeline.results import Results, T
+from nanogs.pipeline.results import Attempts, Results, T
 from nanogs.pipeline.weights import COUNTS
 from nanogs.progress import Stage, Tracker
 from nanogs.report import DrawProbeReport, StopReason
@@ -153,43 +153,27 @@ def meet_cost(
         TooSmallError: Not even the fewest splats take so little.
     """
     available = results.available
-    best: list[T] = []  # the latest that fits, and so the largest; one at a time
 
-    def search(
-        results: Results[T], mark: Callable[[T], float], guess: int, power: float, *, quick: bool
-    ) -> Found:
-        tried = 0
-
-        def share_for(count: int) -> float:
-            nonlocal tried
-            stages = [*results.stages(count), Stage("measure", 0.1)]
-            probe = progress.within(tried, COUNTS, stages)
-            tried += 1
-
-            def marked(result: T) -> float:
-                probe.begin("measure")
-                return mark(result)
-
-            result, share = results.marked(count, marked, probe)
-            if share <= asked:
-                results.keep(result)
-                best[:] = [result]
-            return share
-
-        given = results.fewest, results.available, guess, power
-        return search_share(share_for, asked, *given, quick=quick)
+    def attempts(some: Results[T], mark: Callable[[T], float]) -> Attempts[T, float]:
+        return Attempts(some, mark, lambda share: share <= asked, _measuring, COUNTS, progress)
 
     progress.begin("search")
     if asked >= 1:
         whole = results.make(available, progress)
         return whole, Found(available, (), StopReason.TARGET)
+    limits = results.fewest, available
     guess, power = round(available * asked ** (1 / POWER)), POWER
     probes: tuple[DrawProbeReport, ...] = ()
     if results.looks:
-        near = search(results.plain(rounds=0), quick_share_of, guess, power, quick=True)
-        probes, guess = near.probes, near.count
-        power = near.power if len(probes) > 1 else POWER
-        best.clear()
+        quick = attempts(results.plain(rounds=0), quick_share_of)
+        near = search_share(quick, asked, *limits, guess, quick=True)
+        del quick  # and the result that it holds
+        probes, guess, power = near.probes, near.count, near.power
         progress.begin("deliver")
-    found = search(results, share_of, guess, power, quick=False)
-    return best[0], replace(found, probes=probes + found.probes)
+    tried = attempts(results, share_of)
+    found = search_share(tried, asked, *limits, guess, power)
+    return tried.found(), replace(found, probes=probes + found.probes)
+
+
+def _measuring(_count: int) -> Stage:
+    return Stage("measure", 0.1)

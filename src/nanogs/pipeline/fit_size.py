@@ -7,7 +7,7 @@ import numpy as np
 
 from nanogs.errors import TooSmallError
 from nanogs.formatting import counted
-from nanogs.pipeline.results import Results, T
+from nanogs.pipeline.results import Attempts, Results, T
 from nanogs.pipeline.weights import RESULTS, SIZES, write_weight
 from nanogs.progress import Stage, Tracker
 from nanogs.report import SizeProbeReport, StopReason
@@ -262,46 +262,31 @@ def fit_size(
     Raises:
         TooSmallError: Not even the fewest splats fit.
     """
-    best: list[T] = []  # the latest that fits, and so the largest; one at a time
 
-    def search(
-        results: Results[T], expected: int, guess: int, enough: float | None = None
-    ) -> Fitted:
-        tried = 0
+    def attempts(some: Results[T], expected: int) -> Attempts[T, int]:
+        return Attempts(some, bytes_of, lambda found: found <= size, _encoding, expected, progress)
 
-        def bytes_for(count: int) -> int:
-            nonlocal tried
-            encoding = Stage("encode", write_weight(".sog", count))
-            probe = progress.within(tried, expected, [*results.stages(count), encoding])
-            tried += 1
-
-            def mark(result: T) -> int:
-                probe.begin("encode")
-                return bytes_of(result)
-
-            result, found = results.marked(count, mark, probe)
-            if found <= size:
-                results.keep(result)
-                best[:] = [result]
-            return int(found)
-
-        fewest, available = results.fewest, results.available
-        return search_fit(bytes_for, size, guess, fewest, available, enough, around)
-
+    limits = results.fewest, results.available
     probes: tuple[SizeProbeReport, ...] = ()
     most = enough = part_of(size, ENOUGH, around)
     otherwise = StopReason.TARGET
     if not near:
         progress.begin("search")
-        found = search(results.plain(), SIZES, guess)
+        quick = attempts(results.plain(), SIZES)
+        found = search_fit(quick, size, guess, *limits, around=around)
         probes, guess = found.probes, found.count
         if found.bytes < enough:  # no count uses up the size, so what this one took is enough
             enough, otherwise = part_of(found.bytes, ENOUGH, around), found.stop
         if not results.looks:
-            return best[0], found
-        best.clear()
+            return quick.found(), found
+        del quick  # and the result that it holds
     progress.begin("deliver")
-    found = search(results, RESULTS, guess, enough)
+    delivered = attempts(results, RESULTS)
+    found = search_fit(delivered, size, guess, *limits, enough, around)
     short = found.bytes < most and found.count < results.available
     stop = otherwise if short and found.stop is StopReason.TARGET else found.stop
-    return best[0], replace(found, probes=probes + found.probes, stop=stop)
+    return delivered.found(), replace(found, probes=probes + found.probes, stop=stop)
+
+
+def _encoding(count: int) -> Stage:
+    return Stage("encode", write_weight(".sog", count))

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from nanogs.pipeline.results import Results, T
+from nanogs.pipeline.results import Attempts, Results, T
 from nanogs.pipeline.weights import COUNTS
 from nanogs.progress import Stage, Tracker
 from nanogs.protocol import VIEWS
@@ -193,50 +193,32 @@ def reach_psnr(
     Returns:
         The result, and what was tried.
     """
-    best: list[T] = []  # the latest that reaches it, and so the smallest; one at a time
 
-    def search(
-        results: Results[T], guess: int, slope: float | None = None, *, quick: bool
-    ) -> Found:
-        tried = 0
+    def attempts(some: Results[T]) -> Attempts[T, float]:
+        return Attempts(some, psnr_of, lambda psnr: psnr >= asked, _measuring, COUNTS, progress)
 
-        def psnr_for(count: int) -> float:
-            nonlocal tried
-            measuring = Stage("measure", VIEWS * 0.02)
-            probe = progress.within(tried, COUNTS, [*results.stages(count), measuring])
-            tried += 1
-
-            def mark(result: T) -> float:
-                probe.begin("measure")
-                return psnr_of(result)
-
-            result, psnr = results.marked(count, mark, probe)
-            if psnr >= asked:
-                results.keep(result)
-                best[:] = [result]
-            return psnr
-
-        fewest, available = results.fewest, results.available
-        return search_count(psnr_for, asked, fewest, available, guess, slope, quick=quick)
-
+    limits = results.fewest, results.available
     guess, slope = round(GUESS * results.available), None
     probes: tuple[ProbeReport, ...] = ()
+    delivered = results
     progress.begin("search")
     if results.looks:
-        near = search(results.plain(rounds=0), guess, quick=True)
-        probes, guess, slope = near.probes, near.count, near.slope
-        best.clear()
+        near = search_count(attempts(results.plain(rounds=0)), asked, *limits, guess, quick=True)
+        probes, slope = near.probes, near.slope
         if _hopeless(near, asked):
             return _whole(results, near, progress)
-        packed, guess = pack(guess)
+        delivered, guess = pack(near.count)
         progress.begin("deliver")
-        found = search(packed, guess, slope, quick=False)
-    else:
-        found = search(results, guess, slope, quick=False)
+    tried = attempts(delivered)
+    found = search_count(tried, asked, *limits, guess, slope)
     found = replace(found, probes=probes + found.probes)
-    if not best:
+    if tried.best is None:
         return _whole(results, found, progress)
-    return best[0], found
+    return tried.best, found
+
+
+def _measuring(_count: int) -> Stage:
+    return Stage("measure", VIEWS * 0.02)
 
 
 def _hopeless(near: Found, asked: float) -> bool:

@@ -1,8 +1,8 @@
 """Results of any count, as the searches ask for them, of a model in memory; see `job_results`."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Protocol, Self, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Generic, Protocol, Self, TypeVar
 
 from nanogs.clock import StageClock
 from nanogs.pipeline.foreseen import delivery_stages
@@ -64,6 +64,55 @@ class Results(Protocol[T]):
 
     def keep(self, result: T) -> None:
         """Keep what is needed of this result; one that was kept before may be discarded."""
+
+
+@dataclass(slots=True, eq=False)
+class Attempts(Generic[T, M]):
+    """Makes the results of the counts that a search tries, measures each, and keeps the best.
+
+    The latest that meets what is asked is the best: searches come nearer and nearer. One is held at
+    a time.
+
+    Attributes:
+        results: Of the model.
+        mark: Measures a result.
+        meets: Whether a result of such a mark is what is asked.
+        measuring: The stage of measuring, by the count.
+        expected: How many results the search makes, about.
+        progress: Told of each stage.
+        best: The latest that is what is asked, or None.
+    """
+
+    results: Results[T]
+    mark: Callable[[T], M]
+    meets: Callable[[M], bool]
+    measuring: Callable[[int], Stage]
+    expected: int
+    progress: Tracker
+    best: T | None = field(default=None, init=False)
+    _tried: int = field(default=0, init=False)
+
+    def __call__(self, count: int) -> M:
+        """Make the result of a count, and measure it."""
+        measuring = self.measuring(count)
+        stages = [*self.results.stages(count), measuring]
+        part = self.progress.within(self._tried, self.expected, stages)
+        self._tried += 1
+
+        def mark(result: T) -> M:
+            part.begin(measuring.name)
+            return self.mark(result)
+
+        result, found = self.results.marked(count, mark, part)
+        if self.meets(found):
+            self.results.keep(result)
+            self.best = result
+        return found
+
+    def found(self) -> T:
+        """The best, of a search that has ended with a count that it tried."""
+        assert self.best is not None, "the count that was found is one that meets the wish"  # noqa: S101
+        return self.best
 
 
 @dataclass(frozen=True, slots=True, eq=False)
