@@ -64,13 +64,10 @@ class Linking:
     Args:
         threads: To search with; None for all.
         first: The number of the first level, for messages.
-
-    Attributes:
-        layers: All levels but the last.
     """
 
     def __init__(self, threads: int | None = None, first: int = 0) -> None:
-        self.layers: list[Layer] = []
+        self._layers: list[Layer] = []
         self._threads, self._first = threads, first
         self._shapes: Shapes | None = None
 
@@ -93,14 +90,18 @@ class Linking:
             parents, self._shapes = np.arange(len(fine.means)), fine
         else:
             parents = parents_of(fine, coarse, self._threads)
-        refuse_many(np.bincount(parents), self._first + len(self.layers))
-        self.layers.append(Layer(fine.means, parents))
+        refuse_many(np.bincount(parents), self._first + len(self._layers))
+        self._layers.append(Layer(fine.means, parents))
 
-    def last(self) -> F64:
-        """The centres of the last level, (N, 3), scene units; no more can be added."""
+    def finished(self, steps: int | None = None) -> list[Layer]:
+        """All levels, and those above the last one; no more can be added.
+
+        Args:
+            steps: As `above` takes it.
+        """
         assert self._shapes is not None, "there is one level at least"  # noqa: S101
         means, self._shapes = self._shapes.means, None
-        return means
+        return [*self._layers, *above(means, steps)]
 
 
 def refuse_many(children: I64, level: int) -> None:
@@ -120,20 +121,28 @@ def refuse_many(children: I64, level: int) -> None:
         )
 
 
-def layers_of(levels: Sequence[Source]) -> list[Layer]:
-    """Link levels to each other, and add those up to the root.
+def layers_of(
+    levels: Sequence[Source],
+    threads: int | None = None,
+    *,
+    first: int = 0,
+    steps: int | None = None,
+) -> list[Layer]:
+    """Link levels to each other, and add those above.
 
     Args:
-        levels: From the finest to the coarsest, each of 1 splat or more and of no more than the
-            one before.
+        levels: From the finest to the coarsest, each of 1 splat or more.
+        threads: As `Linking` takes it.
+        first: As `Linking` takes it.
+        steps: As `above` takes it.
 
     Raises:
         OptionError: A splat would stand for more others than a row can.
     """
-    linking = Linking()
+    linking = Linking(threads, first)
     for level in levels:
         linking.add(level)
-    return [*linking.layers, *above(linking.last())]
+    return linking.finished(steps)
 
 
 def above(means: F64, steps: int | None = None) -> list[Layer]:

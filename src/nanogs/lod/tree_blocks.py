@@ -16,7 +16,7 @@ import numpy as np
 from nanogs._types import I64
 from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
-from nanogs.lod.tree import Layer, Linking, above, build, frame_of, joined_nodes, refuse_many
+from nanogs.lod.tree import build, frame_of, joined_nodes, layers_of, refuse_many
 from nanogs.method.nodes import Nodes
 from nanogs.progress import Parts, untold
 from nanogs.source import InMemory, Source
@@ -40,10 +40,7 @@ class Linked:
 
     def link(self, levels: Sequence[Source], some: Splats, threads: int, steps: int) -> BlockTree:
         """As `block_layouts.Linked` says."""
-        linking = Linking(threads)
-        for level in levels:
-            linking.add(level)
-        layers = [*linking.layers, *above(linking.last(), steps)]
+        layers = layers_of(levels, threads, steps=steps)
         leaves = InMemory(levels[0].load())
         made = build(leaves, layers, frame_of(InMemory(some)))
         children = [partial(_part, counts) for counts in made.children]
@@ -136,7 +133,8 @@ def joined_trees(
     """
     roots = InMemory(concatenate([tree.layers[-1].load() for tree in trees]))
     levels = len(trees[0].layers) - 1
-    top = build(roots, _top(roots, further, levels), frame_of(InMemory(some)), _nodes_of(trees))
+    up = layers_of([roots, *further], first=levels - 1)
+    top = build(roots, up, frame_of(InMemory(some)), _nodes_of(trees))
     layers, children = list(top.layers), list(top.children)
     bounds = _bounds(trees)
     below = np.concatenate([np.diff(each[-2]) for each in bounds]) if levels else None
@@ -153,13 +151,6 @@ def joined_trees(
         for layer, counts in zip(layers[::-1], children[::-1], strict=True)
     ]
     return TreeRows([*runs, *_below(trees, bounds, top.order)], tell)
-
-
-def _top(roots: Source, further: Sequence[Source], number: int) -> list[Layer]:
-    linking = Linking(first=number - 1)
-    for level in (roots, *further):
-        linking.add(level)
-    return [*linking.layers, *above(linking.last())]
 
 
 def _nodes_of(trees: Sequence[BlockTree]) -> Nodes:

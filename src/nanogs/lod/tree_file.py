@@ -11,7 +11,7 @@ from nanogs.io.format import FormatOptions
 from nanogs.io.models import as_splats
 from nanogs.io.rad.write import SUFFIX, write
 from nanogs.lod.manifest import Manifest, describe_levels
-from nanogs.lod.tree import Linking, above, as_rows
+from nanogs.lod.tree import Linking, as_rows
 from nanogs.lod.tree_blocks import Linked, joined_trees
 from nanogs.progress import Parts, untold
 from nanogs.report import SimplifyReport
@@ -140,7 +140,6 @@ class TreeFilling(Filling):
                 write(rows, file, tree=rows)
                 return rows.count
             assert self._leaves is not None, "there is one level at least"  # noqa: S101
-            layers = [*self._linking.layers, *above(self._linking.last())]
-            source, tree = as_rows(self._leaves, layers)
+            source, tree = as_rows(self._leaves, self._linking.finished())
             write(source, file, tree=tree)
             return source.count
