@@ -94,7 +94,7 @@ class Plan:
             settings, blocks = self._divide()
             left = None
             if settings.search is None:
-                left = count_of(wish.goal, blocks.splats, settings.delivered, wish.sizer)
+                left = count_of(wish.goal, blocks.splats, settings.result_layout, wish.sizer)
             info = replace(self.info, splats=blocks.splats)
             return replace(self, blocks=blocks, info=info, count=left)
         if not self.read:

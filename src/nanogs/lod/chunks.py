@@ -58,7 +58,7 @@ class SortedLevel:
         return self._splats.take(rows), self.leaves[rows]
 
 
-class Tree(NamedTuple):
+class ChunkTree(NamedTuple):
     """The scene, or a block of it.
 
     Attributes:
@@ -170,7 +170,7 @@ class ChunkLayout(ABC):
 
     @abstractmethod
     def describe(
-        self, trees: Sequence[Tree], counts: Sequence[int], environment: bool = False
+        self, trees: Sequence[ChunkTree], counts: Sequence[int], environment: bool = False
     ) -> str:
         """The contents of the file that tells of the others.
 

@@ -18,7 +18,7 @@ from nanogs.io.format import FormatOptions
 from nanogs.io.models import as_splats
 from nanogs.lod import manifest, streamed_sog, tiles
 from nanogs.lod.cells import Cells
-from nanogs.lod.chunks import ChunkLayout, Tree, plain_paths
+from nanogs.lod.chunks import ChunkLayout, ChunkTree, plain_paths
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.progress import Parts, untold
 from nanogs.report import SimplifyReport
@@ -207,7 +207,7 @@ class ChunksFilling(LevelsFilling):
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
         """As `LevelsFilling` says."""
         trees = [
-            Tree(Cells(**cells), [level[block] for level in self._levels])
+            ChunkTree(Cells(**cells), [level[block] for level in self._levels])
             for block, cells in enumerate(self._cells)
             if cells
         ]

@@ -22,9 +22,9 @@ from nanogs.lod.boxes import box_around, union
 from nanogs.lod.cells import Cells
 from nanogs.lod.chunks import (
     ChunkLayout,
+    ChunkTree,
     Made,
     SortedLevel,
-    Tree,
     generator,
     plain_paths,
     read_own,
@@ -105,7 +105,7 @@ class StreamedSog(ChunkLayout):
         return {f"{ENVIRONMENT}/{name}": data for name, data in files.items()}
 
     def describe(
-        self, trees: Sequence[Tree], counts: Sequence[int], environment: bool = False
+        self, trees: Sequence[ChunkTree], counts: Sequence[int], environment: bool = False
     ) -> str:
         """As `ChunkLayout` says; what is not in the tree, the environment, counts nowhere."""
         names: list[str] = []

@@ -25,9 +25,9 @@ from nanogs.io.registry import TILESET
 from nanogs.lod.boxes import box_around
 from nanogs.lod.chunks import (
     ChunkLayout,
+    ChunkTree,
     Made,
     SortedLevel,
-    Tree,
     plain_paths,
     read_own,
 )
@@ -140,7 +140,7 @@ class Tiles(ChunkLayout):
 
     def describe(
         self,
-        trees: Sequence[Tree],
+        trees: Sequence[ChunkTree],
         counts: Sequence[int],
         environment: bool = False,  # noqa: ARG002 - tiles have none
     ) -> str:

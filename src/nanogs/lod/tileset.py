@@ -10,7 +10,7 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.lod.boxes import union
 from nanogs.lod.cells import Cells
-from nanogs.lod.chunks import Tree, generator
+from nanogs.lod.chunks import ChunkTree, generator
 from nanogs.place import columns
 
 # Runtimes learn from it which extensions the contents use; that glTF is a content is core in 1.1.
@@ -29,7 +29,7 @@ class Tile(NamedTuple):
 
 
 def describe(
-    trees: Sequence[Tree],
+    trees: Sequence[ChunkTree],
     levels: int,
     extensions: Mapping[str, Sequence[str]],
     place: F64 | None = None,

@@ -73,8 +73,8 @@ def morton_rows(codes: U64) -> I64:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """How splats are weighed that views show.
+class Weighing:
+    """How nodes of splats are weighed that views show.
 
     Attributes:
         visible: (N,) how visible each is.
@@ -88,15 +88,21 @@ class Seen:
 
 
 def leaves_of(
-    splats: Splats, rows: I64 | I32, frame: Frame, seen: Seen | None = None, *, bare: bool = False
+    splats: Splats,
+    rows: I64 | I32,
+    frame: Frame,
+    weighing: Weighing | None = None,
+    *,
+    bare: bool = False,
 ) -> Nodes:
     """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
     nodes = activate_nodes(splats, rows, frame.centre(), frame.dilation(), frame.thinnest)
     prominences = prominence(nodes.coverages, nodes.means, frame.dilation())
-    if seen is None:
+    if weighing is None:
         weights = prominences / frame.prominence
     else:
-        weights = visible_weights(prominences, seen.visible[rows], seen.hidden) / seen.typical
+        weights = visible_weights(prominences, weighing.visible[rows], weighing.hidden)
+        weights /= weighing.typical
     np.maximum(weights, LIGHTEST, out=nodes.weights)
     return without_coverages(nodes) if bare else nodes
 

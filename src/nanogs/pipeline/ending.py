@@ -15,12 +15,11 @@ from nanogs.io.atomic import atomic_write, output_error
 from nanogs.pipeline.chunked import blocks_of
 from nanogs.pipeline.folder import RESULT, refuse_finished
 from nanogs.pipeline.linked import even_sample, linked_levels, trees_of
-from nanogs.pipeline.parts import Parts, further
+from nanogs.pipeline.parts import LevelSource, simplify_further
 from nanogs.pipeline.rows import opened
 from nanogs.pipeline.run import Done
 from nanogs.pipeline.work import Work
-from nanogs.progress import Parts as Told
-from nanogs.progress import Tracker, untold
+from nanogs.progress import Parts, Tracker, untold
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import FileJudge, file_costs, file_judge
 from nanogs.sink import Sink, Written
@@ -90,7 +89,7 @@ class Ending:
     def _make(self, done: Done, made: Path, progress: Tracker) -> list[Written]:
         try:
             filling, work = self.sink.open(made, done.entries.get("format_options", {})), done.work
-            tell: Told = progress.part
+            tell: Parts = progress.part
             if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
                 filling.add_trees(trees_of(work), levels, even_sample(work), tell)
                 tell = untold  # all is written in the end
@@ -162,10 +161,10 @@ def result_of(work: Work, level: int) -> Iterator[Source]:
         level: Of the result.
     """
     target = work.target(level)
-    with Parts(work, level) as parts:
+    with LevelSource(work, level) as parts:
         source: Source = parts
         if parts.count > target:
-            source = InMemory(further(parts.load(), target, work.settings, work.threads))
+            source = InMemory(simplify_further(parts.load(), target, work.settings, work.threads))
         yield source if work.settings.frame is None else Turned(source, *work.settings.frame)
 
 

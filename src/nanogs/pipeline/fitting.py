@@ -38,7 +38,7 @@ HIDDEN = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _BlockViews:
     """The parts of views that show a block: well enough to decide, others, and more to be drawn."""
 
     deciding: list[Camera]
@@ -144,7 +144,7 @@ def fit_views(work: "Work", block: int, level: int) -> FitViews | None:
     looked = looks_at(work, block)
     kept = parts_of(own, shown, [camera for camera, _ in looked])
     further = parts_of(own, shown, work.views.further)
-    seen = _sorted(kept, further, [light for _, light in looked])
+    seen = _divided(kept, further, [light for _, light in looked])
     if not seen.fitting:
         return None
     others = work.surroundings(block)
@@ -160,13 +160,15 @@ def fit_views(work: "Work", block: int, level: int) -> FitViews | None:
     return FitViews(fitting, [Group("views", held)], count)
 
 
-def _sorted(kept: list[Camera | None], further: list[Camera | None], light: list[float]) -> _Seen:
+def _divided(
+    kept: list[Camera | None], further: list[Camera | None], light: list[float]
+) -> _BlockViews:
     """Which parts decide, and which are fitted to; what a view hardly shows it cannot decide."""
     seen = [(part, lit) for part, lit in zip(kept, light, strict=True) if part and lit >= LEAST]
     if len(seen) < 2:
-        return _Seen([], [], [])
+        return _BlockViews([], [], [])
     middle = float(np.median([lit for _, lit in seen]))
     well = [part for part, lit in seen if lit >= middle]
     deciding = evenly(well, deciding_count(len(seen)))
     fitting = [part for part, _ in seen if part not in deciding]
-    return _Seen(deciding, fitting, [part for part in further if part])
+    return _BlockViews(deciding, fitting, [part for part in further if part])

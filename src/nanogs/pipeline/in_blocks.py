@@ -74,7 +74,7 @@ def fill_in_blocks(
     from nanogs.pipeline.stored_job import BlockJob, Where
 
     if settings.search is None:
-        most = count_of(goals[0], settings.splats, settings.delivered, request.sizer)
+        most = count_of(goals[0], settings.splats, settings.result_layout, request.sizer)
         sink.refuse_large(most, row_bytes(settings.layout), max_memory)
     if not request.resume:
         refuse_full_disk(divided, folder, request.scratch)

@@ -14,7 +14,7 @@ import numpy as np
 
 from nanogs._types import I64, Array
 from nanogs.block_layouts import BlockTree
-from nanogs.pipeline.parts import Parts
+from nanogs.pipeline.parts import LevelSource
 from nanogs.source import Layout, Source, Turned
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats
@@ -54,7 +54,7 @@ def write_tree(work: "Work", name: str, block: int) -> Record:
             steps += 1
     some, linked = even_sample(work), work.settings.linked
     with ExitStack() as stack:
-        parts = [stack.enter_context(Parts(work, level, block)) for level in range(levels)]
+        parts = [stack.enter_context(LevelSource(work, level, block)) for level in range(levels)]
         tree = linked.link([_turned(work, each) for each in parts], some, work.threads, steps)
     columns: dict[str, Array | Streamed] = {}
     for number, (layer, children) in enumerate(zip(tree.layers, tree.children, strict=True)):
@@ -72,7 +72,7 @@ def trees_of(work: "Work") -> list[BlockTree]:
 
 def even_sample(work: "Work") -> Splats:
     """Splats of the finest level, spread over the scene in stretches."""
-    with Parts(work, 0) as parts:
+    with LevelSource(work, 0) as parts:
         long = min(_LONG, -(-parts.count // _STRETCHES))
         starts = np.linspace(0, parts.count - long, _STRETCHES).astype(np.int64)
         read = [_turned(work, parts).read(start, start + long) for start in np.unique(starts)]
@@ -89,7 +89,7 @@ def _turned(work: "Work", source: Source) -> Source:
 
 
 def _tree_of(work: "Work", record: Record) -> BlockTree:
-    layout, numbers = work.settings.delivered, range(record.facts["layers"])
+    layout, numbers = work.settings.result_layout, range(record.facts["layers"])
     layers = [_Layer(work.scratch, record, f"{_SPLATS}{number}", layout) for number in numbers]
     counts = [partial(_counts, work.scratch, record, f"{_CHILDREN}{number}") for number in numbers]
     with Table(work.scratch, record) as table:

@@ -34,7 +34,7 @@ def read_part(scratch: Scratch, layout: Layout, record: Record) -> Splats:
     return _rows(scratch, layout, record, slice(0, count_of(record)))
 
 
-class Parts(Source):
+class LevelSource(Source):
     """The splats of a level, block after block; one table is open at a time.
 
     Args:
@@ -48,7 +48,7 @@ class Parts(Source):
         records = work.delivered(level)
         self._records = records if block is None else records[block : block + 1]
         self._ends = [0, *accumulate(map(count_of, self._records))]
-        self.count, self.columns = self._ends[-1], work.settings.delivered
+        self.count, self.columns = self._ends[-1], work.settings.result_layout
         self._table: Table | None = None
 
     def _span(self, start: int, stop: int) -> Splats:
@@ -74,7 +74,7 @@ class Parts(Source):
             self._table = None
 
 
-def further(small: Splats, target: int, settings: Settings, threads: int) -> Splats:
+def simplify_further(small: Splats, target: int, settings: Settings, threads: int) -> Splats:
     """The model of a count below what blocks can be cut to, which are few splats by then."""
     given = asdict(settings.parameters) | {"measure": False, "steps": 0}
     return simplify(small, count=target, preset="fast", threads=threads, **given)[0]
@@ -93,8 +93,8 @@ def write_rest(work: "Work", name: str, level: int) -> Record:
     records, target = work.delivered(level), work.target(level)
     if sum(map(count_of, records)) <= target:
         return write_table(work.scratch, name, {}, {BOUNDS: None})
-    parts = [read_part(work.scratch, work.settings.delivered, record) for record in records]
-    small = further(concatenate(parts), target, work.settings, work.threads)
+    parts = [read_part(work.scratch, work.settings.result_layout, record) for record in records]
+    small = simplify_further(concatenate(parts), target, work.settings, work.threads)
     codes = work.frame.codes(small)
     order = np.argsort(codes, kind="stable")
     blocks = _filled(work, level)
@@ -109,7 +109,7 @@ def part_of_block(work: "Work", block: int, level: int) -> Splats:
 
     They are in the frame that results are turned to.
     """
-    splats = _rows(work.scratch, work.settings.delivered, *_place(work, block, level))
+    splats = _rows(work.scratch, work.settings.result_layout, *_place(work, block, level))
     frame = work.settings.frame
     return change_frame(splats, *frame) if frame else splats
 

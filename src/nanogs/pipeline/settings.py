@@ -156,7 +156,7 @@ class Settings:
         return self.filters.left[-1] if self.filters else self.read
 
     @property
-    def delivered(self) -> Layout:
+    def result_layout(self) -> Layout:
         """The columns of the results."""
         return self.layout.reduced(self.sh_degree)
 
@@ -170,7 +170,7 @@ class Settings:
         Returns:
             Their number, or None where each splat has its own.
         """
-        if self.sharing is None or self.delivered.sh_degree == 0:
+        if self.sharing is None or self.result_layout.sh_degree == 0:
             return None
         return self.sharing.entries(count, whole)
 

@@ -211,7 +211,7 @@ def _pick(scene: Scene, task: Task) -> Record:
 def _cut(work: Work, task: Task) -> Record:
     # Colours have no part in it.
     splats, rows = work.block(task.number, work.settings.layout.bare())
-    leaves = leaves_of(splats, rows, work.frame, work.seen(work.visible(task.number)))
+    leaves = leaves_of(splats, rows, work.frame, work.weighing(work.visible(task.number)))
     labels, groups = work.labels(task.number, task.level), work.groups(task.number, task.level)
     return write_cut(work.scratch, task.name, leaves, labels, groups, work.threads)
 

@@ -18,7 +18,7 @@ from nanogs.fit.targets import Target, as_target
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import SHOWN
-from nanogs.pipeline.blocks import Seen, leaves_of, morton_rows, read_block, with_codes
+from nanogs.pipeline.blocks import Weighing, leaves_of, morton_rows, read_block, with_codes
 from nanogs.pipeline.cameras import fit_cameras
 from nanogs.pipeline.coarse import coarse_scene, surroundings
 from nanogs.pipeline.cuts import LABELS, cut_block
@@ -171,11 +171,11 @@ class Work(Scene):
         """As `Scene` says: what hides has no need of colours."""
         return Block(*self.block(block, self.settings.layout.bare()), None)
 
-    def seen(self, visible: F64 | None) -> Seen | None:
+    def weighing(self, visible: F64 | None) -> Weighing | None:
         """How nodes of splats are weighed that are so visible; None where nothing is measured."""
         if visible is None or not self.measures:
             return None
-        return Seen(visible, self.settings.parameters.hidden, typical_weight(self))
+        return Weighing(visible, self.settings.parameters.hidden, typical_weight(self))
 
     def visible(self, block: int) -> F64 | None:
         """(N,) how visible a block's splats are; None where nothing was looked at."""
@@ -242,7 +242,7 @@ class Work(Scene):
 
     def stored(self, members: Members) -> Groups:
         """The groups of a block as splats."""
-        leaves = leaves_of(members.splats, members.rows, self.frame, self.seen(members.visible))
+        leaves = leaves_of(members.splats, members.rows, self.frame, self.weighing(members.visible))
         frame, growth = self.frame, self.settings.parameters.growth
         return store_groups(
             leaves, members.labels, members.splats, frame.centre(), frame.dilation(),
@@ -305,9 +305,9 @@ class Work(Scene):
     def grow(self, name: str, block: int) -> Record:
         """As `Scene` says."""
         own = self.open(block)
-        frame, seen = self.frame, self.seen(own.visible)
+        frame, weighing = self.frame, self.weighing(own.visible)
         return grow(
-            self.scratch, name, lambda: leaves_of(own.splats, own.rows, frame, seen, bare=True),
+            self.scratch, name, lambda: leaves_of(own.splats, own.rows, frame, weighing, bare=True),
             self.settings.parameters, self.balances, self.threads,
         )  # fmt: skip
 
@@ -327,8 +327,8 @@ class Work(Scene):
         with self.table("cut", block, level) as table:
             labels = table.read(LABELS)
         splats = splats_of(columns, settings.layout)
-        seen = self.seen(columns.get(VISIBLE))
-        leaves = leaves_of(splats, morton_rows(columns[CODES]), self.frame, seen)
+        weighing = self.weighing(columns.get(VISIBLE))
+        leaves = leaves_of(splats, morton_rows(columns[CODES]), self.frame, weighing)
         view = view_of(leaves, labels, own, self.groups(block, level), halo)
         found = settled(view, settings.parameters.rounds, self.threads)
         # Where results are measured, nothing grows by what covers it.
@@ -373,7 +373,7 @@ class Work(Scene):
     def part(self, block: int, level: int) -> Splats:
         """As `Scene` says."""
         record = self.of_block("part", block, level)
-        return read_part(self.scratch, self.settings.delivered, record)
+        return read_part(self.scratch, self.settings.result_layout, record)
 
     def keep_part(self, name: str, level: int, small: Splats) -> Record:
         """As `Scene` says, in Morton order."""

@@ -200,7 +200,7 @@ class Answers:
     def _draft(
         self, grown: "Grown", curve: Curve, count: int, choice: Choice, tell: Telling
     ) -> None:
-        most = min(MOST_SHOWN, _drawable(tell.pace))
+        most = min(MOST_SHOWN, _drawn_at_once(tell.pace))
         splats = grown.draft(min(count, most) if count <= grown.available else count)
         if choice.sh_degree is not None:
             splats = splats.with_sh_degree(choice.sh_degree)
@@ -234,7 +234,7 @@ class Answers:
         return splats if len(splats) <= MOST_SHOWN else grown.draft(MOST_SHOWN)
 
 
-def _drawable(pace: float | None) -> int:
+def _drawn_at_once(pace: float | None) -> int:
     """Splats that a page draws at once: all, but where the processor has to draw them."""
     return MOST_SHOWN if pace is None else max(FEWEST_DRAFTED, int(QUICK / pace))
 

@@ -15,7 +15,7 @@ from nanogs.report import PassReport, StopReason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PipelineResult:
+class Merged:
     """The splats that the passes left, what each of them did, and why they ended."""
 
     gaussians: Gaussians
@@ -29,7 +29,7 @@ def merge_to_count(
     parameters: PaperParameters,
     threads: int,
     tell: Parts,
-) -> PipelineResult:
+) -> Merged:
     """Merge the cheapest disjoint pairs of neighbours, pass after pass, down to the target.
 
     Args:
@@ -53,8 +53,8 @@ def merge_to_count(
         if report.merged == 0:
             none_left = report.candidates == report.without_cost
             stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
-            return PipelineResult(gaussians, tuple(passes), stop)
-    return PipelineResult(gaussians, tuple(passes), StopReason.TARGET)
+            return Merged(gaussians, tuple(passes), stop)
+    return Merged(gaussians, tuple(passes), StopReason.TARGET)
 
 
 def _one_pass(
