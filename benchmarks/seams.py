@@ -11,11 +11,11 @@ from nanogs.clock import StageClock
 from nanogs.metrics import psnr, ssim
 from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.ending import result_of
-from nanogs.pipeline.frame import survey
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
+from nanogs.pipeline.units import survey
 from nanogs.progress import Tracker
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
@@ -36,11 +36,11 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
         size = int(len(splats) / blocks * 1.08) + 1
         request = Request(goal=Goal(ratio=ratio), inputs=(source,), **asked)
         settings, _ = plan_job(request, None, size)
-        frame = survey(settings)
+        units = survey(settings)
         done = run_tasks(
             folder, settings, Here(), 2, StageClock(), Tracker(None, []), resumed=False
         )
-        codes = frame.codes(splats)
+        codes = units.codes(splats)
         of_block = np.empty(len(splats), np.int64)
         parts = [done.work.partition.count(b) for b in range(done.work.partition.blocks)]
         of_block[np.argsort(codes, kind="stable")] = np.repeat(np.arange(len(parts)), parts)

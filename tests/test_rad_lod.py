@@ -18,7 +18,7 @@ from nanogs.errors import FormatError, OptionError
 from nanogs.io.rad.header import read_header
 from nanogs.io.rad.levels import heights
 from nanogs.lod import links
-from nanogs.lod.tree import Layer, as_rows, build, frame_of, layers_of
+from nanogs.lod.tree import Layer, as_rows, build, layers_of, units_of
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
 from nanogs.source import InMemory
@@ -70,7 +70,7 @@ def test_leaves_that_cover_nothing_do_not_keep_those_above_from_growing():
         middle = np.array([means[fives == each].mean(axis=0) for each in range(count // 4)])
         layers = [Layer(means, fives), Layer(middle, np.zeros(count // 4, np.int64))]
         top = Layer(means.mean(axis=0)[None], np.empty(0, np.int64))
-        return build(leaves, [*layers, top], frame_of(InMemory(splats))).layers[-1].load()
+        return build(leaves, [*layers, top], units_of(InMemory(splats))).layers[-1].load()
 
     assert np.allclose(root(24).log_scales, root(20).log_scales, atol=1e-3)
 

@@ -25,7 +25,6 @@ from nanogs.pipeline import cluster, run, stages
 from nanogs.pipeline.budget import budget
 from nanogs.pipeline.folder import LOCK, MANIFEST, locked, read_manifest, write_manifest
 from nanogs.pipeline.forests import BINS, histogram_of, keys, scores_of
-from nanogs.pipeline.frame import Frame
 from nanogs.pipeline.partition import partition
 from nanogs.pipeline.plan import held_bytes, plan_blocks
 from nanogs.pipeline.settings import (
@@ -38,6 +37,7 @@ from nanogs.pipeline.settings import (
 )
 from nanogs.pipeline.settle import keep_every_group
 from nanogs.pipeline.spill import DIGEST
+from nanogs.pipeline.units import Units
 from nanogs.source import Layout
 from nanogs.store.columns import CODES
 from nanogs.store.scratch import FolderScratch, open_scratch
@@ -524,9 +524,9 @@ def test_a_disk_that_is_too_small_is_refused_at_once(scene, tmp_path, monkeypatc
     assert names(tmp_path) == []
 
 
-def test_frames_keep_every_digit():
-    from nanogs.pipeline.frame import frame_of
+def test_units_keep_every_digit():
+    from nanogs.pipeline.units import units_of
 
     anchors = ((0.1, 0.2, 0.3, 1 / 7), (1e-300, 2.0, 3.0, 0.0))
-    frame = Frame((0.1, 1 / 3, 1e-300), anchors, 0.2, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9)
-    assert frame_of(json.loads(json.dumps(frame.to_dict()))) == frame
+    units = Units((0.1, 1 / 3, 1e-300), anchors, 0.2, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9)
+    assert units_of(json.loads(json.dumps(units.to_dict()))) == units

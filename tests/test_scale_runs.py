@@ -22,13 +22,13 @@ from nanogs.clock import StageClock
 from nanogs.errors import OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.ending import result_of
-from nanogs.pipeline.frame import survey
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.plan import held_bytes
 from nanogs.pipeline.presets import PRESETS
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
+from nanogs.pipeline.units import survey
 from nanogs.progress import Tracker
 from nanogs.source import Layout
 from nanogs.store.scratch import FolderScratch

@@ -192,7 +192,7 @@ def as_rows(leaves: Source, layers: Sequence[Layer]) -> tuple[Source, Tree]:
         leaves: The finest level.
         layers: From that to the root, as `layers_of` gives them.
     """
-    made = build(leaves, layers, frame_of(leaves))
+    made = build(leaves, layers, units_of(leaves))
     return Joined(made.layers[::-1]), Tree(np.concatenate(made.children[::-1]))
 
 
@@ -213,14 +213,14 @@ class Built(NamedTuple):
 
 
 def build(
-    leaves: Source, layers: Sequence[Layer], frame: "Frame", nodes: Nodes | None = None
+    leaves: Source, layers: Sequence[Layer], units: "Units", nodes: Nodes | None = None
 ) -> Built:
     """Make the splats that stand for others, by the moments of all leaves below them.
 
     Args:
         leaves: The finest layer.
         layers: From that to the last; the last may have several rows.
-        frame: What nodes are made with.
+        units: What nodes are made with.
         nodes: Of the leaves, without features, if they stand for others themselves.
     """
     orders, children = _places(layers)
@@ -228,10 +228,10 @@ def build(
     made: list[Source] = [in_order(leaves, order)]
     moments = None if nodes is None else without_features(nodes, order)
     for counts in children[1:]:
-        splats, moments = _standing_for(made[-1], moments, counts, frame)
+        splats, moments = _standing_for(made[-1], moments, counts, units)
         made.append(InMemory(splats))
     if moments is None:
-        alone = _nodes(made[0].load(), None, slice(None), frame)
+        alone = _nodes(made[0].load(), None, slice(None), units)
         moments = without_features(alone, slice(None))
     return Built(made, children, order, moments)
 
@@ -249,7 +249,7 @@ def _places(layers: Sequence[Layer]) -> tuple[list[I64], list[I64]]:
     return orders[::-1], children[::-1]
 
 
-class Frame(NamedTuple):
+class Units(NamedTuple):
     """Values by which splats are made nodes; see `activate_nodes`."""
 
     origin: F64
@@ -258,7 +258,7 @@ class Frame(NamedTuple):
     usual: float  # coverage, square scene units
 
 
-def frame_of(leaves: Source) -> Frame:
+def units_of(leaves: Source) -> Units:
     """By some of the leaves."""
     some = leaves.take(np.arange(0, leaves.count, leaves.count // _SAMPLE + 1))
     means = some.means.astype(np.float64)
@@ -267,11 +267,11 @@ def frame_of(leaves: Source) -> Frame:
     thinnest = thinnest_axis(some.scales(), means, added.least)
     rows: I32 = np.arange(len(some), dtype=np.int32)
     nodes = activate_nodes(some, rows, origin, added, thinnest)
-    return Frame(origin, added, thinnest, float(nodes.coverages.mean()) or 1.0)
+    return Units(origin, added, thinnest, float(nodes.coverages.mean()) or 1.0)
 
 
 def _standing_for(
-    below: Source, moments: Nodes | None, counts: I64, frame: Frame
+    below: Source, moments: Nodes | None, counts: I64, units: Units
 ) -> tuple[Splats, Nodes]:
     """The splats of a layer, of the rows of the next finer one.
 
@@ -279,7 +279,7 @@ def _standing_for(
         below: That one, in the order of the file.
         moments: Its nodes, without features; None for leaves.
         counts: How many rows each of the splats stands for, one after the other.
-        frame: Values by which the rows are made nodes; see `activate_nodes`.
+        units: Values by which the rows are made nodes; see `activate_nodes`.
 
     Returns:
         The splats, and their nodes without features.
@@ -290,9 +290,9 @@ def _standing_for(
     for first, last in pairwise(cuts.tolist()):
         rows = slice(int(ends[first]), int(ends[last]))
         splats = below.read(rows.start, rows.stop)
-        nodes = _nodes(splats, moments, rows, frame)
+        nodes = _nodes(splats, moments, rows, units)
         labels = np.repeat(np.arange(last - first, dtype=np.int32), counts[first:last])
-        stored = store_groups(nodes, labels, splats, frame.origin, frame.added)
+        stored = store_groups(nodes, labels, splats, units.origin, units.added)
         # Groups are stored in the order of their heaviest members, which is theirs here.
         made.append(replace(stored.grown(_GROWTH), notes=()))
         found.append(without_features(gather(nodes, labels, last - first), slice(None)))
@@ -306,14 +306,14 @@ def joined_nodes(parts: Sequence[Nodes]) -> Nodes:
     return replace(parts[0], **columns)
 
 
-def _nodes(splats: Splats, moments: Nodes | None, rows: slice, frame: Frame) -> Nodes:
+def _nodes(splats: Splats, moments: Nodes | None, rows: slice, units: Units) -> Nodes:
     """Nodes of some rows, which weigh as much as they cover: then moments of moments are right."""
     own: I32 = np.arange(len(splats), dtype=np.int32)
     if moments is None:
-        leaves = activate_nodes(splats, own, frame.origin, frame.added, frame.thinnest)
-        return replace(leaves, weights=np.maximum(leaves.coverages / frame.usual, LIGHTEST))
+        leaves = activate_nodes(splats, own, units.origin, units.added, units.thinnest)
+        return replace(leaves, weights=np.maximum(leaves.coverages / units.usual, LIGHTEST))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
     some = without_features(moments, rows)
     # Of many that cover nothing the least weights have added up, which `area_needs` tells them by.
-    weights = np.where(some.coverages <= LIGHTEST * frame.usual, LIGHTEST, some.weights)
+    weights = np.where(some.coverages <= LIGHTEST * units.usual, LIGHTEST, some.weights)
     return replace(some, weights=weights, features=features, rows=own)

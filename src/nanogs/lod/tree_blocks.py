@@ -16,7 +16,7 @@ import numpy as np
 from nanogs._types import I64
 from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
-from nanogs.lod.tree import build, frame_of, joined_nodes, layers_of, refuse_many
+from nanogs.lod.tree import build, joined_nodes, layers_of, refuse_many, units_of
 from nanogs.method.nodes import Nodes
 from nanogs.progress import Parts, untold
 from nanogs.source import InMemory, Source
@@ -42,7 +42,7 @@ class Linked:
         """As `block_layouts.Linked` says."""
         layers = layers_of(levels, threads, steps=steps)
         leaves = InMemory(levels[0].load())
-        made = build(leaves, layers, frame_of(InMemory(some)))
+        made = build(leaves, layers, units_of(InMemory(some)))
         children = [partial(_part, counts) for counts in made.children]
         roots = {name: getattr(made.nodes, name) for name in _MOMENTS}
         return BlockTree(made.layers, children, roots)
@@ -134,7 +134,7 @@ def joined_trees(
     roots = InMemory(concatenate([tree.layers[-1].load() for tree in trees]))
     levels = len(trees[0].layers) - 1
     up = layers_of([roots, *further], first=levels - 1)
-    top = build(roots, up, frame_of(InMemory(some)), _nodes_of(trees))
+    top = build(roots, up, units_of(InMemory(some)), _nodes_of(trees))
     layers, children = list(top.layers), list(top.children)
     bounds = _bounds(trees)
     below = np.concatenate([np.diff(each[-2]) for each in bounds]) if levels else None

@@ -9,8 +9,8 @@ import numpy as np
 from nanogs._types import F64, I32, I64, U64, Array
 from nanogs.method.nodes import LIGHTEST, Nodes, activate_nodes, prominence, without_coverages
 from nanogs.method.visibility import visible_weights
-from nanogs.pipeline.frame import Frame
 from nanogs.pipeline.partition import Partition
+from nanogs.pipeline.units import Units
 from nanogs.splats import Splats
 from nanogs.store.columns import CODES, read_rows
 from nanogs.store.scratch import Scratch
@@ -90,16 +90,16 @@ class Weighing:
 def leaves_of(
     splats: Splats,
     rows: I64 | I32,
-    frame: Frame,
+    units: Units,
     weighing: Weighing | None = None,
     *,
     bare: bool = False,
 ) -> Nodes:
     """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
-    nodes = activate_nodes(splats, rows, frame.centre(), frame.dilation(), frame.thinnest)
-    prominences = prominence(nodes.coverages, nodes.means, frame.dilation())
+    nodes = activate_nodes(splats, rows, units.centre(), units.dilation(), units.thinnest)
+    prominences = prominence(nodes.coverages, nodes.means, units.dilation())
     if weighing is None:
-        weights = prominences / frame.prominence
+        weights = prominences / units.prominence
     else:
         weights = visible_weights(prominences, weighing.visible[rows], weighing.hidden)
         weights /= weighing.typical

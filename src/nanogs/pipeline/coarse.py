@@ -40,10 +40,10 @@ def write_coarse(work: "Work", name: str, block: int, level: int) -> Record:
     """
     splats, rows = work.block(block)
     splats = replace(splats.with_sh_degree(0), extras={})
-    frame, groups = work.frame, int(work.of_job("outline").facts["groups"][level][block])
-    leaves = leaves_of(splats, rows, frame)
+    units, groups = work.units, int(work.of_job("outline").facts["groups"][level][block])
+    leaves = leaves_of(splats, rows, units)
     labels = cut_block(work.scratch, work.of_block("rough", block), groups)
-    stored = store_groups(leaves, labels, splats, frame.centre(), frame.dilation(), growth=GROWTH)
+    stored = store_groups(leaves, labels, splats, units.centre(), units.dilation(), growth=GROWTH)
     return write_table(work.scratch, name, columns_of(stored.grown(GROWTH)), {})
 
 

@@ -95,7 +95,7 @@ def write_rest(work: "Work", name: str, level: int) -> Record:
         return write_table(work.scratch, name, {}, {BOUNDS: None})
     parts = [read_part(work.scratch, work.settings.result_layout, record) for record in records]
     small = simplify_further(concatenate(parts), target, work.settings, work.threads)
-    codes = work.frame.codes(small)
+    codes = work.units.codes(small)
     order = np.argsort(codes, kind="stable")
     blocks = _filled(work, level)
     found = np.searchsorted(_first_codes(work)[blocks], codes[order], side="right") - 1

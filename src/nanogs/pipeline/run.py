@@ -89,7 +89,7 @@ class Run:
                 self.kept += len(tasks) - len(left)
                 progress.begin(stage.name)
                 progress.part(len(tasks) - len(left), len(tasks))
-                # The frame is made here, while workers of this machine start.
+                # The units are found here, while workers of this machine start.
                 doing = Here() if stage.name == "frame" else self.executor
                 for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
                     work.record(task)  # kept: the report is made when the scratch is gone

@@ -34,8 +34,8 @@ def write_look(work: "Work", name: str, own: Block, missed: Bool, lights: Sequen
         lights: The views.
     """
     assert own.visible is not None  # noqa: S101 - it was looked at
-    leaves, visible = leaves_of(own.splats, own.rows, work.frame), own.visible[own.rows]
-    prominences = prominence(leaves.coverages, leaves.means, work.frame.dilation())
+    leaves, visible = leaves_of(own.splats, own.rows, work.units), own.visible[own.rows]
+    prominences = prominence(leaves.coverages, leaves.means, work.units.dilation())
     weights = visible_weights(prominences, visible, work.settings.parameters.hidden)
     facts = {
         "cameras": [plain_camera(camera) for camera, _ in lights],

@@ -6,9 +6,9 @@ A sorted segment holds the rows of any block in one piece, whatever blocks are c
 import numpy as np
 
 from nanogs.findings import to_plain
-from nanogs.pipeline.frame import Frame
 from nanogs.pipeline.rows import read_segment
 from nanogs.pipeline.settings import Settings
+from nanogs.pipeline.units import Units
 from nanogs.pipeline.unpack import Unpacked
 from nanogs.store.columns import CODES, sorted_columns
 from nanogs.store.scratch import Scratch
@@ -21,7 +21,7 @@ def spill(
     scratch: Scratch,
     name: str,
     settings: Settings,
-    frame: Frame,
+    units: Units,
     number: int,
     unpacked: Unpacked | None = None,
 ) -> Record:
@@ -31,7 +31,7 @@ def spill(
         scratch: Where to.
         name: Of the table.
         settings: The job.
-        frame: Of its scene.
+        units: Of its scene.
         number: Of the segment.
         unpacked: The files that have been unpacked, if any.
 
@@ -42,7 +42,7 @@ def spill(
     """
     segment = settings.segments[number]
     splats = read_segment(settings, segment, unpacked)
-    codes = frame.codes(splats)
+    codes = units.codes(splats)
     order = np.argsort(codes, kind="stable")
     digest = codes[order[:: settings.every]]
     columns = sorted_columns(splats, order) | {CODES: Sorted(codes, order), DIGEST: digest}

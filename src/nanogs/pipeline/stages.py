@@ -141,12 +141,12 @@ def _unpack(work: Work, task: Task) -> Record:
     return unpack(work.scratch, task.name, settings.inputs[settings.unpacked[task.number]])
 
 
-def _frame(scene: Scene, task: Task) -> Record:
+def _units(scene: Scene, task: Task) -> Record:
     return scene.survey(task.name)
 
 
 def _segment(work: Work, task: Task) -> Record:
-    return spill(work.scratch, task.name, work.settings, work.frame, task.number, work.unpacked())
+    return spill(work.scratch, task.name, work.settings, work.units, task.number, work.unpacked())
 
 
 def _partition(work: Work, task: Task) -> Record:
@@ -156,9 +156,9 @@ def _partition(work: Work, task: Task) -> Record:
 
 def _rough(work: Work, task: Task) -> Record:
     splats, rows = work.block(task.number)
-    frame, parameters = work.frame, work.settings.parameters
+    units, parameters = work.units, work.settings.parameters
     return grow(
-        work.scratch, task.name, lambda: leaves_of(splats, rows, frame, bare=True), parameters,
+        work.scratch, task.name, lambda: leaves_of(splats, rows, units, bare=True), parameters,
         [parameters.balance], work.threads,
     )  # fmt: skip
 
@@ -211,7 +211,7 @@ def _pick(scene: Scene, task: Task) -> Record:
 def _cut(work: Work, task: Task) -> Record:
     # Colours have no part in it.
     splats, rows = work.block(task.number, work.settings.layout.bare())
-    leaves = leaves_of(splats, rows, work.frame, work.weighing(work.visible(task.number)))
+    leaves = leaves_of(splats, rows, work.units, work.weighing(work.visible(task.number)))
     labels, groups = work.labels(task.number, task.level), work.groups(task.number, task.level)
     return write_cut(work.scratch, task.name, leaves, labels, groups, work.threads)
 
@@ -351,7 +351,7 @@ STAGES = {
     stage.name: stage
     for stage in (
         JobStage("unpack", "file", _unpack, 1.0, _unpacks),
-        JobStage("frame", "job", _frame, 0.3, held=True),
+        JobStage("frame", "job", _units, 0.3, held=True),
         JobStage("segment", "segment", _segment, 0.5),
         JobStage("partition", "job", _partition, 0.05),
         JobStage("rough", "block", _rough, 3.0, _looks, needed=_divided),

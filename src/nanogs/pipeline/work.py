@@ -24,7 +24,6 @@ from nanogs.pipeline.coarse import coarse_scene, surroundings
 from nanogs.pipeline.cuts import LABELS, cut_block
 from nanogs.pipeline.fitting import fit_report, fit_views, notes_on_fits
 from nanogs.pipeline.forests import grow, passes_of
-from nanogs.pipeline.frame import Frame, frame_of, survey
 from nanogs.pipeline.halo import Halo, find_halo, near_groups
 from nanogs.pipeline.memory_blocks import FINE, ROUGH
 from nanogs.pipeline.partition import Partition, partition_of
@@ -49,6 +48,7 @@ from nanogs.pipeline.settle import (
     view_of,
     write_settled,
 )
+from nanogs.pipeline.units import Units, survey, units_of
 from nanogs.pipeline.unpack import Unpacked
 from nanogs.pipeline.views import Views, parts_of, views_of
 from nanogs.progress import Parts, untold
@@ -109,9 +109,9 @@ class Work(Scene):
         return self.known[name]
 
     @cached_property
-    def frame(self) -> Frame:
-        """The frame that all blocks share."""
-        return frame_of(self.record(Task("frame")).facts)
+    def units(self) -> Units:
+        """The units that all blocks share."""
+        return units_of(self.record(Task("frame")).facts)
 
     @cached_property
     def partition(self) -> Partition:
@@ -242,10 +242,10 @@ class Work(Scene):
 
     def stored(self, members: Members) -> Groups:
         """The groups of a block as splats."""
-        leaves = leaves_of(members.splats, members.rows, self.frame, self.weighing(members.visible))
-        frame, growth = self.frame, self.settings.parameters.growth
+        leaves = leaves_of(members.splats, members.rows, self.units, self.weighing(members.visible))
+        units, growth = self.units, self.settings.parameters.growth
         return store_groups(
-            leaves, members.labels, members.splats, frame.centre(), frame.dilation(),
+            leaves, members.labels, members.splats, units.centre(), units.dilation(),
             growth=None if self.measures else growth, others=members.others,
         )  # fmt: skip
 
@@ -305,9 +305,9 @@ class Work(Scene):
     def grow(self, name: str, block: int) -> Record:
         """As `Scene` says."""
         own = self.open(block)
-        frame, weighing = self.frame, self.weighing(own.visible)
+        units, weighing = self.units, self.weighing(own.visible)
         return grow(
-            self.scratch, name, lambda: leaves_of(own.splats, own.rows, frame, weighing, bare=True),
+            self.scratch, name, lambda: leaves_of(own.splats, own.rows, units, weighing, bare=True),
             self.settings.parameters, self.balances, self.threads,
         )  # fmt: skip
 
@@ -328,11 +328,11 @@ class Work(Scene):
             labels = table.read(LABELS)
         splats = splats_of(columns, settings.layout)
         weighing = self.weighing(columns.get(VISIBLE))
-        leaves = leaves_of(splats, morton_rows(columns[CODES]), self.frame, weighing)
+        leaves = leaves_of(splats, morton_rows(columns[CODES]), self.units, weighing)
         view = view_of(leaves, labels, own, self.groups(block, level), halo)
         found = settled(view, settings.parameters.rounds, self.threads)
         # Where results are measured, nothing grows by what covers it.
-        cover = None if self.measures else settled_cover(view, found.labels, self.frame.dilation())
+        cover = None if self.measures else settled_cover(view, found.labels, self.units.dilation())
         return write_settled(self.scratch, name, found, view, columns, cover)
 
     @property
@@ -377,7 +377,7 @@ class Work(Scene):
 
     def keep_part(self, name: str, level: int, small: Splats) -> Record:
         """As `Scene` says, in Morton order."""
-        order = morton_rows(self.frame.codes(small))
+        order = morton_rows(self.units.codes(small))
         return write_table(self.scratch, name, sorted_columns(small, order), {})
 
     def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:

@@ -19,7 +19,7 @@ from nanogs.splats import Splats
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class Units:
     """The units in which blocks are comparable.
 
     Attributes:
@@ -58,14 +58,14 @@ class Frame:
         return codes_in(splats.means - self.centre(), np.array(self.corner), self.width)
 
 
-def frame_of(data: Mapping[str, Any]) -> Frame:
-    """A frame from what `to_dict` made of it, by way of JSON."""
+def units_of(data: Mapping[str, Any]) -> Units:
+    """Units from what `to_dict` made of it, by way of JSON."""
     fixed: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
     fixed["anchors"] = tuple(map(tuple, data["anchors"]))
-    return Frame(**fixed)
+    return Units(**fixed)
 
 
-def survey(settings: Settings, unpacked: Unpacked | None = None) -> Frame:
+def survey(settings: Settings, unpacked: Unpacked | None = None) -> Units:
     """Look at some of the rows of all inputs.
 
     Args:
@@ -86,7 +86,7 @@ def survey(settings: Settings, unpacked: Unpacked | None = None) -> Frame:
     nodes = activate_nodes(some, np.arange(len(some)), origin, added, thinnest)
     typical = float(prominence(nodes.coverages, nodes.means, added).mean())
     corner, width = code_box(means)
-    return Frame(
+    return Units(
         origin=tuple(map(float, origin)),
         anchors=tuple(map(tuple, np.column_stack((added.anchors, added.radii)).tolist())),
         per_radius=added.per_radius,
