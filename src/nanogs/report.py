@@ -51,6 +51,12 @@ class PassReport:
     highest_cost: float | None
     seconds: dict[str, float]
 
+    @property
+    def stop(self) -> StopReason:
+        """Why merging ends with it, if it has merged nothing."""
+        tried = self.candidates > self.without_cost
+        return StopReason.NO_PROGRESS if tried else StopReason.NO_CANDIDATES
+
 
 @dataclass(frozen=True, slots=True)
 class CandidateReport:

@@ -170,11 +170,8 @@ def wish_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN40
     Raises:
         OptionError: An option makes no sense.
     """
-    changes, blocks = (
-        parse_changes(method.edits, goal.psnr, looks=renders(method.chosen)),
-        method.blocks,
-    )
-    threads = method.threads
+    changes = parse_changes(method.edits, goal.psnr, looks=renders(method.chosen))
+    threads, blocks = method.threads, method.blocks
     if threads is None and blocks.workers is not None:
         threads = max((cpu_count() or 1) // blocks.workers, 1)
     return Request(
@@ -203,10 +200,8 @@ def plan_run(
         NanogsError: It cannot be done.
     """
     info, goal = inspect_parts(wish.inputs), wish.goal
-    count = None if goal.size is not None else goal.target(info.splats, lambda _count: 0)
-    plan = Plan(
-        wish=wish, method=method, info=info, count=count, free=allowed_memory(wish.max_memory),
-    )  # fmt: skip
+    count, free = goal.known_count(info.splats), allowed_memory(wish.max_memory)
+    plan = Plan(wish=wish, method=method, info=info, count=count, free=free)
     if plan_files(wish).divided:
         plan.refuse_whole_model_wishes(piped=piped)
         return replace(plan, divided=True)

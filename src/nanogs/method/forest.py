@@ -68,8 +68,7 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
         told = partial(_tell_within, tell, count, len(nodes))
         plan, increments, report = _one_pass(nodes, parameters, threads, told)
         if len(plan) == 0:
-            none_left = report.candidates == report.without_cost
-            stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
+            stop = report.stop
             passes.append(report)
             break
         clock = StageClock()

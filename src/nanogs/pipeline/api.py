@@ -240,7 +240,7 @@ def target_of(
         OptionError: It cannot be had from this model, or not in this format.
     """
     if goal.size is None:
-        return goal.target(available, lambda _count: 0)
+        return goal.known_count(available)
     known = registry.writable(path)
     if known.file_bytes is None:
         return None
@@ -250,7 +250,7 @@ def target_of(
     searched = is_searched(goal, known, degree=degree, looks=renders(chosen))
     if searched and file_bytes(like, available) > goal.size:
         return None
-    return goal.target(available, lambda count: file_bytes(like, count))
+    return count_for_size(available, goal.size, lambda count: file_bytes(like, count))
 
 
 def refuse_small(wish: "Wish", some: Splats, files: "HeldFiles") -> None:

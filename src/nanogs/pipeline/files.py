@@ -312,7 +312,7 @@ def _stages(request: Request, plan: Plan) -> list[Stage]:
     from nanogs.pipeline.foreseen import simplify_stages
 
     splats, suffix, goal = plan.splats, request.output.suffix, request.goal
-    count = None if goal.size is not None else goal.target(splats, lambda _count: 0)
+    count = goal.known_count(splats)
     if goal.size is not None and not request.searches(plan.sh_degree):
         count = max(splats // 10, 1)  # or any: the size tells it once the model is read
     stages = reading_stages(request.edits, splats)

@@ -17,7 +17,7 @@ from nanogs.pipeline.job import Job, NanPolicy, prepare_job
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search
 from nanogs.pipeline.rows import check_degree
-from nanogs.pipeline.target import Goal
+from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Parts, Progress, Stage, Tracker
 from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
@@ -188,7 +188,7 @@ class Grown:
         Raises:
             OptionError: It is below 1, or above that of the usable splats.
         """
-        Goal(count=count).target(self.available, lambda _count: 0)
+        target_count(self.available, None, count)
 
 
 def grow(

@@ -73,20 +73,17 @@ class Goal:
         """Whether only measuring results tells the count, whatever the format."""
         return self.psnr is not None or self.draw_cost is not None
 
-    def target(self, available: int, file_bytes: Callable[[int], int]) -> int | None:
-        """Splats to deliver; None where only measuring can tell.
+    def known_count(self, available: int) -> int | None:
+        """Splats to deliver by a ratio or a count; None where a size or a measurement tells.
 
         Args:
             available: Splats that can be used.
-            file_bytes: Size of the output file for a count.
 
         Raises:
-            OptionError: It is more than the model has, or less than one splat's file takes.
+            OptionError: It is more than the model has.
         """
-        if self.is_measured:
+        if self.is_measured or self.size is not None:
             return None
-        if self.size is not None:
-            return count_for_size(available, self.size, file_bytes)
         return target_count(available, self.ratio, self.count)
 
 

@@ -39,7 +39,6 @@ class Arena:
         pages = min(planned // self.page, (count // self.page + 1) * parts)
         self._capacity = pages * self.page
         self._working = budget - _HELD * planned
-        self._free = list(range(pages))[::-1]
         self._geometry = np.empty((self._capacity, 8), np.float64)
         self._features = np.empty((self._capacity, 4), np.float32)
         self._boxes = np.empty(self._capacity, np.int64)

@@ -51,9 +51,7 @@ def merge_to_count(
         gaussians, report = _one_pass(gaussians, limit, parameters, threads, told)
         passes.append(report)
         if report.merged == 0:
-            none_left = report.candidates == report.without_cost
-            stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
-            return Merged(gaussians, tuple(passes), stop)
+            return Merged(gaussians, tuple(passes), report.stop)
     return Merged(gaussians, tuple(passes), StopReason.TARGET)
 
 
