@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 from nanogs.errors import OptionError
 from nanogs.formatting import counted, utf8
@@ -20,6 +20,7 @@ from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside, 
 from nanogs.scoring.comparison import (
     Comparison,
     NamedModel,
+    Sheet,
     compare_with_photographs,
 )
 from nanogs.scoring.needed import LESS, room_for_comparison
@@ -27,7 +28,7 @@ from nanogs.scoring.on_sets import compare_on_sets
 from nanogs.scoring.packing import packing_of
 from nanogs.scoring.page import render_page
 from nanogs.scoring.scores import ReferenceView
-from nanogs.scoring.view_sets import Size, found_views, parse_sources, view_sets
+from nanogs.scoring.view_sets import Size, ViewSet, found_views, parse_sources, view_sets
 from nanogs.source import source_of
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
@@ -118,44 +119,75 @@ def compare_files(
         models = []
         for name, source, suffix in each(opened, tracker.part):
             models.append(named(name, source, suffix, room is None))
-        options: dict[str, Any] = {"extras": extras, "pictures": bool(report), "progress": tracker}
-        start: Kind | Camera
+        scoring = _Scoring(extras, bool(report), room, tracker)
         if photos is None:
-            behind = background or BLACK
             sets = view_sets(models[0].splats, kinds, sizes, views=views, up=up)
-            start = AUTOMATIC.get(kinds[0], "auto") if kinds[0] in FOUND else sets[0].cameras[0]
-            comparison, sheets = compare_on_sets(
-                models[0], models[1:], sets, background=behind, room=room, **options
-            )
+            found = scoring.on_views(models, sets, kinds[0], background or BLACK)
         else:
             tracker.begin("photographs")
             behind, frames = photographs(photos, images, split, background, max_memory)
-            kept = _bytes_of(frames) * (2 if packing else 1)
-            room = None if room is None else max(room - kept, LEAST)
-            comparison, sheets = compare_with_photographs(
-                str(photos),
-                models,
-                frames,
-                split=split,
-                background=behind,
-                costs=True,
-                room=room,
-                **options,
+            found = scoring.on_photographs(
+                models, str(photos), frames, split, behind, 2 if packing else 1
             )
-            start = frames[0].camera
-        notes = (*remarks_on(given), *notes_beside(given[1:], packing), *comparison.notes)
-        comparison = replace(comparison, notes=notes)
+        notes = (*remarks_on(given), *notes_beside(given[1:], packing), *found.comparison.notes)
+        found = found._replace(comparison=replace(found.comparison, notes=notes))
     if report:
         viewer = None
         if interactive:
             tracker.begin("encode")
-            viewer = _viewer(models, comparison, start, up, behind)
+            viewer = _viewer(models, found, up)
         tracker.begin("write")
-        page_text = render_page(comparison, sheets, f"{reference[0]}: comparison", viewer)
+        text = render_page(found.comparison, found.sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
-            file.write(utf8(page_text))
+            file.write(utf8(text))
     tracker.finish()
-    return comparison
+    return found.comparison
+
+
+class _Found(NamedTuple):
+    """A comparison, and what its page begins with: a view, and the background."""
+
+    comparison: Comparison
+    sheets: list[Sheet]
+    start: "Kind | Camera"
+    behind: Background
+
+
+class _Scoring(NamedTuple):
+    """How models are scored, whatever the views: see `compare_models`."""
+
+    extras: Sequence[str]
+    pictures: bool
+    room: int | None
+    progress: Tracker
+
+    def on_views(
+        self, models: Sequence[NamedModel], sets: Sequence[ViewSet], kind: str, behind: Background
+    ) -> _Found:
+        """Hold models against the first of them; the first set of views is of a kind."""
+        start = AUTOMATIC.get(kind, "auto") if kind in FOUND else sets[0].cameras[0]
+        found = compare_on_sets(
+            models[0], models[1:], sets, background=behind, extras=self.extras,
+            pictures=self.pictures, room=self.room, progress=self.progress,
+        )  # fmt: skip
+        return _Found(*found, start, behind)
+
+    def on_photographs(
+        self,
+        models: Sequence[NamedModel],
+        source: str,
+        frames: Sequence[ReferenceView],
+        split: str,
+        behind: Background,
+        held: int,
+    ) -> _Found:
+        """Hold models against photographs, of which so many times the bytes are held."""
+        room = None if self.room is None else max(self.room - held * _bytes_of(frames), LEAST)
+        found = compare_with_photographs(
+            source, models, frames, split=split, background=behind, extras=self.extras,
+            pictures=self.pictures, costs=True, room=room, progress=self.progress,
+        )  # fmt: skip
+        return _Found(*found, frames[0].camera, behind)
 
 
 def _room(
@@ -208,18 +240,12 @@ def _stages(
     return stages + ([] if page is None else [Stage("write", 1.0)])
 
 
-def _viewer(
-    models: Sequence[NamedModel],
-    comparison: Comparison,
-    start: "Kind | Camera",
-    up: Sequence[float] | None,
-    behind: Background,
-) -> str:
+def _viewer(models: Sequence[NamedModel], found: _Found, up: Sequence[float] | None) -> str:
     """The part of a page in which the models move: those that are given, not files of them."""
     models = [model for model in models if not model.packed]
     held = [source_of(model.splats).load() for model in models]
-    opening = opening_for(held[0], start, up)
-    return viewer_part(_shown(models, held, comparison, opening), opening, behind)
+    opening = opening_for(held[0], found.start, up)
+    return viewer_part(_shown(models, held, found.comparison, opening), opening, found.behind)
 
 
 def _shown(
