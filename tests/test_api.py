@@ -306,6 +306,73 @@ def test_one_format_and_one_metric_are_several_of_one(pair):
 
 
 @pytest.mark.parametrize(
+    "call",
+    [
+        nanogs.render,
+        nanogs.draw_cost,
+        nanogs.mode_evidence,
+        lambda m, **o: nanogs.compare(m, m, **o),
+    ],
+)
+def test_views_and_pixels_are_numbers_of_any_kind_and_nothing_else(pair, call):
+    small = pair[0].take(np.arange(60))
+    plain, numpys = call(small, views=1, pixels=(32, 16)), {"views": np.int64(1)}
+    for pixels in (np.array([32, 16]), (np.int32(32), np.uint8(16))):
+        assert np.array_equal(call(small, pixels=pixels, **numpys), plain)
+    assert np.array_equal(
+        call(small, views=1, pixels=np.int64(32)), call(small, views=1, pixels=32)
+    )
+    for pixels in (32.0, "32", (32,), (32, 16, 8), (32, "16"), None):
+        with pytest.raises(OptionError, match="`pixels` must be a whole number, or two"):
+            call(small, views=1, pixels=pixels)
+    for views in ("2", 2.0, (1,)):
+        with pytest.raises(OptionError, match="`views` must be a whole number, not"):
+            call(small, views=views, pixels=32)
+
+
+def test_cameras_of_a_refit_may_come_one_at_a_time(pair):
+    views = automatic_cameras(pair[0], count=4, width=32, height=32)
+    few = nanogs.RefitParameters(rounds=1, steps=2)
+    _, report = nanogs.refit(*pair, cameras=iter(views), parameters=few)
+    assert len(report.fit_views) + len(report.validation_views) == 4
+    for wrong in ("auto", 5, [*views, "roam"]):
+        with pytest.raises(OptionError, match="must be a list of nanogs"):
+            nanogs.refit(*pair, cameras=wrong, parameters=few)
+    with pytest.raises(OptionError, match="needs two cameras or more, one of which decides, not 1"):
+        nanogs.refit(*pair, cameras=views[0], parameters=few)
+
+
+def test_a_background_is_three_numbers_in_whatever_holds_them(pair):
+    white = {"views": 1, "pixels": 32, "background": np.ones(3)}
+    found = nanogs.compare(pair[0], pair[1], **white)
+    assert found.protocol.background == (1.0, 1.0, 1.0)
+    assert json.dumps(found.to_dict())
+    evidence = nanogs.mode_evidence(pair[0], **white)
+    assert evidence.protocol.background == (1.0, 1.0, 1.0)
+    for wrong in ("white", 1.0, (1, 1), (1, 1, np.nan), ("a", "b", "c")):
+        for call in (nanogs.mode_evidence, lambda m, **o: nanogs.compare(m, m, **o)):
+            with pytest.raises(OptionError, match="background must be three finite numbers, not"):
+                call(pair[0], views=1, pixels=32, background=wrong)
+
+
+@pytest.mark.parametrize(
+    "frame", ["rub", "rdf:rub", ("rub",), ("rdf", None), ("rdf", "rub", "luf")]
+)
+def test_a_frame_from_and_to_which_are_two(pair, files, tmp_path, frame):
+    out = tmp_path / "out.ply"
+    for call in (
+        lambda: nanogs.simplify(pair[0], count=9, preset="fast", frame=frame),
+        lambda: nanogs.simplify_blocks(files[0], out, count=9, preset="fast", frame=frame),
+        lambda: nanogs.write_levels(files[0], out, [0.5], preset="fast", frame=frame),
+        lambda: nanogs.convert(files[0], out, frame=frame),
+        lambda: nanogs.convert(files[0], out.with_suffix(".spz"), frame=frame),
+    ):
+        with pytest.raises(OptionError, match="`frame` must be the frames from and to which"):
+            call()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"nan": "eror"}, "`nan` must be 'drop' or 'error', not 'eror'"),

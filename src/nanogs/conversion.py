@@ -12,6 +12,7 @@ from nanogs.bar import drawn
 from nanogs.clock import StageClock
 from nanogs.filters import Filter, FilterReport, apply, listed
 from nanogs.findings import join_findings
+from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.frames import repeated
@@ -109,6 +110,7 @@ def convert(
     """
     start, clock = time.perf_counter(), StageClock()
     given, wanted, filters = place(source), place(target), listed(filters)
+    frame = checked_frames(frame)
     format_options = registry.framed(wanted, format_options, frame)
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(wanted, **saving)

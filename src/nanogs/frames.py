@@ -10,6 +10,7 @@ and rotations. Nor of spherical harmonics where no axes are swapped: a basis fun
 value or changes its sign. Otherwise those of a band mix.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import permutations, product
 from typing import NamedTuple
@@ -68,6 +69,23 @@ def checked_frame(name: str) -> str:
             f" up, back), not {name!r}."
         )
     return name.lower()
+
+
+def checked_frames(frames: Sequence[str] | None) -> tuple[str, str] | None:
+    """The frames from and to which something is turned, as a caller gives them; None for none.
+
+    Raises:
+        OptionError: They are not two, or one of them is no frame.
+    """
+    if frames is None:
+        return None
+    named = () if isinstance(frames, str) else tuple(frames)
+    if len(named) != 2 or not all(isinstance(name, str) for name in named):
+        raise OptionError(
+            "`frame` must be the frames from and to which the model is turned, such as"
+            f' ("rdf", "rub"), not {frames!r}.'
+        )
+    return checked_frame(named[0]), checked_frame(named[1])
 
 
 def change_between(source: str, target: str) -> Change:

@@ -1,9 +1,11 @@
 """How a PSNR was measured: what every number that is printed or stored names. No Numba here."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from nanogs.errors import OptionError
 from nanogs.formatting import number_text
 
 Background = tuple[float, float, float]
@@ -17,6 +19,21 @@ PIXELS = 512  # along both sides of a view
 UNMEASURED = "The PSNR cannot be measured: "  # begins the reason, where it is asked for
 BLACK: Background = (0.0, 0.0, 0.0)
 WHITE: Background = (1.0, 1.0, 1.0)
+
+
+def plain_background(colour: Iterable[float]) -> Background:
+    """A background as a caller gives it, in numbers of Python's.
+
+    Raises:
+        OptionError: It is not three finite numbers.
+    """
+    try:
+        red, green, blue = map(float, colour)
+    except (TypeError, ValueError):
+        red = green = blue = math.nan  # which is no colour either
+    if not all(map(math.isfinite, (red, green, blue))):
+        raise OptionError(f"background must be three finite numbers, not {colour!r}.")
+    return red, green, blue
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,14 @@
 """`nanogs.refit`: a small model, fitted to renders of the original, and a report."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from nanogs.bar import drawn
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
-from nanogs.errors import ModelError
+from nanogs.errors import ModelError, OptionError
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import RefitReport
 from nanogs.fit.stages import refit_stages
@@ -63,6 +63,7 @@ def refit(
     """
     begin, clock = time.perf_counter(), StageClock()
     chosen = parameters or RefitParameters()
+    cameras = None if cameras is None else _listed(cameras)
     # Here and not above: these bring Numba, which `--help` does without.
     from nanogs.fit.views import view_targets
     from nanogs.raster.lens import lens_notes
@@ -138,6 +139,21 @@ def fit_to_views(
         notes=outcome.notes,
     )
     return fitted, report
+
+
+def _listed(cameras: "Sequence[Camera] | Camera") -> "list[Camera]":
+    """Cameras as a caller gives them, which are gone through more than once.
+
+    Raises:
+        OptionError: They are none.
+    """
+    from nanogs.raster.camera import Camera  # `--help` does without
+
+    given = [cameras] if isinstance(cameras, Camera) else cameras
+    found = list(given) if isinstance(given, Iterable) else [given]
+    if not all(isinstance(each, Camera) for each in found):
+        raise OptionError("`cameras` of a refit must be a list of nanogs.Camera, two or more.")
+    return found
 
 
 def _refuse_unusable(splats: Splats, name: str) -> None:

@@ -10,7 +10,7 @@ from nanogs.bar import drawn
 from nanogs.card.device import AUTO, CPU, check_device, device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
-from nanogs.frames import change_between, change_frame
+from nanogs.frames import change_frame, checked_frames
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
@@ -118,8 +118,7 @@ def simplify(
     refuse_searches(goal, preset, path)
     refuse_device(device, preset, chosen, goal)
     check_degree(sh_degree)
-    if frame:
-        change_between(*frame)  # which refuses other names
+    frame = checked_frames(frame)
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.pipeline.foreseen import simplify_stages
     from nanogs.pipeline.held_files import HeldFiles

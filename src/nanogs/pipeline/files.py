@@ -12,6 +12,7 @@ from nanogs.bar import drawn
 from nanogs.card.device import CPU, device_notes
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
+from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.frames import repeated
@@ -141,6 +142,7 @@ def simplify_blocks(
             was begun.
     """
     paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
+    frame = checked_frames(frame)
     request = Request(
         inputs=tuple(map(place, paths)), output=place(output),
         goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr, draw_cost),

@@ -11,6 +11,7 @@ from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
 from nanogs.filters import Filter, listed
+from nanogs.frames import checked_frames
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
 from nanogs.io.format import Sizer
@@ -85,6 +86,7 @@ class Request:
     def __post_init__(self) -> None:
         """Refuse what says nothing, before anything is read."""
         object.__setattr__(self, "filters", listed(self.filters))
+        object.__setattr__(self, "frame", checked_frames(self.frame))
         check_nan(self.nan)
         check_degree(self.sh_degree)
         if self.block is not None and not (is_number(self.block, whole=True) and self.block >= 1):

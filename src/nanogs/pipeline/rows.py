@@ -11,7 +11,6 @@ import numpy as np
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.filters import Filter, filter_of, refuse_whole
-from nanogs.frames import change_between
 from nanogs.io import open as open_model
 from nanogs.io.parts import FileSource
 from nanogs.pipeline.asked import AUTOMATIC, Asked
@@ -47,17 +46,13 @@ class Changes:
         """Refuse what cannot be done in blocks.
 
         Raises:
-            OptionError: A filter has to see the whole model, or is of a kind that no job records,
-                or there is no such degree or frame.
+            OptionError: A filter has to see the whole model, or is of a kind that no job records.
         """
         refuse_whole(self.filters)
         if any(each.plain is None for each in self.filters):
             raise OptionError(
                 "A job takes the filters of nanogs.filters alone; apply others to the model first."
             )
-        check_degree(self.sh_degree)
-        if self.frame is not None:
-            change_between(*self.frame)
 
 
 NOTHING = Changes()

@@ -11,7 +11,7 @@ from nanogs.errors import OptionError
 from nanogs.io.models import Model, opened
 from nanogs.io.urls import place
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, Background
+from nanogs.protocol import BLACK, PIXELS, Background, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.raster.camera import Camera
 from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside, remarks_on
@@ -19,7 +19,7 @@ from nanogs.scoring.needed import room_for_comparison
 from nanogs.scoring.packing import packing_of
 from nanogs.source import Source
 from nanogs.splats import Splats
-from nanogs.views.cameras import Cameras, given_cameras
+from nanogs.views.cameras import Cameras, given_cameras, picture_size, view_count
 
 if TYPE_CHECKING:
     from nanogs.io.format import FormatOptions
@@ -86,6 +86,8 @@ def compare(
         OptionError: An argument is out of range, there is no such device, or no model is given.
     """
     called, asked = _names(models, names), asked_views(cameras, pixels)
+    views = None if views is None else view_count(views)
+    background = plain_background(background)
     largest, most = asked.pictures(views)
     packing = packing_of(packed, format_options) if packed else {}
     extras = [metrics] if isinstance(metrics, str) else metrics
@@ -171,8 +173,7 @@ def asked_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> Asked:
         return Asked(given_cameras(given if len(given) == len(names) else []))
     sources = parse_sources(sources[0]) if len(sources) == 1 else sources
     several = pixels if isinstance(pixels, list) else [pixels]
-    sizes = [(size, size) if isinstance(size, int) else size for size in several]
-    return Asked([], sources, sizes)
+    return Asked([], sources, [picture_size(size) for size in several])
 
 
 def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:

@@ -20,10 +20,10 @@ from nanogs.io.urls import place
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import model_bytes, models_bytes, scoring_bytes
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, Background, Protocol
+from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.scoring.api import Pixels, asked_views, file_name
-from nanogs.views.cameras import Cameras
+from nanogs.views.cameras import Cameras, view_count
 
 if TYPE_CHECKING:
     from nanogs.scoring.mixed_views import MixedView
@@ -135,6 +135,8 @@ def compare_mixed(
     called = _names(original, paths, names)
     _check(paths, budget)
     asked = asked_views(cameras, pixels)
+    views = None if views is None else view_count(views)
+    background = plain_background(background)
     limit = None if max_memory is None else as_bytes(max_memory)
     _refuse_too_large(original, paths, *asked.pictures(views), limit)
     # Here and not above: these bring Numba.

@@ -17,7 +17,7 @@ from nanogs.errors import OptionError
 from nanogs.formatting import number_text
 from nanogs.io.models import Model, opened
 from nanogs.progress import Parts, Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Protocol
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats
@@ -174,6 +174,7 @@ def look_at(
 ) -> Looked:
     """Draw a model both ways, and measure what it takes to draw; see `mode_evidence`."""
     limit = None if max_memory is None else as_bytes(max_memory)
+    background = None if background is None else plain_background(background)
     wanted = known_cameras(cameras) if photos is None else []
     stages = [Stage("cameras", 1.0), Stage("render", 6.0), Stage("cover", 2.0)]
     with opened(model) as source, drawn(progress) as tell:

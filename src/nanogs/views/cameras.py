@@ -1,13 +1,14 @@
 """Cameras by source: found from the model, or read from a file."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from nanogs.errors import OptionError
 from nanogs.protocol import Kind as Origin
+from nanogs.ranges import is_number
 from nanogs.raster.camera import Camera
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -92,9 +93,36 @@ def chosen_cameras(
     if not isinstance(cameras, str | PathLike):
         return given_cameras(cameras), "given"
     source = os.fspath(cameras)
-    width, height = (pixels, pixels) if isinstance(pixels, int) else pixels
-    found = cameras_for(model, source, count=views, width=width, height=height, up=up)
+    width, height = picture_size(pixels)
+    count = view_count(views)
+    found = cameras_for(model, source, count=count, width=width, height=height, up=up)
     return found, FOUND.get(source, "given")
+
+
+def picture_size(pixels: int | Sequence[int]) -> tuple[int, int]:
+    """Width and height of automatic views, of which one number stands for both.
+
+    Raises:
+        OptionError: They are no whole numbers; what is below 1 is refused with the cameras.
+    """
+    sides: list[Any] = list(pixels) if isinstance(pixels, Iterable) else [pixels, pixels]
+    if len(sides) != 2 or not all(is_number(side, whole=True) for side in sides):
+        raise OptionError(
+            f"`pixels` must be a whole number, or two of them, width and height, not {pixels!r}."
+        )
+    width, height = map(int, sides)
+    return width, height
+
+
+def view_count(views: int) -> int:
+    """How many automatic views are asked for.
+
+    Raises:
+        OptionError: It is no whole number; what is below 1 is refused with the cameras.
+    """
+    if not is_number(views, whole=True):
+        raise OptionError(f"`views` must be a whole number, not {views!r}.")
+    return int(views)
 
 
 def known_cameras(cameras: Cameras) -> str | list[Camera]:

@@ -10,7 +10,7 @@ from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Kind, Protocol
 from nanogs.quantities import as_bytes
 from nanogs.raster.camera import Camera
 from nanogs.source import source_of
-from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
+from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras, picture_size, view_count
 from nanogs.views.plan import room_for_pictures
 
 
@@ -92,4 +92,5 @@ def pictures_of(
     """Pixels of the largest view, and the number of views; see `cameras.known_cameras`."""
     if not isinstance(wanted, str):
         return max(camera.width * camera.height for camera in wanted), len(wanted)
-    return pixels**2 if isinstance(pixels, int) else pixels[0] * pixels[1], views
+    width, height = picture_size(pixels)
+    return width * height, view_count(views)
