@@ -288,6 +288,26 @@ def test_filters_may_come_one_at_a_time(files, tmp_path, block):
     assert nanogs.convert(files[0], out, filters=some, overwrite=True).splats == left
 
 
+def test_a_job_takes_numbers_of_numpy_and_a_path_for_its_files(files, tmp_path):
+    fast = {"preset": "fast", "block": np.int64(300)}
+    out, scratch = tmp_path / "out.ply", tmp_path / "scratch"
+    report = nanogs.simplify_blocks(files[0], out, count=9, scratch=scratch, **fast)
+    assert (report.blocks.blocks, report.blocks.allowed) == (2, 300)
+    many = {"layout": "3d tiles", "chunk": np.int64(100), "chunk_min": np.int32(20)}
+    folder = tmp_path / "tiles"
+    nanogs.write_levels(files[0], folder, [0.5], scratch=scratch, **fast, **many)
+    assert (folder / "tileset.json").exists()
+    assert sorted(tmp_path.iterdir()) == sorted([out, folder])
+    for wrong in ("100", 100.0, True):
+        with pytest.raises(OptionError, match="A chunk holds a whole number of splats, not"):
+            nanogs.write_levels(files[0], tmp_path / "no", [0.5], **fast, **many | {"chunk": wrong})
+
+
+def test_levels_are_in_a_format_with_or_without_its_dot(files, tmp_path):
+    nanogs.write_levels(files[0], tmp_path / "levels", [0.5], preset="fast", suffix="spz")
+    assert (tmp_path / "levels" / "level_0.spz").exists()
+
+
 def test_one_filter_is_no_list_of_them(files, tmp_path):
     one, out = nanogs.filters.box((0, 0, 0), (1, 1, 1)), tmp_path / "out.ply"
     for wrong in (one, [nanogs.filters.box], "box", 5):

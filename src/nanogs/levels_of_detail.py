@@ -5,7 +5,7 @@ Here who makes levels (`pipeline`) and who lays them out (`lod`) meet, and nowhe
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from nanogs.clock import StageClock
 from nanogs.environments import AUTO, NOTHING, Surroundings, surroundings, without_environment
 from nanogs.errors import OptionError
 from nanogs.frames import change_frame
-from nanogs.io import inspect
+from nanogs.io import inspect, registry
 from nanogs.io.models import Model, as_splats
 from nanogs.io.stand_ins import refuse_address
 from nanogs.io.urls import place as place_of
@@ -92,7 +92,7 @@ def write_levels(
         place: Where on Earth 3D Tiles are: a `nanogs.Place`, or a (4, 4) transform from their
             frame, z up, to Earth-centred, Earth-fixed coordinates, with the shift in its last
             column; scene units are metres there. By default the scene is nowhere.
-        suffix: Format of levels in files of their own.
+        suffix: Format of levels in files of their own, with or without its dot.
         frame: From and to which the levels are turned before they are written.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         measured: Hold what was written of each level against the model, as `nanogs compare` does.
@@ -121,7 +121,9 @@ def write_levels(
         refuse_address(path, "give the source that nanogs.open makes of it")
     held = paths if isinstance(paths, Splats | Source) else files
     ratios = usual_levels(held, layout) if ratios is None else checked_ratios(ratios)
-    read: dict[str, Callable[[Any], Any]] = {"max_memory": as_bytes, "job": Path}
+    read: dict[str, Callable[[Any], Any]] = {
+        "max_memory": as_bytes, "job": Path, "scratch": fspath,
+    }  # fmt: skip
     given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
     overrides = {key: given.pop(key) for key in given.keys() - _FIELDS}
     request = Request(
@@ -130,7 +132,7 @@ def write_levels(
         overwrite=overwrite, measured=measured, overrides=overrides, **given,
     )  # fmt: skip
     request.refuse_unused_views()
-    sink = sink_of(request, suffix=suffix, source=source, layout=layout)
+    sink = sink_of(request, suffix=registry.suffix_of(suffix), source=source, layout=layout)
     sky = surroundings(environment, environment_ratio, layout)
     with drawn(progress) as tell:
         if not isinstance(paths, Splats | Source):

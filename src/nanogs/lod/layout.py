@@ -19,6 +19,7 @@ from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
 from nanogs.lod.tree_blocks import Linked
 from nanogs.place import Place, columns, transform_of
+from nanogs.ranges import is_number
 
 
 class Layout(StrEnum):
@@ -143,11 +144,22 @@ def chunks_of(
         raise OptionError("Contents are plain or packed in 3D Tiles only; write a tileset.json.")
     if place is not None and layout != Layout.TILES:
         raise OptionError("Only 3D Tiles have a place on Earth; write a tileset.json.")
-    most = CHUNK if chunk is None else chunk
-    least = max(min(LEAST_CHUNK, most // 4), 1) if chunk_min is None else chunk_min
+    most = CHUNK if chunk is None else _whole(chunk)
+    least = max(min(LEAST_CHUNK, most // 4), 1) if chunk_min is None else _whole(chunk_min)
     if layout == Layout.TILES:
         put = None if place is None else columns(transform_of(place))
         return Tiles(most, least, packed=not plain, place=put)
     if layout == Layout.TREE:
         return Linked()
     return StreamedSog(most, least) if layout in (Layout.SOG, Layout.ARCHIVE) else None
+
+
+def _whole(size: int) -> int:
+    """A size of chunks as a number of Python's, which a job keeps as JSON.
+
+    Raises:
+        OptionError: It is no whole number.
+    """
+    if not is_number(size, whole=True):
+        raise OptionError(f"A chunk holds a whole number of splats, not {size!r}.")
+    return int(size)

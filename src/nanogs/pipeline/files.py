@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,7 +62,7 @@ def simplify_blocks(
     max_memory: int | str | None = None,
     block: int | None = None,
     job: str | PathLike[str] | None = None,
-    scratch: str | None = None,
+    scratch: str | PathLike[str] | None = None,
     resume: bool = False,
     overwrite: bool = False,
     nan: NanPolicy = "drop",
@@ -148,7 +148,8 @@ def simplify_blocks(
         goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr, draw_cost),
         preset=preset, overrides=overrides, measured=measured,
         max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
-        job=None if job is None else Path(job), scratch=scratch, resume=resume,
+        job=None if job is None else Path(job),
+        scratch=None if scratch is None else fspath(scratch), resume=resume,
         overwrite=overwrite, nan=nan, filters=filters, sh_degree=sh_degree, frame=frame,
         render_mode=render_mode, cameras=cameras, up=up, device=device, threads=threads,
         executor=executor, patience=patience,

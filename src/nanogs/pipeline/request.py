@@ -95,6 +95,9 @@ class Request:
             )
         if not is_number(self.patience) or not self.patience >= 0:
             raise OptionError(f"`patience` must be seconds, 0 or more, not {self.patience!r}.")
+        # A job keeps it as JSON, which has no numbers of NumPy's.
+        if self.block is not None:
+            object.__setattr__(self, "block", int(self.block))
 
     @property
     def goals(self) -> tuple[Goal, ...]:
