@@ -252,6 +252,23 @@ def test_views_are_named_or_given_and_not_ignored(pair, files, tmp_path):
         (lambda m: nanogs.levels(m, 0.5), r"such as \[0.5, 0.1\], not 0.5"),
         (lambda m: nanogs.filters.crop_box(m, 1, 2), "three finite numbers x,y,z, not 1"),
         (lambda m: nanogs.filters.crop_box(m, "abc", "d"), "three finite numbers x,y,z, not 'abc'"),
+        (lambda m: nanogs.filters.sphere((0, 0, 0), "1"), "above 0 and finite, not '1'"),
+        (lambda m: nanogs.filters.sphere((0, 0, 0), -1.0), "above 0 and finite, not -1"),
+        (lambda m: nanogs.filters.min_opacity(m, None), "from 0 to 1, not None"),
+        (lambda m: nanogs.filters.drop_floaters(m, neighbours=8.0), "a whole one, not 8.0"),
+        (lambda m: nanogs.filters.drop_floaters(m, deviations="5"), "above 0 and finite, not '5'"),
+        (lambda m: m.with_sh_degree("1"), "SH degree must be a whole number, not '1'"),
+        (lambda m: nanogs.Place("1", 2.0), "longitude of a place is -180 to 180 degrees, not '1'"),
+        (
+            lambda m: nanogs.compare_mixed(m, "lod-meta.json", budget="5"),
+            "1 splat or more, not '5'",
+        ),
+        (
+            lambda m: nanogs.write_levels(
+                m, "o", [1], layout="streamed sog", environment_ratio="1", preset="fast"
+            ),
+            "above 0 and at most 1, not '1'",
+        ),
     ],
 )
 def test_what_python_is_given_is_refused_in_a_sentence(pair, call, message):

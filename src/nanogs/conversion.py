@@ -23,7 +23,7 @@ from nanogs.pipeline.weights import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
-from nanogs.splats import RenderMode
+from nanogs.splats import RenderMode, check_degree
 
 if TYPE_CHECKING:
     from nanogs.io.format import FormatOptions
@@ -111,6 +111,7 @@ def convert(
     start, clock = time.perf_counter(), StageClock()
     given, wanted, filters = place(source), place(target), listed(filters)
     frame = checked_frames(frame)
+    check_degree(sh_degree)
     format_options = registry.framed(wanted, format_options, frame)
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(wanted, **saving)

@@ -27,6 +27,7 @@ from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.reading import prepare, read_parts
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.rows import open_parts
+from nanogs.ranges import is_number, value_text
 from nanogs.report import SimplifyReport
 from nanogs.sink import Environment, Read
 from nanogs.source import Filtered, InMemory, Joined, Source
@@ -179,9 +180,10 @@ def surroundings(
                 "An environment belongs to streamed SOG; write a lod-meta.json or a .ssog."
             )
         return Surroundings()
-    if ratio is not None and not 0 < ratio <= 1:
+    if ratio is not None and not (is_number(ratio) and 0 < ratio <= 1):
+        given = value_text(ratio)
         raise OptionError(
-            f"The ratio of the environment must be above 0 and at most 1, not {ratio:g}."
+            f"The ratio of the environment must be above 0 and at most 1, not {given}."
         )
     if ratio is not None and asked == NONE:
         raise OptionError("Without an environment there is none to simplify; leave its ratio out.")

@@ -13,6 +13,7 @@ import numpy as np
 from nanogs._types import F64, Bool, F
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
+from nanogs.ranges import is_number, value_text
 from nanogs.splats import Splats, refuse_misaligned_elements, refuse_other
 
 ENVIRONMENT = "environment"  # the filter that leaves levels without it
@@ -261,8 +262,9 @@ def box(low: Sequence[float], high: Sequence[float]) -> Filter:
 def sphere(centre: Sequence[float], radius: float) -> Filter:
     """The filter of `crop_sphere`."""
     middle = _point(centre)
-    if not 0 < radius < math.inf:
-        raise OptionError(f"The radius of a sphere must be above 0 and finite, not {radius:g}.")
+    if not (is_number(radius) and 0 < radius < math.inf):
+        given = value_text(radius)
+        raise OptionError(f"The radius of a sphere must be above 0 and finite, not {given}.")
 
     def keep(splats: Splats) -> Bool:
         inside: Bool = distances(splats.means, middle) <= radius
@@ -305,8 +307,8 @@ def distances(means: F, middle: F64) -> F64:
 
 def opaque_enough(alpha: float) -> Filter:
     """The filter of `min_opacity`."""
-    if not 0 <= alpha <= 1:
-        raise OptionError(f"The lowest opacity must be from 0 to 1, not {alpha:g}.")
+    if not (is_number(alpha) and 0 <= alpha <= 1):
+        raise OptionError(f"The lowest opacity must be from 0 to 1, not {value_text(alpha)}.")
     return Filter(
         "min-opacity",
         f"{alpha:g}",
@@ -317,10 +319,13 @@ def opaque_enough(alpha: float) -> Filter:
 
 def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> Filter:
     """The filter of `drop_floaters`."""
+    if not is_number(neighbours, whole=True):
+        raise OptionError(f"The number of neighbours must be a whole one, not {neighbours!r}.")
     if neighbours < 1:
         raise OptionError(f"The number of neighbours must be at least 1, not {neighbours}.")
-    if not 0 < deviations < math.inf:
-        raise OptionError(f"The deviations must be above 0 and finite, not {deviations:g}.")
+    if not (is_number(deviations) and 0 < deviations < math.inf):
+        given = value_text(deviations)
+        raise OptionError(f"The deviations must be above 0 and finite, not {given}.")
     return Filter(
         "drop-floaters",
         "",

@@ -15,6 +15,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import OptionError
+from nanogs.ranges import is_number, value_text
 
 # WGS84: half the axis through the equator, metres, and the flattening (NGA.STND.0036, table 3.1).
 RADIUS = 6_378_137.0
@@ -64,7 +65,7 @@ class Place:
         limits = {"longitude": 180.0, "latitude": 90.0, "height": _FARTHEST}
         for field in fields(self):
             value, limit = getattr(self, field.name), limits.get(field.name, math.inf)
-            if not (math.isfinite(value) and abs(value) <= limit):  # NaN too
+            if not (is_number(value) and math.isfinite(value) and abs(value) <= limit):
                 raise OptionError(_out_of_range(field.name, value, limit))
 
     def matrix(self) -> F64:
@@ -165,12 +166,12 @@ def text_of(matrix: F64) -> str:
     return ", ".join(f"{name} {f'{value:.9f}'.rstrip('0').rstrip('.')}" for name, value in rounded)
 
 
-def _out_of_range(name: str, value: float, limit: float) -> str:
+def _out_of_range(name: str, value: object, limit: float) -> str:
     """Say that a number of a place cannot be meant."""
     unit = "metres" if name == "height" else "degrees"
     if math.isinf(limit):
-        return f"The {name} of a place is a finite number of {unit}, not {value:g}."
-    return f"The {name} of a place is -{limit:g} to {limit:g} {unit}, not {value:g}."
+        return f"The {name} of a place is a finite number of {unit}, not {value_text(value)}."
+    return f"The {name} of a place is -{limit:g} to {limit:g} {unit}, not {value_text(value)}."
 
 
 def _about(axis: int, angle: float) -> F64:

@@ -86,6 +86,11 @@ def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
             raise OptionError(f"{name} must be {expected}, not {shown}.")
 
 
+def value_text(value: Any) -> str:  # noqa: ANN401 - whatever a caller gives
+    """A value for a message: a number in few digits, all else as Python shows it."""
+    return f"{value:g}" if is_number(value) else repr(value)
+
+
 def is_number(value: object, *, whole: bool = False) -> bool:
     """Whether it is a number, or a whole one, of Python or NumPy; True and False are none."""
     return not isinstance(value, bool) and isinstance(value, Integral if whole else Real)

@@ -18,6 +18,7 @@ from nanogs import spread
 from nanogs._arrays import as_array, as_floats, as_rows
 from nanogs._types import F32, F64, I32, I64, Array, Bool, F
 from nanogs.errors import ModelError, OptionError
+from nanogs.ranges import is_number
 from nanogs.slices import slices
 from nanogs.stored import alphas, unit
 
@@ -261,11 +262,24 @@ class Splats:
         Raises:
             OptionError: The degree is not from 0 to 4.
         """
-        if not 0 <= degree <= MAX_SH_DEGREE:
-            raise OptionError(f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {degree}.")
+        check_degree(degree)
         if degree >= self.sh_degree:
             return self
         return replace(self, sh=np.ascontiguousarray(self.sh[:, : (degree + 1) ** 2]))
+
+
+def check_degree(sh_degree: int | None) -> None:
+    """Refuse a degree of harmonics that there is none of.
+
+    Raises:
+        OptionError: It is neither None nor from 0 to 4.
+    """
+    if sh_degree is None:
+        return
+    if not is_number(sh_degree, whole=True):
+        raise OptionError(f"The SH degree must be a whole number, not {sh_degree!r}.")
+    if not 0 <= sh_degree <= MAX_SH_DEGREE:
+        raise OptionError(f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
 
 
 def _finite(splats: Splats) -> Bool:

@@ -23,12 +23,11 @@ from nanogs.pipeline.presets import (
     refuse_search,
     renders,
 )
-from nanogs.pipeline.rows import check_degree
 from nanogs.pipeline.target import Goal, count_for_size, is_searched
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport, StopReason
-from nanogs.splats import Splats, refuse_misaligned_elements
+from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.pipeline.held_files import HeldFiles

@@ -16,12 +16,11 @@ from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.job import Job, NanPolicy, prepare_job
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search
-from nanogs.pipeline.rows import check_degree
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Parts, Progress, Stage, Tracker
 from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
-from nanogs.splats import Splats, refuse_misaligned_elements
+from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.pipeline.one_block import OneBlock

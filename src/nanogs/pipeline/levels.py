@@ -14,12 +14,11 @@ from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
-from nanogs.pipeline.rows import check_degree
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import level_stage
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport
-from nanogs.splats import Splats, refuse_misaligned_elements
+from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.views.cameras import Cameras

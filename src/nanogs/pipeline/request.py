@@ -25,11 +25,11 @@ from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory, plan_writing
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
-from nanogs.pipeline.rows import Changes, check_degree, check_nan, open_parts
+from nanogs.pipeline.rows import Changes, check_nan, open_parts
 from nanogs.pipeline.target import Goal, is_searched, target_count
 from nanogs.ranges import is_number
 from nanogs.source import Joined
-from nanogs.splats import Splats
+from nanogs.splats import Splats, check_degree
 from nanogs.store.columns import row_bytes
 
 if TYPE_CHECKING:

@@ -17,9 +17,8 @@ from nanogs.pipeline.asked import AUTOMATIC, Asked
 from nanogs.pipeline.inputs import Inputs, input_file
 from nanogs.pipeline.settings import Access, InputFile, Segment, Settings, Sieve
 from nanogs.pipeline.unpack import Unpacked
-from nanogs.ranges import is_number
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
-from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats, concatenate
+from nanogs.splats import RenderMode, Splats, concatenate
 
 SPAN, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for all
 
@@ -56,20 +55,6 @@ class Changes:
 
 
 NOTHING = Changes()
-
-
-def check_degree(sh_degree: int | None) -> None:
-    """Refuse a degree of harmonics that there is none of.
-
-    Raises:
-        OptionError: It is neither None nor from 0 to 4.
-    """
-    if sh_degree is None:
-        return
-    if not is_number(sh_degree, whole=True):
-        raise OptionError(f"The SH degree must be a whole number, not {sh_degree!r}.")
-    if not 0 <= sh_degree <= MAX_SH_DEGREE:
-        raise OptionError(f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
 
 
 def check_nan(nan: str) -> None:

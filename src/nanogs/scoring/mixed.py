@@ -22,6 +22,7 @@ from nanogs.needs import model_bytes, models_bytes, scoring_bytes
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
+from nanogs.ranges import is_number, value_text
 from nanogs.scoring.api import Pixels, asked_views, file_name
 from nanogs.views.cameras import Cameras, view_count
 
@@ -196,8 +197,8 @@ def _check(paths: Sequence[Path], budget: int | None) -> None:
             raise OptionError(
                 f"{path} has no chunks of several levels to mix; give a {LEVELS} or an {ARCHIVE}."
             )
-    if budget is not None and budget < 1:
-        raise OptionError(f"The budget must be 1 splat or more, not {budget}.")
+    if budget is not None and not (is_number(budget, whole=True) and budget >= 1):
+        raise OptionError(f"The budget must be 1 splat or more, not {value_text(budget)}.")
 
 
 def _refuse_too_large(
