@@ -90,6 +90,25 @@ def test_a_table_top_amid_things_is_no_ground():
     assert (up_of(model) == (0, -1, 0)).all()
 
 
+def test_a_ceiling_of_more_area_than_the_floor_does_not_turn_a_room():
+    """A plain ceiling has few large splats, a floor with a pattern many small ones."""
+    rng = np.random.default_rng(2)
+    n = 2_000
+    heights = np.repeat([0.0, -2.8], n) + rng.normal(0, 0.005, 2 * n)  # y down: floor, ceiling
+    means = np.stack([rng.uniform(-3, 3, 2 * n), heights, rng.uniform(-2, 2, 2 * n)], axis=1)
+    things = rng.uniform((-3, -1, -2), (3, -0.1, 2), (n, 3))
+    scales = np.log(np.repeat(np.float32([0.05, 0.058, 0.02]), n))
+    model = replace(
+        SCENE.take(np.arange(3 * n) % len(SCENE)),
+        means=np.concatenate([means, things]).astype(np.float32),
+        log_scales=np.stack([scales, scales, scales - 3], axis=1),
+        quats=np.tile(np.float32([HALF, HALF, 0, 0]), (3 * n, 1)),
+        opacity_logits=np.full(3 * n, 3, np.float32),
+    )
+    assert (up_of(model) == (0, -1, 0)).all()
+    assert (up_of(turned(model.take(np.arange(n, 3 * n)), (0, 1, 0, 0))) == (0, -1, 0)).all()
+
+
 @pytest.mark.parametrize(
     "name", ["biker.compressed.ply", "guitar.compressed.ply", "plant.splat", "seal.splat"]
 )

@@ -77,10 +77,13 @@ def ground(surfaces: Surfaces, up: F64) -> float:
     lying = np.abs(surfaces.normals @ up) > FLAT
     edges = np.linspace(low, high, LAYERS + 1)
     flat, _ = np.histogram(heights, edges, weights=surfaces.areas * lying)
-    start = int(np.argmax(flat[:-1] + flat[1:]))
+    pairs = np.concatenate([[0], flat[:-1] + flat[1:], [0]])
+    peaks = (pairs[1:-1] >= pairs[:-2]) & (pairs[1:-1] >= pairs[2:])
+    beneath = np.array([surfaces.areas[heights < edge].sum() for edge in edges[:-2]])
+    # The most of those that may be one: a ceiling can have more area than the floor.
+    start = int(np.argmax(pairs[1:-1] * (peaks & (beneath <= BENEATH))))
     within = (heights >= edges[start]) & (heights <= edges[start + 2]) & lying
-    beneath = float(surfaces.areas[heights < edges[start]].sum())
-    if beneath > BENEATH or not _is_wide(surfaces, up, within):
+    if not _is_wide(surfaces, up, within):
         return 0.0
     return float(surfaces.areas[within].sum())
 
