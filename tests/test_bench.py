@@ -19,6 +19,7 @@ import launch
 import nanogs
 from builders import random_splats
 from nanogs.bench import measuring, protocol
+from nanogs.bench.baselines import MethodContext
 from nanogs.bench.gsplat import gsplat_fps
 from nanogs.bench.methods import ABLATIONS, find_method
 from nanogs.bench.output import ResultFolder, run_of
@@ -43,6 +44,7 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import render
 from nanogs.report import StopReason
 from nanogs.scoring.run import compare_files
+from nanogs.views.automatic import automatic_cameras
 
 
 def run(*arguments, **kwargs):
@@ -241,6 +243,16 @@ def test_a_method_that_fails_is_an_outcome(model, tmp_path):
     assert "none.ply" in missing.error
 
 
+@pytest.mark.slow
+def test_a_process_that_compiles_says_nothing_of_it(model, tmp_path, monkeypatch, capfd):
+    """So that `bench --quiet` is quiet."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("NANOGS_SIMD", "0")
+    assert not run_job(Job(model, "paper", 0.1, tmp_path / "small.ply")).error
+    assert list((tmp_path / "cache").rglob("*.nbi"))
+    assert capfd.readouterr() == ("", "")
+
+
 class Deadly:
     """Ends the process that reads it."""
 
@@ -374,6 +386,26 @@ def test_photographs_are_what_counts_where_there_are_any(model, tmp_path):
     assert small.psnr < whole.psnr - 3
     assert (whole.views, small.views) == (2, 2)
     assert any("no training views" in note for note in whole.notes)
+
+
+@pytest.mark.parametrize("asked", [{"ratios": (0.5,)}, {"file_sizes": (6000,)}])
+def test_presets_that_look_at_nothing_are_measured_on_photographs_too(asked, model, tmp_path):
+    write_photographs(tmp_path, model)
+    for_training = (tmp_path / "transforms_test.json").read_text()
+    (tmp_path / "transforms_train.json").write_text(for_training)
+    settings = BenchSettings(methods=("fast",), sizes=(32,), **asked)
+    rows = run_bench([BenchScene("ball", model, tmp_path)], settings)
+    assert [row.reason for row in rows] == [""] * len(rows)
+    assert all(row.psnr > 15 for row in rows)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_takes_what_a_process_warms_up_with(name, model):
+    """Of what fails then nothing is said: its seconds would be those of compiling."""
+    splats = nanogs.load(model)
+    cameras = tuple(automatic_cameras(splats, 2, width=32, height=32))
+    context = MethodContext(cameras, trained=True)
+    assert len(find_method(name)(splats, 40, context)) == 40
 
 
 def test_compare_and_bench_show_photographs_over_the_same(model, tmp_path):

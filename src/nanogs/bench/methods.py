@@ -4,15 +4,16 @@ A name is that of a baseline, that of a preset, or a preset and parameters: `pap
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from nanogs.bench.baselines import BASELINES, Method, MethodContext
 from nanogs.errors import OptionError
 from nanogs.pipeline.api import refuse_searches, simplify
-from nanogs.pipeline.presets import PRESETS, parameters
+from nanogs.pipeline.presets import PRESETS, parameters, renders
 from nanogs.pipeline.target import Goal
+from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 
 _SWITCHES = {"true": True, "false": False}
@@ -60,11 +61,19 @@ def find_method(name: str) -> Method:
     preset, overrides = find_preset(name)
 
     def run(splats: Splats, count: int, context: MethodContext) -> Splats:
-        views = context.cameras if context.trained else None
+        views = training_views(preset, overrides, context)
         small, _ = simplify(splats, count=count, preset=preset, cameras=views, **overrides)
         return small
 
     return run
+
+
+def training_views(
+    preset: str, overrides: Mapping[str, Any], context: MethodContext
+) -> tuple[Camera, ...] | None:
+    """The views of the training photographs, or None: there are none, or nothing is rendered."""
+    looks = renders(parameters(preset, overrides))
+    return context.cameras if context.trained and looks else None
 
 
 def find_preset(name: str) -> tuple[str, dict[str, Any]]:

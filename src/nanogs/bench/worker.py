@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from nanogs.bench.baselines import Method, MethodContext
-from nanogs.bench.methods import find_method, find_preset
+from nanogs.bench.methods import find_method, find_preset, training_views
 from nanogs.cleanup import cleaned_up, undisturbed
 from nanogs.errors import NanogsError
 from nanogs.io import encoded_bytes, load, save
+from nanogs.kernels.compiling import watching
 from nanogs.pipeline.target import target_count
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
@@ -105,7 +106,8 @@ def _serve(job: Job, sender: Connection) -> None:
     # An interrupt is the parent's to handle; it ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        outcome = do_job(job)
+        with watching(lambda _begun: None):  # its warm-up compiles, which is no news to the reader
+            outcome = do_job(job)
     except NanogsError as error:
         outcome = Outcome(error=str(error))
     except Exception as error:  # noqa: BLE001,RUF100 - a method that raises is a result
@@ -153,7 +155,8 @@ def _do_sized(job: Job) -> Outcome:
     del splats
     report = simplify_blocks(
         job.model, job.output, size=job.size, preset=preset, threads=job.threads, overwrite=True,
-        render_mode=job.render_mode, cameras=job.cameras if job.trained else None, **overrides,
+        render_mode=job.render_mode, cameras=training_views(preset, overrides, context),
+        **overrides,
     )  # fmt: skip
     read = report.seconds.get("read", 0.0)
     made = report.achieved_count
