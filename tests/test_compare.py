@@ -400,3 +400,18 @@ def test_nothing_of_the_report_is_cut_off_on_a_phone(opened, scheme):
     box = page.locator("#stage").bounding_box()
     page.touchscreen.tap(box["x"] + 0.25 * box["width"], box["y"] + box["height"] / 2)
     assert cut(page) == pytest.approx(0.25, abs=0.04)
+
+
+@pytestmark_page
+def test_a_figure_stays_in_one_line_beside_its_name(opened):
+    """Two numbers with a comma between would be read as one and one of the next row."""
+    page = opened(viewport={"width": 1200, "height": 800})
+    cell = page.locator("td[data-is='splats a pixel']").first
+    cell.evaluate("cell => cell.textContent = '137.6, 1,152'")
+    lines = """cell => {
+        const range = document.createRange();
+        range.selectNodeContents(cell);
+        return range.getClientRects().length;
+    }"""
+    assert cell.evaluate(lines) == 1
+    assert cell.evaluate("cell => getComputedStyle(cell, '::before').textAlign") == "left"
