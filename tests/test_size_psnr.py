@@ -8,6 +8,7 @@ import pytest
 
 import nanogs
 from builders import model_bytes, random_splats
+from launch import run_here
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import registry
 from nanogs.io.ply import write as ply_write
@@ -22,6 +23,7 @@ from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.scoring.held_out import held_out
 from nanogs.splats import ExtraElement, RenderMode
 from nanogs.views.automatic import automatic_cameras
+from viewer_bundle import require_bundle
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +50,19 @@ def awkward_splats():
 
 
 # Size
+
+
+def test_a_page_of_a_size_is_made_of_a_model_whose_first_splat_is_transparent(splats, tmp_path):
+    """That splat alone was written to see what one takes, and no page shows nothing."""
+    require_bundle()
+    clear = splats.take(np.arange(len(splats)))
+    clear.opacity_logits[0] = -30
+    nanogs.save(clear, tmp_path / "scene.ply")
+    page = tmp_path / "page.html"
+    asked = (tmp_path / "scene.ply", page, "--size", "10MB", "--preset", "fast", "-q")
+    assert run_here("simplify", *asked, "--dry-run") == 0
+    assert run_here("simplify", *asked) == 0
+    assert page.stat().st_size < 10_000_000
 
 
 @pytest.mark.parametrize("count", [1, 9, 10, 99, 100, 120])

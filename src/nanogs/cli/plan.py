@@ -20,6 +20,7 @@ from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
 from nanogs.pipeline.cluster import executor_of
+from nanogs.pipeline.fit_size import first_two
 from nanogs.pipeline.in_blocks import block_memory, count_of, plan_job
 from nanogs.pipeline.job import import_stages, usable_rows
 from nanogs.pipeline.memory import MemoryPlan
@@ -101,7 +102,7 @@ class Plan:
             return self
         splats = prepare(read_parts(wish.inputs, wish.render_mode), wish.edits).splats
         rows, goal = usable_rows(splats, wish.nan), wish.goal
-        wish.refuse_small(splats.take(rows[:1]))
+        wish.refuse_small(splats.take(first_two(splats, rows)))
         count = target_of(goal, splats, len(rows), wish.output, wish.parameters, wish.sh_degree)
         return replace(self, info=replace(self.info, splats=len(splats)), count=count)
 

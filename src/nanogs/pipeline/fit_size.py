@@ -5,13 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nanogs.errors import TooSmallError
+from nanogs._types import I32, I64
+from nanogs.errors import ModelError, TooSmallError
 from nanogs.formatting import counted
 from nanogs.pipeline.results import Attempts, Results, T
 from nanogs.pipeline.weights import RESULTS, SIZES, write_weight
 from nanogs.progress import Stage, Tracker
 from nanogs.report import SizeProbeReport, StopReason
 from nanogs.splats import Splats
+from nanogs.views.occupancy import FAINTEST
 
 # Shares of the size, less what every file of the format has around its splats:
 AIM = 0.993  # a probe is put there, so that it is seldom just above
@@ -192,6 +194,21 @@ def _along(probes: Sequence[SizeProbeReport], aim: float) -> float:
     return latest.count * aim / latest.bytes
 
 
+def first_two(splats: Splats, rows: I32 | I64) -> I32 | I64:
+    """(2,) The first row, and the first one that is not transparent (or again the first)."""
+    shown = splats.opacities()[rows] > FAINTEST
+    return rows[[0, int(shown.argmax())]]
+
+
+def _least(sample: Splats, encode: Encode) -> int:
+    """Bytes of a file of one splat: of one that shows something, where it must."""
+    first, shown = first_two(sample, np.arange(len(sample)))
+    try:
+        return encode(sample.take(np.array([first])))
+    except ModelError:  # a page opens on what is to be seen
+        return encode(sample.take(np.array([shown])))
+
+
 def guess_count(sample: Splats, available: int, size: int, encode: Encode, around: int = 0) -> int:
     """A count to begin with, from what some of the model's own splats take.
 
@@ -202,7 +219,7 @@ def guess_count(sample: Splats, available: int, size: int, encode: Encode, aroun
         encode: Bytes of a model's file.
         around: Bytes that every file of the format has around its splats.
     """
-    least = encode(sample.take(np.arange(1)))
+    least = _least(sample, encode)
     rows = np.arange(0, len(sample), -(-len(sample) // SAMPLE))
     each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
     count = 1 + int((part_of(size, AIM, around) - least) / each) if each > 0 else available
@@ -223,7 +240,7 @@ def refuse_hopeless(sample: Splats, size: int, encode: Encode) -> None:
     Raises:
         TooSmallError: It has room for less than half of one splat's file.
     """
-    least = encode(sample.take(np.arange(1)))
+    least = _least(sample, encode)
     if size < HOPELESS * least:
         raise TooSmallError(
             f"The size {size:,} B is too small: a file of one splat of this model takes about"
