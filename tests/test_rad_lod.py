@@ -15,6 +15,7 @@ from launch import run
 from looking import seen_from_the_start
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
+from nanogs.formatting import bytes_text
 from nanogs.io.rad.header import read_header
 from nanogs.io.rad.levels import heights
 from nanogs.lod import links
@@ -141,6 +142,14 @@ def test_measured_levels(model, tmp_path):
     first, second = manifest.levels
     assert first.psnr > 40 > second.psnr > 15
     assert first.bytes + second.bytes <= (tmp_path / "a.rad").stat().st_size
+
+
+def test_the_size_told_is_that_of_the_file(model, tmp_path):
+    """There is more in it than levels: what tells of them, and what stands above the coarsest."""
+    out = tmp_path / "a.rad"
+    io.save(model, tmp_path / "a.ply")
+    done = run("lod", tmp_path / "a.ply", out, "--levels", "0.1", "--preset", "fast")
+    assert f"1 level in {out}, {bytes_text(out.stat().st_size)}, " in done.stderr
 
 
 def test_in_blocks(tmp_path):

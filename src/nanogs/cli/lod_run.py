@@ -16,6 +16,7 @@ from nanogs.cli.plan import carry_out, plan_run, show_plan
 from nanogs.cli.simplify_report import warn_of_input
 from nanogs.environments import AUTO, NOTHING, Surroundings
 from nanogs.formatting import NONE, bytes_text, counted, number_text, time_text
+from nanogs.io import bytes_on_disk
 from nanogs.io.collect import Pair
 from nanogs.levels_of_detail import sink_of, usual_levels, write_levels_of_files
 from nanogs.lod.layout import Layout, Output
@@ -129,8 +130,10 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         text = _environment(sky.count, sky.source)
         say(f"{text}, {bytes_text(sky.bytes)}, drawn with every level")
     beside, further = (sky.bytes, sky.requests) if sky else (0, 0)
-    size = bytes_text(sum(level.bytes for level in levels) + beside)
-    made = f"{counted(len(levels), 'level')} in {files['output']}, {size}"
+    taken = sum(level.bytes for level in levels) + beside
+    if files["layout"] in (Layout.TREE, Layout.ARCHIVE):  # one file, with more in it than levels
+        taken = bytes_on_disk(files["output"])
+    made = f"{counted(len(levels), 'level')} in {files['output']}, {bytes_text(taken)}"
     whole = counted(manifest.source_count, "splat")
     say(f"{whole} {arrow()} {made}, {time_text(files['total_seconds'])}")
     folder = files["layout"] != Layout.ARCHIVE
