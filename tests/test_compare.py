@@ -80,6 +80,16 @@ def test_one_equal_view_does_not_hide_what_the_others_lack():
     assert mean_psnr([math.inf, math.inf]) == math.inf
 
 
+def test_the_worst_view_is_not_better_than_the_mean_of_all():
+    """Of a file that lost rounding alone."""
+    splats = random_splats(500)
+    nearly = splats.take(np.arange(500))
+    nearly.sh[...] += np.float32(1e-6)
+    scored, _ = compare_models(NamedModel("r", splats), [NamedModel("s", nearly)], [camera("a")])
+    assert scored.models[0].views[0].psnr > 100
+    assert scored.models[0].least_psnr == scored.models[0].psnr == 100
+
+
 def test_an_empty_view_is_left_out_of_the_mean_and_named():
     splats = random_splats(300)
     small = simplified(splats, 0.2)

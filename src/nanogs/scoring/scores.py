@@ -183,7 +183,7 @@ def score(
         splats=len(model),
         file_bytes=file_bytes,
         psnr=mean_psnr([entry.psnr for entry in scores]),
-        least_psnr=worst.psnr,
+        least_psnr=mean_psnr([worst.psnr]),
         least_view=worst.view,
         ssim=float(np.mean([entry.ssim for entry in scores])),
         depth=_mean([entry.depth for entry in scores if entry.depth is not None]),
@@ -196,7 +196,7 @@ def score(
 
 
 def mean_psnr(values: Sequence[float]) -> float:
-    """The mean over views, dB: infinite if all are equal, else an equal one counts as 100 dB.
+    """The mean over views, dB: infinite if all are equal, else each counts as 100 dB at most.
 
     One view that lacks nothing would otherwise hide what all others lack.
     """
