@@ -207,6 +207,16 @@ def test_a_model_that_does_not_fit_goes_to_blocks_and_says_so(scene, tmp_path, l
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
+def test_a_model_of_many_files_is_not_said_by_all_their_names(scene, tmp_path, little, capsys):
+    parts = [tmp_path / f"tile_{number}.ply" for number in range(2)]
+    for part in parts:
+        part.write_bytes(scene.read_bytes())
+    given = (*parts, tmp_path / "small.ply", "--join", "-r", "0.1", "--preset", "fast")
+    assert command("simplify", *given, "--dry-run") == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "note: The model of 2 files takes about" in said
+
+
 def test_levels_that_do_not_fit_go_to_blocks(scene, tmp_path, little, capsys):
     folder = tmp_path / "levels"
     assert command("lod", scene, folder, "--levels", "0.2,0.1", "--preset", "fast") == 0

@@ -145,8 +145,9 @@ class Plan:
                 )
 
     def _too_large(self) -> str:
-        peak = bytes_text(self.memory().peak)
-        return f"{self.name} takes about {peak} of memory, and {self.free}"
+        peak, parts = bytes_text(self.memory().peak), len(self.wish.inputs)
+        model = self.name if parts == 1 else f"The model of {parts:,} files"
+        return f"{model} takes about {peak} of memory, and {self.free}"
 
     def to_dict(self) -> dict[str, Any]:
         """The plan as plain values, for JSON."""
