@@ -135,4 +135,6 @@ def refuse_twins(what: str, names: list[str]) -> None:
     """
     for index, name in enumerate(names):
         if name in names[:index]:
-            raise OptionError(f"There are two of the {what} {name!r}; give each a name of its own.")
+            raise OptionError(
+                f"There are two of the {what} {name!r}; leave one out, or name it differently."
+            )
