@@ -20,7 +20,7 @@ from nanogs.pipeline.target import target_count
 from nanogs.protocol import BLACK, Background
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
-from nanogs.scoring.run import photographs
+from nanogs.scoring.photos import photographs
 from nanogs.scoring.scores import ReferenceView, reference_views, score
 from nanogs.scoring.view_sets import view_sets
 from nanogs.splats import Splats

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from nanogs.bar import drawn
@@ -37,7 +38,10 @@ def compare(
     views: int | None = None,
     pixels: Pixels = PIXELS,
     up: Sequence[float] | None = None,
-    background: Background = BLACK,
+    background: Background | None = None,
+    photos: str | PathLike[str] | None = None,
+    images: str | None = None,
+    split: str = "test",
     metrics: str | Sequence[str] = (),
     packed: str | Sequence[str] = (),
     format_options: "FormatOptions | None" = None,
@@ -46,7 +50,7 @@ def compare(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> "Comparison":
-    """Score models against their original, on views that no method learns from.
+    """Score models against their original, on views that no method learns from, or photographs.
 
     The numbers are those of the command `nanogs compare`.
 
@@ -61,7 +65,13 @@ def compare(
         pixels: Of an automatic view: width and height in one number, or both; a list of these for
             several sizes, one after the other.
         up: (3,) direction of automatic views, scene units; found from the original by default.
-        background: RGB in [0, 1] behind the splats.
+        background: RGB in [0, 1] behind the splats; by default black, and for photographs the data
+            set's own.
+        photos: Folder of a NeRF-Synthetic or COLMAP data set: all models, the original too, are
+            scored against its photographs, from where these were taken. Views cannot be asked for
+            beside it.
+        images: Folder of the photographs in a COLMAP data set.
+        split: Photographs to use, "test" or "train".
         metrics: Further ones, one or several: "flip", "lpips"; each needs its extra.
         packed: Suffix of a format, or several, such as [".sog", ".spz"]: each model is written as
             such a file, read back and scored too, with what packing alone cost in `packed` of its
@@ -76,19 +86,27 @@ def compare(
             each `nanogs.progress.Step`.
 
     Returns:
-        Scores of each model, their means in `models`, and how they were measured in `protocol`; in
-        `further` the same for each further kind and size of views.
+        Scores of each model (against photographs the original is the first), their means in
+        `models`, and how they were measured in `protocol`; in `further` the same for each further
+        kind and size of views.
 
     Raises:
-        FormatError: A model or the cameras cannot be read.
+        FormatError: A model, the cameras or the photographs cannot be read.
         ModelError: The original is seen in none of the views.
         NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
         OptionError: An argument is out of range, there is no such device, or no model is given.
     """
     called, asked = _names(models, names), asked_views(cameras, pixels)
     views = None if views is None else view_count(views)
-    background = plain_background(background)
-    largest, most = asked.pictures(views)
+    background = None if background is None else plain_background(background)
+    found = (cameras, views, pixels, up) == ("auto", None, PIXELS, None)
+    if photos is not None and not found:
+        raise OptionError("Photographs have views of their own; give no others beside `photos`.")
+    if photos is None and (images is not None or split != "test"):
+        raise OptionError(
+            "`images` and `split` are for photographs; name their data set with `photos`."
+        )
+    largest, most = asked.pictures(views) if photos is None else (PIXELS**2, 0)
     packing = packing_of(packed, format_options) if packed else {}
     extras = [metrics] if isinstance(metrics, str) else metrics
     given, limit = (original, *models), None if max_memory is None else as_bytes(max_memory)
@@ -102,24 +120,36 @@ def compare(
         room = room_for_comparison(given, sources, *looking)
         # Here and not above: these bring Numba.
         from nanogs.card.device import device_notes, use_device
+        from nanogs.scoring.comparison import compare_with_photographs
         from nanogs.scoring.on_sets import compare_on_sets
+        from nanogs.scoring.photos import beside_photographs, photographs
         from nanogs.threads import use_threads
 
         with use_device(device) as used, use_threads(threads), drawn(progress) as tell:
             first, *tests = zip(names, sources, strict=True)
             entries: list[tuple[str, Splats | Source, str]] = [(*test, "") for test in tests]
             files = files_of(sources[1:], packing)
-            tracker = Tracker(tell, _stages(len(models), files, asked.sets_count))
+            sets_count = asked.sets_count if photos is None else 0
+            tracker = Tracker(tell, _stages(len(models), files, sets_count))
             if packing:
                 entries = packed_beside(tests, packing, stack, limit, tracker)
                 made = [source for _, source, suffix in entries if suffix]
                 room = room_for_comparison([*given, *made], [*sources, *made], *looking)
-            reference, *others = (named(*entry, room is None) for entry in [(*first, ""), *entries])
-            sets = asked.sets(reference.splats, views, up)
-            comparison, _ = compare_on_sets(
-                reference, others, sets, background=background, extras=extras, room=room,
-                progress=tracker,
-            )  # fmt: skip
+            every = [named(*entry, room is None) for entry in [(*first, ""), *entries]]
+            if photos is None:
+                sets = asked.sets(every[0].splats, views, up)
+                comparison, _ = compare_on_sets(
+                    every[0], every[1:], sets, background=background or BLACK, extras=extras,
+                    room=room, progress=tracker,
+                )  # fmt: skip
+            else:
+                tracker.begin("photographs")
+                behind, frames = photographs(Path(photos), images, split, background, limit)
+                comparison, _ = compare_with_photographs(
+                    str(photos), every, frames, split=split, background=behind, extras=extras,
+                    costs=True, room=beside_photographs(room, frames, packed=bool(packing)),
+                    progress=tracker,
+                )  # fmt: skip
             tracker.finish()
             remarks = remarks_on([*zip(names, sources, strict=True)])
             notes = (*remarks, *notes_beside(tests, packing), *comparison.notes)
@@ -192,6 +222,8 @@ def file_name(model: Model) -> str | None:
 
 
 def _stages(models: int, files: int, sets: int) -> list[Stage]:
-    """The stages to come, for so many models, files of them, and sets of views."""
-    looking = [Stage("render", 1.0), Stage("score", float(models + files))]
-    return [Stage("pack", float(files))] * bool(files) + looking * sets
+    """The stages to come, for so many models, files of them, and sets of views; or photographs."""
+    looking = [Stage("render", 1.0), Stage("score", float(models + files))] * sets
+    if not sets:
+        looking = [Stage("photographs", 1.0), Stage("score", 1.0 + models + files)]
+    return [Stage("pack", float(files))] * bool(files) + looking

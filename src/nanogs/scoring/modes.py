@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
 from nanogs.costs import DrawCost
-from nanogs.errors import OptionError
 from nanogs.formatting import number_text
 from nanogs.io.models import Model, opened
 from nanogs.progress import Parts, Progress, Stage, Tracker
@@ -179,6 +178,7 @@ def look_at(
     stages = [Stage("cameras", 1.0), Stage("render", 6.0), Stage("cover", 2.0)]
     with opened(model) as source, drawn(progress) as tell:
         # Here and not above: these bring Numba.
+        from nanogs.scoring.photos import bytes_of, photographs
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
 
@@ -188,11 +188,11 @@ def look_at(
             behind = background or BLACK
             frames: Sequence[ReferenceView] = ()
             if photos is not None:
-                behind, frames = _photographs(photos, images, split, background, limit)
+                behind, frames = photographs(Path(photos), images, split, background, limit)
                 wanted = [view.camera for view in frames]
             room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), limit)
             if room is not None:
-                room = max(room - sum(view.image.nbytes for view in frames), LEAST)
+                room = max(room - bytes_of(frames), LEAST)
             some = source_of(source).load() if room is None else source
             if isinstance(wanted, str):
                 chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
@@ -206,26 +206,6 @@ def look_at(
             cost = cost_on(some, chosen, protocol, tracker.part)
         tracker.finish()
     return Looked(modes, cost)
-
-
-def _photographs(
-    folder: str | PathLike[str],
-    images: str | None,
-    split: str,
-    background: Background | None,
-    max_memory: int | None,
-) -> "tuple[Background, Sequence[ReferenceView]]":
-    """As `run.photographs`, of which there is one at least.
-
-    Raises:
-        OptionError: There is none.
-    """
-    from nanogs.scoring.run import photographs
-
-    behind, frames = photographs(Path(folder), images, split, background, max_memory)
-    if not frames:
-        raise OptionError(f"{folder} has no photographs to compare with; choose another split.")
-    return behind, frames
 
 
 def evidence_on(

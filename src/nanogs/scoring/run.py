@@ -6,14 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from nanogs.errors import OptionError
-from nanogs.formatting import counted, utf8
+from nanogs.formatting import utf8
 from nanogs.io import open as open_model
 from nanogs.io.atomic import atomic_write
 from nanogs.io.format import FormatOptions
 from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
-from nanogs.needs import compare_bytes, photographs_bytes
+from nanogs.needs import compare_bytes
 from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged
 from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside, remarks_on
@@ -27,6 +26,7 @@ from nanogs.scoring.needed import LESS, room_for_comparison
 from nanogs.scoring.on_sets import compare_on_sets
 from nanogs.scoring.packing import packing_of
 from nanogs.scoring.page import render_page
+from nanogs.scoring.photos import beside_photographs, photographs
 from nanogs.scoring.scores import ReferenceView
 from nanogs.scoring.view_sets import Size, ViewSet, found_views, parse_sources, view_sets
 from nanogs.source import source_of
@@ -36,7 +36,6 @@ from nanogs.view.pack import pack
 from nanogs.view.page import Shown, facts_of, viewer_part
 from nanogs.views.cameras import AUTOMATIC, FOUND
 from nanogs.views.opening import Opening, opening_for
-from nanogs.views.plan import LEAST
 
 if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
@@ -127,7 +126,7 @@ def compare_files(
             tracker.begin("photographs")
             behind, frames = photographs(photos, images, split, background, max_memory)
             found = scoring.on_photographs(
-                models, str(photos), frames, split, behind, 2 if packing else 1
+                models, str(photos), frames, split, behind, packed=bool(packing)
             )
         notes = (*remarks_on(given), *notes_beside(given[1:], packing), *found.comparison.notes)
         found = found._replace(comparison=replace(found.comparison, notes=notes))
@@ -179,10 +178,11 @@ class _Scoring(NamedTuple):
         frames: Sequence[ReferenceView],
         split: str,
         behind: Background,
-        held: int,
+        *,
+        packed: bool,
     ) -> _Found:
-        """Hold models against photographs, of which so many times the bytes are held."""
-        room = None if self.room is None else max(self.room - held * _bytes_of(frames), LEAST)
+        """Hold models against photographs; `packed` as `beside_photographs` takes it."""
+        room = beside_photographs(self.room, frames, packed=packed)
         found = compare_with_photographs(
             source, models, frames, split=split, background=behind, extras=self.extras,
             pictures=self.pictures, costs=True, room=room, progress=self.progress,
@@ -205,10 +205,6 @@ def _room(
     remedy = f"{LESS}, or leave the models out of the page (`interactive=False`)"
     refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), remedy)
     return None
-
-
-def _bytes_of(frames: Sequence[ReferenceView]) -> int:
-    return sum(frame.image.nbytes for frame in frames)
 
 
 def _most_pixels(sizes: Sequence[Size]) -> int:
@@ -274,47 +270,4 @@ def _shown(
             pack(splats, start),
         )
         for place, (model, splats, score) in enumerate(zip(models, held, judged, strict=True))
-    ]
-
-
-def photographs(
-    folder: Path,
-    images: str | None,
-    split: str,
-    background: Background | None,
-    max_memory: int | None = None,
-) -> tuple[Background, list[ReferenceView]]:
-    """Cameras and photographs of a data set's split.
-
-    Args:
-        folder: NeRF-Synthetic or COLMAP data set.
-        images: Folder of the photographs in a COLMAP data set.
-        split: "test" or "train".
-        background: RGB in [0, 1] behind transparent parts; None for the data set's own.
-        max_memory: Bytes that this process may take; by default what is free.
-
-    Returns:
-        The background, and the photographs over it.
-
-    Raises:
-        NotEnoughMemoryError: They are too many, or too large.
-        NanogsError: The folder holds no such data set, split or photograph.
-    """
-    from nanogs.datasets.dataset import Split, open_dataset
-
-    splits: dict[str, Split] = {"test": "test", "train": "train"}
-    if split not in splits:
-        raise OptionError(f"The split must be test or train, not {split!r}.")
-    dataset = open_dataset(folder, images=images)
-    frames = dataset.split(splits[split])
-    pixels = [frame.camera.width * frame.camera.height for frame in frames]
-    refuse_too_large(
-        f"Comparing with {counted(len(frames), 'photograph')}",
-        photographs_bytes(pixels),
-        allowed_memory(max_memory),
-        'free some, or use smaller photographs, as with `images="images_4"`',
-    )
-    behind = background or dataset.background(frames)
-    return behind, [
-        ReferenceView(frame.camera, dataset.load_photo(frame, behind)) for frame in frames
     ]

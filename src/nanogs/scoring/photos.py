@@ -1,0 +1,77 @@
+"""Photographs that models are held against."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from nanogs.errors import OptionError
+from nanogs.formatting import counted
+from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.needs import photographs_bytes
+from nanogs.protocol import Background
+from nanogs.scoring.scores import ReferenceView
+from nanogs.views.plan import LEAST
+
+
+def photographs(
+    folder: Path,
+    images: str | None,
+    split: str,
+    background: Background | None,
+    max_memory: int | None = None,
+) -> tuple[Background, list[ReferenceView]]:
+    """Cameras and photographs of a data set's split.
+
+    Args:
+        folder: NeRF-Synthetic or COLMAP data set.
+        images: Folder of the photographs in a COLMAP data set.
+        split: "test" or "train".
+        background: RGB in [0, 1] behind transparent parts; None for the data set's own.
+        max_memory: Bytes that this process may take; by default what is free.
+
+    Returns:
+        The background, and the photographs over it, one at least.
+
+    Raises:
+        NotEnoughMemoryError: They are too many, or too large.
+        NanogsError: The folder holds no such data set, split or photograph.
+    """
+    from nanogs.datasets.dataset import Split, open_dataset
+
+    splits: dict[str, Split] = {"test": "test", "train": "train"}
+    if split not in splits:
+        raise OptionError(f"The split must be test or train, not {split!r}.")
+    dataset = open_dataset(folder, images=images)
+    frames = dataset.split(splits[split])
+    if not frames:
+        raise OptionError(f"{folder} has no photographs to compare with; choose another split.")
+    pixels = [frame.camera.width * frame.camera.height for frame in frames]
+    refuse_too_large(
+        f"Comparing with {counted(len(frames), 'photograph')}",
+        photographs_bytes(pixels),
+        allowed_memory(max_memory),
+        'free some, or use smaller photographs, as with `images="images_4"`',
+    )
+    behind = background or dataset.background(frames)
+    return behind, [
+        ReferenceView(frame.camera, dataset.load_photo(frame, behind)) for frame in frames
+    ]
+
+
+def bytes_of(frames: Sequence[ReferenceView]) -> int:
+    """Bytes that photographs take."""
+    return sum(frame.image.nbytes for frame in frames)
+
+
+def beside_photographs(
+    room: int | None, frames: Sequence[ReferenceView], *, packed: bool
+) -> int | None:
+    """Bytes for the splats of pictures that photographs leave; None where models are held.
+
+    Args:
+        room: Bytes, or None.
+        frames: The photographs.
+        packed: Whether files of the models are scored too: pictures are then held beside them.
+    """
+    if room is None:
+        return None
+    return max(room - (2 if packed else 1) * bytes_of(frames), LEAST)

@@ -1,0 +1,68 @@
+"""`nanogs.compare` against photographs: the numbers of the command."""
+
+import numpy as np
+import pytest
+
+import nanogs
+from nanogs.datasets.synthetic import make_scene
+from nanogs.errors import OptionError
+from nanogs.scoring.run import compare_files
+from test_bench import write_photographs
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A model, a smaller one, and photographs of the first."""
+    place = tmp_path_factory.mktemp("photographs")
+    scene = make_scene(400)
+    nanogs.save(scene, place / "scene.ply")
+    nanogs.save(scene.take(np.arange(0, 400, 2)), place / "small.ply")
+    write_photographs(place / "data", place / "scene.ply")
+    return place
+
+
+def test_the_numbers_are_those_of_the_command(folder):
+    paths = [folder / "scene.ply", folder / "small.ply"]
+    found = nanogs.compare(*paths, photos=folder / "data", packed=".sog")
+    names = [(path.name, path) for path in paths]
+    expected = compare_files(names[0], names[1:], photos=folder / "data", packed=(".sog",))
+    assert found == expected
+    assert [model.name for model in found.models] == ["scene.ply", "small.ply", "small.ply as .sog"]
+    assert found.protocol.kind == "photographs"
+    assert found.protocol.background == (1.0, 1.0, 1.0), "the data set's own"
+    assert found.models[0].psnr > 45, "photographs of the model itself, in 8 bits"
+    assert found.models[1].psnr < 40
+
+
+def test_the_background_is_the_callers(folder):
+    paths = [folder / "scene.ply", folder / "small.ply"]
+    over_black = nanogs.compare(*paths, photos=folder / "data", background=(0, 0, 0))
+    assert over_black.protocol.background == (0.0, 0.0, 0.0)
+
+
+def test_little_memory_gives_the_same_numbers(folder, monkeypatch):
+    paths = [folder / "scene.ply", folder / "small.ply"]
+    held = nanogs.compare(*paths, photos=folder / "data")
+    monkeypatch.setattr("nanogs.scoring.api.room_for_comparison", lambda *_: 10_000_000)
+    streamed = nanogs.compare(*paths, photos=folder / "data")
+    assert [model.views for model in held.models] == [model.views for model in streamed.models]
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"views": 3}, "views of their own"),
+        ({"cameras": "roam"}, "views of their own"),
+        ({"pixels": 64}, "views of their own"),
+        ({"up": (0, 1, 0)}, "views of their own"),
+        ({"split": "val"}, "test or train"),
+        ({"split": "train"}, "has no train split"),
+        ({"photos": None, "images": "images_4"}, "for photographs"),
+        ({"photos": None, "split": "train"}, "for photographs"),
+    ],
+)
+def test_what_has_no_effect_is_refused(folder, given, says):
+    path = folder / "scene.ply"
+    with pytest.raises(nanogs.NanogsError, match=says) as refused:
+        nanogs.compare(path, path, **({"photos": folder / "data"} | given))
+    assert isinstance(refused.value, OptionError) or given["split"] == "train"
