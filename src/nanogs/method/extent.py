@@ -23,7 +23,7 @@ _SAMPLE = 4096  # splats looked at; a stride thins larger models
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dilation:
-    """The size that rasterisers add to splats, in scene units where each splat is.
+    """Where viewers are likely to stand, and the size that rasterisers add to splats there.
 
     Attributes:
         anchors: (A, 3) float64, some centres, scene units from the origin of the run.
