@@ -8,6 +8,7 @@ the table is another.
 """
 
 import argparse
+import json
 import os
 import runpy
 import subprocess
@@ -16,6 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from numba import types
 from numba.core import sigutils
 
@@ -23,6 +25,7 @@ import nanogs
 import nanogs.ahead
 from nanogs.datasets.synthetic import make_scene
 from nanogs.kernels.cached import _Cache
+from nanogs.views.automatic import automatic_cameras
 
 TABLE = Path(nanogs.__file__).parent / "kernels" / "signatures.txt"
 SMALL = "simplify scene.ply small.ply -w --ratio 0.1"
@@ -33,6 +36,7 @@ RUNS = {
     "p": [f"{SMALL} --preset paper"],
     "-": [
         f"{SMALL} --preset best --steps 8",
+        f"{SMALL} --cameras transforms.json",
         "simplify scene.ply small.sog -w --psnr 20",
         "convert scene.ply scene.sog -w",
         "convert scene.ply scene.html -w",
@@ -73,7 +77,9 @@ def made() -> str:
     marks: dict[str, str] = {}
     with TemporaryDirectory() as name:
         folder = Path(name)
-        nanogs.save(make_scene(20_000), folder / "scene.ply")
+        scene = make_scene(20_000)
+        nanogs.save(scene, folder / "scene.ply")
+        write_cameras(scene, folder / "transforms.json")
         for mark, commands in RUNS.items():
             for command in commands:
                 run(folder, command, mark)
@@ -81,6 +87,15 @@ def made() -> str:
                 marks[line] = marks.get(line, "") + mark
     lines = [f"{found.replace('-', '') or '-'} {line}\n" for line, found in marks.items()]
     return HEAD + "".join(lines)
+
+
+def write_cameras(scene: nanogs.Splats, path: Path) -> None:
+    """Write a few views of the scene, as a user's."""
+    poses = [camera.world_to_camera for camera in automatic_cameras(scene, 6)]
+    ways = [(np.linalg.inv(pose) @ np.diag([1, -1, -1, 1])).tolist() for pose in poses]
+    frames = [{"file_path": f"{n}.png", "transform_matrix": way} for n, way in enumerate(ways)]
+    data = {"camera_angle_x": 1.0, "w": 256, "h": 256, "frames": frames}
+    path.write_text(json.dumps(data), encoding="utf-8")
 
 
 def run(folder: Path, command: str, mark: str) -> None:

@@ -1,22 +1,32 @@
 """Scenes without bounds for `quality.py`: real models on a made-up ground, with hills and a sky.
 
+    python benchmarks/unbounded.py FOLDER      # and what it is worth to know a user's cameras
+
 None of the real scenes has a sky or hills, as most captures outdoors have. `outdoors` is playbot
 with plants around it; `meadow` is a plant among pieces of flowers, which hold most of the splats.
 Both are the same each time, in units of the radius that holds nine tenths of the middle model's
 centres, y down.
 """
 
+import argparse
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from nanogs import load, save
+from nanogs import compare, load, save, simplify
 from nanogs._types import F32, F64
+from nanogs.method import extent
+from nanogs.raster.camera import Camera
 from nanogs.splats import Splats, concatenate
 from nanogs.stored import SH_C0, quaternions, rotations
+from nanogs.views.poses import look_at
+from rivals import ROOT
 
 UP = np.array([0.0, -1.0, 0.0])
+# Of cameras around the middle: how far away and how high, and how high they look.
+RINGS = {"outdoors": (1.8, 1.1, 0.6), "meadow": (2.2, 1.3, 0.8)}
 Source = Callable[[str], Path]
 
 
@@ -172,3 +182,39 @@ def waves(points: F64, sizes: Sequence[tuple[float, float]], seed: int) -> F64:
             phase = rng.uniform(0, 2 * np.pi)
             found += height * np.sin(points @ way * (frequency / np.linalg.norm(way)) + phase)
     return found
+
+
+def ring(name: str, count: int, start: float) -> list[Camera]:
+    """Cameras of 400 x 400 pixels and 60 degrees around the middle of a scene."""
+    far, height, target = RINGS[name]
+    focal, found = 200 / np.tan(np.pi / 6), []
+    for turn in start + np.arange(count) * 2 * np.pi / count:
+        place = np.array([far * np.cos(turn), -height, far * np.sin(turn)])
+        pose = look_at(place, target * UP, UP)
+        found.append(Camera(400, 400, focal, focal, 200, 200, pose, f"{turn:.2f}", near=0.02))
+    return found
+
+
+def main() -> None:
+    """Print what `default` makes of each scene with cameras, as they tell and as they do not."""
+    from measured import Bench  # which makes scenes of this file's
+
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("folder", type=Path, help="where scenes and measurements are kept")
+    scenes = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
+    bench = Bench(scenes, scenes.parent / "peers", parser.parse_args().folder)
+    known = extent.APART
+    for name in SCENES:
+        model = load(bench.model(name))
+        for ratio in (0.1, 0.01):
+            made = []
+            for extent.APART in (1e9, known):  # so far apart, all count alike
+                cameras = ring(name, 40, 0.0)
+                made.append(simplify(model, ratio=ratio, cameras=cameras)[0])
+            found = compare(model, *made, cameras=ring(name, 8, 0.3))
+            without, told = (each.psnr for each in found.models)
+            print(f"{name} {ratio:g}: {without:.2f} -> {told:.2f} dB")
+
+
+if __name__ == "__main__":
+    main()

@@ -12,7 +12,16 @@ import nanogs
 import twins
 from builders import random_splats, same_pixel
 from nanogs.datasets.synthetic import make_scene
-from nanogs.method.extent import ANCHORS, FARTHEST, NEAR, Dilation, dilation
+from nanogs.method.extent import (
+    ANCHORS,
+    APART,
+    FARTHEST,
+    NEAR,
+    Dilation,
+    Viewers,
+    dilation,
+    viewers,
+)
 from nanogs.method.growth import area_needs, blocked, widened
 from nanogs.method.integrals import exponential_integral
 from nanogs.method.nodes import NEARER, activate_nodes, footprints, gather
@@ -108,15 +117,15 @@ def test_what_lies_beyond_the_scene_is_as_near_as_it_looks():
     found = dilation(means, np.ones(len(means)), RenderMode.DEFAULT, 512.0)
     near = NEAR * np.quantile(found.radii, 0.1)
     distances = np.array([0.0, 0.5 * near, near, 2 * near, 1e6 * near])
-    assert found.nearness(distances) == pytest.approx([1, 1, 1, 1 / 4, 1e-12])
-    assert (found.nearness(found.distances(means)) == 1).all()
+    assert found.nearness_at(distances) == pytest.approx([1, 1, 1, 1 / 4, 1e-12])
+    assert (found.nearness(means) == 1).all()
     mip = dilation(means, np.ones(len(means)), RenderMode.MIP, 512.0)
-    assert (mip.nearness(distances) == found.nearness(distances)).all()
+    assert (mip.nearness_at(distances) == found.nearness_at(distances)).all()
 
 
 def test_a_scene_at_one_place_has_nothing_beyond_it():
     found = dilation(np.zeros((9, 3)), np.ones(9), RenderMode.DEFAULT, 512.0)
-    assert (found.nearness(np.array([0.0, 5.0])) == 1).all()
+    assert (found.nearness_at(np.array([0.0, 5.0])) == 1).all()
 
 
 @pytest.mark.parametrize("options", [{"preset": "fast"}, {"block": 2500, "preset": "fast"}])
@@ -134,6 +143,44 @@ def test_sky_does_not_take_the_splats_of_what_stands_before_it(tmp_path, options
     small = nanogs.load(tmp_path / "out.ply")
     kept = np.linalg.norm(small.means, axis=1) < 10 * reach
     assert np.count_nonzero(kept) > 0.5 * len(small)
+
+
+def test_viewers_see_as_the_twin_says_for_any_number_of_threads():
+    rng = np.random.default_rng(0)
+    points, places = rng.normal(size=(9000, 3)), rng.normal(size=(20, 3))
+    points[:100] *= 1000
+    squares = ((points[:, None] - places) ** 2).sum(axis=2)
+    found = Viewers(places, 0.5).nearness(points)
+    assert np.allclose(found, (1 / (1 + squares / 0.25)).mean(axis=1), rtol=1e-12)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        alone = Viewers(places, 0.5).nearness(points)
+    finally:
+        numba.set_num_threads(threads)
+    assert alone.tobytes() == found.tobytes()
+    assert viewers(places, points).apart == pytest.approx(
+        APART * np.quantile(np.sqrt(squares.min(axis=1)), 0.25), rel=0.1
+    )
+    beside = viewers(np.zeros((2, 3)), np.zeros((9, 3)))
+    assert beside.apart == 0
+    assert (beside.nearness(points) == 1).all()
+
+
+@pytest.mark.parametrize("blocks", [{}, {"block": 1500}])
+def test_splats_go_where_cameras_stand(tmp_path, blocks):
+    """Two scenes alike, of which the cameras are beside one and see the other far behind it."""
+    scene = make_scene(1500, sh_degree=0)
+    far = 40 * np.float32(np.abs(scene.means).max())
+    nanogs.save(
+        concatenate([scene, replace(scene, means=scene.means + [far, 0, 0])]), tmp_path / "in.ply"
+    )
+    cameras = automatic_cameras(scene, 12, width=64, height=64)
+    nanogs.simplify_blocks(
+        tmp_path / "in.ply", tmp_path / "out.ply", ratio=0.1, cameras=cameras, steps=0, **blocks
+    )
+    small = nanogs.load(tmp_path / "out.ply")
+    assert np.count_nonzero(small.means[:, 0] < far / 2) > 0.8 * len(small)
 
 
 def test_copies_far_away_hardly_change_a_pixel():

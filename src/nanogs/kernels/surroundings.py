@@ -1,4 +1,4 @@
-"""How far the surroundings of a point reach, from those of a few others."""
+"""How far the surroundings of a point reach, and how large viewers see what is there."""
 
 import math
 
@@ -19,3 +19,18 @@ def reach(start: int, stop: int, points: F64, anchors: F64, radii: F64, out: F64
             dx, dy, dz = x - anchors[a, 0], y - anchors[a, 1], z - anchors[a, 2]
             least = min(least, radii[a] * radii[a] + dx * dx + dy * dy + dz * dz)
         out[i] = math.sqrt(least)
+
+
+@parallel_kernel("out")
+def nearness(start: int, stop: int, points: F64, places: F64, square: float, out: F64) -> None:
+    """The mean of 1 / (1 + d² / square) over all places, for the distance d to each of them.
+
+    points: (N, 3); places: (V, 3), V >= 1, scene units; square: above 0, of a distance; out: (N,).
+    """
+    for i in range(start, stop):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        total = 0.0
+        for v in range(len(places)):
+            dx, dy, dz = x - places[v, 0], y - places[v, 1], z - places[v, 2]
+            total += square / (square + dx * dx + dy * dy + dz * dz)
+        out[i] = total / len(places)

@@ -7,7 +7,7 @@ import numpy as np
 from nanogs import spread
 from nanogs._types import F64
 from nanogs.kernels.project import DILATION
-from nanogs.kernels.surroundings import reach
+from nanogs.kernels.surroundings import nearness, reach
 from nanogs.splats import RenderMode
 from nanogs.views.occupancy import quantiles
 
@@ -18,6 +18,9 @@ USUAL = 0.1  # quantile of the anchors' radii that stands for the least of them
 ANCHORS = 64  # splats whose surroundings are measured; others have them from the nearest ones
 NEAR = 2.5  # times the least radius: up to there viewers may stand beside any splat
 FARTHEST = 16.0  # times the usual radius; a stray's pixel must not outweigh all splats together
+MOST_VIEWERS = 64  # of those that a user's cameras tell, evenly chosen
+# Times the usual distance from the nearest viewer: what is nearer than that counts little more.
+APART = 0.3
 _SAMPLE = 4096  # splats looked at; a stride thins larger models
 
 
@@ -51,7 +54,11 @@ class Dilation:
         found *= self.per_radius
         return found
 
-    def nearness(self, distances: F64) -> F64:
+    def nearness(self, means: F64) -> F64:
+        """(N,) float64 in (0, 1]: how large screens show what is at (N, 3) float64 centres."""
+        return self.nearness_at(self.distances(means))
+
+    def nearness_at(self, distances: F64) -> F64:
         """(N,) float64 in (0, 1]: how large screens show what is so far from viewers.
 
         Viewers stand where most splats are. Up to `NEAR` times the radius there, which is as far
@@ -70,6 +77,42 @@ class Dilation:
         """The least of the anchors' above 0, scene units; 0 where there is none."""
         some = self.per_radius * self.radii
         return float(some[some > 0].min()) if (some > 0).any() else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Viewers:
+    """Where viewers stand, as a user's cameras tell.
+
+    Attributes:
+        places: (V, 3) float64, V >= 1, scene units from the origin of the run.
+        apart: Distance within which a splat counts hardly more for being nearer, scene units.
+    """
+
+    places: F64
+    apart: float
+
+    def nearness(self, means: F64) -> F64:
+        """(N,) float64 in (0, 1]: how large screens show what is at (N, 3) float64 centres.
+
+        The mean over viewers of 1 / (1 + (distance / apart)²).
+        """
+        if self.apart == 0:
+            return np.ones(len(means))
+        found = np.empty(len(means))
+        nearness(np.ascontiguousarray(means), self.places, self.apart**2, found)
+        return found
+
+
+def viewers(places: F64, means: F64) -> Viewers:
+    """Viewers at the places of cameras.
+
+    Args:
+        places: (V, 3) float64, V >= 1, scene units from the origin of the run.
+        means: (N, 3) float64, N >= 1, splats of the model, in the same units.
+    """
+    some = means[:: len(means) // _SAMPLE + 1]
+    nearest = np.min([np.linalg.norm(some - place, axis=1) for place in places], axis=0)
+    return Viewers(np.ascontiguousarray(places), APART * float(np.quantile(nearest, 0.25)))
 
 
 def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilation:

@@ -18,7 +18,7 @@ from nanogs.kernels.nodes import (
     heaviest_members,
 )
 from nanogs.method.activation import activated
-from nanogs.method.extent import Dilation
+from nanogs.method.extent import Dilation, Viewers
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats, pick
 from nanogs.stored import alphas
@@ -111,19 +111,19 @@ def activate_nodes(
     if coverages is None:
         coverages = _coverages(splats, rows, covariances, dilation.added(distances))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
-    weights = normalised(coverages * dilation.nearness(distances))
+    weights = normalised(coverages * dilation.nearness_at(distances))
     return Nodes(weights, coverages, means, covariances, features, rows)
 
 
-def prominence(coverages: F64, means: F64, dilation: Dilation) -> F64:
+def prominence(coverages: F64, means: F64, viewers: Dilation | Viewers) -> F64:
     """(N,) float64: coverages as screens show them, less where splats are far from all viewers.
 
     Args:
         coverages: (N,) float64, square scene units.
         means: (N, 3) float64, scene units, relative to the origin of the run.
-        dilation: Knows where viewers are likely to stand.
+        viewers: Where they stand, as the model or a user's cameras tell.
     """
-    prominences = dilation.nearness(dilation.distances(means))
+    prominences = viewers.nearness(means)
     prominences *= coverages
     return prominences
 

@@ -97,7 +97,7 @@ def leaves_of(
 ) -> Nodes:
     """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
     nodes = activate_nodes(splats, rows, units.centre(), units.dilation(), units.thinnest)
-    prominences = prominence(nodes.coverages, nodes.means, units.dilation())
+    prominences = prominence(nodes.coverages, nodes.means, units.viewers())
     if weighing is None:
         weights = prominences / units.prominence
     else:

@@ -14,7 +14,7 @@ from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target, as_target, make_target
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method.cut import cut
-from nanogs.method.extent import Dilation, dilation
+from nanogs.method.extent import Dilation, Viewers, dilation
 from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.gaussians import scene_origin
 from nanogs.method.nodes import Nodes, activate_nodes, normalised, prominence, without_coverages
@@ -26,6 +26,7 @@ from nanogs.method.visibility import DECIDING, shown_share, visible_weights
 from nanogs.pipeline.partition import Partition
 from nanogs.pipeline.scene import ROUNDS, Block, FitViews, Lit, Members, Scene, Task
 from nanogs.pipeline.settings import Access, InputFile, Segment, Settings
+from nanogs.pipeline.units import viewers_of
 from nanogs.pipeline.views import Views
 from nanogs.progress import Parts, untold
 from nanogs.raster.camera import Camera
@@ -40,11 +41,15 @@ from nanogs.views.stand_in import AFAR, stand_in
 
 
 class _Placed(NamedTuple):
-    """The usable rows in Morton order, the origin (3,), and what rasterisers add to splats."""
+    """The usable rows in Morton order, the origin (3,), and what depends on where splats are.
+
+    That is what rasterisers add to them, and where viewers stand, as the model or cameras tell.
+    """
 
     rows: I32
     origin: F64
     dilation: Dilation
+    viewers: Dilation | Viewers
 
 
 @dataclass(eq=False)
@@ -139,7 +144,7 @@ class OneBlock(Scene):
         if self.visible is None or self.missed is None or self._leaves is None:
             return None
         leaves, rows = self._leaves, self._leaves.rows
-        prominences = prominence(leaves.coverages, leaves.means, self._placed.dilation)
+        prominences = prominence(leaves.coverages, leaves.means, self._placed.viewers)
         return shown_share(prominences, self.visible[rows], self.missed[rows])
 
     # Looking.
@@ -158,7 +163,8 @@ class OneBlock(Scene):
         spread.each(slices(len(usable), SLICE_STEPS), convert)
         pixels = self.settings.parameters.pixels
         added = dilation(means, opacities, splats.render_mode, pixels)
-        self._survey = _Placed(self.usable[morton_order(means)], origin, added)
+        standing = viewers_of(self.cameras, origin, means) if self.cameras else added
+        self._survey = _Placed(self.usable[morton_order(means)], origin, added, standing)
         return self.write(name, {}, {})
 
     def sample(self) -> Splats:
@@ -238,12 +244,12 @@ class OneBlock(Scene):
         return self.write(name, {}, {"seconds": seconds})
 
     def _activated(self, coverages: F64 | None = None) -> Nodes:
-        rows, origin, added = self._placed
+        rows, origin, added, viewers = self._placed
         nodes = activate_nodes(self.splats, rows, origin, added, coverages=coverages)
         if self.visible is None or not self.measures:
             return nodes
         hidden = self.settings.parameters.hidden
-        shown = prominence(nodes.coverages, nodes.means, added)
+        shown = prominence(nodes.coverages, nodes.means, viewers)
         weights = visible_weights(shown, self.visible[rows], hidden)
         return replace(nodes, weights=normalised(weights))
 
@@ -283,7 +289,7 @@ class OneBlock(Scene):
             if labels is members.labels:
                 return groups
         assert self._leaves is not None  # noqa: S101 - an earlier stage
-        _, origin, added = self._placed
+        origin, added = self._placed.origin, self._placed.dilation
         del self._stored[:-1]
         groups = store_groups(
             self._leaves, members.labels, self.splats, origin, added,

@@ -35,7 +35,7 @@ def write_look(work: "Work", name: str, own: Block, missed: Bool, lights: Sequen
     """
     assert own.visible is not None  # noqa: S101 - it was looked at
     leaves, visible = leaves_of(own.splats, own.rows, work.units), own.visible[own.rows]
-    prominences = prominence(leaves.coverages, leaves.means, work.units.dilation())
+    prominences = prominence(leaves.coverages, leaves.means, work.units.viewers())
     weights = visible_weights(prominences, visible, work.settings.parameters.hidden)
     facts = {
         "cameras": [plain_camera(camera) for camera, _ in lights],

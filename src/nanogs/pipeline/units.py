@@ -1,6 +1,6 @@
 """Scales and Morton cells that all blocks of a scene share, from evenly spread rows."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -8,13 +8,14 @@ import numpy as np
 
 from nanogs._types import F64, U64
 from nanogs.errors import NONE_USABLE, ModelError
-from nanogs.method.extent import Dilation, dilation
+from nanogs.method.extent import MOST_VIEWERS, Dilation, Viewers, dilation, viewers
 from nanogs.method.gaussians import scene_origin
 from nanogs.method.nodes import activate_nodes, prominence, thinnest_axis
 from nanogs.method.order import code_box, codes_in
 from nanogs.pipeline.rows import sample
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.unpack import Unpacked
+from nanogs.raster.camera import Camera, evenly
 from nanogs.splats import Splats
 
 
@@ -26,6 +27,8 @@ class Units:
         origin: Taken off the centres, scene units.
         anchors: x, y, z relative to the origin and radius of each of those of `Dilation`.
         per_radius: As `Dilation` has it.
+        places: Of a user's cameras, relative to the origin, as `Viewers` has them; none without.
+        apart: As `Viewers` has it.
         thinnest: Axis of any node, scene units.
         prominence: Of a typical splat, square scene units; weights are over this.
         corner: Lowest corner of the box of Morton cells, relative to the origin.
@@ -35,6 +38,8 @@ class Units:
     origin: tuple[float, ...]
     anchors: tuple[tuple[float, ...], ...]
     per_radius: float
+    places: tuple[tuple[float, ...], ...]
+    apart: float
     thinnest: float
     prominence: float
     corner: tuple[float, ...]
@@ -53,6 +58,10 @@ class Units:
         rows = np.array(self.anchors)
         return Dilation(np.ascontiguousarray(rows[:, :3]), rows[:, 3].copy(), self.per_radius)
 
+    def viewers(self) -> Dilation | Viewers:
+        """Where viewers stand, as a user's cameras or else the model tell."""
+        return Viewers(np.array(self.places), self.apart) if self.places else self.dilation()
+
     def codes(self, splats: Splats) -> U64:
         """(N,) Morton codes of the centres."""
         return codes_in(splats.means - self.centre(), np.array(self.corner), self.width)
@@ -61,7 +70,8 @@ class Units:
 def units_of(data: Mapping[str, Any]) -> Units:
     """Units from what `to_dict` made of it, by way of JSON."""
     fixed: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
-    fixed["anchors"] = tuple(map(tuple, data["anchors"]))
+    for name in ("anchors", "places"):
+        fixed[name] = tuple(map(tuple, data[name]))
     return Units(**fixed)
 
 
@@ -84,14 +94,30 @@ def survey(settings: Settings, unpacked: Unpacked | None = None) -> Units:
     added = dilation(means, some.opacities(), some.render_mode, settings.parameters.pixels)
     thinnest = thinnest_axis(some.scales(), means, added.least)
     nodes = activate_nodes(some, np.arange(len(some)), origin, added, thinnest)
-    typical = float(prominence(nodes.coverages, nodes.means, added).mean())
+    cameras = settings.asked.given()
+    told = viewers_of(cameras, origin, means) if cameras else None
+    typical = float(prominence(nodes.coverages, nodes.means, told or added).mean())
     corner, width = code_box(means)
     return Units(
         origin=tuple(map(float, origin)),
         anchors=tuple(map(tuple, np.column_stack((added.anchors, added.radii)).tolist())),
         per_radius=added.per_radius,
+        places=tuple(map(tuple, told.places.tolist())) if told else (),
+        apart=told.apart if told else 0.0,
         thinnest=thinnest,
         prominence=typical if typical > 0 else 1.0,
         corner=tuple(map(float, corner)),
         width=width,
     )
+
+
+def viewers_of(cameras: Sequence[Camera], origin: F64, means: F64) -> Viewers:
+    """Viewers where a user's cameras are.
+
+    Args:
+        cameras: One at least.
+        origin: (3,) what is taken off centres, scene units.
+        means: (N, 3) float64, N >= 1, splats of the model, relative to the origin.
+    """
+    places = np.array([camera.position for camera in evenly(cameras, MOST_VIEWERS)])
+    return viewers(places - origin, means)
