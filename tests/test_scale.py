@@ -528,5 +528,9 @@ def test_units_keep_every_digit():
     from nanogs.pipeline.units import units_of
 
     anchors = ((0.1, 0.2, 0.3, 1 / 7), (1e-300, 2.0, 3.0, 0.0))
-    units = Units((0.1, 1 / 3, 1e-300), anchors, 0.2, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9)
-    assert units_of(json.loads(json.dumps(units.to_dict()))) == units
+    places = ((1 / 3, -1e-300, 7.0), (0.1, 0.2, 0.3))
+    for told, apart in ((places, 1 / 7), ((), 0.0)):  # with a user's cameras, and without
+        units = Units(
+            (0.1, 1 / 3, 1e-300), anchors, 0.2, told, apart, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9
+        )
+        assert units_of(json.loads(json.dumps(units.to_dict()))) == units
