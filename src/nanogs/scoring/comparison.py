@@ -207,7 +207,7 @@ def compare_with_photographs(
     Args:
         source: Where the photographs are from, for the reader.
         models: At least one.
-        views: Cameras and photographs.
+        views: Cameras and photographs, one at least, as `photos.photographs` gives them.
         split: Which of the data set's they are, "test" or "train".
         background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
         extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
@@ -217,10 +217,8 @@ def compare_with_photographs(
         progress: Told of the stages "render", of the reference, and "score".
 
     Raises:
-        OptionError: No model or no view is given.
+        OptionError: No model is given.
     """
-    if not views:
-        raise OptionError(f"{source} has no photographs to compare with; choose another split.")
     protocol = protocol_of(views, "photographs", split, background)
     scores, sheets = score_models(
         models, views, protocol, extras=extras, pictures=pictures, costs=costs, room=room,

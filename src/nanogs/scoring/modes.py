@@ -22,7 +22,7 @@ from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
 from nanogs.views.costing import pictures_of, views_of
-from nanogs.views.plan import LEAST, room_for_pictures
+from nanogs.views.plan import room_for_pictures
 
 if TYPE_CHECKING:
     from nanogs._types import F32, F64
@@ -178,7 +178,7 @@ def look_at(
     stages = [Stage("cameras", 1.0), Stage("render", 6.0), Stage("cover", 2.0)]
     with opened(model) as source, drawn(progress) as tell:
         # Here and not above: these bring Numba.
-        from nanogs.scoring.photos import bytes_of, photographs
+        from nanogs.scoring.photos import beside_photographs, photographs
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
 
@@ -191,8 +191,7 @@ def look_at(
                 behind, frames = photographs(Path(photos), images, split, background, limit)
                 wanted = [view.camera for view in frames]
             room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), limit)
-            if room is not None:
-                room = max(room - bytes_of(frames), LEAST)
+            room = beside_photographs(room, frames)
             some = source_of(source).load() if room is None else source
             if isinstance(wanted, str):
                 chosen, kind = chosen_cameras(some, wanted, views, pixels, up)

@@ -57,21 +57,17 @@ def photographs(
     ]
 
 
-def bytes_of(frames: Sequence[ReferenceView]) -> int:
-    """Bytes that photographs take."""
-    return sum(frame.image.nbytes for frame in frames)
-
-
 def beside_photographs(
-    room: int | None, frames: Sequence[ReferenceView], *, packed: bool
+    room: int | None, frames: Sequence[ReferenceView], *, packed: bool = False
 ) -> int | None:
     """Bytes for the splats of pictures that photographs leave; None where models are held.
 
     Args:
         room: Bytes, or None.
-        frames: The photographs.
+        frames: The photographs, if any.
         packed: Whether files of the models are scored too: pictures are then held beside them.
     """
     if room is None:
         return None
-    return max(room - (2 if packed else 1) * bytes_of(frames), LEAST)
+    taken = sum(frame.image.nbytes for frame in frames)
+    return max(room - (2 if packed else 1) * taken, LEAST)
