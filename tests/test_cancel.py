@@ -158,6 +158,47 @@ def test_workers_end_with_a_run_that_is_killed(tmp_path):
     assert not living(child.pid)
 
 
+START = """
+import os, signal, sys
+from multiprocessing import util
+from nanogs.cli.cancel import listen
+from nanogs.pipeline.cluster import processes
+from nanogs.bench.worker import Job, run_job
+from nanogs.studio.process import Process
+spawn = util.spawnv_passfds
+def interrupted(*arguments):
+    child = spawn(*arguments)
+    if "--multiprocessing-fork" in arguments[1]:  # no keeper of semaphores
+        os.kill(os.getpid(), int(sys.argv[2]))  # the child waits now for what it is to do
+    return child
+def pool():
+    with processes(1):
+        pass
+if __name__ == "__main__":
+    util.spawnv_passfds = interrupted
+    listen()
+    starts = {
+        "pool": pool,
+        "bench": lambda: run_job(Job("in.ply", "fast", 0.1, "out.ply")),
+        "studio": lambda: Process("scene", "manner", print),
+    }
+    starts[sys.argv[1]]()
+"""
+
+
+@posix
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "term"])
+@pytest.mark.parametrize("what", ["pool", "bench", "studio"])
+def test_a_process_that_is_starting_ends_without_a_word(tmp_path, what, number):
+    script = tmp_path / "start.py"
+    script.write_text(START)
+    done = subprocess.run(
+        [sys.executable, script, what, str(int(number))], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 128 + number
+    assert done.stderr == "cancelled\n"
+
+
 HOLD = """
 import sys, time
 from pathlib import Path

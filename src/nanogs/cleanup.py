@@ -4,6 +4,7 @@ An exception runs `finally` blocks; a signal that ends the process at once does 
 would do is also noted here, for the command to do before it ends (`nanogs.cli.cancel`).
 """
 
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
@@ -73,6 +74,25 @@ def undisturbed() -> Iterator[None]:
         _undisturbed -= 1
         if _postponed and not _undisturbed:
             _postponed()
+
+
+@contextmanager
+def starting_processes() -> Iterator[None]:
+    """Start processes in this block: they are there whole, or not at all, when this one is ended.
+
+    One that was left while it starts would miss what it is to do, and say so in a traceback. They
+    inherit from the thread that starts them that interrupts wait (not on Windows): Ctrl-C reaches
+    every process of a terminal, and is for the first of them to deal with.
+    """
+    with undisturbed():
+        if not hasattr(signal, "pthread_sigmask"):
+            yield
+            return
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def when_undisturbed(end: Callable[[], None]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from nanogs.bench.baselines import Method, MethodContext
 from nanogs.bench.methods import find_method, find_preset, training_views
-from nanogs.cleanup import cleaned_up, undisturbed
+from nanogs.cleanup import cleaned_up, starting_processes
 from nanogs.errors import NanogsError
 from nanogs.io import encoded_bytes, load, save
 from nanogs.kernels.compiling import watching
@@ -89,7 +89,7 @@ def run_job(job: Job) -> Outcome:
             process.join()
 
     with cleaned_up(end), closing(receiver):
-        with undisturbed():
+        with starting_processes():
             process.start()
         sender.close()
         try:

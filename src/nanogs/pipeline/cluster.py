@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, closing, contextmanager, nullcont
 from multiprocessing import active_children, get_context, parent_process, util
 from typing import TYPE_CHECKING
 
-from nanogs.cleanup import cleaned_up
+from nanogs.cleanup import cleaned_up, starting_processes
 from nanogs.errors import OptionError
 
 if TYPE_CHECKING:
@@ -42,24 +42,11 @@ def processes(workers: int) -> Iterator[Executor]:
     """
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _attend)
     with cleaned_up(_end_children):
-        with _interrupts_blocked():  # processes inherit that from the thread that starts them
+        with starting_processes():
             for _ in range(workers):  # each starts one
                 pool.submit(_load)
         yield pool
         pool.shutdown()
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Have interrupts wait, where the system can: not on Windows."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _attend() -> None:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from nanogs.cleanup import clean_at_end
+from nanogs.cleanup import clean_at_end, starting_processes
 from nanogs.studio.scene import Manner, Scene
 
 if TYPE_CHECKING:
@@ -35,14 +35,10 @@ class Process:
         self._process: BaseProcess = context.Process(
             target=work, args=(theirs, scene, manner), daemon=True
         )
-        # A process inherits what is blocked in the thread that starts it: Ctrl-C, which reaches
-        # all processes of a terminal, is for this one to deal with.
-        mask = getattr(signal, "pthread_sigmask", lambda *_: None)  # not on Windows
-        mask(getattr(signal, "SIG_BLOCK", 0), {signal.SIGINT})
-        self._process.start()
-        mask(getattr(signal, "SIG_UNBLOCK", 0), {signal.SIGINT})
+        with starting_processes():
+            self._process.start()
+            clean_at_end(self.end)
         theirs.close()
-        clean_at_end(self.end)
         threading.Thread(target=_read, args=(self._line, told), daemon=True).start()
 
     def send(self, message: tuple[str, Any]) -> None:
