@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 
 import numba
 import numpy as np
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 import nanogs.spread as spread_module
 from nanogs.spread import Spread, each
-from nanogs.threads import use_threads
+from nanogs.threads import most_threads, use_threads
 
 
 def add_one(start, stop, scale, values):
@@ -171,7 +172,7 @@ SIGNALLED = """
 import signal, threading, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from nanogs.spread import each
-from nanogs.threads import use_threads
+from nanogs.threads import most_threads, use_threads
 
 begun, sent = [], []
 
@@ -236,3 +237,21 @@ def test_work_within_work_of_the_pool_stays_on_its_thread():
         each(range(20), outer)
     assert sorted(found) == [(a, b) for a in range(20) for b in range(3)]
     assert all(alone)
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
+def test_what_nobody_began_holds_no_arrays():
+    ended = threading.Event()
+    busy = [spread_module._pool().submit(ended.wait) for _ in range(most_threads())]
+    values = np.zeros(8)
+    held = weakref.ref(values)
+    try:
+        with use_threads(2):
+            spread(add_one)(1.0, values)
+        assert (values == 1).all()
+        del values
+        assert held() is None
+    finally:
+        ended.set()
+        for each_one in busy:
+            each_one.result()

@@ -88,16 +88,17 @@ def results(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
 class _Parts(Generic[T]):
     """Parts of some work, of which each is taken once, by one of several threads."""
 
-    def __init__(self, parts: Sequence[T]) -> None:
+    def __init__(self, parts: Sequence[T], work: Callable[[T], None]) -> None:
         self._waiting, self._lock = list(reversed(parts)), Lock()
+        self._work: Callable[[T], None] | None = work
 
-    def work_on(self, work: Callable[[T], None]) -> None:
+    def work_on(self) -> None:
         """Take one part after the other, until none is left or one has failed anywhere."""
         while True:
             with self._lock:
-                if not self._waiting:
+                if not self._waiting or self._work is None:
                     return
-                part = self._waiting.pop()
+                part, work = self._waiting.pop(), self._work
             try:
                 work(part)
             except BaseException:
@@ -105,9 +106,10 @@ class _Parts(Generic[T]):
                 raise
 
     def drop(self) -> None:
-        """Leave what nobody has begun."""
+        """Leave what nobody has begun, and hold none of its arrays: the pool may hold this long."""
         with self._lock:
             self._waiting.clear()
+            self._work = None
 
     @contextmanager
     def closed(self) -> Iterator[None]:
@@ -125,13 +127,14 @@ def _on(threads: int, parts: Sequence[T], work: Callable[[T], None]) -> None:
 
     On this one alone, if it is of the pool: all that are would wait for each other.
     """
-    shared, more = _Parts(parts), 0 if _own.of_pool else min(threads, len(parts)) - 1
+    shared, more = _Parts(parts, work), 0 if _own.of_pool else min(threads, len(parts)) - 1
     others: list[Future[None]] = []
     try:
         with shared.closed():  # who begins before all are known is not waited for if it fails
-            others = [_pool().submit(shared.work_on, work) for _ in range(more)]
-        shared.work_on(work)
+            others = [_pool().submit(shared.work_on) for _ in range(more)]
+        shared.work_on()
         failures = _ended(others)
+        shared.drop()
     except BaseException:  # an interrupt may come while others are waited for
         shared.drop()
         _ended(others)
