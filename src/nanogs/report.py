@@ -8,7 +8,7 @@ from typing import Any
 from nanogs.costs import DrawCost
 from nanogs.filters import FilterReport
 from nanogs.fit.report import RefitReport
-from nanogs.formatting import counted
+from nanogs.formatting import counted, time_text
 from nanogs.protocol import Judged, PackingLoss
 
 
@@ -264,6 +264,21 @@ class SimplifyReport:
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""
         return asdict(self)
+
+    def __str__(self) -> str:
+        """One line: the counts, how near the result is if that was measured, and the time."""
+        counts = f"{self.input_count:,} -> {counted(self.achieved_count, 'splat')}"
+        text = ", ".join([counts, *measures(self), time_text(self.total_seconds)])
+        return text if self.stop.met else f"{text}. {stop_text(self)}"
+
+
+def measures(report: SimplifyReport) -> list[str]:
+    """What was measured of the result: how near it is, what packing cost, what it takes to draw."""
+    texts = [measured.text for measured in (report.judged, report.packed) if measured]
+    if report.cost is not None and report.original_cost is not None:
+        share = report.cost.share_of(report.original_cost)
+        texts.append(f"{share:.1%} of the splats a pixel ({report.cost.splats_a_pixel:.1f})")
+    return texts
 
 
 def stop_text(report: SimplifyReport) -> str:

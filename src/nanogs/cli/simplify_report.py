@@ -8,7 +8,7 @@ from nanogs.cli.filtering import report_filters
 from nanogs.cli.many import Run
 from nanogs.formatting import bytes_text, counted, sizes_text, time_text
 from nanogs.io import registry
-from nanogs.report import SimplifyReport
+from nanogs.report import SimplifyReport, measures
 
 
 def warn_of_input(notes: Iterable[str], dropped: int) -> None:
@@ -49,20 +49,10 @@ def summary(run: Run) -> str:
         f"{report.read_count:,} {to} {made} in {files['output']}"
         + (f" ({chosen})" if chosen else ""),
         sizes_text(files["input_bytes"], files["output_bytes"], to) + _formats_text(run, to),
-        report.judged.text if report.judged else "",
-        report.packed.text if report.packed else "",
-        _cost_text(report),
+        *measures(report),
         time_text(report.total_seconds),
     ]
     return ", ".join(part for part in parts if part)
-
-
-def _cost_text(report: SimplifyReport) -> str:
-    """Cost of drawing the result beside the original: "41.9% of the splats a pixel (7.3)"."""
-    if report.cost is None or report.original_cost is None:
-        return ""
-    share = report.cost.share_of(report.original_cost)
-    return f"{share:.1%} of the splats a pixel ({report.cost.splats_a_pixel:.1f})"
 
 
 def _formats_text(run: Run, to: str) -> str:
