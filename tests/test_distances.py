@@ -129,21 +129,58 @@ def test_a_scene_at_one_place_has_nothing_beyond_it():
     assert (found.nearness_at(np.array([0.0, 5.0])) == 1).all()
 
 
-@pytest.mark.parametrize("options", [{"preset": "fast"}, {"block": 2500, "preset": "fast"}])
-def test_sky_does_not_take_the_splats_of_what_stands_before_it(tmp_path, options):
-    """As large a share of the pictures, but ten thousand times as large in scene units."""
-    front, sky = make_scene(6000, sh_degree=0), make_scene(2000, sh_degree=0, seed=1)
+def under_a_sky(count):
+    """A scene, the same below a sky that takes as large a share of pictures, and how far it is.
+
+    In scene units the sky is ten thousand times as large.
+    """
+    front, sky = make_scene(3 * count, sh_degree=0), make_scene(count, sh_degree=0, seed=1)
     reach = np.abs(front.means).max()
     ways = sky.means / np.linalg.norm(sky.means, axis=1, keepdims=True)
     sky = replace(
         sky, means=(100 * reach * ways).astype(np.float32),
         log_scales=sky.log_scales + np.float32(np.log(100)),
     )  # fmt: skip
-    nanogs.save(concatenate([front, sky]), tmp_path / "in.ply")
-    nanogs.simplify_blocks(tmp_path / "in.ply", tmp_path / "out.ply", ratio=0.1, **options)
-    small = nanogs.load(tmp_path / "out.ply")
-    kept = np.linalg.norm(small.means, axis=1) < 10 * reach
-    assert np.count_nonzero(kept) > 0.5 * len(small)
+    return front, concatenate([front, sky]), 10 * reach
+
+
+def kept_within(reach, scene, folder, **options):
+    """Share of a tenth of the splats that is not of the sky."""
+    nanogs.save(scene, folder / "in.ply", overwrite=True)
+    out = folder / "out.ply"
+    nanogs.simplify_blocks(folder / "in.ply", out, ratio=0.1, overwrite=True, **options)
+    small = nanogs.load(out)
+    return np.mean(np.linalg.norm(small.means, axis=1) < reach)
+
+
+@pytest.mark.parametrize("options", [{"preset": "fast"}, {"block": 2500, "preset": "fast"}])
+def test_sky_does_not_take_the_splats_of_what_stands_before_it(tmp_path, options):
+    _, scene, reach = under_a_sky(2000)
+    assert kept_within(reach, scene, tmp_path, **options) > 0.5
+
+
+@pytest.mark.parametrize("given", [{"up": (0, -1, 0)}, {"cameras": "orbit"}, {"cameras": "roam"}])
+def test_cameras_that_are_found_tell_nothing_of_viewers(tmp_path, given):
+    """All splats count as visible ones, so that nothing else of the views is in the forest."""
+    _, scene, _ = under_a_sky(500)
+    nanogs.save(scene, tmp_path / "in.ply")
+    options = {"ratio": 0.1, "hidden": 1, "steps": 0, "views": 6, "view_size": 64}
+    usual, chosen = (
+        nanogs.simplify_blocks(tmp_path / "in.ply", tmp_path / f"{place}.ply", **options, **some)
+        for place, some in enumerate([{}, given])
+    )
+    forests = [[(one.candidates, one.merged) for one in each.passes] for each in (usual, chosen)]
+    assert forests[0] == forests[1]
+
+
+@pytest.mark.parametrize("blocks", [{}, {"block": 4000}])
+def test_a_users_cameras_tell_where_results_are_not_measured_too(tmp_path, blocks):
+    front, scene, reach = under_a_sky(1000)
+    away = replace(front, means=front.means + np.float32([5 * reach, 0, 0]))
+    cameras = automatic_cameras(away, 6, width=64, height=64)
+    options = {"measure": False, "steps": 2, "further": 0, "view_size": 64}
+    kept = kept_within(reach, scene, tmp_path, cameras=cameras, **options, **blocks)
+    assert kept < 0.5
 
 
 def test_viewers_see_as_the_twin_says_for_any_number_of_threads():

@@ -44,7 +44,7 @@ class Job:
         rows: (M,) int32, its usable rows, ascending.
         preset: Name of the preset.
         parameters: Of the method.
-        cameras: The user's views, or None for automatic ones.
+        cameras: As `OneBlock` has them.
         sh_degree: Of the result's harmonics, or None where none is asked for.
     """
 

@@ -37,6 +37,7 @@ from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
 from nanogs.stored import alphas
+from nanogs.views.cameras import FoundCameras
 from nanogs.views.stand_in import AFAR, stand_in
 
 
@@ -61,7 +62,8 @@ class OneBlock(Scene):
         usable: (M,) int32, its usable rows, ascending.
         settings: What is done to it.
         threads: Threads in use.
-        cameras: The user's views, or None for automatic ones.
+        cameras: The user's views, or `FoundCameras` of a kind that the user chose, or None for
+            automatic ones.
         tell: Told of the parts of the present task.
         targets: Splats asked for of each result.
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
@@ -163,7 +165,9 @@ class OneBlock(Scene):
         spread.each(slices(len(usable), SLICE_STEPS), convert)
         pixels = self.settings.parameters.pixels
         added = dilation(means, opacities, splats.render_mode, pixels)
-        standing = viewers_of(self.cameras, origin, means) if self.cameras else added
+        standing: Dilation | Viewers = added
+        if self.cameras and not isinstance(self.cameras, FoundCameras):
+            standing = viewers_of(self.cameras, origin, means)
         self._survey = _Placed(self.usable[morton_order(means)], origin, added, standing)
         return self.write(name, {}, {})
 
@@ -246,11 +250,13 @@ class OneBlock(Scene):
     def _activated(self, coverages: F64 | None = None) -> Nodes:
         rows, origin, added, viewers = self._placed
         nodes = activate_nodes(self.splats, rows, origin, added, coverages=coverages)
-        if self.visible is None or not self.measures:
+        measured = self.visible is not None and self.measures
+        if viewers is added and not measured:
             return nodes
-        hidden = self.settings.parameters.hidden
-        shown = prominence(nodes.coverages, nodes.means, viewers)
-        weights = visible_weights(shown, self.visible[rows], hidden)
+        weights = prominence(nodes.coverages, nodes.means, viewers)
+        if self.visible is not None and measured:
+            hidden = self.settings.parameters.hidden
+            weights = visible_weights(weights, self.visible[rows], hidden)
         return replace(nodes, weights=normalised(weights))
 
     def open(self, block: int) -> Block:

@@ -22,6 +22,10 @@ AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "insid
 FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all that are found from the model
 
 
+class FoundCameras(list[Camera]):
+    """Cameras that were found from a model, which tell no more of where viewers stand than it."""
+
+
 def cameras_for(
     model: Splats | Source,
     source: str,
@@ -44,20 +48,26 @@ def cameras_for(
         split: Of automatic views; `fit` and `test` have none in common.
 
     Returns:
-        The cameras; of roaming ones fewer than `count` where no more are found.
+        The cameras, `FoundCameras` unless the source is a file; of roaming ones fewer than `count`
+        where no more are found.
 
     Raises:
         NanogsError: The source is neither, or cannot be read.
     """
     if source in AUTOMATIC:
-        return automatic_cameras(
-            model, count, width=width, height=height, kind=AUTOMATIC[source], up=up, split=split
+        kind = AUTOMATIC[source]
+        return FoundCameras(
+            automatic_cameras(
+                model, count, width=width, height=height, kind=kind, up=up, split=split
+            )
         )
     if source == "roam":
         from nanogs.views.roam import roaming_cameras  # brings Numba
 
         some = stand_in(model)
-        return roaming_cameras(some, count, width=width, height=height, up=up, split=split)
+        return FoundCameras(
+            roaming_cameras(some, count, width=width, height=height, up=up, split=split)
+        )
     return cameras_from(source)
 
 
@@ -138,11 +148,13 @@ def known_cameras(cameras: Cameras) -> str | list[Camera]:
 
 
 def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
-    """One camera or several.
+    """One camera or several; of those that were found from a model this stays known.
 
     Raises:
         OptionError: They are no cameras, or none.
     """
+    if isinstance(cameras, FoundCameras) and cameras:
+        return cameras
     given = [cameras] if isinstance(cameras, Camera) else list(cameras)
     if not given or not all(isinstance(camera, Camera) for camera in given):
         raise OptionError(
