@@ -2,11 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 
 import nanogs
 from builders import cloud_pair
+from dataset_files import transforms, write_json
 from launch import run
+from nanogs.views.automatic import automatic_cameras
 from test_cli import assert_refused
 
 
@@ -38,6 +41,16 @@ def test_command_fits_and_reports(files, tmp_path):
     assert (result.returncode, result.stdout) == (0, "")
     assert "kept apart" in result.stderr
     assert "128 px" in result.stderr, "what each group of views gained"
+
+
+def test_the_size_of_the_views_is_that_of_the_cameras_given(files, tmp_path):
+    cameras = automatic_cameras(nanogs.load(files / "original.ply"), 8, width=64, height=48)
+    poses = [np.linalg.inv(each.world_to_camera) * [1, -1, -1, 1] for each in cameras]
+    frames = [{"file_path": str(k), "transform_matrix": p.tolist()} for k, p in enumerate(poses)]
+    views = write_json(tmp_path / "views.json", transforms(frames, w=64, h=48))
+    given = [files / "original.ply", files / "small.ply", tmp_path / "out.ply", "--rounds", "1"]
+    result = run("refit", *given, "--cameras", views)
+    assert "2 views kept apart of 64 pixels" in result.stderr
 
 
 @pytest.mark.parametrize(
