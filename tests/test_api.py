@@ -367,6 +367,14 @@ def test_views_and_pixels_are_numbers_of_any_kind_and_nothing_else(pair, call):
             call(small, views=views, pixels=32)
 
 
+def test_one_array_of_views_is_enough(pair):
+    """Among options that are left as they are, which `compare` looks at for photographs."""
+    small = pair[0].take(np.arange(60))
+    for given in ({"up": (0, 0, 1)}, {"pixels": (32, 16)}):
+        arrays = {name: np.array(value) for name, value in given.items()}
+        assert nanogs.compare(small, small, **arrays) == nanogs.compare(small, small, **given)
+
+
 def test_cameras_of_a_refit_may_come_one_at_a_time(pair):
     views = automatic_cameras(pair[0], count=4, width=32, height=32)
     few = nanogs.RefitParameters(rounds=1, steps=2)

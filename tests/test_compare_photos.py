@@ -55,6 +55,8 @@ def test_little_memory_gives_the_same_numbers(folder, monkeypatch):
         ({"cameras": "roam"}, "views of their own"),
         ({"pixels": 64}, "views of their own"),
         ({"up": (0, 1, 0)}, "views of their own"),
+        ({"up": np.array([0, 1, 0])}, "views of their own"),
+        ({"pixels": np.array([64, 48])}, "views of their own"),
         ({"split": "val"}, "test or train"),
         ({"split": "train"}, "has no train split"),
         ({"photos": None, "images": "images_4"}, "for photographs"),

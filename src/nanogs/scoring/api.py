@@ -99,8 +99,8 @@ def compare(
     called, asked = _names(models, names), asked_views(cameras, pixels)
     views = None if views is None else view_count(views)
     background = None if background is None else plain_background(background)
-    found = (cameras, views, pixels, up) == ("auto", None, PIXELS, None)
-    if photos is not None and not found:
+    chosen = views is not None or up is not None or asked != asked_views("auto", PIXELS)
+    if photos is not None and chosen:
         raise OptionError("Photographs have views of their own; give no others beside `photos`.")
     if photos is None and (images is not None or split != "test"):
         raise OptionError(
