@@ -320,6 +320,21 @@ def test_a_job_takes_numbers_of_numpy_and_a_path_for_its_files(files, tmp_path):
             nanogs.write_levels(files[0], tmp_path / "no", [0.5], **fast, **many | {"chunk": wrong})
 
 
+def test_threads_may_be_a_number_of_numpy(pair, files, tmp_path):
+    one = {"count": 9, "preset": "fast", "threads": np.int64(1)}
+    _, report = nanogs.simplify(pair[0], **one)
+    assert json.loads(json.dumps(report.to_dict()))["threads"] == 1
+    report = nanogs.simplify_blocks(files[0], tmp_path / "out.ply", block=300, **one)
+    assert json.loads(json.dumps(report.to_dict()))["threads"] == 1
+
+
+def test_cameras_and_a_preset_that_are_none_are_refused_in_a_sentence(pair):
+    with pytest.raises(OptionError, match=r"or at least one nanogs\.Camera"):
+        nanogs.simplify(pair[0], count=9, cameras=5)
+    with pytest.raises(OptionError, match="There is no preset None; choose one of"):
+        nanogs.simplify(pair[0], count=9, preset=None)
+
+
 def test_levels_are_in_a_format_with_or_without_its_dot(files, tmp_path):
     nanogs.write_levels(files[0], tmp_path / "levels", [0.5], preset="fast", suffix="spz")
     assert (tmp_path / "levels" / "level_0.spz").exists()
@@ -401,7 +416,7 @@ def test_a_background_is_three_numbers_in_whatever_holds_them(pair):
 
 
 @pytest.mark.parametrize(
-    "frame", ["rub", "rdf:rub", ("rub",), ("rdf", None), ("rdf", "rub", "luf")]
+    "frame", ["rub", "rdf:rub", ("rub",), ("rdf", None), ("rdf", "rub", "luf"), 5]
 )
 def test_a_frame_from_and_to_which_are_two(pair, files, tmp_path, frame):
     out = tmp_path / "out.ply"

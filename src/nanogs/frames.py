@@ -10,7 +10,7 @@ and rotations. Nor of spherical harmonics where no axes are swapped: a basis fun
 value or changes its sign. Otherwise those of a band mix.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import permutations, product
 from typing import NamedTuple
@@ -79,7 +79,8 @@ def checked_frames(frames: Sequence[str] | None) -> tuple[str, str] | None:
     """
     if frames is None:
         return None
-    named = () if isinstance(frames, str) else tuple(frames)
+    several = isinstance(frames, Iterable) and not isinstance(frames, str)
+    named = tuple(frames) if several else ()
     if len(named) != 2 or not all(isinstance(name, str) for name in named):
         raise OptionError(
             "`frame` must be the frames from and to which the model is turned, such as"

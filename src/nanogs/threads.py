@@ -40,7 +40,7 @@ def use_threads(threads: int | None) -> Iterator[int]:
         raise OptionError(f"threads must be a whole number, not {chosen!r}.")
     if not 1 <= chosen <= most:
         raise OptionError(f"threads must be from 1 to {most} on this machine, not {chosen}.")
-    before = numba.get_num_threads()
+    before, chosen = numba.get_num_threads(), int(chosen)  # which may be a number of NumPy
     numba.set_num_threads(chosen)
     try:
         yield chosen

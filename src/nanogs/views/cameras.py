@@ -155,7 +155,8 @@ def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
     """
     if isinstance(cameras, FoundCameras) and cameras:
         return cameras
-    given = [cameras] if isinstance(cameras, Camera) else list(cameras)
+    several = list(cameras) if isinstance(cameras, Iterable) else []
+    given = [cameras] if isinstance(cameras, Camera) else several
     if not given or not all(isinstance(camera, Camera) for camera in given):
         raise OptionError(
             'Cameras are "auto", "orbit", "inside", "roam", a path, or at least one nanogs.Camera.'
