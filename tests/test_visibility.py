@@ -54,6 +54,27 @@ def test_what_is_hidden_counts_little_and_what_no_view_holds_counts_whole():
     assert (looked(splats, away, looking()).visible == 1).all()
 
 
+@pytest.mark.parametrize("blocks", [{}, {"block": 400}])
+def test_cameras_that_show_nothing_are_told(tmp_path, blocks):
+    """As those of another frame than the model's do."""
+    splats = box_with_something_inside()
+    nanogs.save(splats, tmp_path / "in.ply")
+    cameras = automatic_cameras(splats, 3, width=64, height=64)
+    away = [
+        dataclasses.replace(each, world_to_camera=np.diag([-1.0, 1, -1, 1]) @ each.world_to_camera)
+        for each in cameras
+    ]
+    told = []
+    for place, views in enumerate((cameras, away)):
+        report = nanogs.simplify_blocks(
+            tmp_path / "in.ply", tmp_path / f"{place}.ply", ratio=0.5, cameras=views, steps=2,
+            **blocks,
+        )  # fmt: skip
+        told.append([note for note in report.notes if "show nothing of the model" in note])
+        assert (report.shown > 0) == (not told[-1])
+    assert list(map(len, told)) == [0, 1]
+
+
 def test_the_report_says_what_share_of_the_model_is_seen():
     coverages, visible = np.array([2.0, 1.0, 1.0, 1.0]), np.array([1.0, 0.5, 1.0, 0.005])
     missed = np.array([False, False, True, False])

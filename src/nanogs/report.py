@@ -192,8 +192,9 @@ class SimplifyReport:
         seconds: Time by stage over all passes, seconds.
         total_seconds: The whole call, seconds.
         threads: Threads used.
-        shown: Share of the model's coverage, alpha times footprint, that has splats which the views
-            show to a hundredth or more: others are hidden or outside. None where none was rendered.
+        shown: Share of the model's prominence, which is alpha times footprint as large as screens
+            show it from where viewers stand, that has splats which the views show to a hundredth or
+            more: others are hidden or outside. None where none was rendered.
         candidates: What was rendered to choose the result, in the order tried; none where the
             method does not measure.
         refit: What fitting the result to the original gained (see `nanogs.refit`), or None.

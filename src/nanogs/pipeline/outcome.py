@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from nanogs.pipeline.one_block import OneBlock
     from nanogs.pipeline.scene import Scene
 
+UNSEEN = (
+    "The views show nothing of the model, so that nothing was chosen by how it looks; cameras may"
+    " be in another frame than the model."
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
@@ -65,12 +70,14 @@ def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
     from nanogs.pipeline.trials import reports_of  # which brings Numba
 
     looked = scene.views.notes if scene.settings.looks else ()
+    shown = scene.shown if scene.merges(level) and scene.looks else None
+    unseen = (UNSEEN,) if shown == 0 else ()
     unfitted = scene.notes_on_fits(level) if scene.fits(level) and scene.looks else ()
     return {
         "passes": scene.passes,
-        "shown": scene.shown if scene.merges(level) and scene.looks else None,
+        "shown": shown,
         "reassign_rounds": scene.reassign_rounds(level),
         "candidates": reports_of(scene, level) if scene.tries(level) else (),
         "refit": scene.fit_report(level) if scene.fits(level) else None,
-        "notes": (*looked, *unfitted),
+        "notes": (*looked, *unseen, *unfitted),
     }

@@ -258,7 +258,7 @@ class Scene(ABC):
     @property
     @abstractmethod
     def shown(self) -> float | None:
-        """Share of the coverage of all splats, in [0, 1], that the views show."""
+        """Share of the prominence of all splats, in [0, 1], that the views show."""
 
     @abstractmethod
     def fit_report(self, level: int) -> RefitReport | None:
