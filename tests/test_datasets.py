@@ -185,6 +185,15 @@ def test_cameras_of_all_transforms(blender):
     assert listed == ["train/r_0", "test/r_0", "test/r_2", "test/r_10"]
 
 
+def test_cameras_of_a_file_of_all_beside_its_splits_are_there_once(tmp_path):
+    frames = [{"file_path": f"images/{name}.png", "transform_matrix": POSE} for name in "abc"]
+    moved = {**frames[0], "transform_matrix": [[1.0, 0, 0, 9.0], *POSE[1:]]}
+    for name, some in (("", frames), ("_train", frames[:2]), ("_test", [frames[2], moved])):
+        write_json(tmp_path / f"transforms{name}.json", transforms(some, w=8, h=6))
+    listed = [camera.name for camera in cameras_from_file(tmp_path)]
+    assert listed == [f"images/{name}.png" for name in "abca"]
+
+
 def test_cameras_from_nothing(tmp_path):
     with pytest.raises(FormatError, match="holds no cameras"):
         cameras_from_file(tmp_path)

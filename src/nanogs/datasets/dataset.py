@@ -173,8 +173,9 @@ def cameras_from_file(
 
     Returns:
         All cameras, with the sizes that the file states. A COLMAP model's are sorted by name,
-        others keep the file's order, files in the order train, validation, test. A lens that bends
-        the picture is in `Camera.lens`, and left out where it is rendered.
+        others keep the file's order, files in the order train, validation, test; one that is in
+        several files is there once. A lens that bends the picture is in `Camera.lens`, and left out
+        where it is rendered.
 
     Raises:
         FormatError: The file is missing or damaged, of no known layout, or states no size.
@@ -183,10 +184,18 @@ def cameras_from_file(
     place = Path(path)
     model = find_model(place)
     if model is None:
-        files = _camera_files(place)
-        return [camera for file in files for camera in _from_json(file, width, height)]
+        found: list[Camera] = []
+        for file in _camera_files(place):  # a transforms.json of all may be beside its splits
+            known = set(map(_view, found))
+            cameras = _from_json(file, width, height)
+            found += [camera for camera in cameras if _view(camera) not in known]
+        return found
     _refuse_size(model, width, height)
     return read_model(model)
+
+
+def _view(camera: Camera) -> tuple[str, bytes]:
+    return camera.name, camera.world_to_camera.tobytes()
 
 
 def _camera_files(place: Path) -> list[Path]:
