@@ -320,6 +320,22 @@ def test_a_job_takes_numbers_of_numpy_and_a_path_for_its_files(files, tmp_path):
             nanogs.write_levels(files[0], tmp_path / "no", [0.5], **fast, **many | {"chunk": wrong})
 
 
+def test_parameters_may_be_numbers_of_numpy(pair, files, tmp_path):
+    """JSON has none of these: neither reports nor the files of a job."""
+    quick = {"steps": np.int64(1), "views": np.int32(4), "further": np.int64(0)}
+    quick |= {"view_size": np.int64(64), "lambda_app": np.float32(0.5)}
+    _, report = nanogs.simplify(pair[0], count=9, **quick)
+    assert json.loads(json.dumps(report.to_dict()))["parameters"]["lambda_app"] == 0.5
+    out, blocks = tmp_path / "out.ply", {"block": 300, "sh_degree": np.int64(0)}
+    report = nanogs.simplify_blocks(files[0], out, count=9, **blocks, **quick)
+    assert json.loads(json.dumps(report.to_dict()))["parameters"]["steps"] == 1
+    few = nanogs.RefitParameters(rounds=np.int64(1), steps=np.int64(2), rate=np.float32(0.5))
+    _, report = nanogs.refit(*pair, parameters=few)
+    assert json.loads(json.dumps(report.to_dict()))["parameters"]["rounds"] == 1
+    _, report = nanogs.simplify(pair[0], count=9, preset="paper", k=np.int64(4))
+    assert json.loads(json.dumps(report.to_dict()))["parameters"]["k"] == 4
+
+
 def test_threads_may_be_a_number_of_numpy(pair, files, tmp_path):
     one = {"count": 9, "preset": "fast", "threads": np.int64(1)}
     _, report = nanogs.simplify(pair[0], **one)

@@ -71,10 +71,10 @@ def known_parameters(kind: Any) -> dict[str, Parameter]:  # noqa: ANN401 - any d
 
 
 def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
-    """Refuse values out of their range.
+    """Refuse values out of their range, and take those of NumPy for Python's: JSON has no others.
 
     Args:
-        chosen: Parameters, whose fields are made by `parameter`.
+        chosen: Parameters, whose fields are made by `parameter`; a new instance.
 
     Raises:
         OptionError: One is; the sentence says its name, what is expected, and the value.
@@ -84,6 +84,8 @@ def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
         if expected := known.expected(value):
             shown = f"{value:g}" if is_number(value) else repr(value)
             raise OptionError(f"{name} must be {expected}, not {shown}.")
+        if type(value) not in (int, float):
+            object.__setattr__(chosen, name, int(value) if known.whole else float(value))
 
 
 def value_text(value: Any) -> str:  # noqa: ANN401 - whatever a caller gives

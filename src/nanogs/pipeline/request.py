@@ -95,9 +95,10 @@ class Request:
             )
         if not is_number(self.patience) or not self.patience >= 0:
             raise OptionError(f"`patience` must be seconds, 0 or more, not {self.patience!r}.")
-        # A job keeps it as JSON, which has no numbers of NumPy's.
-        if self.block is not None:
-            object.__setattr__(self, "block", int(self.block))
+        # A job keeps them as JSON, which has no numbers of NumPy's.
+        for name in ("block", "sh_degree"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, int(value))
 
     @property
     def goals(self) -> tuple[Goal, ...]:
