@@ -133,6 +133,15 @@ def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
     return pulls[:, 0], blocks[:, 0]
 
 
+def told(row):
+    """The square of the mean eigenvalue of a splat's own covariance, its dilated one being 1."""
+    width, slope, height = 1 / row[2], row[3], 1 / np.sqrt(row[4])
+    frame = np.array([[width, slope * height], [0, height]])  # columns: to (x, y) on screen
+    dilated = frame @ frame.T
+    own = np.linalg.eigvals(np.linalg.solve(dilated, dilated - 0.3 * np.eye(2)))
+    return max(own.real.mean(), 0) ** 2
+
+
 class AdvanceTwin:
     """A state that follows views as `nanogs.kernels.advance` does, splat by splat in float64."""
 
@@ -159,8 +168,9 @@ class AdvanceTwin:
             self.blocks[i] += share * (block - self.blocks[i])
             self.weights[i] += share * (sums[3] - self.weights[i])
             excess = max(1.0, sums[3] / self.weights[i])
-            self._recolour(i, sums, view.view.features[i], camera, excess * self.weights[i], rate)
-            self._reshape(i, step, excess * self.blocks[i], rate)
+            pace = rate * told(view.view.geometry[i])
+            self._recolour(i, sums, view.view.features[i], camera, excess * self.weights[i], pace)
+            self._reshape(i, step, excess * self.blocks[i], pace)
 
     def _terms(self, row, sums, camera, i):
         return shape_terms(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numba.core import config
 
+import refit_twin
 from builders import cloud_pair, model_bytes
 from conftest import peer_path, scene_path
 from nanogs import RefitParameters, refit
@@ -21,7 +22,7 @@ from nanogs.fit.targets import ALPHA, WHITE, Fitting, make_target, pull, squared
 from nanogs.io import load
 from nanogs.kernels import backward, damped
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
-from nanogs.kernels.chain import SHAPE
+from nanogs.kernels.chain import SHAPE, told
 from nanogs.kernels.damped import LANES
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, project
@@ -309,6 +310,26 @@ def test_a_step_is_that_of_its_twin(mode):
     np.testing.assert_allclose(kept.opacities, fresh.opacities, atol=1e-6)
     np.testing.assert_allclose(kept.reaches, fresh.reaches, atol=1e-4)
     np.testing.assert_array_equal(kept.keep, fresh.keep)
+
+
+@pytest.mark.parametrize("scale", [0.02, 0.3, 1.0, 4.0, 50.0])
+def test_a_view_tells_less_of_what_is_smaller_than_its_pixels(scale):
+    """Of a ball of so many pixels, the square of its share of its variance and the dilation."""
+    ball = np.array([0.0, 0.0, 1 / math.sqrt(scale**2 + 0.3), 0.0, 1 / (scale**2 + 0.3)])
+    assert told(ball) == pytest.approx((scale**2 / (scale**2 + 0.3)) ** 2)
+    assert told(ball) == pytest.approx(refit_twin.told(ball))
+
+
+def test_from_far_away_a_step_leaves_nearly_all_as_it_was():
+    splats = make_splats(40, 5, size=-1.5)
+    original = prepare(make_splats(40, 6, size=-1.5))
+    moved = []
+    for width in (37, 3):  # the same view on so few pixels that splats are points
+        target = make_target(original, make_camera().reduced(width))
+        descent = Descent(splats, Fitting([target]), RefitParameters())
+        descent._follow(target, ALL_BLOCKS, 1.0)
+        moved.append(np.abs(descent.state.log_scales - splats.log_scales).max())
+    assert 0 < moved[1] < 0.1 * moved[0]
 
 
 def test_refit_brings_the_views_nearer_and_keeps_the_rest():

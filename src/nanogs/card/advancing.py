@@ -18,6 +18,7 @@ SUMS = wp.constant(pulls.SUMS)
 LEAST_WEIGHT = wp.constant(wp.float32(advance.LEAST_WEIGHT))
 MIN_ALPHA = wp.constant(wp.float64(project.MIN_ALPHA))
 SLACK = wp.constant(wp.float64(project.SLACK))
+DILATION = wp.constant(wp.float64(project.DILATION))
 ZERO, HALF = wp.constant(wp.float64(0.0)), wp.constant(wp.float64(0.5))
 ONE, TWO = wp.constant(wp.float64(1.0)), wp.constant(wp.float64(2.0))
 SMALLEST = wp.constant(wp.float64(1e-9))  # radians, below which a sine is its angle
@@ -29,6 +30,15 @@ Jacobian = wp.types.matrix((chain.SHAPE, chain.SCREEN), wp.float64)
 Flat = wp.types.matrix((3, 2), wp.float64)
 Sums = wp.types.vector(pulls.SUMS, wp.float64)
 PRODUCTS = wp.constant(wp.types.matrix(chain.PRODUCTS.shape, wp.int32)(*chain.PRODUCTS.ravel()))
+
+
+@wp.func
+def told(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
+    """How far a view tells what a splat is like; see `chain.told`."""
+    slope = geometry[i, 3]
+    dilated = geometry[i, 2] * geometry[i, 2] * (ONE + slope * slope) + geometry[i, 4]
+    own = wp.max(ONE - HALF * DILATION * dilated, ZERO)
+    return own * own
 
 
 @wp.func
@@ -286,13 +296,14 @@ def recolour(
     way: wp.vec3d,
     degree: wp.int32,
     bend: wp.float64,
+    rate: wp.float64,
 ) -> None:
     """Move a splat's coefficients; a channel cut off at black is pulled upwards only."""
     unit = way / wp.length(way)
     basis = sh_basis(wp.float32(unit[0]), wp.float32(unit[1]), wp.float32(unit[2]), degree)
     for k in range((degree + 1) * (degree + 1)):
         held = rules.bands[k, 1] * bend
-        step = rules.rate / (rules.bands[k, 0] * bend + held)
+        step = rate / (rules.bands[k, 0] * bend + held)
         for c in range(3):
             pull = wp.float64(0.0)
             if features[i, c] > 0.0 or totals[i, c] > 0.0:
@@ -302,9 +313,8 @@ def recolour(
 
 
 @wp.func
-def reshape(moving: Moving, rules: Rules, i: wp.int32, step: Step) -> None:
+def reshape(moving: Moving, rules: Rules, i: wp.int32, step: Step, rate: wp.float64) -> None:
     """Move a splat's centre, scales, rotation and opacity by a step, and activate them."""
-    rate = rules.rate
     for r in range(3):
         mean = moving.means[i, r]
         for k in range(3):
@@ -373,7 +383,8 @@ def advance_splats(
     moving.weights[i] = wp.float32(mean + (wp.float64(weight) - mean) * share)
     mean = wp.float64(moving.weights[i])
     excess = wp.max(wp.float64(weight) / mean, ONE)
-    recolour(moving, rules, features, totals, i, way, degree, excess * mean)
+    rate = rules.rate * told(geometry, i)
+    recolour(moving, rules, features, totals, i, way, degree, excess * mean, rate)
 
     block = curvatures(jacobian, sums)
     for a in range(PACKED):
@@ -386,7 +397,7 @@ def advance_splats(
             pull[a] += jacobian[a, d] * sums[4 + d]
     step = damped_step(block, pull, rules.damping, rules.floor, rules.limits)
     if wp.length_sq(step) > ZERO:
-        reshape(moving, rules, i, step)
+        reshape(moving, rules, i, step, rate)
 
 
 @wp.kernel

@@ -10,7 +10,14 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool, F
-from nanogs.kernels.chain import OPACITY, PACKED, new_chains, pulls_and_blocks, screen_jacobian
+from nanogs.kernels.chain import (
+    OPACITY,
+    PACKED,
+    new_chains,
+    pulls_and_blocks,
+    screen_jacobian,
+    told,
+)
 from nanogs.kernels.damped import damped_steps, new_lanes
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
@@ -127,7 +134,7 @@ def advance_splats(
 
     A splat's curvatures are means over the views that showed it. Where it has more pixels in this
     view than it had in those, they are scaled up as the weight of its colour is: no view alone
-    moves it farther than the view's own curvatures allow.
+    moves it farther than the view's own curvatures allow, nor than it can tell (`chain.told`).
 
     Args:
         start: First place in the order of the range.
@@ -141,7 +148,8 @@ def advance_splats(
         lens: (11,) as `nanogs.kernels.project.project_splats` takes it.
         mip: Whether opacities were compensated for the dilation.
         degree: Spherical-harmonic degree, of which `sh` has all coefficients.
-        rate: Length of the step, 1 for the whole way to the minimum of the quadratic.
+        rate: Length of the step, 1 for the whole way to the minimum of the quadratic; of what the
+            view does not tell apart from its dilation, less.
         damping: See `damped_steps`.
         floor: See `damped_steps`.
         memory: Views of a splat that its mean curvatures remember, about.
@@ -173,6 +181,7 @@ def advance_splats(
     jacobians, sums, products = new_chains(shape, screen, lanes)
     pulls, curvatures, moves = new_lanes(shape, lanes)
     rows, excesses, lifts = np.empty(lanes, np.int64), np.empty(lanes), np.empty(lanes)
+    rates = np.empty(lanes)
     place = start
     while place < stop:
         lane = 0
@@ -195,9 +204,10 @@ def advance_splats(
             # Rounded last: never to 0.
             weights[i] = weights[i] + (weight - weights[i]) / min(seen[i], memory)
             excesses[lane] = max(weight / weights[i], 1.0)
+            rates[lane] = rate * told(geometry[i])
             _recolour(
                 totals[i], features[i], point, degree, basis, bands, excesses[lane] * weights[i],
-                rate, given[i], sh[i],
+                rates[lane], given[i], sh[i],
             )  # fmt: skip
             rows[lane] = i
             lane += 1
@@ -214,9 +224,9 @@ def advance_splats(
             if not moves[k]:
                 continue
             i = rows[k]
-            _reshape(pulls[:, k], rate, means[i], log_scales[i], quats[i], axes[i], scales[i])
+            _reshape(pulls[:, k], rates[k], means[i], log_scales[i], quats[i], axes[i], scales[i])
             least = min(limits[10], logits[i])
-            logits[i] = min(max(logits[i] + rate * pulls[OPACITY, k], least), limits[11])
+            logits[i] = min(max(logits[i] + rates[k] * pulls[OPACITY, k], least), limits[11])
             for r in range(3):
                 centres[i, r] = means[i, r]
             _activate(log_scales[i], quats[i], axes[i], scales[i], factors[i])

@@ -18,6 +18,7 @@ import numpy as np
 
 from nanogs._types import F32, F64
 from nanogs.kernels.policy import exact_inline, inline
+from nanogs.kernels.project import DILATION
 from nanogs.kernels.pulls import SUMS
 
 Triple: TypeAlias = tuple[float, float, float]
@@ -52,6 +53,25 @@ def new_chains(shape: int, screen: int, lanes: int) -> tuple[F64, F64, F64]:
     """Allocate what `pulls_and_blocks` takes and works in: Jacobians, sums, products."""
     # The opacity's row of a Jacobian stays 0 but for one place.
     return np.zeros((shape, screen, lanes)), np.zeros((SUMS, lanes)), np.zeros((screen, lanes))
+
+
+@inline
+def told(row: F64) -> float:
+    """How far a view tells what a splat is like, in [0, 1].
+
+    It shows the splat's own covariance on screen and the rasteriser's dilation as one. Where that
+    is made the unit matrix, own is the mean eigenvalue of the first part: 1 for a splat of
+    many pixels, 0 for a point. From nearer by the dilation goes, and the error of a change there is
+    to that here as 1 to own². If the splat is right there, both are least together a share own²
+    of the way that this view alone asks for.
+
+    Args:
+        row: (8,) the projected splat.
+    """
+    dilated = row[2] * row[2] * (1.0 + row[3] * row[3]) + row[4]
+    own = max(1.0 - 0.5 * DILATION * dilated, 0.0)
+    share: float = own * own
+    return share
 
 
 @inline
