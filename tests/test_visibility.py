@@ -1,6 +1,7 @@
 """Visibility of splats in views of the original, and its effect on a result."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,9 +17,10 @@ from nanogs.method import visibility
 from nanogs.method.parameters import PICTURES, ForestParameters
 from nanogs.pipeline import run
 from nanogs.pipeline.fitting import HIDDEN, weights_of_colours
+from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason
-from nanogs.splats import Splats
+from nanogs.splats import Splats, concatenate
 from nanogs.views.automatic import automatic_cameras
 
 
@@ -261,3 +263,61 @@ def test_views_too_small_to_choose_by_are_refused_before_the_forest(block, tmp_p
     assert stages[-1] == "look"
     assert "grow" not in stages
     assert made("c.ply", measure=False).achieved_count == 150
+
+
+def rooms(count):
+    """Closed boxes in a row along x, and a camera in each but the last, which looks along x."""
+    box, cameras = box_with_something_inside(), []
+    model = concatenate([box] * count)
+    model.means[:, 0] += np.repeat(3 * np.arange(count), len(box)).astype(np.float32)
+    turn = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])  # rows: right, down, ahead
+    for number in range(count - 1):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, -turn @ (3 * number - 0.5, 0, 0)
+        cameras.append(Camera(96, 96, 48, 48, 48, 48, pose, f"room_{number}", near=0.01))
+    return model, cameras
+
+
+@pytest.mark.parametrize("blocks", [False, True])
+def test_where_each_view_shows_something_new_what_none_shows_is_not_hidden(
+    tmp_path, monkeypatch, blocks
+):
+    model, cameras = rooms(4)
+    nanogs.save(model, tmp_path / "in.ply")
+    kept = []
+    for new in (visibility.NEW, 1.0):  # and as if no view could leave anything out
+        monkeypatch.setattr(visibility, "NEW", new)
+        given = {"ratio": 0.1, "cameras": cameras, "steps": 0, "view_size": 96}
+        if blocks:
+            nanogs.simplify_blocks(
+                tmp_path / "in.ply", tmp_path / "out.ply", block=1500, overwrite=True, **given
+            )
+            small = nanogs.load(tmp_path / "out.ply")
+        else:
+            small, _ = nanogs.simplify(model, **given)
+        kept.append(np.count_nonzero(small.means[:, 0] > 7.5))
+    assert kept[0] > 1.5 * kept[1]
+
+
+def test_what_views_leave_out_follows_from_what_one_of_them_alone_shows():
+    def view(contributions, unhidden, pixels):
+        return SimpleNamespace(
+            contributions=np.array(contributions, float), unhidden=np.array(unhidden, float),
+            alpha=np.zeros(pixels),
+        )  # fmt: skip
+
+    # Splats: in two views; in one; in none; hidden but for less than 0.01; of a block beside.
+    looked, anywhere = visibility.Light(5), visibility.Light(5)
+    looked.add(view([40, 0, 0, 0.1, 9], [50, 20, 30, 40, 9], 100))
+    looked.add(view([10, 0, 0, 0, 0], [50, 20, 30, 40, 9], 100))
+    alone = visibility.discovery_of(looked, None, 4)
+    assert dataclasses.astuple(alone) == pytest.approx((0.0, 0.501, 1.8))
+    anywhere.add(view([0, 4, 0, 0, 0], [1, 4, 5, 0, 0], 10))
+    both = visibility.discovery_of(looked, anywhere, 4)
+    assert dataclasses.astuple(both) == pytest.approx((0.4, 0.901, 1.9))
+    assert both.hidden(0.03) == pytest.approx(0.4 / 1.9)
+    assert both.hidden(0.5) == 0.5
+    assert (both + visibility.Discovery(0.0, 0.099, 0.1)).hidden(0.03) == pytest.approx(0.2)
+    assert visibility.Discovery(0.019, 1.0, 0.1).hidden(0.03) == 0.03  # all has been seen
+    assert visibility.Discovery(3.0, 4.0, 0.1).hidden(0.03) == 1.0
+    assert visibility.Discovery(3.0, 4.0, 0.0).hidden(0.03) == 0.03

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from nanogs.views.roam import roaming_cameras
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; grey takes a third of the work
 SHOWN = 0.01  # of a splat that reaches the views, from which it counts as shown
 SMALL = 128  # pixels of a roaming view
+NEW = 0.02  # share of the light of a further view that is new, from which views leave out much
 DECIDING = 6  # one view in so many decides which candidate is chosen and whether a fit is kept
 
 
@@ -25,6 +27,8 @@ class Light:
 
     def __init__(self, count: int) -> None:
         self.seen, self.whole = np.zeros(count), np.zeros(count)
+        self.times = np.zeros(count, np.uint8)  # views that show each, more than one as 2
+        self.views = self.pixels = 0
 
     def add(self, view: Rendering) -> None:
         """Count a view, rendered with contributions."""
@@ -32,12 +36,68 @@ class Light:
         assert view.unhidden is not None  # noqa: S101 - asked for
         self.seen += view.contributions
         self.whole += view.unhidden
+        self.times += view.contributions > SHOWN * view.unhidden
+        np.minimum(self.times, 2, out=self.times)
+        self.views += 1
+        self.pixels += view.alpha.size
 
     def shares(self) -> F64:
         """(N,) float64 in [0, 1], of the alpha of each in the views that it lies in; 0 in none."""
         shares = np.zeros(len(self.seen))
         np.divide(self.seen, self.whole, out=shares, where=self.whole > 0)
         return np.minimum(shares, 1.0, out=shares)
+
+
+@dataclass(frozen=True, slots=True)
+class Discovery:
+    """How much views have shown that no other of them does, which says what they leave out.
+
+    Of what further views will show, about as much is new as of these views' light one view alone
+    has (Good, "The population frequencies of species and the estimation of population
+    parameters", 1953).
+
+    Attributes:
+        once: Light of splats that one view alone shows, pictures.
+        light: Light of all splats, pictures.
+        unseen: Light of splats that lie in views of which none shows them, if nothing hid them.
+    """
+
+    once: float = 0.0
+    light: float = 0.0
+    unseen: float = 0.0
+
+    def __add__(self, other: "Discovery") -> "Discovery":
+        """Of both parts of a scene."""
+        return Discovery(
+            self.once + other.once, self.light + other.light, self.unseen + other.unseen
+        )
+
+    def hidden(self, least: float) -> float:
+        """Weight of a splat that no view shows, over that of one in full sight, in (0, 1].
+
+        Further views of the same kind would show the unseen ones, on average, so much of their
+        light. Where little is new it is not asked: what is unseen then is hidden.
+
+        Args:
+            least: What it is at least.
+        """
+        if self.once <= NEW * self.light or self.unseen <= 0:
+            return least
+        return max(least, min(self.once / self.unseen, 1.0))
+
+
+def discovery_of(looked: Light, anywhere: Light | None, count: int) -> Discovery:
+    """What views of the first `count` splats say of what they leave out; see `visibility_of`."""
+    lights = [looked] if anywhere is None else [looked, anywhere]
+    seen, whole, times = np.zeros(count), np.zeros(count), np.zeros(count, np.uint8)
+    for light in lights:
+        picture = light.pixels / max(light.views, 1) or 1.0
+        seen += light.seen[:count] / picture
+        whole += light.whole[:count] / picture
+        times += light.times[:count]
+    return Discovery(
+        float(seen[times == 1].sum()), float(seen.sum()), float(whole[times == 0].sum())
+    )
 
 
 def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> Light:

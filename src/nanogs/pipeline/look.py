@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.fit.views import choose_cameras
-from nanogs.method.visibility import Light, light_in, roaming_views, visibility_of
+from nanogs.method.visibility import (
+    Light,
+    discovery_of,
+    light_in,
+    roaming_views,
+    visibility_of,
+)
 from nanogs.metrics._ssim import LEAST
 from nanogs.pipeline.scene import Lit, Scene
 from nanogs.pipeline.views import Views
@@ -73,7 +79,8 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     del drawn
     visible, missed = visibility_of(looked, anywhere)
     # The surroundings' are not asked for.
-    record = scene.keep_look(name, replace(own, visible=visible[:count]), missed[:count], lights)
+    own, discovery = replace(own, visible=visible[:count]), discovery_of(looked, anywhere, count)
+    record = scene.keep_look(name, own, missed[:count], lights, discovery)
     if scene.measures:
         _refuse_small(scene.deciding)
     return record

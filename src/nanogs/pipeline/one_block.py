@@ -22,7 +22,7 @@ from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
-from nanogs.method.visibility import DECIDING, shown_share, visible_weights
+from nanogs.method.visibility import DECIDING, Discovery, shown_share, visible_weights
 from nanogs.pipeline.partition import Partition
 from nanogs.pipeline.scene import ROUNDS, Block, FitViews, Lit, Members, Scene, Task
 from nanogs.pipeline.settings import Access, InputFile, Segment, Settings
@@ -69,6 +69,7 @@ class OneBlock(Scene):
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
             which it lies; 1 for one that lies in none. None where nothing was looked at.
         missed: (N,) bool, the splats that lie in no view.
+        discovery: How much of the model the views leave out.
         fitting: The original as views show it that are fitted to, as far as these are kept; none
             of those that decide.
         groups: Views that results are chosen by and a fit is judged by, in groups.
@@ -90,6 +91,7 @@ class OneBlock(Scene):
     _survey: _Placed | None = None
     visible: F64 | None = None
     missed: Bool | None = None
+    discovery: Discovery = field(default_factory=Discovery)
     _forest: Forest | None = None
     _leaves: Nodes | None = None
     # Of the results that are being made: labels by cut, the latest groups by labels, and splats.
@@ -221,9 +223,11 @@ class OneBlock(Scene):
         wanted = FIELDS[len(self._pictures) % 2] if halves else ALL_BLOCKS
         self._pictures.append(make_target(drawn, camera, depth=False, wanted=wanted))
 
-    def keep_look(self, name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
+    def keep_look(
+        self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
+    ) -> Record:
         """As `Scene` says."""
-        self.visible, self.missed = own.visible, missed
+        self.visible, self.missed, self.discovery = own.visible, missed, discovery
         looked, self.groups = split(self._shots, max(1, len(self._shots) // DECIDING))
         self.fitting = (*looked, *self._pictures)
         self._shots, self._pictures = [], []
@@ -255,7 +259,7 @@ class OneBlock(Scene):
             return nodes
         weights = prominence(nodes.coverages, nodes.means, viewers)
         if self.visible is not None and measured:
-            hidden = self.settings.parameters.hidden
+            hidden = self.discovery.hidden(self.settings.parameters.hidden)
             weights = visible_weights(weights, self.visible[rows], hidden)
         return replace(nodes, weights=normalised(weights))
 

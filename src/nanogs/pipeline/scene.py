@@ -15,6 +15,7 @@ from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups
+from nanogs.method.visibility import Discovery
 from nanogs.pipeline.partition import Partition
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.views import Views
@@ -194,8 +195,10 @@ class Scene(ABC):
         raise NotImplementedError
 
     @abstractmethod
-    def keep_look(self, name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
-        """Keep how visible a block's splats are, and how much of it each view shows."""
+    def keep_look(
+        self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
+    ) -> Record:
+        """Keep how visible a block's splats are, and how much of it each view shows, and alone."""
 
     @abstractmethod
     def grow(self, name: str, block: int) -> Record:

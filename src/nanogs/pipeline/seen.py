@@ -1,12 +1,13 @@
 """Visibility of the splats of each block, of a scene that is kept in files."""
 
 from collections.abc import Sequence
+from dataclasses import astuple
 from typing import TYPE_CHECKING
 
 from nanogs._types import F64, Bool
 from nanogs.fit.views import choose_cameras
 from nanogs.method.nodes import prominence
-from nanogs.method.visibility import shown_prominence, visible_weights
+from nanogs.method.visibility import Discovery, shown_prominence
 from nanogs.pipeline.asked import camera_of, plain_camera
 from nanogs.pipeline.blocks import leaves_of
 from nanogs.pipeline.scene import Block, Lit
@@ -23,7 +24,14 @@ VISIBLE = "visible"
 DISTANT = 0.2  # share of a view's pixels: a block that is smaller in every view gets its own
 
 
-def write_look(work: "Work", name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
+def write_look(
+    work: "Work",
+    name: str,
+    own: Block,
+    missed: Bool,
+    lights: Sequence[Lit],
+    discovery: Discovery,
+) -> Record:
     """Write how visible each of a block's splats is, and how much of the block each view shows.
 
     Args:
@@ -32,16 +40,17 @@ def write_look(work: "Work", name: str, own: Block, missed: Bool, lights: Sequen
         own: The block, and how visible its splats are.
         missed: (N,) which of them lie in no view.
         lights: The views.
+        discovery: How much of the block they leave out.
     """
     assert own.visible is not None  # noqa: S101 - it was looked at
     leaves, visible = leaves_of(own.splats, own.rows, work.units), own.visible[own.rows]
     prominences = prominence(leaves.coverages, leaves.means, work.units.viewers())
-    weights = visible_weights(prominences, visible, work.settings.parameters.hidden)
     facts = {
         "cameras": [plain_camera(camera) for camera, _ in lights],
         "light": [light for _, light in lights],
-        "weight": float(weights.sum()),
+        "discovery": astuple(discovery),
         "prominence": float(prominences.sum()),
+        "visible": float((prominences * visible).sum()),
         "shown": shown_prominence(prominences, visible, missed[own.rows]),
     }
     return write_table(work.scratch, name, {VISIBLE: own.visible}, facts)
@@ -76,8 +85,18 @@ def closer_views(work: "Work", own: Splats) -> list[Camera]:
 def typical_weight(work: "Work") -> float:
     """Mean weight of all splats, the unit of the weights of nodes; 1 where all are 0."""
     facts = [record.facts for record in work.of_blocks("look")]
-    mean = sum(float(each["weight"]) for each in facts) / work.partition.splats
+    every, visible = (
+        sum(float(each[name]) for each in facts) for name in ("prominence", "visible")
+    )
+    hidden = hidden_weight(work)
+    mean = (hidden * every + (1 - hidden) * visible) / work.partition.splats
     return mean if mean > 0 else 1.0
+
+
+def hidden_weight(work: "Work") -> float:
+    """Weight of a splat that no view shows, over that of one in full sight."""
+    blocks = [Discovery(*record.facts["discovery"]) for record in work.of_blocks("look")]
+    return sum(blocks, Discovery()).hidden(work.settings.parameters.hidden)
 
 
 def shown_share(work: "Work") -> float:

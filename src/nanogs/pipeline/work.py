@@ -17,7 +17,7 @@ from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Target, as_target
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
-from nanogs.method.visibility import SHOWN
+from nanogs.method.visibility import SHOWN, Discovery
 from nanogs.pipeline.blocks import Weighing, leaves_of, morton_rows, read_block, with_codes
 from nanogs.pipeline.cameras import fit_cameras
 from nanogs.pipeline.coarse import coarse_scene, surroundings
@@ -33,6 +33,7 @@ from nanogs.pipeline.scene import Block, FitViews, Lit, Members, Scene, Task
 from nanogs.pipeline.seen import (
     VISIBLE,
     closer_views,
+    hidden_weight,
     read_visible,
     shown_share,
     typical_weight,
@@ -175,7 +176,7 @@ class Work(Scene):
         """How nodes of splats are weighed that are so visible; None where nothing is measured."""
         if visible is None or not self.measures:
             return None
-        return Weighing(visible, self.settings.parameters.hidden, typical_weight(self))
+        return Weighing(visible, hidden_weight(self), typical_weight(self))
 
     def visible(self, block: int) -> F64 | None:
         """(N,) how visible a block's splats are; None where nothing was looked at."""
@@ -298,9 +299,11 @@ class Work(Scene):
         """As `Scene` says; it is drawn again where it is held against a result."""
         return render(drawn, camera, contributions=True, sh_degree=0)
 
-    def keep_look(self, name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
+    def keep_look(
+        self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
+    ) -> Record:
         """As `Scene` says."""
-        return write_look(self, name, own, missed, lights)
+        return write_look(self, name, own, missed, lights, discovery)
 
     def grow(self, name: str, block: int) -> Record:
         """As `Scene` says."""
