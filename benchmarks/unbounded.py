@@ -1,16 +1,17 @@
-"""Scenes without bounds for `quality.py`: real models on a made-up ground, with hills and a sky.
+"""Scenes of several things for `quality.py`, most on a made-up ground, with hills and a sky.
 
-    python benchmarks/unbounded.py FOLDER      # and what it is worth to know a user's cameras
+    python benchmarks/unbounded.py FOLDER      # views from near by, with cameras there and without
 
 None of the real scenes has a sky or hills, as most captures outdoors have. `outdoors` is playbot
-with plants around it; `meadow` is a plant among pieces of flowers, which hold most of the splats.
-Both are the same each time, in units of the radius that holds nine tenths of the middle model's
-centres, y down.
+with plants around it; `meadow` is a plant among pieces of flowers, which hold most of the splats;
+`street` is eight things along a road. They are in units of the radius that holds nine tenths of the
+first model's centres, y down. `rooms` is four kitchens wall to wall. All are the same each time.
 """
 
 import argparse
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,16 @@ from nanogs.method import extent
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats, concatenate
 from nanogs.stored import SH_C0, quaternions, rotations
+from nanogs.views import inside
+from nanogs.views.automatic import Split, automatic_cameras, survey
 from nanogs.views.poses import look_at
 from rivals import ROOT
 
 UP = np.array([0.0, -1.0, 0.0])
 # Of cameras around the middle: how far away and how high, and how high they look.
 RINGS = {"outdoors": (1.8, 1.1, 0.6), "meadow": (2.2, 1.3, 0.8)}
+THINGS = ("playbot", "plant", "biker", "guitar", "plant", "playbot", "biker", "plant")
+PRESETS = ("fast", "default", "best")
 Source = Callable[[str], Path]
 
 
@@ -60,9 +65,41 @@ def meadow(source: Source, rng: np.random.Generator) -> list[Splats]:
     return [*found, ground(30_000, 0.3, grass, rng), hills(15_000, 60, green, rng), sky(rng)]
 
 
+def street(source: Source, rng: np.random.Generator) -> list[Splats]:
+    """Eight things six radii apart, to the left and right of a road, ground, hills and sky."""
+    found = []
+    for number, name in enumerate(THINGS):
+        thing = standing(thinned(load(source(name)), 0.5, rng), 1.0, 0.9 * number, 0.98)
+        found.append(moved(thing, place_of(number)))
+    sand, green = (0.45, 0.38, 0.26), (0.25, 0.33, 0.22)
+    return [*found, ground(40_000, 0.3, sand, rng), hills(15_000, 50, green, rng), sky(rng)]
+
+
+def place_of(number: int) -> list[float]:
+    """Where a thing of `street` stands."""
+    return [6.0 * number - 21, 0.0, 3.0 if number % 2 else -3.0]
+
+
+def rooms(source: Source, rng: np.random.Generator) -> list[Splats]:
+    """Four kitchens, two by two."""
+    kitchen = load(source("kitchen"))
+    ways = ways_of(kitchen)
+    return [moved(thinned(kitchen, 0.6, rng), way.tolist()) for way in ways]
+
+
+def ways_of(kitchen: Splats) -> F64:
+    """(4, 3) from the first of `rooms` to each: multiples of the edges of the box it fills."""
+    found = survey(kitchen)
+    box = inside.fit_box(found.matter, found.core, np.array([0.0, 0.0, 1.0]))
+    edges = (box.frame @ found.turn[:3, :3]) * (box.high - box.low)[:, None]
+    return np.array([i * edges[0] + j * edges[1] for i in (0, 1) for j in (0, 1)])
+
+
 SCENES: dict[str, Callable[[Source, np.random.Generator], list[Splats]]] = {
     "outdoors": outdoors,
     "meadow": meadow,
+    "street": street,
+    "rooms": rooms,
 }
 
 
@@ -195,24 +232,62 @@ def ring(name: str, count: int, start: float) -> list[Camera]:
     return found
 
 
+def walk(count: int, start: float) -> list[Camera]:
+    """So many of the same cameras beside each thing of `street`, on the side of the road."""
+    focal, found = 200 / np.tan(np.pi / 6), []
+    for number in range(len(THINGS)):
+        thing = np.array(place_of(number)) + 0.5 * UP
+        for turn in start + np.arange(count) * np.pi / count:
+            way = np.array([np.cos(turn), 0.0, -np.sign(thing[2]) * np.sin(turn)])
+            pose = look_at(thing + 2.4 * way + 0.6 * UP, thing, UP)
+            name = f"{number}_{turn:.2f}"
+            found.append(Camera(400, 400, focal, focal, 200, 200, pose, name, near=0.02))
+    return found
+
+
+def within(kitchen: Splats, count: int, split: Split) -> list[Camera]:
+    """Automatic cameras of 400 x 400 pixels in each of `rooms`."""
+    found = []
+    for number, way in enumerate(ways_of(kitchen)):
+        for camera in automatic_cameras(kitchen, count, width=400, height=400, split=split):
+            pose = camera.world_to_camera.copy()
+            pose[:3, 3] -= pose[:3, :3] @ way
+            found.append(replace(camera, world_to_camera=pose, name=f"{number}_{camera.name}"))
+    return found
+
+
+def near_views(name: str, source: Source) -> tuple[list[Camera], list[Camera]]:
+    """Views of a scene from near by: those that may be learnt from, and others."""
+    if name == "street":
+        return walk(5, 0.3), walk(2, 0.6)
+    if name == "rooms":
+        kitchen = load(source("kitchen"))
+        return within(kitchen, 10, "fit"), within(kitchen, 4, "test")
+    return ring(name, 40, 0.0), ring(name, 8, 0.3)
+
+
 def main() -> None:
-    """Print what comes of each scene around its middle, with cameras there and without."""
+    """Print what comes of each scene in views from near by, with cameras there and without."""
     from measured import Bench  # which makes scenes of this file's
 
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("folder", type=Path, help="where scenes and measurements are kept")
+    parser.add_argument("--scenes", default=",".join(SCENES))
+    options = parser.parse_args()
     scenes = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
-    bench = Bench(scenes, scenes.parent / "peers", parser.parse_args().folder)
+    bench = Bench(scenes, scenes.parent / "peers", options.folder)
     known = extent.APART
-    for name in SCENES:
-        model, cameras = load(bench.model(name)), ring(name, 40, 0.0)
+    for name in options.scenes.split(","):
+        model, (cameras, others) = load(bench.model(name)), near_views(name, bench.model)
         for ratio in (0.1, 0.01):
-            made = {p: simplify(model, ratio=ratio, preset=p)[0] for p in ("fast", "default")}
+            made = {
+                p: simplify(model, ratio=ratio, preset=p)[0] for p in ("fast", "default", "best")
+            }
             for what, extent.APART in (("cameras, all alike", 1e9), ("cameras", known)):
                 made[what] = simplify(model, ratio=ratio, cameras=cameras)[0]
-            found = compare(model, *made.values(), cameras=ring(name, 8, 0.3))
+            found = compare(model, *made.values(), cameras=others)
             texts = [f"{a} {b.psnr:.2f} dB" for a, b in zip(made, found.models, strict=True)]
-            print(f"{name} {ratio:g}: {'; '.join(texts)}")
+            print(f"{name} {ratio:g}: {'; '.join(texts)}", flush=True)
 
 
 if __name__ == "__main__":
