@@ -274,7 +274,7 @@ class SimplifyReport:
 
 
 def measures(report: SimplifyReport) -> list[str]:
-    """What was measured of the result: how near it is, what packing cost, what it takes to draw."""
+    """Texts of all that was measured: how near it is, what packing cost, what it takes to draw."""
     texts = [measured.text for measured in (report.judged, report.packed) if measured]
     if report.cost is not None and report.original_cost is not None:
         share = report.cost.share_of(report.original_cost)
