@@ -314,12 +314,23 @@ def test_help_has_no_brackets_that_would_be_taken_for_markup(command):
         assert not re.search(r"\[[a-z]", text or ""), text
 
 
-@pytest.mark.parametrize("arguments", ["--help", "--version", *(f"{c} -h" for c in COMMANDS)])
-def test_help_imports_nothing_that_only_a_run_needs(arguments):
-    imported = modules_after(*arguments.split())
-    heavy = "numpy numba scipy PIL jinja2 rich.progress nanogs.splats nanogs.io nanogs.report"
-    assert not imported & set(heavy.split())
-    assert {"typer", "nanogs.cli.app"} <= imported
+def test_help_imports_nothing_that_only_a_run_needs():
+    """All in one process: what one of them imports is there when the next has ended."""
+    code = (
+        "import sys; from nanogs.cli import main\n"
+        "heavy = 'numpy numba scipy PIL jinja2 rich.progress '\n"
+        "heavy += 'nanogs.splats nanogs.io nanogs.report'\n"
+        "for words in sys.argv[1:]:\n"
+        "    sys.argv[1:] = words.split()\n"
+        "    try: main()\n"
+        "    except SystemExit as end: assert not end.code, words\n"
+        "    assert not set(heavy.split()) & set(sys.modules), words\n"
+        "    assert {'typer', 'nanogs.cli.app'} <= set(sys.modules), words\n"
+    )
+    asked = ["--version", "--help", *(f"{command} -h" for command in COMMANDS)]
+    result = subprocess.run([sys.executable, "-c", code, *asked], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.count("Usage:") == len(asked) - 1
 
 
 def test_completion_imports_neither_numpy_nor_what_draws_help(scene):
@@ -349,30 +360,33 @@ def test_the_api_is_what_it_says():
     assert result.returncode == 0, result.stderr
 
 
-@pytest.mark.parametrize(
-    "before",
-    [
+def test_public_names_are_the_same_whatever_is_imported_before():
+    """Each time ours are imported anew, while the libraries stay."""
+    code = (
+        "import sys, types\n"
+        "for before in sys.argv[1:]:\n"
+        "    for name in [n for n in sys.modules if n.split('.')[0] == 'nanogs']:\n"
+        "        del sys.modules[name]\n"
+        "    exec(before, {})\n"
+        "    import nanogs\n"
+        "    for name in nanogs.__all__: assert getattr(nanogs, name) is not None, before\n"
+        "    for name in ('simplify', 'refit'):\n"
+        "        value = getattr(nanogs, name)\n"
+        "        assert isinstance(value, types.FunctionType), (before, value)\n"
+        "        assert value.__name__ == name, before\n"
+        "    assert not hasattr(nanogs, 'simplfy')\n"
+        "    assert {*nanogs.__all__, 'io', 'frames'} <= set(dir(nanogs)), before\n"
+        "    assert nanogs.io.losses and nanogs.frames.change_frame and nanogs.errors.OptionError\n"
+        "    assert nanogs.filters.crop_box and nanogs.NanogsError is nanogs.errors.NanogsError\n"
+    )
+    before = [
         "import nanogs.pipeline.api, nanogs.fit.api",
         "import nanogs.fit.parameters, nanogs.method.paper.passes",
         "from nanogs import simplify, refit; from nanogs.pipeline.presets import parameters",
         "import nanogs; nanogs.simplify, nanogs.refit; import nanogs.fit.rounds",
         "from nanogs import *",
-    ],
-)
-def test_public_names_are_the_same_whatever_is_imported_before(before):
-    code = (
-        f"{before}\n"
-        "import nanogs, types\n"
-        "for name in nanogs.__all__: assert getattr(nanogs, name) is not None\n"
-        "assert isinstance(nanogs.simplify, types.FunctionType), nanogs.simplify\n"
-        "assert isinstance(nanogs.refit, types.FunctionType), nanogs.refit\n"
-        "assert nanogs.simplify.__name__ == 'simplify' and nanogs.refit.__name__ == 'refit'\n"
-        "assert not hasattr(nanogs, 'simplfy')\n"
-        "assert {*nanogs.__all__, 'io', 'frames'} <= set(dir(nanogs))\n"
-        "assert nanogs.io.losses and nanogs.frames.change_frame and nanogs.errors.OptionError\n"
-        "assert nanogs.filters.crop_box and nanogs.NanogsError is nanogs.errors.NanogsError\n"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    ]
+    result = subprocess.run([sys.executable, "-c", code, *before], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
 
 
