@@ -149,21 +149,21 @@ LOAD = """
 import numpy as np
 from nanogs.kernels.compiling import when_compiling
 from nanogs.kernels.radix import radix_sort
-from nanogs.kernels.raster import blend_tiles
+from nanogs.kernels.listing import span_tiles
 told = []
 when_compiling(lambda: told.append(1))
 {call}
 print("compiled" if told else "loaded")
 """
 SORTS = "radix_sort(np.arange(4, dtype=np.uint64), np.empty(4, np.uint64))"
-BLENDS = """blend_tiles(
-    np.empty((0, 8)), np.empty((0, 4), np.float32), np.zeros(2, np.int64), np.empty(0, np.int32),
-    0xFFFF, np.zeros(3, np.float32), np.empty((16, 16, 3), np.float32),
-    np.empty((16, 16), np.float32), np.empty((0, 16, 16), np.float32), np.empty((0, 0), np.float32),
+# Of the kernels that have vectors the one that is compiled soonest.
+SPANS = """span_tiles(
+    np.empty((0, 8)), np.empty(0, np.int64), np.empty(0, np.int64), 16, 16, np.empty(0, np.uint64),
+    np.empty((16, 1), np.int64),
 )"""
 
 
-@pytest.mark.parametrize(("call", "second"), [(SORTS, "loaded"), (BLENDS, "compiled")])
+@pytest.mark.parametrize(("call", "second"), [(SORTS, "loaded"), (SPANS, "compiled")])
 def test_kernels_of_each_way_are_kept_apart(tmp_path, call, second):
     """Those that have vectors; of the others there is one way."""
     cache, code = {"NUMBA_CACHE_DIR": str(tmp_path)}, LOAD.format(call=call)
