@@ -14,6 +14,8 @@ from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
 from nanogs.pipeline.draw import MOST_PROBES, SPAN, search_share
 from nanogs.report import StopReason
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 QUICK = {"preset": "fast"}
 LOOKS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "steps": 2}
 
@@ -21,7 +23,7 @@ LOOKS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "steps"
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "in.ply"
-    model = random_splats(2500, degree=1, seed=7)
+    model = random_splats(800, degree=1, seed=7)
     model.means[3] = np.nan
     nanogs.save(model, path)
     return path
@@ -85,7 +87,7 @@ def test_steps_are_told():
 
 @pytest.mark.parametrize("suffix", [".ply", ".sog"])
 @pytest.mark.parametrize("preset", [QUICK, LOOKS], ids=["fast", "default"])
-@pytest.mark.parametrize("block", [None, 900])
+@pytest.mark.parametrize("block", [None, 300])
 def test_the_file_takes_what_was_asked_for(scene, tmp_path, suffix, preset, block):
     out = tmp_path / f"a{suffix}"
     report = nanogs.simplify_blocks(scene, out, draw_cost=0.5, block=block, **preset)
@@ -113,7 +115,7 @@ def test_the_command_takes_shares_and_says_them(scene, tmp_path):
     assert "draw probes:" in verbose.stderr
 
 
-@pytest.mark.parametrize("block", [None, 900])
+@pytest.mark.parametrize("block", [None, 300])
 def test_filters_and_frames_do_not_matter_to_what_is_measured(scene, tmp_path, block):
     given = {"filters": [nanogs.filters.box((-9, -9, -9), (0.6, 9, 9))], "frame": ("rdf", "rub")}
     out, left = tmp_path / "a.ply", tmp_path / "left.ply"
@@ -128,11 +130,11 @@ def test_filters_and_frames_do_not_matter_to_what_is_measured(scene, tmp_path, b
 
 def test_all_of_it_is_the_whole_model(scene, tmp_path):
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", draw_cost=1.0, **QUICK)
-    assert report.achieved_count == 2499
+    assert report.achieved_count == 799
     assert report.cost.splats_a_pixel == report.original_cost.splats_a_pixel
 
 
-@pytest.mark.parametrize("block", [None, 900])
+@pytest.mark.parametrize("block", [None, 300])
 def test_less_than_can_be_had_is_refused(scene, tmp_path, block):
     with pytest.raises(TooSmallError, match="is too small: 1 splat, the fewest"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", draw_cost=1e-5, block=block, **QUICK)
@@ -157,7 +159,7 @@ def test_what_makes_no_sense_is_refused(scene, tmp_path):
 
 
 def test_a_search_that_was_killed_goes_on_to_the_same_bytes(scene, tmp_path):
-    given = {"draw_cost": 0.5, "block": 900, **QUICK}
+    given = {"draw_cost": 0.5, "block": 300, **QUICK}
     one, two = tmp_path / "one.ply", tmp_path / "two.ply"
     nanogs.simplify_blocks(scene, one, **given)
     for least in (0.3, 0.6, 0.8):
@@ -174,7 +176,7 @@ def test_a_search_that_was_killed_goes_on_to_the_same_bytes(scene, tmp_path):
     assert two.read_bytes() == one.read_bytes()
 
 
-@pytest.mark.parametrize("block", [None, 900])
+@pytest.mark.parametrize("block", [None, 300])
 def test_what_is_measured_says_what_it_takes(scene, tmp_path, block):
     out = tmp_path / "a.spz"
     given = {"ratio": 0.2, "block": block, **QUICK}
@@ -190,7 +192,7 @@ def test_what_is_measured_says_what_it_takes(scene, tmp_path, block):
     assert share > 0.2, "a fifth of the splats takes more than a fifth of the work"
 
 
-@pytest.mark.parametrize("block", [None, 900])
+@pytest.mark.parametrize("block", [None, 300])
 @pytest.mark.parametrize("place", ["levels", "stream/lod-meta.json"])
 def test_levels_that_are_measured_say_what_they_take(scene, tmp_path, block, place):
     layout = "files" if place == "levels" else "streamed sog"

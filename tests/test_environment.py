@@ -351,7 +351,7 @@ def test_the_environment_is_turned_and_reduced_as_the_levels_are(model, made, tm
 
 
 @pytest.mark.parametrize("block", [None, 1000])
-def test_levels_are_measured_with_their_environment(model, tmp_path, block, small_views):
+def test_levels_are_measured_with_their_environment(model, tmp_path, block, small_pictures):
     """The finest is all there is, whether the sky is part of the model or another one."""
     options = {"preset": "fast", "layout": "streamed sog archive", "measured": True}
     options |= {"block": block} if block else {}

@@ -18,6 +18,8 @@ from nanogs.scoring.file_judge import file_judge
 from nanogs.sink import OneFile
 from viewer_bundle import require_bundle
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 COUNT = 3000
 QUICK = {"preset": "fast", "threads": 1}
 

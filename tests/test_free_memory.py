@@ -571,11 +571,13 @@ def test_the_need_is_about_what_is_taken(models, given, need):
         ({"preset": "fast"}, False, False),
     ],
 )
-def test_the_report_of_blocks_says_what_was_done(scene, tmp_path, given, looked, fitted):
+def test_the_report_of_blocks_says_what_was_done(tmp_path, given, looked, fitted):
+    scene = tmp_path / "in.ply"
+    nanogs.save(make_scene(6000), scene)
     if looked:
         given = given | {"views": 4, "view_size": 64}
     report = nanogs.simplify_blocks(
-        scene, tmp_path / "a.ply", ratio=0.1, block=30_000, threads=1, **given
+        scene, tmp_path / "a.ply", ratio=0.1, block=3000, threads=1, **given
     )
     assert (report.shown is not None) == looked
     assert bool(report.candidates) == looked

@@ -26,7 +26,7 @@ from nanogs.report import StopReason
 from test_cli import assert_refused
 
 RATIOS = (0.5, 0.1, 0.02)
-FEW = ["--views", "2", "--steps", "2"]  # a small fit
+FEW = ["--views", "2", "--view-size", "64", "--steps", "2"]  # a small fit
 LEVELS = ["level_0.ply", "level_1.ply", "level_2.ply", "levels.json"]
 
 

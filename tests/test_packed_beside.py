@@ -141,6 +141,7 @@ def test_photographs_take_the_place_of_the_original(files, tmp_path, temporary):
 # ---- what simplify measures -----------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("small_pictures")  # of 128 pixels
 @pytest.mark.parametrize("more", [{}, {"frame": ("rdf", "rub")}, {"format_options": {"bits": 5}}])
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_result_that_is_measured_says_what_packing_cost(files, tmp_path, suffix, more):
@@ -149,8 +150,9 @@ def test_a_result_that_is_measured_says_what_packing_cost(files, tmp_path, suffi
     plain = nanogs.simplify_blocks(scene, tmp_path / "a.ply", measured=True, **asked)
     assert plain.packed is None
     own, packed = nanogs.compare(
-        scene, tmp_path / "a.ply", packed=[suffix], format_options=more.get("format_options")
-    ).models
+        scene, tmp_path / "a.ply", packed=[suffix], format_options=more.get("format_options"),
+        pixels=128,
+    ).models  # fmt: skip
     assert (own.psnr, own.ssim) == (plain.judged.psnr, plain.judged.ssim)
     near = {"abs": 0.3} if "frame" in more else {}  # other values are rounded there
     expected, loss = packed.packed, found.packed

@@ -368,12 +368,12 @@ def test_what_no_view_shows_is_packed_without_looking(splats, tmp_path, monkeypa
 @pytest.mark.parametrize("suffix", [".sog", ".spz", ".ply"])
 def test_files_hold_what_was_found(splats, tmp_path, suffix):
     source = tmp_path / "in.ply"
-    nanogs.save(splats, source)
-    for name, block in (("a", None), ("b", 1500)):
+    nanogs.save(splats.take(np.arange(0, len(splats), 4)), source)
+    for name, block in (("a", None), ("b", 400)):
         out = tmp_path / f"{name}{suffix}"
-        report = nanogs.simplify_blocks(source, out, size=30_000, block=block, **FEW)
+        report = nanogs.simplify_blocks(source, out, size=10_000, block=block, **FEW)
         assert report.packings
-        assert out.stat().st_size == report.achieved_size <= 30_000
+        assert out.stat().st_size == report.achieved_size <= 10_000
         assert nanogs.open(out).columns.sh_degree in (0, 1, 2)
 
 

@@ -18,7 +18,9 @@ from nanogs.views.automatic import automatic_cameras
 from test_cli import assert_refused
 
 FORMATS = [".sog", ".spz", ".splat", ".compressed.ply"]
-WORDS = "8 held-out views of 512 pixels"
+WORDS = "8 held-out views of {} pixels"
+
+small = pytest.mark.usefixtures("small_pictures")  # of 128 pixels
 
 
 @pytest.fixture(scope="module", params=[0, 2], ids=["plain", "harmonics"])
@@ -33,7 +35,7 @@ def twin(scene, folder, suffix, **options):
     """Bytes, PSNR and SSIM of a file that is written, loaded and rendered by hand."""
     splats, path = nanogs.load(scene), folder / f"twin{suffix}"
     nanogs.save(splats, path, format_options=options)
-    cameras = automatic_cameras(splats, 8, width=512, height=512, split="test")
+    cameras = automatic_cameras(splats, 8, width=128, height=128, split="test")
     return [path.stat().st_size, *marks(splats, nanogs.load(path), cameras)]
 
 
@@ -41,17 +43,19 @@ def numbers(file):
     return [file.file_bytes, file.judged.psnr, file.judged.ssim]
 
 
+@small
 def test_a_plain_twin_has_the_same_numbers(scene, tmp_path, temporary):
     cost = nanogs.packing_cost(scene, FORMATS)
     assert [file.format for file in cost.files] == FORMATS
     assert cost.notes == ()
     for file in cost.files:
         assert numbers(file) == pytest.approx(twin(scene, tmp_path, file.format))
-        assert file.judged.protocol.text == WORDS
+        assert file.judged.protocol.text == WORDS.format(128)
         assert file.splats == 400
         assert file.splat_bytes == file.file_bytes / 400
 
 
+@small
 def test_a_format_gets_the_options_that_it_has(scene, tmp_path, temporary):
     chosen = {"bits": 5, "palette": 9, "spz_version": None}
     sog, spz = nanogs.packing_cost(scene, ["sog", "spz"], format_options=chosen).files
@@ -59,6 +63,7 @@ def test_a_format_gets_the_options_that_it_has(scene, tmp_path, temporary):
     assert numbers(spz) == pytest.approx(twin(scene, tmp_path, ".spz", bits=5, palette=9))
 
 
+@small
 def test_what_holds_everything_costs_nothing(scene, temporary):
     [file] = nanogs.packing_cost(nanogs.load(scene), [".ply"]).files
     assert file.judged.psnr == np.inf
@@ -66,6 +71,7 @@ def test_what_holds_everything_costs_nothing(scene, temporary):
     assert "∞ dB / 1.0000 of the model unpacked" in file.text
 
 
+@small
 def test_paths_models_and_sources_cost_the_same(scene, temporary):
     formats = [".spz", "meta.json"]
     expected = nanogs.packing_cost(scene, formats)
@@ -74,6 +80,7 @@ def test_paths_models_and_sources_cost_the_same(scene, temporary):
         assert nanogs.packing_cost(source, formats) == expected
 
 
+@small
 def test_little_memory_gives_the_same_numbers(scene, temporary, monkeypatch):
     expected = nanogs.packing_cost(scene, [".spz"])
     monkeypatch.setattr("nanogs.scoring.packing_cost.needed_bytes", lambda *_, **__: 10**15)
@@ -149,7 +156,7 @@ def test_info_says_what_packing_costs(scene, temporary):
         judged = f"{file.judged.psnr:.2f} dB / {file.judged.ssim:.4f} of the model unpacked"
         size = f"{file.file_bytes / 1e3:.1f} kB, {file.splat_bytes:.1f} bytes a splat"
         assert f"packed as {file.format} {size}; {judged}" in words
-    assert f"on {WORDS}: PSNR and SSIM of each file, read back" in words
+    assert f"on {WORDS.format(512)}: PSNR and SSIM of each file, read back" in words
     report = json.loads(run(*arguments, "--json").stdout)
     assert report["packed"] == json.loads(json.dumps([file.to_dict() for file in cost.files]))
     assert report["packed"][0]["judged"] == json.loads(json.dumps(asdict(cost.files[0].judged)))
