@@ -119,7 +119,7 @@ def test_simplify(preset, ratio):
 
 @pytest.mark.parametrize("goal", [{"psnr": 20.0}, {"size": 9_000, "format": ".sog"}])
 @pytest.mark.parametrize("preset", ["default", "fast"])
-def test_searches(preset, goal):
+def test_searches(preset, goal, small_pictures):
     told = []
     nanogs.simplify(random_splats(300), preset=preset, progress=told.append, **goal)
     assert_true(told)

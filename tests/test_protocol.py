@@ -18,7 +18,7 @@ from nanogs.views.automatic import automatic_cameras
 from viewer_bundle import require_bundle
 
 WORDS = "8 held-out views of 512 pixels"
-FEW = ("--views", "4", "--steps", "2")  # a small fit
+FEW = ("--views", "4", "--view-size", "64", "--steps", "2")  # a small fit
 
 
 @pytest.fixture(scope="module")

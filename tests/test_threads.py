@@ -25,7 +25,7 @@ def no_pool():
     "command",
     [
         "simplify large.ply {out}/out.sog --count 400 --preset fast --measure",
-        "simplify large.ply {out}/out.ply --count 400 --steps 2",
+        "simplify large.ply {out}/out.ply --count 400 --steps 2 --views 4 --view-size 64",
         "lod large.ply {out}/lod-meta.json --levels 0.5,0.1 --preset fast --no-measure",
         "refit large.ply small.ply {out}/out.ply --views 2 --pixels 64 --rounds 1",
         "compare large.ply small.ply --views 1 --pixels 64",
@@ -33,7 +33,9 @@ def no_pool():
         "view large.ply small.ply -o {out}/page.html",
     ],
 )
-def test_one_thread_reads_computes_and_writes(folder, tmp_path, monkeypatch, command):
+def test_one_thread_reads_computes_and_writes(
+    folder, tmp_path, monkeypatch, small_pictures, command
+):
     monkeypatch.chdir(folder)
     monkeypatch.setattr("nanogs.spread._pool", no_pool)
     assert run_here(*command.format(out=tmp_path).split(), "--threads", "1") == 0
