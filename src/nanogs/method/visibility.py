@@ -87,7 +87,7 @@ class Discovery:
 
 
 def discovery_of(looked: Light, anywhere: Light | None, count: int) -> Discovery:
-    """How much views leave out of the first `count` splats; the lights are as in `visibility_of`."""
+    """How much views leave out of the first `count` splats; lights as in `visibility_of`."""
     lights = [looked] if anywhere is None else [looked, anywhere]
     seen, whole, times = np.zeros(count), np.zeros(count), np.zeros(count, np.uint8)
     for light in lights:
