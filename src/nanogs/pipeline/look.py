@@ -6,13 +6,7 @@ from typing import TYPE_CHECKING
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.fit.views import choose_cameras
-from nanogs.method.visibility import (
-    Light,
-    discovery_of,
-    light_in,
-    roaming_views,
-    visibility_of,
-)
+from nanogs.method.visibility import Light, discovery_of, light_in, roaming_views, visibility_of
 from nanogs.metrics._ssim import LEAST
 from nanogs.pipeline.scene import Lit, Scene
 from nanogs.pipeline.views import Views

@@ -254,13 +254,13 @@ class OneBlock(Scene):
     def _activated(self, coverages: F64 | None = None) -> Nodes:
         rows, origin, added, viewers = self._placed
         nodes = activate_nodes(self.splats, rows, origin, added, coverages=coverages)
-        measured = self.visible is not None and self.measures
-        if viewers is added and not measured:
+        visible = self.visible if self.measures else None
+        if viewers is added and visible is None:
             return nodes
         weights = prominence(nodes.coverages, nodes.means, viewers)
-        if self.visible is not None and measured:
+        if visible is not None:
             hidden = self.discovery.hidden(self.settings.parameters.hidden)
-            weights = visible_weights(weights, self.visible[rows], hidden)
+            weights = visible_weights(weights, visible[rows], hidden)
         return replace(nodes, weights=normalised(weights))
 
     def open(self, block: int) -> Block:

@@ -198,7 +198,7 @@ class Scene(ABC):
     def keep_look(
         self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
     ) -> Record:
-        """Keep how visible a block's splats are, and how much of it each view shows, and alone."""
+        """Keep how visible a block's splats are, what views show of it, and what they leave out."""
 
     @abstractmethod
     def grow(self, name: str, block: int) -> Record:

@@ -82,13 +82,17 @@ def closer_views(work: "Work", own: Splats) -> list[Camera]:
     return choose_cameras(own, None, -(-parameters.views // 2), 0, size)[0]
 
 
-def typical_weight(work: "Work") -> float:
-    """Mean weight of all splats, the unit of the weights of nodes; 1 where all are 0."""
+def typical_weight(work: "Work", hidden: float) -> float:
+    """Mean weight of all splats, the unit of the weights of nodes; 1 where all are 0.
+
+    Args:
+        work: The job, all blocks looked at.
+        hidden: What `hidden_weight` says.
+    """
     facts = [record.facts for record in work.of_blocks("look")]
     every, visible = (
         sum(float(each[name]) for each in facts) for name in ("prominence", "visible")
     )
-    hidden = hidden_weight(work)
     mean = (hidden * every + (1 - hidden) * visible) / work.partition.splats
     return mean if mean > 0 else 1.0
 

@@ -176,7 +176,8 @@ class Work(Scene):
         """How nodes of splats are weighed that are so visible; None where nothing is measured."""
         if visible is None or not self.measures:
             return None
-        return Weighing(visible, hidden_weight(self), typical_weight(self))
+        hidden = hidden_weight(self)
+        return Weighing(visible, hidden, typical_weight(self, hidden))
 
     def visible(self, block: int) -> F64 | None:
         """(N,) how visible a block's splats are; None where nothing was looked at."""
