@@ -31,6 +31,7 @@ UP = np.array([0.0, -1.0, 0.0])
 # Of cameras around the middle: how far away and how high, and how high they look.
 RINGS = {"outdoors": (1.8, 1.1, 0.6), "meadow": (2.2, 1.3, 0.8)}
 THINGS = ("playbot", "plant", "biker", "guitar", "plant", "playbot", "biker", "plant")
+SAND, GREEN = (0.45, 0.38, 0.26), (0.25, 0.33, 0.22)
 PRESETS = ("fast", "default", "best")
 Source = Callable[[str], Path]
 
@@ -45,8 +46,7 @@ def outdoors(source: Source, rng: np.random.Generator) -> list[Splats]:
         some = standing(thinned(plant, 0.35, rng), size, spin, 0.98)
         some.log_scales[:] += np.float32(0.3)
         found.append(moved(some, [far * np.cos(turn), 0, far * np.sin(turn)]))
-    sand, green = (0.45, 0.38, 0.26), (0.25, 0.33, 0.22)
-    return [*found, ground(60_000, 1.2, sand, rng), hills(15_000, 50, green, rng), sky(rng)]
+    return [*found, ground(60_000, 1.2, SAND, rng), hills(15_000, 50, GREEN, rng), sky(rng)]
 
 
 def meadow(source: Source, rng: np.random.Generator) -> list[Splats]:
@@ -61,8 +61,8 @@ def meadow(source: Source, rng: np.random.Generator) -> list[Splats]:
             level = np.linalg.norm(piece.means[:, [0, 2]], axis=1)
             piece = piece.take(np.flatnonzero((level > 1.2) | (piece.means[:, 1] > -0.1)))
         found.append(moved(piece, [x, 0.05, z]))
-    grass, green = (0.3, 0.4, 0.15), (0.25, 0.33, 0.22)
-    return [*found, ground(30_000, 0.3, grass, rng), hills(15_000, 60, green, rng), sky(rng)]
+    grass = (0.3, 0.4, 0.15)
+    return [*found, ground(30_000, 0.3, grass, rng), hills(15_000, 60, GREEN, rng), sky(rng)]
 
 
 def street(source: Source, rng: np.random.Generator) -> list[Splats]:
@@ -71,8 +71,7 @@ def street(source: Source, rng: np.random.Generator) -> list[Splats]:
     for number, name in enumerate(THINGS):
         thing = standing(thinned(load(source(name)), 0.5, rng), 1.0, 0.9 * number, 0.98)
         found.append(moved(thing, place_of(number)))
-    sand, green = (0.45, 0.38, 0.26), (0.25, 0.33, 0.22)
-    return [*found, ground(40_000, 0.3, sand, rng), hills(15_000, 50, green, rng), sky(rng)]
+    return [*found, ground(40_000, 0.3, SAND, rng), hills(15_000, 50, GREEN, rng), sky(rng)]
 
 
 def place_of(number: int) -> list[float]:
@@ -221,27 +220,30 @@ def waves(points: F64, sizes: Sequence[tuple[float, float]], seed: int) -> F64:
     return found
 
 
+def seen_from(place: F64, target: F64, name: str) -> Camera:
+    """A camera of 400 x 400 pixels and 60 degrees."""
+    focal = 200 / np.tan(np.pi / 6)
+    return Camera(400, 400, focal, focal, 200, 200, look_at(place, target, UP), name, near=0.02)
+
+
 def ring(name: str, count: int, start: float) -> list[Camera]:
-    """Cameras of 400 x 400 pixels and 60 degrees around the middle of a scene."""
+    """Cameras around the middle of a scene."""
     far, height, target = RINGS[name]
-    focal, found = 200 / np.tan(np.pi / 6), []
+    found = []
     for turn in start + np.arange(count) * 2 * np.pi / count:
         place = np.array([far * np.cos(turn), -height, far * np.sin(turn)])
-        pose = look_at(place, target * UP, UP)
-        found.append(Camera(400, 400, focal, focal, 200, 200, pose, f"{turn:.2f}", near=0.02))
+        found.append(seen_from(place, target * UP, f"{turn:.2f}"))
     return found
 
 
 def walk(count: int, start: float) -> list[Camera]:
-    """So many of the same cameras beside each thing of `street`, on the side of the road."""
-    focal, found = 200 / np.tan(np.pi / 6), []
+    """So many cameras beside each thing of `street`, on the side of the road."""
+    found = []
     for number in range(len(THINGS)):
         thing = np.array(place_of(number)) + 0.5 * UP
         for turn in start + np.arange(count) * np.pi / count:
             way = np.array([np.cos(turn), 0.0, -np.sign(thing[2]) * np.sin(turn)])
-            pose = look_at(thing + 2.4 * way + 0.6 * UP, thing, UP)
-            name = f"{number}_{turn:.2f}"
-            found.append(Camera(400, 400, focal, focal, 200, 200, pose, name, near=0.02))
+            found.append(seen_from(thing + 2.4 * way + 0.6 * UP, thing, f"{number}_{turn:.2f}"))
     return found
 
 
@@ -280,9 +282,7 @@ def main() -> None:
     for name in options.scenes.split(","):
         model, (cameras, others) = load(bench.model(name)), near_views(name, bench.model)
         for ratio in (0.1, 0.01):
-            made = {
-                p: simplify(model, ratio=ratio, preset=p)[0] for p in ("fast", "default", "best")
-            }
+            made = {preset: simplify(model, ratio=ratio, preset=preset)[0] for preset in PRESETS}
             for what, extent.APART in (("cameras, all alike", 1e9), ("cameras", known)):
                 made[what] = simplify(model, ratio=ratio, cameras=cameras)[0]
             found = compare(model, *made.values(), cameras=others)

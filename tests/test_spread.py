@@ -172,7 +172,7 @@ SIGNALLED = """
 import signal, threading, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from nanogs.spread import each
-from nanogs.threads import most_threads, use_threads
+from nanogs.threads import use_threads
 
 begun, sent = [], []
 
