@@ -134,12 +134,12 @@ def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
 
 
 def told(row):
-    """The square of the mean eigenvalue of a splat's own covariance, its dilated one being 1."""
+    """The mean square of the eigenvalues of a splat's own covariance, its dilated one being 1."""
     width, slope, height = 1 / row[2], row[3], 1 / np.sqrt(row[4])
     frame = np.array([[width, slope * height], [0, height]])  # columns: to (x, y) on screen
     dilated = frame @ frame.T
     own = np.linalg.eigvals(np.linalg.solve(dilated, dilated - 0.3 * np.eye(2)))
-    return max(own.real.mean(), 0) ** 2
+    return (own.real**2).mean()
 
 
 class AdvanceTwin:
@@ -154,7 +154,8 @@ class AdvanceTwin:
             )
         )  # fmt: skip
         self.quats = splats.unit_quats().astype(np.float64)
-        self.seen = np.zeros(len(splats), int)
+        self.begun = [each.copy() for each in self._state()]
+        self.seen, self.told = np.zeros(len(splats), int), np.zeros(len(splats))
         self.blocks, self.weights = np.zeros((len(splats), 55)), np.zeros(len(splats))
 
     def follow(self, view, camera, rate):
@@ -168,9 +169,19 @@ class AdvanceTwin:
             self.blocks[i] += share * (block - self.blocks[i])
             self.weights[i] += share * (sums[3] - self.weights[i])
             excess = max(1.0, sums[3] / self.weights[i])
-            pace = rate * told(view.view.geometry[i])
+            share = told(view.view.geometry[i])
+            self.told[i] = max(self.told[i], share)
+            pace, back = rate * share, rate * 0.2 * (1 - self.told[i]) ** 2
+            old = self.sh[i].copy()
             self._recolour(i, sums, view.view.features[i], camera, excess * self.weights[i], pace)
-            self._reshape(i, step, excess * self.blocks[i], pace)
+            self.sh[i] -= back * (old - self.given[i])
+            if self._reshape(i, step, excess * self.blocks[i], pace):
+                for now, begun in zip(self._state(), self.begun, strict=True):
+                    now[i] += back * (begun[i] - now[i])
+                self.quats[i] /= np.linalg.norm(self.quats[i])
+
+    def _state(self):
+        return self.means, self.log_scales, self.quats, self.logits
 
     def _terms(self, row, sums, camera, i):
         return shape_terms(
@@ -200,7 +211,7 @@ class AdvanceTwin:
         matrix = np.tril(matrix) + np.tril(matrix, -1).T
         diagonal = np.diag(matrix)
         if not diagonal.max() > 0:
-            return
+            return False
         lift = self.parameters.damping * diagonal + self.parameters.floor * diagonal.max()
         step = np.linalg.solve(matrix + np.diag(lift), pull)
         step = rate * step / max(1.0, (np.abs(step) / LIMITS).max())
@@ -209,6 +220,7 @@ class AdvanceTwin:
         self.log_scales[i] += step[3:6]
         self.quats[i] = quat_of(turn @ Rotation.from_rotvec(step[6:9]).as_matrix(), self.quats[i])
         self.logits[i] = np.clip(self.logits[i] + step[9], min(-5.0, self.logits[i]), 7.0)
+        return True
 
 
 def quat_of(matrix, like):

@@ -320,6 +320,13 @@ def test_a_view_tells_less_of_what_is_smaller_than_its_pixels(scale):
     assert told(ball) == pytest.approx(refit_twin.told(ball))
 
 
+def test_of_a_needle_a_view_tells_what_is_along_it():
+    needle = np.array([0.0, 0.0, 1 / math.sqrt(1e-6 + 0.3), 0.0, 1 / (20.0**2 + 0.3)])
+    assert told(needle) == pytest.approx(0.5, abs=1e-3)
+    leaning = np.array([0.0, 0.0, 0.4, -1.3, 0.9])
+    assert told(leaning) == pytest.approx(refit_twin.told(leaning))
+
+
 def test_from_far_away_a_step_leaves_nearly_all_as_it_was():
     splats = make_splats(40, 5, size=-1.5)
     original = prepare(make_splats(40, 6, size=-1.5))
@@ -330,6 +337,32 @@ def test_from_far_away_a_step_leaves_nearly_all_as_it_was():
         descent._follow(target, ALL_BLOCKS, 1.0)
         moved.append(np.abs(descent.state.log_scales - splats.log_scales).max())
     assert 0 < moved[1] < 0.1 * moved[0]
+
+
+def test_many_steps_from_far_away_lead_no_farther_than_some():
+    """Each takes back a part of all: where it leads as far as it takes back, they end."""
+    splats = make_splats(40, 5, size=-1.5)
+    target = make_target(prepare(make_splats(40, 6, size=-1.5)), make_camera().reduced(3))
+    descent = Descent(splats, Fitting([target]), RefitParameters())
+    far = []
+    for number in range(1, 801):
+        descent._follow(target, ALL_BLOCKS, 1.0)
+        if number in (200, 400, 800):
+            far.append(np.abs(descent.state.log_scales - splats.log_scales).max())
+    assert 0 < far[2] < 1.1 * far[1] < 1.2 * far[0]
+
+
+def test_a_descent_that_begins_anew_knows_where_it_started():
+    splats = make_splats(12, 5, size=-1.5, degree=1)
+    target = make_target(prepare(make_splats(12, 6, size=-1.5, degree=1)), make_camera())
+    descent = Descent(splats, Fitting([target]), RefitParameters())
+    for _ in range(5):
+        descent._follow(target, ALL_BLOCKS, 1.0)
+    known = descent._ways[:, :-1].copy()
+    assert np.abs(known).max() > 0.05
+    descent.begin(descent.state)
+    np.testing.assert_allclose(descent._ways[:, :-1], known, atol=1e-6)
+    np.testing.assert_array_equal(descent._ways[:, -1], 0)
 
 
 def test_refit_brings_the_views_nearer_and_keeps_the_rest():

@@ -15,10 +15,12 @@ wp.set_module_options({"max_unroll": 4, "enable_backward": False})
 SHAPE, PACKED, SCREEN = (wp.constant(n) for n in (chain.SHAPE, chain.PACKED, chain.SCREEN))
 CENTRE, OPACITY = wp.constant(chain.CENTRE), wp.constant(chain.OPACITY)
 SUMS = wp.constant(pulls.SUMS)
+LOGIT, MOST = wp.constant(advance.LOGIT), wp.constant(advance.MOST)
 LEAST_WEIGHT = wp.constant(wp.float32(advance.LEAST_WEIGHT))
 MIN_ALPHA = wp.constant(wp.float64(project.MIN_ALPHA))
 SLACK = wp.constant(wp.float64(project.SLACK))
 DILATION = wp.constant(wp.float64(project.DILATION))
+BACK = wp.constant(wp.float64(chain.BACK))
 ZERO, HALF = wp.constant(wp.float64(0.0)), wp.constant(wp.float64(0.5))
 ONE, TWO = wp.constant(wp.float64(1.0)), wp.constant(wp.float64(2.0))
 SMALLEST = wp.constant(wp.float64(1e-9))  # radians, below which a sine is its angle
@@ -36,9 +38,17 @@ PRODUCTS = wp.constant(wp.types.matrix(chain.PRODUCTS.shape, wp.int32)(*chain.PR
 def told(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
     """How far a view tells what a splat is like; see `chain.told`."""
     slope = geometry[i, 3]
-    dilated = geometry[i, 2] * geometry[i, 2] * (ONE + slope * slope) + geometry[i, 4]
-    own = wp.max(ONE - HALF * DILATION * dilated, ZERO)
-    return own * own
+    square = geometry[i, 2] * geometry[i, 2]
+    middle = HALF * DILATION * (square * (ONE + slope * slope) + geometry[i, 4])
+    det = DILATION * DILATION * square * geometry[i, 4]
+    return wp.clamp(ONE - TWO * middle + TWO * middle * middle - det, ZERO, ONE)
+
+
+@wp.func
+def way_back(told_most: wp.float64) -> wp.float64:
+    """Share of its way that a splat goes back in a step of full length; see `chain.way_back`."""
+    untold = ONE - told_most
+    return BACK * untold * untold
 
 
 @wp.func
@@ -271,6 +281,7 @@ class Moving:
     seen: wp.array[wp.int32]
     blocks: wp.array2d[wp.float32]
     weights: wp.array[wp.float32]
+    ways: wp.array2d[wp.float32]
 
 
 @wp.struct
@@ -297,6 +308,7 @@ def recolour(
     degree: wp.int32,
     bend: wp.float64,
     rate: wp.float64,
+    back: wp.float64,
 ) -> None:
     """Move a splat's coefficients; a channel cut off at black is pulled upwards only."""
     unit = way / wp.length(way)
@@ -308,37 +320,66 @@ def recolour(
             pull = wp.float64(0.0)
             if features[i, c] > 0.0 or totals[i, c] > 0.0:
                 pull = wp.float64(basis[k]) * wp.float64(totals[i, c])
-            pull -= held * wp.float64(moving.sh[i, k, c] - moving.given[i, k, c])
-            moving.sh[i, k, c] = moving.sh[i, k, c] + wp.float32(pull * step)
+            changed = wp.float64(moving.sh[i, k, c] - moving.given[i, k, c])
+            change = wp.float32((pull - held * changed) * step - back * changed)
+            moving.sh[i, k, c] = moving.sh[i, k, c] + change
 
 
 @wp.func
-def reshape(moving: Moving, rules: Rules, i: wp.int32, step: Step, rate: wp.float64) -> None:
+def taken_back(
+    moving: Moving, i: wp.int32, at: wp.int32, old: wp.float64, new: wp.float64, back: wp.float64
+) -> wp.float64:
+    """A number of a splat after a part of its way since it started is taken back.
+
+    at: its place in `ways`; old, new: the number before and after this step.
+    """
+    begun = old - wp.float64(moving.ways[i, at])
+    new += back * (begun - new)
+    moving.ways[i, at] = wp.float32(new - begun)
+    return new
+
+
+@wp.func
+def reshape(
+    moving: Moving, rules: Rules, i: wp.int32, step: Step, rate: wp.float64, back: wp.float64
+) -> None:
     """Move a splat's centre, scales, rotation and opacity by a step, and activate them."""
     for r in range(3):
-        mean = moving.means[i, r]
+        old = moving.means[i, r]
+        mean = wp.float64(old)
         for k in range(3):
             axis = wp.float64(moving.axes[i, r, k])
             mean += rate * step[k] * axis * wp.float64(moving.scales[i, k])
+        mean = taken_back(moving, i, r, old, mean, back)
         moving.means[i, r] = mean
         moving.centres[i, r] = mean
         if rules.single:
             moving.centres[i, r] = wp.float64(wp.float32(mean))
-        moving.log_scales[i, r] = moving.log_scales[i, r] + rate * step[CENTRE + r]
-    quat = wp.vec4d(moving.quats[i, 0], moving.quats[i, 1], moving.quats[i, 2], moving.quats[i, 3])
-    quat = turned_by(quat, rate * wp.vec3d(step[6], step[7], step[8]))
+        scale = moving.log_scales[i, r]
+        longer = scale + rate * step[CENTRE + r]
+        moving.log_scales[i, r] = taken_back(moving, i, CENTRE + r, scale, longer, back)
+    before = wp.vec4d(
+        moving.quats[i, 0], moving.quats[i, 1], moving.quats[i, 2], moving.quats[i, 3]
+    )
+    quat = turned_by(before, rate * wp.vec3d(step[6], step[7], step[8]))
+    begun = wp.vec4d()
+    for k in range(4):
+        begun[k] = before[k] - wp.float64(moving.ways[i, 2 * CENTRE + k])
+    quat = wp.normalize(quat + back * (begun - quat))
     for k in range(4):
         moving.quats[i, k] = quat[k]
+        moving.ways[i, 2 * CENTRE + k] = wp.float32(quat[k] - begun[k])
     rotation = rotation_of(quat)
     for k in range(3):
-        scale = wp.float32(wp.exp(moving.log_scales[i, k]))
-        moving.scales[i, k] = scale
+        length = wp.float32(wp.exp(moving.log_scales[i, k]))
+        moving.scales[i, k] = length
         for r in range(3):
             moving.axes[i, r, k] = wp.float32(rotation[r, k])
-            moving.factors[i, r, k] = wp.float32(rotation[r, k]) * scale
-    logit = moving.logits[i]
-    least = wp.min(rules.limits[10], logit)
-    logit = wp.min(wp.max(logit + rate * step[OPACITY], least), rules.limits[11])
+            moving.factors[i, r, k] = wp.float32(rotation[r, k]) * length
+    given = moving.logits[i]
+    least = wp.min(rules.limits[10], given)
+    logit = wp.min(wp.max(given + rate * step[OPACITY], least), rules.limits[11])
+    logit = taken_back(moving, i, LOGIT, given, logit, back)
     moving.logits[i] = logit
     opacity = ONE / (ONE + wp.exp(-logit))
     moving.opacities[i] = wp.float32(opacity)
@@ -383,8 +424,10 @@ def advance_splats(
     moving.weights[i] = wp.float32(mean + (wp.float64(weight) - mean) * share)
     mean = wp.float64(moving.weights[i])
     excess = wp.max(wp.float64(weight) / mean, ONE)
-    rate = rules.rate * told(geometry, i)
-    recolour(moving, rules, features, totals, i, way, degree, excess * mean, rate)
+    shown = told(geometry, i)
+    moving.ways[i, MOST] = wp.max(moving.ways[i, MOST], wp.float32(shown))
+    rate, back = rules.rate * shown, rules.rate * way_back(wp.float64(moving.ways[i, MOST]))
+    recolour(moving, rules, features, totals, i, way, degree, excess * mean, rate, back)
 
     block = curvatures(jacobian, sums)
     for a in range(PACKED):
@@ -397,7 +440,7 @@ def advance_splats(
             pull[a] += jacobian[a, d] * sums[4 + d]
     step = damped_step(block, pull, rules.damping, rules.floor, rules.limits)
     if wp.length_sq(step) > ZERO:
-        reshape(moving, rules, i, step, rate)
+        reshape(moving, rules, i, step, rate, back)
 
 
 @wp.kernel

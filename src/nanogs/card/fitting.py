@@ -39,6 +39,7 @@ class MovingModel:
     Args:
         model: What is drawn: the splats first; it is moved in place.
         columns: means, log_scales, quats, logits and touched of `fit.state.State`.
+        ways: (N, WAY) of `nanogs.kernels.advance`.
         given: (N, K, 3) coefficients that ridges pull back to.
         axes: (N, 3, 3) rotation matrices.
         scales: (N, 3) scene units.
@@ -49,6 +50,7 @@ class MovingModel:
         self,
         model: Model,
         columns: Sequence[F64 | Bool],
+        ways: F32,
         given: F32,
         axes: F32,
         scales: F32,
@@ -67,6 +69,7 @@ class MovingModel:
         moving.seen = put(np.zeros(n, np.int32))
         moving.blocks = put(np.zeros((n, PACKED), np.float32))
         moving.weights = put(np.zeros(n, np.float32))
+        moving.ways = put(ways)
         rules = Rules()
         rules.damping, rules.floor, rules.memory = pace.damping, pace.floor, pace.memory
         rules.limits, rules.bands, rules.single = put(pace.limits), put(pace.bands), pace.single

@@ -13,7 +13,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.fit.parameters import RefitParameters
-from nanogs.fit.state import HIGHEST_LOGIT, LOWEST_LOGIT, MeanState, State, activate, start
+from nanogs.fit.state import HIGHEST_LOGIT, LOWEST_LOGIT, MeanState, State, activate, start, ways_of
 from nanogs.fit.targets import Fitting, Target, pull
 from nanogs.kernels.advance import advance_splats
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
@@ -79,6 +79,7 @@ class Descent:
         self._seen = np.zeros(n, np.int32)
         self._blocks = np.zeros((n, PACKED), np.float32)
         self._weights = np.zeros(n, np.float32)
+        self._ways = ways_of(state, self.splats)
         self._count = 0
 
     def averaging(self) -> "Averaging":
@@ -87,7 +88,7 @@ class Descent:
 
     def rest(self) -> None:
         """Free the memory that only steps need; before further steps, call `begin`."""
-        del self._state, self._active, self._seen, self._blocks, self._weights
+        del self._state, self._active, self._seen, self._blocks, self._weights, self._ways
 
     def step(self, rate: float, share: float) -> float:
         """Move the state by one step.
@@ -157,6 +158,7 @@ class Descent:
             self._seen,
             self._blocks,
             self._weights,
+            self._ways,
         )
         return view.error
 

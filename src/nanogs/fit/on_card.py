@@ -48,6 +48,7 @@ class CardDescent(Descent):
         self._moving = MovingModel(
             uploaded(self._engine, model),
             [begun.means, begun.log_scales, begun.quats, begun.logits, begun.touched],
+            self._ways,
             self._given,
             self._active.axes,
             self._active.scales,

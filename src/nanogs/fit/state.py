@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, F64, Array, Bool
+from nanogs.kernels.advance import WAY
 from nanogs.kernels.project import MIN_ALPHA, reaches_of
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.splats import Splats
@@ -117,6 +118,26 @@ def start(splats: Splats) -> State:
         sh=np.ascontiguousarray(splats.sh),
         touched=np.zeros(len(splats), np.bool_),
     )
+
+
+def ways_of(state: State, splats: Splats) -> F32:
+    """(N, WAY) how far a state is from the model that it started from, of which nothing is told.
+
+    See `nanogs.kernels.advance`; 0 where the model has infinite opacities.
+    """
+    ways = np.zeros((len(splats), WAY), np.float32)
+    if not state.touched.any():
+        return ways
+    logits = np.minimum(splats.opacity_logits, np.float32(HIGHEST_LOGIT))
+    begun = splats.means, splats.log_scales, splats.unit_quats(), logits[:, None]
+    first = 0
+    for now, then in zip(
+        (state.means, state.log_scales, state.quats, state.logits[:, None]), begun, strict=True
+    ):
+        part = ways[:, first : first + then.shape[1]]
+        np.subtract(now, then, out=part, where=np.isfinite(then), casting="same_kind")
+        first += then.shape[1]
+    return ways
 
 
 def activate(state: State, splats: Splats, finite: Bool) -> Active:

@@ -17,6 +17,7 @@ from nanogs.kernels.chain import (
     pulls_and_blocks,
     screen_jacobian,
     told,
+    way_back,
 )
 from nanogs.kernels.damped import damped_steps, new_lanes
 from nanogs.kernels.harmonics import sh_basis
@@ -25,6 +26,10 @@ from nanogs.kernels.project import MIN_ALPHA, guard_bounds, reach_of
 from nanogs.kernels.quaternion import rotation_matrix
 
 LEAST_WEIGHT = 1e-6  # curvature of the colour, pixels: less teaches nothing
+# A splat's way since it started: of its centre, log-scales, quaternion and logit, then the most
+# that a view has told of it.
+WAY = 12
+LOGIT, MOST = 10, 11
 
 
 @inline
@@ -57,6 +62,39 @@ def _reshape(
 
 
 @inline
+def _start(mean: F64, log_scales: F64, quat: F64, logit: float, way: F32, start: F64) -> None:
+    """Write where a splat started, (11,), from where it is and its way until now."""
+    for r in range(3):
+        start[r] = mean[r] - way[r]
+        start[3 + r] = log_scales[r] - way[3 + r]
+    for r in range(4):
+        start[6 + r] = quat[r] - way[6 + r]
+    start[LOGIT] = logit - way[LOGIT]
+
+
+@inline
+def _go_back(
+    share: float, start: F64, mean: F64, log_scales: F64, quat: F64, logit: float, way: F32
+) -> float:
+    """Move a splat by a share of its way back to its start, write its way, and return its logit."""
+    length = 0.0
+    for r in range(4):
+        quat[r] += share * (start[6 + r] - quat[r])
+        length += quat[r] * quat[r]
+    length = math.sqrt(length)
+    for r in range(4):
+        quat[r] /= length
+        way[6 + r] = quat[r] - start[6 + r]
+    for r in range(3):
+        mean[r] += share * (start[r] - mean[r])
+        log_scales[r] += share * (start[3 + r] - log_scales[r])
+        way[r], way[3 + r] = mean[r] - start[r], log_scales[r] - start[3 + r]
+    logit += share * (start[LOGIT] - logit)
+    way[LOGIT] = logit - start[LOGIT]
+    return logit
+
+
+@inline
 def _activate(log_scales: F64, quat: F64, axes: F32, scales: F32, factors: F32) -> None:
     """Write a splat's axes, which are its rotation matrix, its scales, and their products."""
     first, second, third = rotation_matrix(quat)
@@ -77,6 +115,7 @@ def _recolour(
     bands: F64,
     bend: float,
     rate: float,
+    back: float,
     given: F32,
     sh: F32,
 ) -> None:
@@ -88,8 +127,8 @@ def _recolour(
         step = rate / (bands[k, 0] * bend + held)
         for c in range(3):
             pull = basis[k] * sums[c] if shown[c] > 0.0 or sums[c] > 0.0 else 0.0
-            pull -= held * (sh[k, c] - given[k, c])
-            sh[k, c] += np.float32(pull * step)
+            way = sh[k, c] - given[k, c]
+            sh[k, c] += np.float32((pull - held * way) * step - back * way)
 
 
 @parallel_kernel("order")
@@ -129,12 +168,14 @@ def advance_splats(
     seen: I32,
     blocks: F32,
     weights: F32,
+    ways: F32,
 ) -> None:
     """Move what a view shows by one step, and activate it for the next view.
 
     A splat's curvatures are means over the views that showed it. Where it has more pixels in this
     view than it had in those, they are scaled up as the weight of its colour is: no view alone
-    moves it farther than the view's own curvatures allow, nor than it can tell (`chain.told`).
+    moves it farther than the view's own curvatures allow, nor than it can tell (`chain.told`). Of
+    what no view has told much of, each step takes back a part of all steps (`chain.way_back`).
 
     Args:
         start: First place in the order of the range.
@@ -174,6 +215,7 @@ def advance_splats(
         seen: (N,) in and out, views that taught the splat.
         blocks: (N, 55) in and out, mean curvatures of shape, lower triangles.
         weights: (N,) in and out, mean curvature of the colours.
+        ways: (N, WAY) in and out, how far the splat is from where it started, and what was told.
     """
     bounds = guard_bounds(lens)
     point, basis = np.empty(3), np.empty(25)
@@ -181,7 +223,7 @@ def advance_splats(
     jacobians, sums, products = new_chains(shape, screen, lanes)
     pulls, curvatures, moves = new_lanes(shape, lanes)
     rows, excesses, lifts = np.empty(lanes, np.int64), np.empty(lanes), np.empty(lanes)
-    rates = np.empty(lanes)
+    rates, backs, begun = np.empty(lanes), np.empty(lanes), np.empty(MOST)
     place = start
     while place < stop:
         lane = 0
@@ -204,10 +246,12 @@ def advance_splats(
             # Rounded last: never to 0.
             weights[i] = weights[i] + (weight - weights[i]) / min(seen[i], memory)
             excesses[lane] = max(weight / weights[i], 1.0)
-            rates[lane] = rate * told(geometry[i])
+            share = told(geometry[i])
+            ways[i, MOST] = max(ways[i, MOST], np.float32(share))
+            rates[lane], backs[lane] = rate * share, rate * way_back(ways[i, MOST])
             _recolour(
                 totals[i], features[i], point, degree, basis, bands, excesses[lane] * weights[i],
-                rates[lane], given[i], sh[i],
+                rates[lane], backs[lane], given[i], sh[i],
             )  # fmt: skip
             rows[lane] = i
             lane += 1
@@ -224,9 +268,13 @@ def advance_splats(
             if not moves[k]:
                 continue
             i = rows[k]
+            _start(means[i], log_scales[i], quats[i], logits[i], ways[i], begun)
             _reshape(pulls[:, k], rates[k], means[i], log_scales[i], quats[i], axes[i], scales[i])
             least = min(limits[10], logits[i])
-            logits[i] = min(max(logits[i] + rates[k] * pulls[OPACITY, k], least), limits[11])
+            logit = min(max(logits[i] + rates[k] * pulls[OPACITY, k], least), limits[11])
+            logits[i] = _go_back(
+                backs[k], begun, means[i], log_scales[i], quats[i], logit, ways[i]
+            )  # fmt: skip
             for r in range(3):
                 centres[i, r] = means[i, r]
             _activate(log_scales[i], quats[i], axes[i], scales[i], factors[i])

@@ -30,6 +30,8 @@ SCREEN = 6
 # Where the parameters after those of the centre begin, and the opacity; and the first monomial of
 # second order.
 CENTRE, OPACITY, SPREAD = 3, 9, 3
+# Share of its way that a splat of which views tell nothing goes back in each step of full length.
+BACK = 0.2
 # Which monomials each parameter changes. Only the centre moves a splat on screen: the linear ones
 # are its alone. Only opacity changes alpha alike everywhere.
 CHANGES = np.ones((SHAPE, SCREEN), np.bool_)
@@ -60,18 +62,33 @@ def told(row: F64) -> float:
     """How far a view tells what a splat is like, in [0, 1].
 
     It shows the splat's own covariance on screen and the rasteriser's dilation as one. Where that
-    is made the unit matrix, own is the mean eigenvalue of the first part: 1 for a splat of
-    many pixels, 0 for a point. From nearer by the dilation goes, and the error of a change there is
-    to that here as 1 to own². If the splat is right there, both are least together a share own²
-    of the way that this view alone asks for.
+    is made the unit matrix, own are the eigenvalues of the first part: 1 for a splat of many
+    pixels, 0 for a point. From nearer by the dilation goes, and the error of a change there is to
+    that here as 1 to own². If the splat is right there, both are least together a share own² of the
+    way that this view alone asks for. It is the mean over both axes.
 
     Args:
         row: (8,) the projected splat.
     """
-    dilated = row[2] * row[2] * (1.0 + row[3] * row[3]) + row[4]
-    own = max(1.0 - 0.5 * DILATION * dilated, 0.0)
-    share: float = own * own
-    return share
+    # Of the dilation where the covariance is the unit matrix: half the trace, and the determinant.
+    middle = 0.5 * DILATION * (row[2] * row[2] * (1.0 + row[3] * row[3]) + row[4])
+    det = DILATION * DILATION * row[2] * row[2] * row[4]
+    share: float = 1.0 - 2.0 * middle + 2.0 * middle * middle - det
+    return min(max(share, 0.0), 1.0)
+
+
+@inline
+def way_back(told_most: float) -> float:
+    """Share of its way from where a splat started that it goes back in a step of full length.
+
+    Short steps go far where they are many: what views cannot tell apart from the dilation they
+    would let drift.
+
+    Args:
+        told_most: The most that any view so far has told of it, in [0, 1].
+    """
+    untold = 1.0 - told_most
+    return BACK * untold * untold
 
 
 @inline

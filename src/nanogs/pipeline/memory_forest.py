@@ -32,7 +32,8 @@ _GROUPS = 12  # see `reassign.NEIGHBOURS`
 _FIT_TILES = 2
 # Of a splat that is drawn in a step: its projection, its sums, and those of its tiles.
 FIT_STEP = 8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F4 + _FIT_TILES * (25 * _F4 + _I4)
-_CURVATURES = (55 + 1) * _F4 + _I4  # of a splat that is fitted, and how many views it was in
+# Of a splat that is fitted: its curvatures, how many views it was in, its way.
+_CURVATURES = (55 + 1 + 12) * _F4 + _I4
 
 
 def forest_stages(
