@@ -318,6 +318,7 @@ def test_what_views_leave_out_follows_from_what_one_of_them_alone_shows():
     assert both.hidden(0.03) == pytest.approx(0.4 / 1.9)
     assert both.hidden(0.5) == 0.5
     assert (both + visibility.Discovery(0.0, 0.099, 0.1)).hidden(0.03) == pytest.approx(0.2)
-    assert visibility.Discovery(0.019, 1.0, 0.1).hidden(0.03) == 0.03  # all has been seen
+    assert visibility.Discovery(0.009, 1.0, 0.1).hidden(0.03) == 0.03  # all has been seen
+    assert visibility.Discovery(0.011, 1.0, 0.1).hidden(0.03) == pytest.approx(0.11)
     assert visibility.Discovery(3.0, 4.0, 0.1).hidden(0.03) == 1.0
     assert visibility.Discovery(3.0, 4.0, 0.0).hidden(0.03) == 0.03

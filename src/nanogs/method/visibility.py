@@ -18,7 +18,7 @@ from nanogs.views.roam import roaming_cameras
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; grey takes a third of the work
 SHOWN = 0.01  # of a splat that reaches the views, from which it counts as shown
 SMALL = 128  # pixels of a roaming view
-NEW = 0.02  # share of the light of a further view that is new, from which views leave out much
+NEW = 0.01  # share of the light of a further view that is new, from which views leave out much
 DECIDING = 6  # one view in so many decides which candidate is chosen and whether a fit is kept
 
 

@@ -15,7 +15,7 @@ from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
-VERSION = 12  # of the job folder; one of another version is not continued
+VERSION = 13  # of the job folder; one of another version is not continued
 
 
 class Access(StrEnum):
