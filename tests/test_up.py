@@ -90,6 +90,22 @@ def test_a_table_top_amid_things_is_no_ground():
     assert (up_of(model) == (0, -1, 0)).all()
 
 
+def test_the_side_of_a_thick_hedge_is_no_ground():
+    """Leaves that face z, the most of them amid it: no layer of it is thin, nor is one beneath."""
+    rng = np.random.default_rng(3)
+    layers = [*range(240, 300, 6), *range(300, 0, -30)]  # leaves in each
+    n = sum(layers)
+    within = np.concatenate([np.linspace(0, 1, leaves) for leaves in layers])
+    depths = (np.repeat(np.arange(len(layers)), layers) + within) / 10
+    model = replace(
+        SCENE.take(np.arange(n)),
+        means=np.column_stack([rng.uniform(-1, 1, (n, 2)), depths]).astype(np.float32),
+        log_scales=np.tile(np.log(np.float32([0.05, 0.05, 0.001])), (n, 1)),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+    )
+    assert (up_of(model) == (0, -1, 0)).all()
+
+
 def test_a_ceiling_of_more_area_than_the_floor_does_not_turn_a_room():
     """A plain ceiling has few large splats, a floor with a pattern many small ones."""
     rng = np.random.default_rng(2)

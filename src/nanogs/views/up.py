@@ -81,7 +81,10 @@ def ground(surfaces: Surfaces, up: F64) -> float:
     peaks = (pairs[1:-1] >= pairs[:-2]) & (pairs[1:-1] >= pairs[2:])
     beneath = np.array([surfaces.areas[heights < edge].sum() for edge in edges[:-2]])
     # The most of those that may be one: a ceiling can have more area than the floor.
-    start = int(np.argmax(pairs[1:-1] * (peaks & (beneath <= BENEATH))))
+    layers = pairs[1:-1] * (peaks & (beneath <= BENEATH))
+    start = int(np.argmax(layers))
+    if not layers[start]:  # the lowest layer of a thick heap is no ground
+        return 0.0
     within = (heights >= edges[start]) & (heights <= edges[start + 2]) & lying
     if not _is_wide(surfaces, up, within):
         return 0.0
