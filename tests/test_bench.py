@@ -502,6 +502,13 @@ def test_a_model_that_is_none_is_refused_before_anything_is_written(content, mod
     assert not (tmp_path / "out").exists()
 
 
+def test_a_command_that_measures_nothing_says_so_and_fails(tmp_path):
+    result = run("bench", "--scene", f"a={tmp_path}/gone.ply", "--methods", "opacity", "--quiet")
+    assert result.returncode == 2
+    assert "Nothing was measured; a: " in result.stderr
+    assert "gone.ply" in result.stderr.split("measured")[1]
+
+
 @pytest.mark.slow
 def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     out = tmp_path / "out"

@@ -132,6 +132,7 @@ def bench(
     from nanogs.bench.preamble import preamble
     from nanogs.bench.settings import BenchSettings
     from nanogs.bench.tables import markdown
+    from nanogs.cli.console import fail
     from nanogs.formatting import plain
 
     wishes = _wishes(ratios, sizes_of_files, formats)
@@ -163,6 +164,9 @@ def bench(
     if settings.file_sizes:
         data["gains"] = [plain(gain) for gain in mean_gains(rows, others)]
     telling.tell(data, lambda: typer.echo(above + markdown(rows, others=others), nl=False))
+    if not any(row.measured for row in rows):
+        fail(f"Nothing was measured; {rows[0].scene}: {rows[0].reason}")
+        raise typer.Exit(2)
 
 
 def _run(
