@@ -34,6 +34,7 @@ from nanogs.pipeline.settings import (
     Settings,
     Sieve,
     differences,
+    in_words,
 )
 from nanogs.pipeline.settle import keep_every_group
 from nanogs.pipeline.spill import DIGEST
@@ -214,6 +215,14 @@ def test_settings_survive_json():
     assert differences(before, job) == []
     assert differences(before | {"counts": [8], "asked": None}, job) == ["counts", "asked"]
     assert (job.splats, job.read) == (40, 70)
+
+
+def test_what_differs_is_said_in_words_of_who_asked():
+    names = [*settings(50, [30]).to_dict(), "scratch"]
+    for name in names:
+        assert in_words([name])
+    assert in_words(["segments", "block"]) == "the memory (`max_memory`)"
+    assert in_words(["segments", "nan", "block", "filters"]) == "`nan`, the filters"
 
 
 @pytest.mark.parametrize(

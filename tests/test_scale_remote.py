@@ -398,13 +398,14 @@ def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expec
     with pytest.raises(OutputError, match="`resume=True` continues it"):  # -w alone does not
         nanogs.simplify_blocks(scene, out, overwrite=True, **GIVEN)
     other = GIVEN | {"ratio": 0.2}
-    with pytest.raises(OutputError, match=r"its .*ratios.* differ"):
+    with pytest.raises(OutputError, match=r"differs: what is asked for \(ratio"):
         nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **other)
     fits = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1", "--resume"]
-    enough = ["--max-memory", "2GB", "-w"]
+    enough = ["--max-memory", "2GB", "-w", "--up", "0,0,1", "--sh-degree", "0"]
     done = subprocess.run([*map(str, fits), *enough], capture_output=True, text=True)
     assert done.returncode == 2
-    assert "holds another job (its segments, block, parameters differ)" in done.stderr
+    other = "the preset or its parameters, the views (--cameras, --up), --sh-degree"
+    assert f"holds another job (what differs: {other}); resume it with the same" in done.stderr
     report = nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **GIVEN)
     assert report.blocks.resumed >= 3
     assert out.read_bytes() == expected

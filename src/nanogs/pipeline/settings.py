@@ -1,7 +1,7 @@
 """A job as plain data: all that decides the bytes of its result."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
@@ -16,6 +16,30 @@ from nanogs.source import Layout
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
 VERSION = 13  # of the job folder; one of another version is not continued
+
+# Fields of `Settings` in the words of who gave them; what follows from others comes last.
+_GIVEN = {
+    "version": "the version of nanogs",
+    "inputs": "the input files",
+    "ratios": "what is asked for (ratio, count, size, PSNR, draw cost)",
+    "counts": "what is asked for (ratio, count, size, PSNR, draw cost)",
+    "search": "what is asked for (ratio, count, size, PSNR, draw cost)",
+    "nan": "`nan`",
+    "parameters": "the preset or its parameters",
+    "chunks": "how levels are divided",
+    "filters": "the filters",
+    "frame": "`frame`",
+    "asked": "the views (`cameras`, `up`)",
+    "sh_degree": "`sh_degree`",
+    "sharing": "`palette`",
+    "environment": "`environment`",
+    "scratch": "`scratch`",
+}
+_FOLLOWING = {
+    "layout": "`sh_degree` or `render_mode`",
+    "segments": "the memory (`max_memory`)",
+    "block": "the memory (`max_memory`)",
+}
 
 
 class Access(StrEnum):
@@ -238,3 +262,14 @@ def differences(before: Mapping[str, Any], now: Settings) -> list[str]:
     """Names of what differs between two jobs, the first as JSON holds it."""
     plain = json.loads(json.dumps(now.to_dict()))
     return [name for name, value in plain.items() if before.get(name) != value]
+
+
+def in_words(names: Sequence[str]) -> str:
+    """What differs, as who asked for the jobs knows it: options and files.
+
+    Args:
+        names: As `differences` gives them, or "scratch".
+    """
+    given = [_GIVEN[name] for name in names if name in _GIVEN]
+    found = given or [_FOLLOWING[name] for name in names]
+    return ", ".join(dict.fromkeys(found))

@@ -29,7 +29,7 @@ from nanogs.pipeline.folder import (
 )
 from nanogs.pipeline.foreseen import job_stages
 from nanogs.pipeline.run import Done, Executor, Here, Search, run_tasks
-from nanogs.pipeline.settings import Settings, differences
+from nanogs.pipeline.settings import Settings, differences, in_words
 from nanogs.pipeline.weights import measure_stage
 from nanogs.pipeline.workers import workers_of
 from nanogs.progress import WAITING, Progress, Tracker
@@ -158,10 +158,10 @@ class BlockJob:
         before, place = found
         other = differences(before, self.settings)
         if other or _parent_of(place) != self._scratch_parent():
-            what = ", ".join(other) or "scratch"
+            what = in_words(other or ["scratch"])
             raise OutputError(
-                f"{self.folder} holds another job (its {what} differ); resume it with the same"
-                " inputs and options, or remove the folder."
+                f"{self.folder} holds another job (what differs: {what});"
+                " resume it with the same inputs and options, or remove the folder."
             )
         self.ending.check_begun(self.folder)
         return place
