@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs.clock import StageClock
 from nanogs.defaults import DEFAULT_MEMORY
-from nanogs.errors import OptionError, OutputError
+from nanogs.errors import CrowdedError, OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
@@ -95,7 +95,11 @@ def fill_in_blocks(
     ending = Ending(sink, reports, measured, max_memory, costed)
     job = BlockJob(settings, folder, request.scratch, ending, search)
     where = Where(request.threads, request.executor, request.patience)
-    made = job.run(where, clock, told, resume=request.resume)
+    try:
+        made = job.run(where, clock, told, resume=request.resume)
+    except CrowdedError as error:
+        limit = "block" if request.block else "max_memory"
+        raise CrowdedError(f"{error}; raise `{limit}`.") from None
     return made[1], reports(*made)
 
 

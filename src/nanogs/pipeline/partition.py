@@ -69,7 +69,8 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
 
     Raises:
         ModelError: No splat is usable.
-        CrowdedError: More splats than a block may have are in one place.
+        CrowdedError: More splats than a block may have are in one place; who knows what limits
+            blocks adds the remedy.
     """
     splats = sum(int(record.facts["splats"]) for record in segments)
     if splats == 0:
@@ -87,7 +88,7 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
     if most > settings.block + slack:
         raise CrowdedError(
             f"{most:,} splats lie in one place and cannot be divided into blocks of"
-            f" {settings.block:,}; raise `max_memory`."
+            f" {settings.block:,}"
         )
     return found
 
