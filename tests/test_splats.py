@@ -115,6 +115,7 @@ def test_any_way_to_name_rows_is_that_of_numpy(drawn):
         assert table(some)[name].tobytes() == kept.tobytes(), name
         assert table(some)[name].dtype == column.dtype, name
     assert (some.render_mode, some.comments) == (model.render_mode, model.comments)
+    assert_same(replace(model.take(rows), elements=some.elements), some)
 
 
 @given(splats())
@@ -154,6 +155,8 @@ def test_an_element_of_one_row_a_splat_follows_and_others_stay():
 def test_what_names_no_rows_is_refused(rows, message):
     with pytest.raises(IndexError, match=message):
         random_splats(12)[rows]
+    with pytest.raises(IndexError, match=message):
+        random_splats(12).take(rows)
 
 
 # ---- what is taken --------------------------------------------------------------------------
@@ -234,6 +237,8 @@ def test_tensors_of_pytorch_are_taken():
             {"render_mode": "antialiased"},
             "render_mode must be one of default, mip, 2dgs, not 'anti",
         ),
+        ({"comments": "by me"}, "comments must be a list, not one text"),
+        ({"notes": "by me"}, "notes must be a list, not one text"),
         ({"extras": {"label": [1, 2]}}, r"extra column 'label' must be \(4,\), not \(2,\)"),
     ],
 )

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from nanogs._types import I64, Array, Bool, F
+from nanogs._types import I32, I64, Array, Bool, F
 from nanogs.errors import ModelError
 
 
@@ -62,7 +62,7 @@ def _typed(value: object) -> bool:
     return hasattr(value, "dtype")
 
 
-def as_rows(rows: Any, count: int) -> I64 | Bool | slice:  # noqa: ANN401 - it is found out here
+def as_rows(rows: Any, count: int) -> I64 | I32 | Bool | slice:  # noqa: ANN401 - it is found out here
     """Rows of an array in one of the ways that NumPy knows, but always as many as are named.
 
     Args:
@@ -85,7 +85,8 @@ def as_rows(rows: Any, count: int) -> I64 | Bool | slice:  # noqa: ANN401 - it i
         raise _no_rows(rows)
     if array.dtype == bool and len(array) != count:
         raise IndexError(f"A mask has one flag for each of the {count:,} splats, not {len(array)}.")
-    return array if array.dtype == bool else array.astype(np.int64, copy=False)
+    # Others stay as they are: twice the memory would be much. NumPy takes no unsigned ones.
+    return array.astype(np.int64) if array.dtype.kind == "u" else array
 
 
 def _index_array(rows: object) -> Array:

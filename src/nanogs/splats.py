@@ -52,7 +52,7 @@ class ExtraElement:
         """Whether it has one row for each of so many splats; of a single splat nobody can tell."""
         return len(self.rows) == count > 1
 
-    def of_rows(self, rows: I64 | Bool | slice, count: int) -> "ExtraElement":
+    def of_rows(self, rows: I64 | I32 | Bool | slice, count: int) -> "ExtraElement":
         """The element with the rows of some of `count` splats."""
         kept = pick(self.rows, rows) if self.is_per_splat(count) else self.rows
         return ExtraElement(self.name, kept)
@@ -108,7 +108,10 @@ class Splats:
         extras = {name: as_array(f"extra column {name!r}", a) for name, a in self.extras.items()}
         object.__setattr__(self, "extras", MappingProxyType(extras))
         for name in ("comments", "elements", "notes"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+            given = getattr(self, name)
+            if isinstance(given, str):  # each letter would be a line
+                raise ModelError(f"{name} must be a list, not one text; put the text into a list.")
+            object.__setattr__(self, name, tuple(given))
         if self.render_mode not in tuple(RenderMode):
             modes = ", ".join(RenderMode)
             raise ModelError(f"render_mode must be one of {modes}, not {self.render_mode!r}.")
@@ -243,8 +246,15 @@ class Splats:
         spread.each(slices(len(self)), look)
         return found
 
-    def take(self, rows: I64 | I32 | Bool | slice) -> "Splats":
-        """The given rows (indices, a mask or a slice), every column and tag with them."""
+    def take(self, rows: Any) -> "Splats":  # noqa: ANN401 - many ways to name rows
+        """The given rows, named as in `splats[rows]`; every column and tag with them.
+
+        Further PLY elements stay whole.
+
+        Raises:
+            IndexError: They are no rows of this model.
+        """
+        rows = as_rows(rows, len(self))
         columns: dict[str, Any] = {name: pick(getattr(self, name), rows) for name in _COLUMNS}
         extras = {name: pick(column, rows) for name, column in self.extras.items()}
         return replace(self, **columns, extras=extras)
