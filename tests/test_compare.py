@@ -216,6 +216,10 @@ def test_render_writes_pictures(files, tmp_path):
         "render", files / "scene.ply", tmp_path / "out", "--views", "3", "--pixels", "64x48"
     )
     assert_refused(again, "-w")
+    fewer = run(*arguments[:-1], "1", "--pixels", "64x48", "-w")
+    assert f"5 older pictures were left in {tmp_path / 'out'}: " in fewer.stderr
+    assert len([*(tmp_path / "out").iterdir()]) == 6
+    assert "older" not in run(*arguments, "--pixels", "64x48", "--depth", "-w").stderr
 
 
 def test_compare_as_json_and_as_a_table(files):

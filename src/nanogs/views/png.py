@@ -7,7 +7,7 @@ from pathlib import Path
 
 from nanogs._types import Array
 from nanogs.errors import OptionError
-from nanogs.formatting import undrawn
+from nanogs.formatting import counted, undrawn
 from nanogs.io.atomic import atomic_write, check_writable
 from nanogs.io.folder import atomic_folder
 from nanogs.progress import Progress, Stage, Tracker
@@ -58,6 +58,7 @@ def render_images(
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
     folder, names, suffix = _places(target, cameras, overwrite=overwrite)
+    before = _pictures(target)
     tracker = Tracker(progress, [Stage("render", 1.0)])
     shown = renderings(
         drawable(model, room), cameras, background=background, depth=depth, tell=tracker.part
@@ -66,7 +67,23 @@ def render_images(
     with _filled(folder) as place:
         files, notes = _write(shown, names, suffix, place, **options)
     tracker.finish()
+    notes += _left(before, files, folder)
     return [str(folder / name) for name in files], [*lens_notes(cameras), *notes]
+
+
+def _pictures(folder: Path) -> set[str]:
+    """Names of the pictures in a folder, if it is one."""
+    return {path.name for path in folder.glob("*.png")} if folder.is_dir() else set()
+
+
+def _left(before: set[str], written: Sequence[str], folder: Path) -> list[str]:
+    """A note on older pictures beside those that were replaced: a run before had more views."""
+    others = sorted(before - set(written))
+    if not others or before.isdisjoint(written):
+        return []
+    left = counted(len(others), "older picture was", "older pictures were")
+    named = f"{others[0]} to {others[-1]}" if others[1:] else others[0]
+    return [f"{left} left in {folder}: {named}"]
 
 
 @contextmanager
