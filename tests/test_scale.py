@@ -111,6 +111,23 @@ def test_rows_of_a_table_come_back_and_a_changed_byte_is_found(tmp_path):
     assert read_record(scratch, "t") is None
 
 
+@pytest.mark.parametrize("kind", ["", "file://"])
+def test_a_folder_around_goes_only_if_it_was_made(tmp_path, kind):
+    if kind:
+        pytest.importorskip("fsspec")
+    around = tmp_path / "around"
+    for there in (False, True):
+        if there:
+            around.mkdir()
+        open_scratch(f"{kind}{around}/nanogs-1").prepare()
+        again = open_scratch(f"{kind}{around}/nanogs-1")  # of a run that continues the job
+        again.prepare()
+        write_table(again, "t", {"n": np.arange(7)}, {})
+        again.remove()
+        assert [*tmp_path.iterdir()] == [around] * there
+        assert not there or not [*around.iterdir()]
+
+
 def test_a_record_of_objects_is_as_one_that_is_damaged(tmp_path, monkeypatch):
     scratch = FolderScratch(tmp_path)
     monkeypatch.setattr(scratch, "write", objects_written(scratch.write))

@@ -9,7 +9,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import NanogsError, OptionError, OutputError
-from nanogs.store.scratch import SUFFIXES, write_hashed
+from nanogs.store.scratch import MADE, SUFFIXES, write_hashed
 
 # Stores of objects by name: they have no folders, and none is to be made or taken away, which for
 # a name without slashes would be a bucket.
@@ -54,7 +54,10 @@ class UrlScratch:
         """As `Scratch` says; what is not allowed shows here, before anything is computed."""
         with self._reached(f"{self.url} cannot be written to"):
             if self.has_folders:
+                new = not self.files.exists(self.root.rpartition("/")[0])
                 self.files.makedirs(self.root, exist_ok=True)
+                if new:
+                    self.files.touch(f"{self.root}/{MADE}")
         self.write(_PROBE, [np.zeros(1, np.uint8)])
         with self.open(_PROBE) as file:
             file.read()
@@ -99,12 +102,14 @@ class UrlScratch:
         """As `Scratch` says."""
         with self._reached(f"{self.url} cannot be emptied"):
             self._abort()
-            for path in self._names(SUFFIXES):
+            paths = self._names(SUFFIXES)
+            for path in paths:
                 self.files.rm_file(path)
             if self.has_folders:
                 with suppress(OSError, NotImplementedError):
                     self.files.rmdir(self.root)
-                    self.files.rmdir(self.root.rpartition("/")[0])
+                    if any(path.endswith(f"/{MADE}") for path in paths):
+                        self.files.rmdir(self.root.rpartition("/")[0])
 
     def tidy(self) -> None:
         """As `Scratch` says."""

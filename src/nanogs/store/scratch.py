@@ -17,6 +17,7 @@ from nanogs._types import Array
 from nanogs.io.atomic import output_error
 
 SUFFIXES = (".npy", ".json", ".tmp")
+MADE = "made.json"  # is there where the folder around was made too, and by no user
 _CHUNK = 1 << 22
 
 
@@ -60,7 +61,10 @@ class Scratch(Protocol):
         """Take away all files that `write` made whose names begin so."""
 
     def remove(self) -> None:
-        """Take away all files that `write` made, and the folder, and the one around it if empty."""
+        """Take away all files that `write` made, and the folder, and the one around it.
+
+        That one only if it is empty and `prepare` made it, of this run or of one before.
+        """
 
     def tidy(self) -> None:
         """Take away what killed writers left."""
@@ -85,7 +89,10 @@ class FolderScratch:
     def prepare(self) -> None:
         """As `Scratch` says."""
         try:
+            new = not self.folder.parent.exists()
             self.folder.mkdir(parents=True, exist_ok=True)
+            if new:
+                (self.folder / MADE).touch()
         except OSError as error:
             raise output_error(self.folder, error) from error
 
@@ -115,11 +122,13 @@ class FolderScratch:
 
     def remove(self) -> None:
         """As `Scratch` says."""
+        made = (self.folder / MADE).exists()
         for path in self._files(SUFFIXES):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # unless something else is in it
             self.folder.rmdir()
-            self.folder.parent.rmdir()
+            if made:
+                self.folder.parent.rmdir()
 
     def tidy(self) -> None:
         """As `Scratch` says."""
