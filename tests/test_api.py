@@ -1,5 +1,6 @@
 """Python's side of the library: names, paths in place of models, scores and pictures."""
 
+import dataclasses
 import inspect
 import json
 import pickle
@@ -484,6 +485,10 @@ def test_options_of_all_calls_are_refused_in_a_sentence(pair, files, tmp_path, o
         ({"block": 10.0}, r"`block` must be a whole number of splats, 1 or more, not 10\.0"),
         ({"patience": "x"}, "`patience` must be seconds, 0 or more, not 'x'"),
         ({"patience": -1}, "`patience` must be seconds, 0 or more, not -1"),
+        ({"measured": "no"}, "`measured` must be True or False, not 'no'"),
+        ({"resume": "no"}, "`resume` must be True or False, not 'no'"),
+        ({"overwrite": [True]}, r"`overwrite` must be True or False, not \[True\]"),
+        ({"measure": "no"}, "measure must be True or False, not 'no'"),
         ({"up": (1, 2), "block": 20}, r"three finite numbers, not all zero, not \(1, 2\)"),
         ({"up": (0, 0, 0), "block": 20}, "three finite numbers, not all zero"),
         ({"up": "z", "block": 20}, "three finite numbers, not all zero, not 'z'"),
@@ -494,6 +499,14 @@ def test_options_of_jobs_are_refused_before_anything_is_written(files, tmp_path,
     with pytest.raises(OptionError, match=message):
         nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **given)
     assert not list(tmp_path.iterdir())
+
+
+def test_switches_of_numpy_are_taken():
+    chosen = nanogs.presets["best"]
+    assert dataclasses.replace(chosen, measure=np.bool_(False), halves=1) == dataclasses.replace(
+        chosen, measure=False, halves=True
+    )
+    assert type(dataclasses.replace(chosen, measure=np.bool_(False)).measure) is bool
 
 
 def test_one_format_needs_no_list(pair):

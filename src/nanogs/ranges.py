@@ -1,6 +1,7 @@
 """Parameters as fields of dataclasses: their default, range, and what the command says of them."""
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -73,6 +74,8 @@ def known_parameters(kind: Any) -> dict[str, Parameter]:  # noqa: ANN401 - any d
 def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
     """Refuse values out of their range, and take those of NumPy for Python's: JSON has no others.
 
+    Fields that are True or False by default are switches.
+
     Args:
         chosen: Parameters, whose fields are made by `parameter`; a new instance.
 
@@ -86,6 +89,24 @@ def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
             raise OptionError(f"{name} must be {expected}, not {shown}.")
         if type(value) not in (int, float):
             object.__setattr__(chosen, name, int(value) if known.whole else float(value))
+    for each in fields(chosen):
+        if isinstance(each.default, bool):
+            object.__setattr__(chosen, each.name, as_switch(each.name, getattr(chosen, each.name)))
+
+
+def as_switch(name: str, value: object) -> bool:
+    """True or False, of Python, NumPy or as 1 and 0; any text would count as true, "no" as well.
+
+    Args:
+        name: What it is called, for the message.
+        value: The value.
+
+    Raises:
+        OptionError: It is neither.
+    """
+    if not isinstance(value, Hashable) or value not in (True, False):
+        raise OptionError(f"{name} must be True or False, not {value_text(value)}.")
+    return bool(value)
 
 
 def value_text(value: Any) -> str:  # noqa: ANN401 - whatever a caller gives

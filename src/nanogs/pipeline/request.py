@@ -27,7 +27,7 @@ from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory, plan_wr
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.pipeline.rows import Changes, check_nan, open_parts
 from nanogs.pipeline.target import Goal, is_searched, target_count
-from nanogs.ranges import is_number
+from nanogs.ranges import as_switch, is_number
 from nanogs.source import Joined
 from nanogs.splats import Splats, check_degree
 from nanogs.store.columns import row_bytes
@@ -89,6 +89,9 @@ class Request:
         object.__setattr__(self, "frame", checked_frames(self.frame))
         check_nan(self.nan)
         check_degree(self.sh_degree)
+        for name in ("measured", "resume", "overwrite"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, as_switch(f"`{name}`", value))
         if self.block is not None and not (is_number(self.block, whole=True) and self.block >= 1):
             raise OptionError(
                 f"`block` must be a whole number of splats, 1 or more, not {self.block!r}."
