@@ -12,6 +12,7 @@ from PIL import Image
 
 import launch
 import nanogs
+from browsers import page_at
 from builders import random_splats
 from nanogs.bench.gains import mean_gains
 from nanogs.bench.output import ResultFolder
@@ -219,6 +220,17 @@ def test_words_of_others_are_escaped_in_the_page():
     assert "<them>" not in page
     assert "<x>" not in page
     assert "&lt;them&gt;" in page
+
+
+@pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+def test_each_chart_of_the_page_fits_a_phone_with_its_legend(tmp_path):
+    rows = [*rows_of("them", BASE, near=1), *rows_of("ours", plus(2), near=1)]
+    (tmp_path / "a.html").write_text(size_page(rows, ["them"], "nanogs bench x"), encoding="utf-8")
+    with page_at((tmp_path / "a.html").as_uri(), 390, 844) as page:
+        boxes = [svg.bounding_box() for svg in page.locator("svg").all()]
+        assert len(boxes) == 2
+        assert all(box["x"] + box["width"] <= 390 for box in boxes)
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
 
 
 def test_a_scene_whose_name_is_no_utf8_has_results(tmp_path):

@@ -8,6 +8,7 @@ from nanogs.bench.gains import Gain, MeanGain, mean_gains, score_on
 from nanogs.bench.means import unique
 from nanogs.bench.rows import BenchRow, Status
 from nanogs.bench.size_charts import SizeCharts
+from nanogs.charts import svg
 from nanogs.formatting import NONE, counted, number_text
 
 TITLE = "Gain at equal size"
@@ -92,7 +93,8 @@ def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) ->
         legend=LEGEND,
         gains=gain_table(gains),
         remarks=gain_remarks(gains),
-        charts=Markup(SizeCharts(rows).svg()),  # noqa: S704 - its words are escaped there
+        # One drawing each, so that they fit a phone; their words are escaped there.
+        charts=[Markup(svg([chart])) for chart in SizeCharts(rows).charts],  # noqa: S704
         files=file_table(rows),
         left_out=[
             f"{row.scene}, {row.method} at {row.wish.text}: {row.status}: {row.reason}"
