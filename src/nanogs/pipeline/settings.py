@@ -265,7 +265,7 @@ def differences(before: Mapping[str, Any], now: Settings) -> list[str]:
 
 
 def in_words(names: Sequence[str]) -> str:
-    """What differs, as who asked for the jobs knows it: options and files.
+    """Differences of two jobs as who asked for them knows them: options and files.
 
     Args:
         names: As `differences` gives them, or "scratch".
