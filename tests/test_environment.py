@@ -320,12 +320,12 @@ def test_a_job_that_was_cut_off_gives_the_same_bytes(model, tmp_path, monkeypatc
     monkeypatch.setattr(folder.ChunksFilling, "_write", cut_off)
     with pytest.raises(KeyboardInterrupt):
         write_levels(model, tmp_path / "b.ssog", [1, 0.1], **options)
-    with pytest.raises(OutputError, match=r"its .*filters, .* differ"):
+    with pytest.raises(OutputError, match=r"differs: the filters, `environment`\)"):
         write_levels(
             model, tmp_path / "b.ssog", [1, 0.1], resume=True, environment="none", **options
         )
     other = shell(300, 30)
-    with pytest.raises(OutputError, match=r"its .*environment differ"):
+    with pytest.raises(OutputError, match=r"differs: .*`environment`\)"):
         write_levels(
             model, tmp_path / "b.ssog", [1, 0.1], resume=True, environment=other, **options
         )

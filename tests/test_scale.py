@@ -238,7 +238,7 @@ def test_what_differs_is_said_in_words_of_who_asked():
     names = [*settings(50, [30]).to_dict(), "scratch"]
     for name in names:
         assert in_words([name])
-    assert in_words(["segments", "block"]) == "the memory (`max_memory`)"
+    assert in_words(["segments", "block"]) == "the memory for blocks, or their size"
     assert in_words(["segments", "nan", "block", "filters"]) == "`nan`, the filters"
 
 
@@ -463,10 +463,10 @@ def test_a_job_is_not_mistaken_for_another(scene, tmp_path, monkeypatch):
     begin(own, out, monkeypatch)
     with pytest.raises(OutputError, match="`resume=True` continues it"):
         nanogs.simplify_blocks(own, out, ratio=0.3, **SETTLED)
-    with pytest.raises(OutputError, match="its segments, ratios, block differ"):
+    with pytest.raises(OutputError, match=r"differs: what is asked for \(ratio[^)]*\)\);"):
         nanogs.simplify_blocks(own, out, ratio=0.2, resume=True, **(SETTLED | {"block": 900}))
     os.utime(own, (1, 1))
-    with pytest.raises(OutputError, match="its inputs differ"):
+    with pytest.raises(OutputError, match=r"differs: the input files\)"):
         nanogs.simplify_blocks(own, out, ratio=0.3, resume=True, **SETTLED)
     (tmp_path / "small.ply.job" / MANIFEST).write_text("{")
     with pytest.raises(FormatError, match="cannot be read"):
