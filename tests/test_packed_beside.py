@@ -158,6 +158,10 @@ def test_a_result_that_is_measured_says_what_packing_cost(files, tmp_path, suffi
     expected, loss = packed.packed, found.packed
     assert loss.format == suffix
     assert found.judged.psnr == pytest.approx(packed.psnr, **near)
+    near_ssim = {"abs": 0.005 if "frame" in more else 1e-6}
+    assert found.judged.ssim == pytest.approx(packed.ssim, **near_ssim)
+    assert loss.ssim == pytest.approx(expected.ssim, **near_ssim)
+    assert loss.ssim_cost == pytest.approx(expected.ssim_cost, **near_ssim)
     assert loss.psnr_cost == pytest.approx(expected.psnr_cost, **near)
     assert loss.psnr == pytest.approx(expected.psnr, **(near and {"abs": 3}))
     assert loss.psnr_cost == pytest.approx(plain.judged.psnr - found.judged.psnr, abs=1e-3)

@@ -117,14 +117,40 @@ def test_simplify(preset, ratio):
         assert stages >= last.get(preset, {"store"})
 
 
-@pytest.mark.parametrize("goal", [{"psnr": 20.0}, {"size": 9_000, "format": ".sog"}])
+@pytest.mark.parametrize(
+    ("goal", "first", "stages"),
+    [
+        ({"psnr": 20.0}, ["measure"], {"default": ["search", "deliver"], "fast": ["search"]}),
+        ({"draw_cost": 0.5}, ["measure"], {"default": ["search", "deliver"], "fast": ["search"]}),
+        (
+            {"size": 9_000, "format": ".sog"},
+            [],
+            {"default": ["guess", "pack", "deliver"], "fast": ["guess", "search"]},
+        ),
+    ],
+)
 @pytest.mark.parametrize("preset", ["default", "fast"])
-def test_searches(preset, goal, small_pictures):
+def test_searches(preset, goal, first, stages, small_pictures):
     told = []
-    nanogs.simplify(random_splats(300), preset=preset, progress=told.append, **goal)
+    splats = random_splats(300)
+    _, report = nanogs.simplify(splats, preset=preset, progress=told.append, **goal)
     assert_true(told)
     searching = ("search", "pack", "deliver")
     assert len({step.fraction for step in told if step.stage in searching}) > 3
+    order = [stage for stage, _ in itertools.groupby(step.stage for step in told)]
+    looking = ["views", "look"] if preset == "default" else []
+    assert order[-len(stages[preset]) :] == stages[preset]
+    assert order[: -len(stages[preset])] == [*first, "frame", *looking, "grow"]
+    _, plain = nanogs.simplify(splats, preset=preset, ratio=0.3)
+    timed = {"encode"} | {"measure" for _ in looking} if "size" in goal else {"measure"}
+    assert {*report.seconds} - {*plain.seconds} == timed
+
+
+def test_a_size_that_tells_the_count_but_not_the_harmonics_is_packed_first(small_pictures):
+    told, splats = [], random_splats(300, degree=1)
+    nanogs.simplify(splats, size=9_000, progress=lambda step: told.append(step.stage))
+    first = ["frame", "views", "look", "grow"]
+    assert [*dict.fromkeys(told)] == [*first, "guess", "pack", "deliver"]
 
 
 def test_a_size_that_tells_the_count_has_the_stages_of_a_count(tmp_path):

@@ -31,8 +31,13 @@ def scene(tmp_path_factory):
 
 def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
     out = tmp_path / "a.spz"
-    report = nanogs.simplify_blocks(scene, out, psnr=26.0, **LOOKS)
+    told = []
+    report = nanogs.simplify_blocks(
+        scene, out, psnr=26.0, progress=lambda step: told.append(step.stage), **LOOKS
+    )
     assert report.stop is StopReason.TARGET
+    last = ["measure", "search", "guess", "pack", "deliver", "write"]
+    assert [*dict.fromkeys(told)][-6:] == last
     assert 26.0 <= report.judged.psnr <= 26.0 + SPAN
     assert report.judged == file_judge(nanogs.load(scene), ".spz").of(out)
     assert report.blocks.blocks > 2
@@ -42,6 +47,28 @@ def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
     assert quick
     assert (report.achieved_count, report.judged.psnr) in [(p.count, p.psnr) for p in made]
     assert [*tmp_path.iterdir()] == [out]
+
+
+@pytest.mark.parametrize(
+    ("preset", "wish", "stages", "timed"),
+    [
+        (QUICK, {"psnr": 20.0}, ["measure", "search"], {"measure"}),
+        (QUICK, {"draw_cost": 0.5}, ["measure", "search"], {"measure"}),
+        (QUICK, {"size": 40_000}, ["guess", "search"], {"encode"}),
+        (LOOKS, {"draw_cost": 0.5}, ["measure", "search", "deliver"], {"measure"}),
+        (LOOKS, {"size": 40_000}, ["guess", "pack", "deliver"], {"encode", "measure"}),
+    ],
+)
+def test_stages_are_told_and_timed_by_their_names(scene, tmp_path, preset, wish, stages, timed):
+    told, out = [], tmp_path / "a.spz"
+    report = nanogs.simplify_blocks(
+        scene, out, progress=lambda step: told.append(step.stage), **wish, **preset
+    )
+    first = ["segment", "partition", "rough", "outline", "coarse", "views", "look", "grow"]
+    first = ["frame", *(first if preset is LOOKS else ["segment", "partition", "grow"])]
+    assert [*dict.fromkeys(told)] == [*first, *stages, "write"]
+    plain = nanogs.simplify_blocks(scene, out, overwrite=True, ratio=0.5, **preset)
+    assert {*report.seconds} - {*plain.seconds} == timed
 
 
 def test_it_is_measured_in_the_frame_of_the_input(scene, tmp_path):
