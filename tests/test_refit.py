@@ -490,6 +490,7 @@ def test_given_cameras_are_reduced_and_shared_out():
     original, small = cloud_pair()
     cameras = automatic_cameras(original, 5, width=200, height=100)
     _, report = refit(original, small, cameras=cameras, parameters=QUICK)
+    assert [group.pixels for group in report.groups] == [str(min(200, QUICK.size))]
     assert len(report.fit_views) == 4
     assert len(report.validation_views) == 1
 

@@ -35,6 +35,7 @@ def test_command_fits_and_reports(files, tmp_path):
     report = json.loads(result.stdout)
     assert report["improved"]
     assert len(report["fit_views"]) == 4
+    assert [group["pixels"] for group in report["groups"]] == ["128"]
     assert len(nanogs.load(out)) == report["count"]
     assert_refused(run("refit", *given, *quick), "out.ply", "exists")
     result = run("refit", *given, *quick, "-w", "-v", "--cameras", "orbit")

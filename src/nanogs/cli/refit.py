@@ -165,8 +165,8 @@ def _print_report(report: "RefitReport", target: Path, *, verbose: bool) -> None
         show_report(report)
     before, after = number_text(report.psnr_before), number_text(report.psnr_after)
     views = counted(len(report.validation_views), "view")
-    # Cameras that were given have sizes of their own, which the groups are named by.
-    sizes = " and ".join(dict.fromkeys(group.name.split(" px")[0] for group in report.groups))
+    # Cameras that were given have sizes of their own.
+    sizes = " and ".join(dict.fromkeys(group.pixels for group in report.groups))
     say(
         f"{counted(report.count, 'splat')} in {target}, {before} {arrow()} {after} dB on"
         f" {views} kept apart of {sizes} pixels,"

@@ -40,8 +40,7 @@ def grouped(targets: Sequence[Target]) -> list[Group]:
     """
     groups = []
     for views in _by_size(targets):
-        sizes = sorted({_longer(view) for view in views})
-        pixels = " to ".join(str(size) for size in sizes[:: max(1, len(sizes) - 1)]) + " px"
+        pixels = f"{pixels_text(views)} px"
         near = sorted(views, key=lambda view: view.footprint)
         half = len(near) // 2
         known = near[0].footprint < math.inf
@@ -51,6 +50,12 @@ def grouped(targets: Sequence[Target]) -> list[Group]:
         else:
             groups.append(Group(pixels, tuple(views)))
     return groups
+
+
+def pixels_text(targets: Sequence[Target]) -> str:
+    """Pixels along the longer sides of views, of the smallest to the largest: "512 to 900"."""
+    sizes = sorted({_longer(target) for target in targets})
+    return " to ".join(str(size) for size in sizes[:: max(1, len(sizes) - 1)])
 
 
 def hold_out(groups: Sequence[Group], count: int) -> list[Group]:

@@ -46,12 +46,14 @@ class GroupReport:
         views: Names of the cameras.
         psnr_before: Mean of the input over them, dB, over black and white alike.
         psnr_after: The same of the result; never below `psnr_before`.
+        pixels: Along the longer sides of these pictures: "512", or "512 to 900".
     """
 
     name: str
     views: tuple[str, ...]
     psnr_before: float
     psnr_after: float
+    pixels: str = ""
 
 
 @dataclass(frozen=True, slots=True)

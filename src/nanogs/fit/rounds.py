@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs.fit.descent import FITTED, Descent
-from nanogs.fit.groups import Group
+from nanogs.fit.groups import Group, pixels_text
 from nanogs.fit.on_card import descent_for
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import GroupReport, RefitStop, RoundReport
@@ -75,7 +75,13 @@ class Guard:
     def reports(self) -> tuple[GroupReport, ...]:
         """The gain on each group."""
         return tuple(
-            GroupReport(group.name, tuple(view.camera.name for view in group.targets), old, new)
+            GroupReport(
+                group.name,
+                tuple(view.camera.name for view in group.targets),
+                old,
+                new,
+                pixels_text(group.targets),
+            )
             for group, old, new in zip(self.groups, self.before, self.best, strict=True)
         )
 
