@@ -197,6 +197,12 @@ def test_percentiles_are_exact_whether_values_are_held_or_counted(values, size, 
     assert held.values() == pytest.approx(expected, rel=1e-6)
 
 
+def test_a_description_is_plain_data(tmp_path):
+    nanogs.save(random_splats(10), tmp_path / "a.ply")
+    plain = nanogs.info(tmp_path / "a.ply").to_dict()
+    assert json.loads(json.dumps(plain))["path"] == str(tmp_path / "a.ply")
+
+
 def test_a_large_model_is_described_as_a_small_one(tmp_path, monkeypatch):
     splats = random_splats(3000, degree=1)
     splats.means[5] = np.nan

@@ -1,9 +1,11 @@
 """`-` for stdin and stdout: the same bytes as with files, nothing else on stdout."""
 
+import io
 import json
 import os
 import subprocess
 import sys
+import zipfile
 
 import pytest
 
@@ -92,6 +94,22 @@ def test_the_first_bytes_say_the_format(tmp_path, name):
     raw = (tmp_path / f"a{name}").read_bytes()
     (tmp_path / f"b{found}").write_bytes(raw)
     assert len(nanogs.load(tmp_path / f"b{found}")) == 20
+
+
+@pytest.mark.parametrize("folder", ["", "web/"])
+def test_a_stream_in_one_file_is_told_from_the_models_in_it(tmp_path, folder):
+    """A zip of `lod-meta.json` has a `meta.json` for each of its models."""
+    splats = random_splats(60)
+    nanogs.write_levels(
+        splats, tmp_path / "a.ssog", [1, 0.5], layout="streamed sog archive", preset="fast"
+    )
+    with zipfile.ZipFile(tmp_path / "a.ssog") as made:
+        files = {name: made.read(name) for name in reversed(made.namelist())}
+    with zipfile.ZipFile(tmp_path / "b", "w") as zipped:
+        for name, data in files.items():
+            zipped.writestr(folder + name, data)
+    assert sniff(tmp_path / "b") == ".ssog"
+    assert len(nanogs.load(io.BytesIO((tmp_path / "a.ssog").read_bytes()))) == 60
 
 
 @pytest.mark.parametrize("data", [b"", b"hello", b"PK\x03\x04 no zip", b"\x00" * 64])

@@ -75,7 +75,8 @@ class ModelInfo:
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
         data = asdict(self)
-        return {**data.pop("file"), **data}
+        file = data.pop("file")
+        return {**file, "path": str(file["path"]), **data}
 
 
 def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelInfo:

@@ -41,20 +41,26 @@ def sniff(path: Path) -> str | None:
     """
     with path.open("rb") as file:
         start = file.read(_TOLD_BY)
-    names = _zipped(path) if start.startswith(b"PK\x03\x04") else set()
-    for known in formats():
-        if known.holds in names or (known.starts and start.startswith(known.starts)):
-            return known.suffix
-    return None
+    depths = _zipped(path) if start.startswith(b"PK\x03\x04") else {}
+    told = [known for known in formats() if known.starts and start.startswith(known.starts)]
+    # A zip of a stream has whole models in its folders: what lies outermost says what it is.
+    held = sorted((k for k in formats() if k.holds in depths), key=lambda k: depths[k.holds])
+    return next((known.suffix for known in (*held, *told)), None)
 
 
-def _zipped(path: Path) -> set[str]:
-    """Names of the files in a zip, without the folders that they are in."""
+def _zipped(path: Path) -> dict[str, int]:
+    """Names of the files in a zip, and in how many folders the outermost of each name is."""
+    depths: dict[str, int] = {}
     try:
         with zipfile.ZipFile(path) as archive:
-            return {name.rpartition("/")[2] for name in archive.namelist()} - {""}
+            for each in archive.namelist():
+                folders, _, name = each.rpartition("/")
+                depth = len(folders.split("/")) if folders else 0
+                depths[name] = min(depth, depths.get(name, depth))
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
-        return set()
+        return {}
+    depths.pop("", None)
+    return depths
 
 
 def suffix_of(format: str) -> str:  # noqa: A002 - as `load` has it
