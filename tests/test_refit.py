@@ -493,6 +493,18 @@ def test_given_cameras_are_reduced_and_shared_out():
     assert [group.pixels for group in report.groups] == [str(min(200, QUICK.size))]
     assert len(report.fit_views) == 4
     assert len(report.validation_views) == 1
+    assert report.notes == ()
+
+
+def test_views_that_show_nothing_are_left_out_and_told():
+    original, small = cloud_pair()
+    cameras = automatic_cameras(original, 5, width=64, height=64)
+    back = np.diag([-1.0, 1, -1, 1]) @ cameras[2].world_to_camera
+    cameras[2] = dataclasses.replace(cameras[2], world_to_camera=back)
+    _, report = refit(original, small, cameras=cameras, parameters=QUICK)
+    assert cameras[2].name not in report.fit_views + report.validation_views
+    [note] = report.notes
+    assert note.startswith("Nothing of the original is seen in 1 of 5 views, which")
 
 
 def test_views_are_grouped_by_size_and_distance():

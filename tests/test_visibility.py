@@ -77,6 +77,23 @@ def test_cameras_that_show_nothing_are_told(tmp_path, blocks):
     assert list(map(len, told)) == [0, 1]
 
 
+@pytest.mark.parametrize("blocks", [{}, {"block": 400}])
+def test_cameras_of_which_some_show_nothing_are_told(tmp_path, blocks):
+    """In another frame some happen to look at the model, and the rest would go unnoticed."""
+    splats = box_with_something_inside()
+    nanogs.save(splats, tmp_path / "in.ply")
+    cameras = automatic_cameras(splats, 4, width=64, height=64)
+    for place in (1, 3):
+        back = np.diag([-1.0, 1, -1, 1]) @ cameras[place].world_to_camera
+        cameras[place] = dataclasses.replace(cameras[place], world_to_camera=back)
+    report = nanogs.simplify_blocks(
+        tmp_path / "in.ply", tmp_path / "out.ply", ratio=0.5, cameras=cameras, steps=2, **blocks
+    )
+    [told] = [note for note in report.notes if "Nothing of the model is seen" in note]
+    assert "in 2 of the 4 views" in told
+    assert "another frame" in told
+
+
 def test_the_report_says_what_share_of_the_model_is_seen():
     coverages, visible = np.array([2.0, 1.0, 1.0, 1.0]), np.array([1.0, 0.5, 1.0, 0.005])
     missed = np.array([False, False, True, False])

@@ -76,7 +76,7 @@ def refit(
         tracker = Tracker(tell, refit_stages(chosen, len(large), len(given)))
         tracker.begin("render")
         with clock.time("targets"):
-            fitting, deciding = view_targets(large, given, cameras, chosen, tracker.part)
+            fitting, deciding, unseen = view_targets(large, given, cameras, chosen, tracker.part)
         tracker.begin("fit")
         fitted, report = fit_to_views(
             given, fitting, deciding, chosen, len(large), threads_used, tracker.part
@@ -86,7 +86,7 @@ def refit(
         report,
         seconds=clock.seconds | report.seconds,
         total_seconds=time.perf_counter() - begin,
-        notes=(*lens_notes(cameras or ()), *report.notes, *device_notes(device, used)),
+        notes=(*lens_notes(cameras or ()), *unseen, *report.notes, *device_notes(device, used)),
     )
 
 

@@ -23,8 +23,8 @@ def view_targets(
     cameras: Sequence[Camera] | None,
     parameters: RefitParameters,
     tell: Parts,
-) -> tuple[Fitting, tuple[Group, ...]]:
-    """Views to fit to, and views that decide, in groups by picture size and distance.
+) -> tuple[Fitting, tuple[Group, ...], tuple[str, ...]]:
+    """Views to fit to, views that decide, in groups by picture size and distance, and notes.
 
     Raises:
         OptionError: There are fewer than two cameras.
@@ -39,6 +39,7 @@ def view_targets(
     prepared = prepare(original).in_turn()
     targets = [make_target(prepared, camera) for camera in each(chosen, tell)]
     targets = [target for target in targets if target.image[..., 3].any()]
+    blind = len(chosen) - len(targets)
     if len(targets) < 2:
         raise ModelError(
             "The original is seen in fewer than two views; choose other cameras or let them be "
@@ -46,7 +47,11 @@ def view_targets(
         )
     fitting, deciding = split(targets, parameters.validation)
     _refuse_elsewhere(small, [target for group in deciding for target in group.targets])
-    return Fitting(fitting, prepared, further), deciding
+    unseen = (
+        f"Nothing of the original is seen in {blind} of {len(chosen)} views, which the fit does"
+        " without; cameras may be in another frame than the model."
+    )
+    return Fitting(fitting, prepared, further), deciding, (unseen,) if blind else ()
 
 
 def choose_cameras(

@@ -24,7 +24,7 @@ from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import DECIDING, Discovery, shown_share, visible_weights
 from nanogs.pipeline.partition import Partition
-from nanogs.pipeline.scene import ROUNDS, Block, FitViews, Lit, Members, Scene, Task
+from nanogs.pipeline.scene import LIGHT, ROUNDS, Block, FitViews, Lit, Members, Scene, Task
 from nanogs.pipeline.settings import Access, InputFile, Segment, Settings
 from nanogs.pipeline.units import viewers_of
 from nanogs.pipeline.views import Views
@@ -231,7 +231,7 @@ class OneBlock(Scene):
         looked, self.groups = split(self._shots, max(1, len(self._shots) // DECIDING))
         self.fitting = (*looked, *self._pictures)
         self._shots, self._pictures = [], []
-        return self.write(name, {}, {})
+        return self.write(name, {}, {LIGHT: [light for _, light in lights]})
 
     # Growing and cutting.
 

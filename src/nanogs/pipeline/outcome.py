@@ -71,7 +71,7 @@ def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
 
     looked = scene.views.notes if scene.settings.looks else ()
     shown = scene.shown if scene.merges(level) and scene.looks else None
-    unseen = (UNSEEN,) if shown == 0 else ()
+    unseen = () if shown is None else _unseen(scene, shown)
     unfitted = scene.notes_on_fits(level) if scene.fits(level) and scene.looks else ()
     return {
         "passes": scene.passes,
@@ -81,3 +81,17 @@ def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
         "refit": scene.fit_report(level) if scene.fits(level) else None,
         "notes": (*looked, *unseen, *unfitted),
     }
+
+
+def _unseen(scene: "Scene", shown: float) -> tuple[str, ...]:
+    """A note where views show nothing of the model, all of them or some."""
+    if shown == 0:
+        return (UNSEEN,)
+    blind, views = scene.blind, len(scene.views.kept)
+    if not blind:
+        return ()
+    note = (
+        f"Nothing of the model is seen in {blind} of the {views} views that it was looked at from;"
+        " cameras may be in another frame than the model."
+    )
+    return (note,)

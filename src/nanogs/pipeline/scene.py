@@ -7,6 +7,7 @@ Stages are written once, for a block of a scene. `one_block.OneBlock` is a model
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, NamedTuple
 
 from nanogs._types import F64, I32, I64, Array, Bool
@@ -26,6 +27,7 @@ from nanogs.report import PassReport
 from nanogs.splats import Splats
 from nanogs.store.tables import Record
 
+LIGHT = "light"  # a fact of looking: how much of a block each view shows
 ROUNDS = "rounds"  # a fact of reassignment: in how many of its rounds splats moved
 
 
@@ -282,6 +284,12 @@ class Scene(ABC):
     def of_blocks(self, stage: str, level: int = 0) -> list[Record]:
         """The records of what a stage wrote, one a block."""
         return [self.record(Task(stage, b, level)) for b in range(self.partition.blocks)]
+
+    @property
+    def blind(self) -> int:
+        """How many of the kept views show nothing of the scene, which was looked at."""
+        lights = zip(*(record.facts[LIGHT] for record in self.of_blocks("look")), strict=False)
+        return sum(not any(each) for each in islice(lights, len(self.views.kept)))
 
     @property
     def looks(self) -> bool:

@@ -10,7 +10,7 @@ from nanogs.method.nodes import prominence
 from nanogs.method.visibility import Discovery, shown_prominence
 from nanogs.pipeline.asked import camera_of, plain_camera
 from nanogs.pipeline.blocks import leaves_of
-from nanogs.pipeline.scene import Block, Lit
+from nanogs.pipeline.scene import LIGHT, Block, Lit
 from nanogs.pipeline.views import parts_of
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
@@ -47,7 +47,7 @@ def write_look(
     prominences = prominence(leaves.coverages, leaves.means, work.units.viewers())
     facts = {
         "cameras": [plain_camera(camera) for camera, _ in lights],
-        "light": [light for _, light in lights],
+        LIGHT: [light for _, light in lights],
         "discovery": astuple(discovery),
         "prominence": float(prominences.sum()),
         "visible": float((prominences * visible).sum()),
@@ -60,7 +60,7 @@ def looks_at(work: "Work", block: int) -> list[Lit]:
     """The views that a block was looked at from, and how much of it each shows."""
     facts = work.of_block("look", block).facts
     cameras = map(camera_of, facts["cameras"])
-    return list(map(Lit, cameras, map(float, facts["light"])))
+    return list(map(Lit, cameras, map(float, facts[LIGHT])))
 
 
 def closer_views(work: "Work", own: Splats) -> list[Camera]:
