@@ -141,3 +141,19 @@ def test_nothing_is_learnt_from_the_views_that_judge():
     learning += [view.camera for group in views.groups for view in group.targets]
     places = {tuple(camera.position.round(6)) for camera in learning}
     assert not any(tuple(camera.position.round(6)) in places for camera in judging)
+
+
+def test_views_of_several_sizes_are_not_said_to_have_one():
+    splats = make_scene(300)
+    sizes = ((64, 48), (32, 32), (64, 48), (48, 64))
+    cameras = [
+        automatic_cameras(splats, 1, width=width, height=height)[0] for width, height in sizes
+    ]
+    for count, words in (
+        (1, "1 given view of 64 x 48 pixels"),
+        (2, "2 given views of 64 x 48 pixels and 1 other size"),
+        (4, "4 given views of 64 x 48 pixels and 2 other sizes"),
+    ):
+        protocol = nanogs.compare(splats, splats[:200], cameras=cameras[:count]).protocol
+        assert (protocol.text, protocol.pixels) == (words, (64, 48))
+    assert nanogs.draw_cost(splats, cameras).protocol.sizes == 3

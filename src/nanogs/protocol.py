@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from nanogs.errors import OptionError
-from nanogs.formatting import number_text
+from nanogs.formatting import counted, number_text
 
 Background = tuple[float, float, float]
 Kind = Literal["auto", "orbit", "inside", "roam", "given", "photographs"]
@@ -48,6 +48,7 @@ class Protocol:
             set.
         split: "test" for views that nothing is learnt from, "train"; None for given ones.
         background: RGB in [0, 1] behind the splats, and behind the photographs' transparent parts.
+        sizes: How many sizes the views have, of which given ones and photographs may mix several.
     """
 
     views: int = VIEWS
@@ -55,6 +56,7 @@ class Protocol:
     kind: Kind = "auto"
     split: str | None = "test"
     background: Background = BLACK
+    sizes: int = 1
 
     @property
     def label(self) -> str:
@@ -67,7 +69,9 @@ class Protocol:
         behind = ""
         if self.background != BLACK or self.kind == "photographs":
             behind = f" over {background_text(self.background)}"
-        return f"{self.views} {self._views_text()} of {size_text(self.pixels)} pixels{behind}"
+        others = f" and {counted(self.sizes - 1, 'other size')}" if self.sizes > 1 else ""
+        size = f"{size_text(self.pixels)} pixels{others}"
+        return f"{self.views} {self._views_text()} of {size}{behind}"
 
     def _views_text(self) -> str:
         many = "" if self.views == 1 else "s"

@@ -24,6 +24,7 @@ from nanogs.scoring.scores import (
 from nanogs.scoring.unpacked import Unpacked
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
+from nanogs.views.costing import views_of
 from nanogs.views.covering import cost_on
 from nanogs.views.streamed import drawable
 
@@ -177,7 +178,7 @@ def compare_models(
     if first and first.skipped:
         notes.append(f"the reference: {undrawn(first.skipped)}")
     notes += [*_degree_notes(reference, models), *lens_notes(cameras)]
-    protocol = protocol_of(views, kind, None if kind == "given" else "test", background)
+    protocol = views_of(_cameras(views), kind, background=background)
     cost = cost_on(reference.splats, _cameras(views), protocol) if costs else None
     scores, sheets = score_models(
         models, views, protocol, extras=extras, pictures=pictures, costs=costs, room=room,
@@ -219,20 +220,12 @@ def compare_with_photographs(
     Raises:
         OptionError: No model is given.
     """
-    protocol = protocol_of(views, "photographs", split, background)
+    protocol = views_of(_cameras(views), "photographs", split, background)
     scores, sheets = score_models(
         models, views, protocol, extras=extras, pictures=pictures, costs=costs, room=room,
         progress=progress or Tracker(None, []),
     )  # fmt: skip
     return _comparison(source, None, views, [], protocol, scores, []), sheets
-
-
-def protocol_of(
-    views: Sequence[ReferenceView], kind: Kind, split: str | None, background: Background
-) -> Protocol:
-    """The protocol of numbers on these views; the arguments are `Protocol`'s."""
-    first = views[0].camera
-    return Protocol(len(views), (first.width, first.height), kind, split, background)
 
 
 def _cameras(views: Sequence[ReferenceView]) -> list[Camera]:

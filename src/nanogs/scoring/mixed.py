@@ -142,10 +142,10 @@ def compare_mixed(
     _refuse_too_large(original, paths, *asked.pictures(views), limit)
     # Here and not above: these bring Numba.
     from nanogs.raster.rendering import prepare
-    from nanogs.scoring.comparison import protocol_of
     from nanogs.scoring.mixed_views import levels_together
     from nanogs.scoring.scores import reference_views
     from nanogs.threads import use_threads
+    from nanogs.views.costing import views_of
 
     scores, notes = list[MixedScore](), list[str]()
     with ExitStack() as stack:
@@ -161,8 +161,8 @@ def compare_mixed(
             del ready
             notes += [*found.notes]
             notes += [f"{name}: nothing of the original is seen; left out" for name in empty]
-            split = None if found.kind == "given" else "test"
-            protocol = protocol_of(seen, found.kind, split, background)
+            cameras = [view.camera for view in seen]
+            protocol = views_of(cameras, found.kind, background=background)
             told.begin("score")
             for done, (name, stream) in enumerate(zip(called[1:], together, strict=True)):
                 marks = list["MixedView"]()

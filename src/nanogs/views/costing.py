@@ -81,9 +81,9 @@ def views_of(
         split: Of those that are found, or photographs.
         background: RGB in [0, 1] behind the splats.
     """
-    first = cameras[0]
+    sizes = [(camera.width, camera.height) for camera in cameras]
     given = None if kind == "given" else split
-    return Protocol(len(cameras), (first.width, first.height), kind, given, background)
+    return Protocol(len(cameras), sizes[0], kind, given, background, len(set(sizes)))
 
 
 def pictures_of(
