@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.ranges import is_number
 from nanogs.slices import slices
 from nanogs.stored import alphas, unit
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 MAX_SH_DEGREE = 4
 
@@ -93,6 +96,22 @@ class Splats:
     comments: Sequence[str] = ()
     elements: Sequence[ExtraElement] = ()
     notes: Sequence[str] = ()
+
+    if TYPE_CHECKING:  # what is given need not be what is held
+
+        def __init__(
+            self,
+            means: ArrayLike,
+            log_scales: ArrayLike,
+            quats: ArrayLike,
+            opacity_logits: ArrayLike,
+            sh: ArrayLike,
+            extras: Mapping[str, ArrayLike] = ...,
+            render_mode: RenderMode | str = ...,
+            comments: Iterable[str] = ...,
+            elements: Iterable[ExtraElement] = ...,
+            notes: Iterable[str] = ...,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         """Make arrays of what is given, freeze the containers, and check the shapes."""

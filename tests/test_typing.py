@@ -1,0 +1,48 @@
+"""Programs that use nanogs as its guide shows are accepted by a strict type checker."""
+
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import numpy as np
+
+import nanogs
+from nanogs.progress import Step
+
+
+def told(step: Step) -> None:
+    print(step.stage, step.fraction)
+
+
+n = 200
+cloud = nanogs.Splats(
+    means=np.zeros((n, 3)),
+    log_scales=np.full((n, 3), -3.0),
+    quats=np.tile([1, 0, 0, 0], (n, 1)),
+    opacity_logits=[2.0] * n,
+    sh=np.zeros((n, 1, 3)),
+    extras={"label": [0] * n},
+    render_mode="mip",
+)
+moved = nanogs.Splats(
+    cloud.means + [0, 0, 1], cloud.log_scales, cloud.quats, cloud.opacity_logits, cloud.sh
+)
+small, report = nanogs.simplify(moved[:100], ratio=0.1, progress=told)
+count: int = report.achieved_count
+[score] = nanogs.compare(cloud, small, views=4).models
+psnr: float = score.psnr
+nanogs.save(small, "small.ply", overwrite=True)
+"""
+
+
+@pytest.mark.slow
+def test_a_typed_program_may_make_models_of_any_arrays(tmp_path):
+    pytest.importorskip("mypy")
+    (tmp_path / "program.py").write_text(PROGRAM)
+    words = ("-m", "mypy", "--strict", "--no-incremental", "program.py")
+    done = subprocess.run(
+        [sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
