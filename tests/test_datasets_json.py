@@ -68,6 +68,24 @@ def test_a_frame_overrides_what_is_shared(file):
     assert (second.width, second.height, second.fx, second.cx, second.cy) == (40, 20, 50, 1, 10)
 
 
+def test_angles_across_and_down_are_told_apart(file):
+    """Where pixels are not square; without the second angle they are."""
+    both = {
+        "w": 80,
+        "h": 60,
+        "camera_angle_x": 2 * math.atan(0.5),
+        "camera_angle_y": 2 * math.atan(1),
+    }
+    focal = {**both, "fl_x": 50.0}
+    (angles,), (mixed,), (stated,) = (
+        read_transforms(write_json(file, transforms(**shared)))
+        for shared in (both, focal, {**focal, "fl_y": 40.0})
+    )
+    assert (angles.camera.fx, angles.camera.fy) == pytest.approx((80, 30))
+    assert (mixed.camera.fx, mixed.camera.fy) == pytest.approx((50, 30))
+    assert (stated.camera.fx, stated.camera.fy) == (50, 40)
+
+
 def test_size_given_for_a_file_that_states_none(file):
     write_json(file, transforms())
     (square,) = cameras_from_file(file, width=64)
@@ -131,6 +149,7 @@ BAD_FRAMES = [
     (frame(camera_angle_x=5e-324), "camera_angle_x is 4.9"),
     (frame(camera_angle_x=4), "camera_angle_x is 4"),
     (frame(camera_angle_x=None), "camera_angle_x: is None"),
+    (frame(camera_angle_y=4), "camera_angle_y is 4"),
     (frame(camera_model="OPENCV", p2=NAN), "p2: is nan where a finite number"),
     (frame(k1="0.1"), "k1: is '0.1' where a finite number"),
     (frame(camera_model="EQUIRECTANGULAR"), "'EQUIRECTANGULAR' is no pinhole"),

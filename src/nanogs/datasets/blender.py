@@ -29,9 +29,10 @@ def read_transforms(
     """Read the cameras of a `transforms*.json`.
 
     `transform_matrix` is camera to world with OpenGL axes. The focal length is `fl_x` in pixels,
-    else 0.5 w / tan(camera_angle_x / 2) with the angle in radians; `fl_y` defaults to it. `cx`
-    and `cy` default to the image's centre. All of these may stand in a frame or once for all. The
-    size is `w` and `h`; a file without them takes `width` and `height`, else its photographs'.
+    else 0.5 w / tan(camera_angle_x / 2) with the angle in radians. `fl_y` is the same of `h` and
+    camera_angle_y, and as `fl_x` where neither is there. `cx` and `cy` default to the image's
+    centre. All of these may stand in a frame or once for all. The size is `w` and `h`; a file
+    without them takes `width` and `height`, else its photographs'.
 
     Args:
         path: The JSON file; `file_path` is relative to its folder, with or without suffix.
@@ -82,7 +83,7 @@ def _frame(path: Path, index: int, row: dict[str, Any], given: tuple[int, int] |
     pose = _pose(row.get("transform_matrix"), where)
     centre = (row.get("cx", size[0] / 2), row.get("cy", size[1] / 2))
     camera = fields.pinhole(
-        where, posixpath.normpath(listed), size, _focal(row, size[0], where), centre, pose, lens
+        where, posixpath.normpath(listed), size, _focal(row, size, where), centre, pose, lens
     )
     return Frame(camera, photo)
 
@@ -110,18 +111,24 @@ def _size(
     return photo_size(photo)
 
 
-def _focal(row: dict[str, Any], width: int, where: str) -> tuple[float, float]:
-    if "fl_x" in row:
-        fx = fields.number(row["fl_x"], f"{where}, fl_x")
-    else:
-        angle = fields.number(row.get("camera_angle_x"), f"{where}, camera_angle_x")
-        if not _MIN_ANGLE <= angle < math.pi:
-            raise FormatError(
-                f"{where}: camera_angle_x is {angle:g} where an angle between 0 and pi radians is "
-                "needed; export the cameras again"
-            )
-        fx = 0.5 * width / math.tan(0.5 * angle)
-    return fx, fields.number(row.get("fl_y", fx), f"{where}, fl_y")
+def _focal(row: dict[str, Any], size: tuple[int, int], where: str) -> tuple[float, float]:
+    fx = _focal_along("x", row, size[0], where)
+    if "fl_y" in row or "camera_angle_y" in row:
+        return fx, _focal_along("y", row, size[1], where)
+    return fx, fx
+
+
+def _focal_along(axis: str, row: dict[str, Any], side: int, where: str) -> float:
+    if f"fl_{axis}" in row:
+        return fields.number(row[f"fl_{axis}"], f"{where}, fl_{axis}")
+    name = f"camera_angle_{axis}"
+    angle = fields.number(row.get(name), f"{where}, {name}")
+    if not _MIN_ANGLE <= angle < math.pi:
+        raise FormatError(
+            f"{where}: {name} is {angle:g} where an angle between 0 and pi radians is "
+            "needed; export the cameras again"
+        )
+    return 0.5 * side / math.tan(0.5 * angle)
 
 
 def _pose(value: object, where: str) -> F64:
