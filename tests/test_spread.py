@@ -13,7 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import nanogs
 import nanogs.spread as spread_module
+from builders import random_splats
 from nanogs.spread import Spread, each
 from nanogs.threads import most_threads, use_threads
 
@@ -101,6 +103,29 @@ assert (values == 1).all()
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
 def test_a_forked_process_starts_threads_of_its_own():
     subprocess.run([sys.executable, "-W", "ignore", "-c", FORK], check=True, timeout=60)
+
+
+LATE = """
+import sys, threading
+import nanogs
+
+scene, name = nanogs.load(sys.argv[1]), sys.argv[2]
+
+def work():
+    threading.main_thread().join()  # which shuts all pools
+    nanogs.save(nanogs.simplify(scene, count=40, preset="fast")[0], name)
+
+threading.Thread(target=work).start()
+"""
+
+
+def test_a_thread_may_work_on_when_the_main_one_has_ended(tmp_path):
+    nanogs.save(random_splats(200), tmp_path / "in.ply")
+    command = [sys.executable, "-c", LATE, tmp_path / "in.ply", tmp_path / "late.sog"]
+    subprocess.run(command, check=True, timeout=120)
+    small, _ = nanogs.simplify(tmp_path / "in.ply", count=40, preset="fast")
+    nanogs.save(small, tmp_path / "usual.sog")
+    assert (tmp_path / "late.sog").read_bytes() == (tmp_path / "usual.sog").read_bytes()
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar
 from nanogs.threads import most_threads
 
 if TYPE_CHECKING:
-    from concurrent.futures import Future, ThreadPoolExecutor
+    from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -85,6 +85,19 @@ def results(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
     return [found[number] for number in range(len(every))]
 
 
+def asked(pool: "Executor", work: Callable[..., R], *args: object) -> "Future[R] | None":
+    """Have a pool do some work; None where it takes no more, which is then to be done here.
+
+    Python shuts all pools when the main thread ends, and other threads may have work to do yet.
+    """
+    try:
+        return pool.submit(work, *args)
+    except RuntimeError as error:
+        if "cannot schedule new futures" not in str(error):
+            raise
+        return None
+
+
 class _Parts(Generic[T]):
     """Parts of some work, of which each is taken once, by one of several threads."""
 
@@ -131,7 +144,8 @@ def _on(threads: int, parts: Sequence[T], work: Callable[[T], None]) -> None:
     others: list[Future[None]] = []
     try:
         with shared.closed():  # who begins before all are known is not waited for if it fails
-            others = [_pool().submit(shared.work_on) for _ in range(more)]
+            called = (asked(_pool(), shared.work_on) for _ in range(more))
+            others = [other for other in called if other is not None]
         shared.work_on()
         failures = _ended(others)
         shared.drop()

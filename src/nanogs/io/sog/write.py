@@ -9,8 +9,9 @@ import json
 import math
 import zipfile
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -183,14 +184,15 @@ def begun(
         OutputError: As for `write`.
     """
     _refuse_unstorable(splats)
-    encoding: dict[str, Future[bytes]] = {}
+    encoding: dict[str, Callable[[], bytes]] = {}
 
     def submit(name: str, texels: U8) -> None:
-        encoding[name] = pool.submit(encode, texels)
+        future = spread.asked(pool, encode, texels)
+        encoding[name] = future.result if future else partial(encode, texels)
 
     meta = _encode(splats, groups, packing, submit, tell)
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
-    return lambda: {name: made.result() for name, made in encoding.items()} | {"meta.json": text}
+    return lambda: {name: made() for name, made in encoding.items()} | {"meta.json": text}
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
