@@ -257,6 +257,22 @@ def test_info_says_where_the_tag_is(tmp_path, models, suffix, said):
     assert "no tag" in run("info", models[0]).stdout
 
 
+@pytest.mark.parametrize(
+    ("flags", "which"),
+    [
+        ((), "the antialiased flag of its header, 1"),
+        (("--plain",), "SplatRenderMode in the extras of its splats"),
+    ],
+)
+def test_tiles_say_where_the_tag_is(tmp_path, models, flags, which):
+    """Packed ones have it in the SPZ that is in them."""
+    tiles = tmp_path / "tiles" / "tileset.json"
+    assert run("lod", models[1], tiles, "--preset", "fast", *flags).returncode == 0
+    for path in (tiles, tiles.with_name("0_0.glb")):
+        found = done("info", path)
+        assert (found["render_mode"], found["render_tag"]) == ("mip", which)
+
+
 def test_a_tag_in_obj_info_counts_in_parts_as_in_whole(tmp_path, models):
     path = tmp_path / "a.ply"
     start, mark, rest = models[0].read_bytes().partition(b"element vertex")

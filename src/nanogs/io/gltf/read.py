@@ -36,6 +36,7 @@ from nanogs.io.gltf.primitives import (
     primitive_of,
 )
 from nanogs.io.gltf.scene import EXTENSION, placed_splats
+from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, Whole
 from nanogs.io.texts import is_utf8
 from nanogs.splats import RenderMode, Splats, empty_arrays
@@ -61,7 +62,7 @@ class _Scene:
     primitives: list[Primitive] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
     modes: set[RenderMode] = field(default_factory=set)
-    tagged: bool = False  # whether a primitive states its mode
+    tag: str = ""  # what states the mode of a primitive
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -111,7 +112,7 @@ class _Rows(FileSource):
             splats=scene.count,
             sh_degree=scene.degree,
             render_mode=scene.mode,
-            render_tag=f"{MODE_KEY} in the extras of its splats" if scene.tagged else "",
+            render_tag=scene.tag,
             comments=tuple(scene.comments),
         )
 
@@ -184,7 +185,7 @@ def _scene(path: Path, above: F64) -> _Scene:
         linear = _colour_space(scene, each.primitive)
         primitive = primitive_of(document, each, linear)
         scene.primitives.append(primitive)
-        _describe(scene, each.primitive, primitive.info.render_mode)
+        _describe(scene, each.primitive, primitive.info)
         _check_memory(scene)
     if len(scene.modes) > 1:
         scene.notes.append(f"The primitives have several render modes; {scene.mode} was taken.")
@@ -219,8 +220,8 @@ def _colour_space(scene: _Scene, primitive: Part) -> bool:
     return space in _LINEAR
 
 
-def _describe(scene: _Scene, primitive: Part, mode: RenderMode) -> None:
-    """Note what a primitive says about itself beside its numbers."""
+def _describe(scene: _Scene, primitive: Part, info: FileInfo) -> None:
+    """Note what a primitive says about itself beside its numbers, of which `info` tells."""
     splatting = primitive.part("extensions").part(EXTENSION)
     for key, usual in _USUAL.items():
         if (value := splatting.text(key, usual)) != usual:
@@ -234,11 +235,13 @@ def _describe(scene: _Scene, primitive: Part, mode: RenderMode) -> None:
         scene.notes.append(f"The attribute {left_out[0][:40]!a} was left out.")
     extras = primitive.data.get("extras")
     extras = extras if isinstance(extras, dict) else {}  # may be anything, by specification
-    stated = extras.get(MODE_KEY, mode)
+    stated = extras.get(MODE_KEY, info.render_mode)
     known_mode = stated in list(RenderMode)
     if not known_mode:
         scene.notes.append(f"The render mode {ascii(stated)[:40]} is unknown and was not carried.")
-    scene.tagged |= known_mode and MODE_KEY in extras
+    if known_mode and MODE_KEY in extras:
+        scene.tag = f"{MODE_KEY} in the extras of its splats"
+    scene.tag = scene.tag or info.render_tag
     scene.modes.add(RenderMode(stated) if known_mode else RenderMode.DEFAULT)
     comments = extras.get(COMMENTS_KEY)
     if isinstance(comments, list):
