@@ -127,7 +127,7 @@ def test_a_job_is_not_continued_under_another_render_mode(tmp_path, models):
 
     with pytest.raises(KeyboardInterrupt):
         nanogs.simplify_blocks(right, tmp_path / "a.ply", progress=crash, **given)
-    with pytest.raises(nanogs.errors.OutputError, match="layout"):
+    with pytest.raises(nanogs.errors.OutputError, match="render_mode"):
         nanogs.simplify_blocks(right, tmp_path / "a.ply", resume=True, render_mode="mip", **given)
 
 

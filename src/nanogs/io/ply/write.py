@@ -152,9 +152,10 @@ def _word(name: str) -> bytes:
 def _type(name: str, column: Array) -> str:
     known = TYPE_NAMES.get(column.dtype.str[1:])
     if known is None or column.ndim != 1:
+        shape = f" of {column.ndim} dimensions" if column.ndim != 1 else ""
         raise OutputError(
-            f"Column {name!r} is {column.dtype} of {column.ndim} dimensions, which PLY cannot"
-            f" hold; convert it to one of {', '.join(sorted(TYPE_NAMES.values()))}."
+            f"Column {name!r} is {column.dtype}{shape}, which PLY cannot hold; convert it to one"
+            f" of {', '.join(sorted(TYPE_NAMES.values()))}."
         )
     return known
 
