@@ -452,8 +452,12 @@ def test_saving_asks_before_it_replaces_and_shows_the_command(studio):
     page.select_option("#save-format", "levels tileset.json")
     assert page.input_value("#save-name") == "scene-small/tileset.json"
     page.fill("#ratios", "1,0.2")
+    page.evaluate(
+        """() => { const get = window.fetch; window.fetch = (...given) =>
+          new Promise((then) => setTimeout(() => then(get(...given)), 300)); }"""
+    )
     page.click("#entries >> text=old/")
-    page.click("#save-go")
+    page.click("#save-go")  # before the folder is listed
     request = fake.wait("save", 2)
     assert request["path"] == "old/scene-small/tileset.json"
     assert request["choice"]["levels"] == "1,0.2"

@@ -17,6 +17,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   let running = 0; // the number of a save
   let timer = 0;
   let checked = 0;
+  let opening = Promise.resolve(); // the folder that was chosen last
 
   format.append(
     group(
@@ -58,7 +59,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
 
   function changed(pause = PAUSE) {
     if (running) return;
-    overwrite = false;
+    overwrite = exists = false; // until it is asked; what saves asks too
     go.textContent = "Save";
     byId("save-lines").replaceChildren();
     clearTimeout(timer);
@@ -78,7 +79,12 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
     say(found.message ?? "", true);
   }
 
-  async function open(where) {
+  function open(where) {
+    opening = list(where);
+    return opening;
+  }
+
+  async function list(where) {
     try {
       const listed = await connection.files(where);
       folder = listed.folder;
@@ -124,6 +130,9 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   }
 
   async function save() {
+    go.disabled = true;
+    await opening; // else it would be saved where the folder was chosen from
+    go.disabled = false;
     if (exists && !overwrite) {
       askFirst(`${path()} exists. Replace it?`);
       return;
