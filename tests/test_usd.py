@@ -72,7 +72,9 @@ def test_the_extent_holds_three_deviations(tmp_path):
 
 def test_what_is_left_out_is_said(tmp_path):
     model = dataclasses.replace(
-        random_splats(3, extras={"label": np.arange(3)}), render_mode=RenderMode.MIP, comments="ab"
+        random_splats(3, extras={"label": np.arange(3)}),
+        render_mode=RenderMode.MIP,
+        comments=("a", "b"),
     )
     text = " ".join(io.losses(model, "a.usda"))
     for word in ("label", "2 comment lines", "render mode mip"):

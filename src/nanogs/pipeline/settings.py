@@ -37,8 +37,8 @@ _GIVEN = {
 }
 _FOLLOWING = {
     "layout": "`sh_degree` or `render_mode`",
-    "segments": "the memory (`max_memory`)",
-    "block": "the memory (`max_memory`)",
+    "segments": "the memory for blocks, or their size",
+    "block": "the memory for blocks, or their size",
 }
 
 
