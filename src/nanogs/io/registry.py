@@ -54,8 +54,7 @@ def _zipped(path: Path) -> dict[str, int]:
     try:
         with zipfile.ZipFile(path) as archive:
             for each in archive.namelist():
-                folders, _, name = each.rpartition("/")
-                depth = len(folders.split("/")) if folders else 0
+                depth, name = each.count("/"), each.rpartition("/")[2]
                 depths[name] = min(depth, depths.get(name, depth))
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
         return {}

@@ -17,13 +17,15 @@ from nanogs.source import Layout
 MOST_SEEN = 0.1
 VERSION = 13  # of the job folder; one of another version is not continued
 
+_WISH = "what is asked for (ratio, count, size, PSNR, draw cost)"
+_SIZE = "the memory for blocks, or their size"
 # Fields of `Settings` in the words of who gave them; what follows from others comes last.
 _GIVEN = {
     "version": "the version of nanogs",
     "inputs": "the input files",
-    "ratios": "what is asked for (ratio, count, size, PSNR, draw cost)",
-    "counts": "what is asked for (ratio, count, size, PSNR, draw cost)",
-    "search": "what is asked for (ratio, count, size, PSNR, draw cost)",
+    "ratios": _WISH,
+    "counts": _WISH,
+    "search": _WISH,
     "nan": "`nan`",
     "parameters": "the preset or its parameters",
     "chunks": "how levels are divided",
@@ -37,8 +39,8 @@ _GIVEN = {
 }
 _FOLLOWING = {
     "layout": "`sh_degree` or `render_mode`",
-    "segments": "the memory for blocks, or their size",
-    "block": "the memory for blocks, or their size",
+    "segments": _SIZE,
+    "block": _SIZE,
 }
 
 
