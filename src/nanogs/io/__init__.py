@@ -48,20 +48,20 @@ def load(
     """Read a model from a file of any format that nanogs knows.
 
     Args:
-        path: The file, its URL, or one that is open for reading bytes, such as `io.BytesIO`, which
-            is read from where it stands to its end.
-        level: Of a streamed model, which level of detail; 0 is the finest.
-        format: Suffix of the format; by default that of the name, or, of an open file without
-            one, by its first bytes.
-        render_mode: "default" or "mip" in place of a wrong tag of the file, or a missing one; see
-            `open`.
+        path: A path, a URL, or a file object that is open for reading bytes, such as `io.BytesIO`,
+            which is read from its current position to its end.
+        level: Level of detail to read of a streamed model; 0 is the finest.
+        format: Suffix of the format. By default that of the file name; the format of a file
+            object without a name is detected from its first bytes.
+        render_mode: "default" or "mip", to override a wrong or missing render mode tag of the
+            file; see `open`.
 
     Raises:
         FormatError: The suffix is unknown, the file cannot be read, is damaged, or holds
             something that cannot be kept.
-        OptionError: There is no such level, or nothing says the format of an open file; or the
-            model cannot have that render mode.
-        OutputError: An open file cannot be copied to a temporary one.
+        OptionError: There is no such level, the format of a file object cannot be determined, or
+            the model cannot have that render mode.
+        OutputError: A file object cannot be copied to a temporary file.
     """
     if not isinstance(path, str | PathLike):
         if level != 0:
@@ -78,22 +78,24 @@ def open(  # noqa: A001 - what it is called everywhere
     format: str | None = None,  # noqa: A002 - as `load` has it
     render_mode: str | None = None,
 ) -> FileSource:
-    """Open a model of which some rows are read at a time, and which is never held whole.
+    """Open a model for reading some of its rows at a time, without holding all of it in memory.
 
-    Rows of .ply, .compressed.ply, .splat, .ksplat and glTF files are read where they are. Files
-    that are packed as a whole, .spz, .sog, .npz and those of text, are unpacked into a temporary
-    file when rows are first asked for; close the source, or use `with`, to remove it. Other formats
-    are read whole then.
+    Rows of .ply, .compressed.ply, .splat, .ksplat and glTF files are read directly from the file.
+    Files that are compressed as a whole (.spz, .sog, .npz) and text files are unpacked into a
+    temporary file when some rows are first read; close the source, or use `with`, to remove it.
+    Other formats are loaded whole when some rows are first read.
 
-    A URL, as text, is fetched into a temporary file, which closing the source removes.
+    A URL, as text, is downloaded to a temporary file, which closing the source removes.
 
     Args:
-        path: The file, or its URL: https, or what fsspec knows, such as "s3://bucket/scene.ply".
-        level: Of a streamed model, which level of detail; 0 is the finest.
-        format: Suffix of the format; by default that of the name, or, of a URL without one, by its
-            first bytes.
-        render_mode: "default" or "mip" in place of the render mode that the file names: it is drawn
-            so, and files made of it say so. A note tells of it. By default the file's own.
+        path: The file, or its URL: https, or any that fsspec supports, such as
+            "s3://bucket/scene.ply".
+        level: Level of detail to open of a streamed model; 0 is the finest.
+        format: Suffix of the format. By default that of the file name; the format of a URL without
+            a known suffix is detected from the first bytes of the file.
+        render_mode: "default" or "mip", to replace the render mode that the file states: the model
+            is drawn in this mode, and files written from it state this mode. A note on the model
+            records the change. By default the file's own.
 
     Returns:
         The source: its `count`, `columns` and `info`, `read(start, stop)` and `take(rows)`.
@@ -119,7 +121,7 @@ def _opened(
     format: str | None,  # noqa: A002 - as `load` has it
     render_mode: str | None,
 ) -> FileSource:
-    """As `open`, of a file."""
+    """Open a local file; see `open`."""
     known = registry.reader(as_named(path, format))
     if known.open_level is not None:
         return retagged(known.open_level(path, level), render_mode)
@@ -141,35 +143,36 @@ def save(
 ) -> None:
     """Write a model to a file, which appears whole or not at all.
 
-    Of a source, as `open` gives one, formats that list splats one after the other or column by
-    column hold no more than some rows: .ply, .splat, .npz, .spz, .glb and .gltf; .compressed.ply
-    the centres too. Others read all of it.
+    Of a source, such as `open` returns, formats that store splats row by row or column by column
+    are written with only some rows in memory: .ply, .splat, .npz, .spz, .glb and .gltf;
+    .compressed.ply holds all centres as well. Other formats load the whole source.
 
-    `folder/meta.json` makes the folder of a SOG model; of a folder that exists, nothing is replaced
-    but what nanogs made.
+    `folder/meta.json` writes a SOG model as a folder; an existing folder is only replaced if
+    nanogs made all files in it.
 
     Args:
         splats: The model, or a source of one.
-        path: The file; a URL that fsspec writes to, such as "s3://bucket/scene.sog", which the
-            whole file is sent to at the end; or a file that is open for writing bytes, such as
-            `io.BytesIO`, into which it is written where that stands.
+        path: The file; a URL that fsspec writes to, such as "s3://bucket/scene.sog", to which the
+            whole file is uploaded at the end; or a file object that is open for writing bytes,
+            such as `io.BytesIO`, which is written from its current position on.
         overwrite: Replace a file that exists.
-        format: Suffix of the format; by default that of the name. An open file without a name
-            needs it.
-        format_options: Of the format, by name. Of .spz `spz_version`, 2, 3 or 4 (by default 3, 2
-            with fewer `bits`, or 4 where the file states something beside), and `sh_bits` of a
-            colour coefficient of degree 1, 2 to 8 (by default 5), those above having one less; of
-            .sog and .spz `palette`, entries for the higher colour coefficients, of .sog 1 to
-            65,536, by default two for three splats, and of .spz 1 to 1,048,576, by default each
-            splat its own; `bits`, how fine all values are, 4 (coarse) to 8 (by default 7, of .spz
-            8); and `spare_bits`, 0 to 6, that centres do without (by default they are as fine as
-            splats are small).
-        progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
+        format: Suffix of the format; by default that of the file name. It is required for a file
+            object without a name.
+        format_options: Options of the format, by name. For .spz: `spz_version`, 2, 3 or 4 (by
+            default 3; 2 with fewer `bits`; 4 if the file states a frame or other extension
+            records), and `sh_bits`, the bits of a colour coefficient of degree 1, 2 to 8 (by
+            default 5); those of higher degrees have one bit less. For .sog and .spz: `palette`,
+            number of entries for the higher colour coefficients, in .sog 1 to 65,536, by default
+            two for three splats, and in .spz 1 to 1,048,576, by default one for each splat;
+            `bits`, the precision of all values, 4 (coarse) to 8 (by default 7, in .spz 8); and
+            `spare_bits`, 0 to 6, the number of bits dropped from centres (by default the smaller
+            the splats, the fewer).
+        progress: Called with each `nanogs.progress.Step`, if the format takes long to write.
 
     Raises:
         ModelError: It is no model, or the format cannot hold it at all.
-        OptionError: nanogs does not write the format that the suffix stands for, or the format has
-            no such option.
+        OptionError: nanogs does not write the format of this suffix, or the format has no such
+            option.
         OutputError: The file or folder exists and `overwrite` is off, or it cannot be written.
     """
     if not isinstance(splats, Source):
@@ -202,7 +205,7 @@ def encoded_bytes(
     path: str | PathLike[str],
     format_options: FormatOptions | None = None,
 ) -> int:
-    """Bytes of the file that `save` would write, by writing it to memory.
+    """Compute the size in bytes of the file that `save` would write, by writing it to memory.
 
     Raises:
         NanogsError: As for `save`.
@@ -217,9 +220,10 @@ def as_stored(
     path: str | PathLike[str],
     format_options: FormatOptions | None = None,
 ) -> Splats:
-    """The model as `load` would give it back after `save`, by way of a temporary file.
+    """Return the model as `load` would read it after `save`, using a temporary file.
 
-    Itself where nothing changes, in `.ply` files, and where nanogs does not read the format.
+    The model is returned unchanged for `.ply`, which loses nothing, and for formats that nanogs
+    does not read.
 
     Raises:
         NanogsError: As for `save`.
@@ -237,16 +241,16 @@ def as_packed(
     *,
     progress: Progress | None = None,
 ) -> tuple[Splats, int]:
-    """The model as a file of a readable format gives it back, and the bytes of that file.
+    """Write a model in a readable format; return it as read back, and the file's size in bytes.
 
-    `progress` is called with each step of a file whose writing takes long.
+    `progress` is called with each step, if the format takes long to write.
 
     Raises:
         NanogsError: As for `save`.
     """
     known = registry.writable(place(path))
     if known.suffix == ".ply" and known.file_bytes is not None:
-        return splats, known.file_bytes(splats, len(splats))  # which changes nothing
+        return splats, known.file_bytes(splats, len(splats))  # .ply is lossless
     with temporary_folder("nanogs-") as folder:
         file = folder / "model" / known.suffix
         if not known.write_folder:
@@ -260,7 +264,9 @@ def as_packed(
 def settled(
     model: Splats | Source, path: str | PathLike[str], format_options: FormatOptions
 ) -> FormatOptions:
-    """Options that follow from a model unless they are given, by which another is written like it.
+    """Return the format options that are not given but computed from a model, such as `spare_bits`.
+
+    With these, another model is written with the same precision as this one.
 
     Raises:
         NanogsError: As for `save`.
@@ -270,9 +276,9 @@ def settled(
 
 
 def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...]:
-    """Name what `save` would leave out, a sentence each; quantisation, which formats imply, is not.
+    """Return a sentence for each thing that `save` would leave out; quantisation is not named.
 
-    A source is read once, block by block, unless the format holds all of every model.
+    A source is read once, block by block, unless the format loses nothing of any model.
 
     Raises:
         OptionError: As for `save`.
@@ -290,10 +296,10 @@ def inspect(path: str | PathLike[str], *, level: int = 0) -> FileInfo:
 
     Args:
         path: The file.
-        level: Of a streamed model, which level of detail; 0 is the finest.
+        level: Level of detail of a streamed model; 0 is the finest.
 
     Raises:
-        FormatError: As for `load`, except for what only the rows show.
+        FormatError: As for `load`, except for errors that only reading the rows shows.
         OptionError: There is no such level.
     """
     with open(path, level=level) as source:
@@ -301,7 +307,7 @@ def inspect(path: str | PathLike[str], *, level: int = 0) -> FileInfo:
 
 
 def bytes_on_disk(path: str | PathLike[str]) -> int:
-    """Bytes of a model that has been written: of its file, or of all the files of its folder.
+    """Return the size in bytes of a written model: of its file, or of all files of its folder.
 
     Raises:
         FormatError: As for `inspect`.
@@ -338,10 +344,10 @@ def check_writable(
 
 
 def _folder_of(path: Path, known: Format) -> Path:
-    """The folder that a file describes.
+    """Return the folder of a model that is named by its manifest, such as `folder/meta.json`.
 
     Raises:
-        OptionError: The file is not called what the format has it called.
+        OptionError: The manifest does not have the name that the format requires.
     """
     if path.name != known.suffix:
         raise OptionError(

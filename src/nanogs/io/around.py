@@ -1,4 +1,4 @@
-"""Sources around that of a file, of which they change one thing."""
+"""Wrappers of a `FileSource` that change one thing about it."""
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -13,10 +13,10 @@ from nanogs.splats import ExtraElement, Splats
 
 
 class Around(FileSource):
-    """All that a file is, through another source.
+    """Base class of the wrappers: forwards everything to the wrapped `FileSource`.
 
     Args:
-        file: The file, which is closed with this.
+        file: The source to wrap, which is closed with this one.
     """
 
     def __init__(self, file: FileSource) -> None:
@@ -41,42 +41,42 @@ class Around(FileSource):
 
     @property
     def levels(self) -> tuple[int, ...]:
-        """Splats of each level of detail; see `FileSource`."""
+        """Number of splats of each level of detail; see `FileSource`."""
         return self.file.levels
 
     @property
     def frame(self) -> str:
-        """The frame that the file states; see `FileSource`."""
+        """The coordinate frame that the file states; see `FileSource`."""
         return self.file.frame
 
     @property
     def environment(self) -> int:
-        """Splats that belong to all levels; see `FileSource`."""
+        """Number of splats that belong to all levels; see `FileSource`."""
         return self.file.environment
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on values that are read otherwise than the file says; see `FileSource`."""
+        """Sentences on values that override those of the file; see `FileSource`."""
         return self.file.remarks
 
     def _changed(self, splats: Splats) -> Splats:
-        """Rows of the file as they are here."""
+        """Apply the change to rows of the file; by default none."""
         return splats
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source.read`."""
         return self._changed(self.file.read(start, stop))
 
     def _take(self, rows: I64) -> Splats:
-        """Rows by number; see `Source`."""
+        """Read rows by number; see `Source.take`."""
         return self._changed(self.file.take(rows))
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
-        """The further elements of the file; see `Source`."""
+        """Read the further PLY elements of the file; see `Source.read_elements`."""
         return self.file.read_elements()
 
     def load(self) -> Splats:
-        """The whole model."""
+        """Read the whole model."""
         return self._changed(self.file.load())
 
     def close(self) -> None:
@@ -85,11 +85,11 @@ class Around(FileSource):
 
 
 class Fetched(Around):
-    """A temporary file that goes away when it is closed, or forgotten.
+    """The source of a downloaded file, which is removed on close or garbage collection.
 
     Args:
-        file: The file, which is closed with this.
-        remove: Removes it; may be called twice.
+        file: The source of the temporary file, which is closed with this one.
+        remove: Removes the temporary file; must allow to be called twice.
     """
 
     def __init__(self, file: FileSource, remove: Callable[[], None]) -> None:
@@ -97,13 +97,13 @@ class Fetched(Around):
         self._remove = finalize(self, remove)
 
     def close(self) -> None:
-        """Close the file, and remove it."""
+        """Close the file and remove it."""
         super().close()
         self._remove()
 
 
 def file_of(source: Source) -> Source:
-    """The file as it is, without what is around it; other sources as they are."""
+    """Return the innermost wrapped file; other sources are returned unchanged."""
     while isinstance(source, Around):
         source = source.file
     return source

@@ -21,7 +21,7 @@ _DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 @contextmanager
 def atomic_write(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
-    """A binary file to write; it becomes `path` when the block ends without an exception.
+    """Yield a temporary binary file, renamed to `path` if the block ends without an exception.
 
     A new file gets the permission bits of a plain `open`, a replaced one keeps its own.
 
@@ -54,7 +54,7 @@ def _make(path: Path) -> None:
 
 
 def _target(path: Path, *, overwrite: bool) -> Path:
-    """The file to replace, links resolved, after every check that changes nothing."""
+    """Resolve symbolic links and check the target; nothing is created or changed."""
     with writing(path):
         target = Path(os.path.realpath(path))
         _check_target(path, target, overwrite=overwrite)
@@ -79,7 +79,7 @@ def _check_target(path: Path, target: Path, *, overwrite: bool) -> None:
 
 
 def _take_place(made: Path, target: Path, path: Path, *, overwrite: bool) -> None:
-    """Rename, after looking again: minutes may have passed since the first check."""
+    """Rename the file, after a second check: minutes may have passed since the first."""
     _check_target(path, target, overwrite=overwrite)
     if target.exists():
         made.chmod(stat.S_IMODE(target.stat().st_mode))
@@ -88,10 +88,10 @@ def _take_place(made: Path, target: Path, path: Path, *, overwrite: bool) -> Non
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn an `OSError` of the block into an `OutputError`.
+    """Convert an `OSError` of the block to an `OutputError`.
 
     Args:
-        path: What is written.
+        path: The output, for the message.
     """
     try:
         yield
@@ -100,7 +100,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
-    """The error for a refusal of the system, in words for the user."""
+    """Build the `OutputError` for an `OSError`, with a message for the user."""
     if error.errno in _FULL:
         return OutputError(f"{path}: the disk or quota is full; free some space and run again.")
     if error.errno in _DENIED:

@@ -1,4 +1,4 @@
-"""Columns one after the other, as some formats have them, of a model that is read by rows."""
+"""Encoding a model column by column for formats that need it, from a source read by rows."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -14,14 +14,14 @@ _PIECE = 1 << 20  # bytes
 
 
 def encoded_columns(source: Source, encoders: Sequence[Encoder]) -> Iterator[Iterator[bytes]]:
-    """Each column in pieces; take all of one before the next.
+    """Yield an iterator over the encoded bytes of each column; exhaust each before the next.
 
-    A model in memory is gone through for each. Others are read once: the columns but the first,
-    as they are encoded, wait for their turn in temporary files.
+    A model in memory is traversed once for each column. Other sources are read only once: while
+    the first column is yielded, all others are encoded and kept in temporary files.
 
     Args:
         source: The model.
-        encoders: One for each column.
+        encoders: One for each column, in the order of the columns.
 
     Raises:
         OSError: A temporary file cannot be written.

@@ -1,8 +1,8 @@
-"""Cells of points: those nearest to one of few centres, found by k-means among some of them.
+"""Partitioning points into cells: Voronoi cells of centres that k-means finds on a sample.
 
-Lloyd, "Least squares quantization in PCM", 1982; looking for neighbours in cells alone is that of
-an inverted file, Jegou, Douze, Schmid, "Product quantization for nearest neighbor search", 2011,
-section IV.
+Lloyd, "Least squares quantization in PCM", 1982. Searching for neighbours only in the nearest cells
+is the inverted file of Jegou, Douze, Schmid, "Product quantization for nearest neighbor search",
+2011, section IV.
 """
 
 import numpy as np
@@ -10,18 +10,18 @@ import numpy as np
 from nanogs._types import F32, I32, I64
 from nanogs.kernels.kmeans import group, nearest_cells, weighted_means
 
-_SAMPLES = 64  # of a cell, by which its centre is found
+_SAMPLES = 64  # sampled points per cell, from which the centres are computed
 _ROUNDS = 6
-_PIECE = 512  # points of a cell that a thread takes at once
+_PIECE = 512  # points of a cell that one thread processes at a time
 
 
 def nearby_cells(points: F32, count: int, near: int) -> I32:
-    """(N, P): the nearest of some cells of each point, the nearest first.
+    """Partition points into cells and return the nearest cells of each, (N, P), nearest first.
 
     Args:
         points: (N, D), D a multiple of three.
-        count: Cells, at most N.
-        near: P at most.
+        count: Number of cells, at most N.
+        near: Number of cells for each point; P is the smaller of this and `count`.
     """
     sample = points[np.linspace(0, len(points) - 1, _SAMPLES * count).astype(np.int64)]
     centres = np.ascontiguousarray(sample[::_SAMPLES].T)
@@ -37,14 +37,14 @@ def nearby_cells(points: F32, count: int, near: int) -> I32:
 
 
 def by_label(labels: I32, count: int) -> tuple[I64, I64]:
-    """Where the points of each label, from 0 to before a count, begin in a list, and the list."""
+    """Return (count + 1,) offsets of the labels 0 to `count` - 1, and (N,) points by label."""
     starts, order = np.empty(count + 1, np.int64), np.empty(len(labels), np.int64)
     group(np.ascontiguousarray(labels), starts, order)
     return starts, order
 
 
 def pieces(starts: I64) -> I64:
-    """(Q, 3): cells, and from where to where points of each are, a share of a thread at most."""
+    """Split cells into pieces of work for threads: (Q, 3) cell, first offset and end offset."""
     counts = np.diff(starts)
     parts = -(-counts // _PIECE)
     cells = np.repeat(np.arange(len(counts)), parts)

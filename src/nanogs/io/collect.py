@@ -1,4 +1,4 @@
-"""The files to read of what the user names, and the files to write for them."""
+"""Resolving the paths, folders and patterns that a user gives to input and output files."""
 
 import glob
 from collections.abc import Iterable, Sequence
@@ -10,24 +10,25 @@ from nanogs.io import registry
 from nanogs.io.urls import Address
 
 FILES = "levels.json"
-# A folder with one of these is a model itself.
+# Manifests: a folder with one of these is a single model.
 WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, "meta.json")
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """A file to read, and the one to write for it."""
+    """An input file and the output file for its result."""
 
     source: Path
     target: Path
 
 
 def collect(paths: Iterable[Path]) -> list[Path]:
-    """The files that are meant: files as they are, folders and patterns by what is in them.
+    """Expand folders and patterns to the files they mean; files are returned unchanged.
 
-    A folder stands for the models directly in it, or for itself where it is a SOG model or 3D
-    Tiles; a pattern (`*`, `?`, `[...]`, `**`) that is no file's name for whatever matches, as in a
-    shell. Each file comes once, in the order given and by name within a folder.
+    A folder is replaced by the models directly in it, or by its manifest if it is a SOG model, a
+    streamed SOG model or 3D Tiles; a pattern (`*`, `?`, `[...]`, `**`) that is not the name of a
+    file by everything that matches it, as in a shell. Each file is listed once, in the order given
+    and by name within a folder.
 
     Raises:
         FormatError: A folder holds no model.
@@ -38,7 +39,9 @@ def collect(paths: Iterable[Path]) -> list[Path]:
 
 
 def model_in(path: Path) -> Path:
-    """The file that describes the model in a folder; of levels in files the finest. Files as given.
+    """Return the file to open for a model in a folder; a path that is no folder is unchanged.
+
+    That is its manifest, its only model, or, of a folder of levels of detail, the finest level.
 
     Raises:
         FormatError: The folder holds no model, or several.
@@ -49,7 +52,7 @@ def model_in(path: Path) -> Path:
     if len(inside) > 1 and not (path / FILES).is_file():
         names = ", ".join(file.name for file in inside[:4]) + (", ..." if len(inside) > 4 else "")
         raise FormatError(f"The folder {path} holds {len(inside)} models; name one: {names}.")
-    return inside[0]  # by name, so the finest level where there are some
+    return inside[0]  # sorted by name, so of several levels the finest
 
 
 def _matches(path: Path) -> list[Path]:
@@ -81,13 +84,13 @@ def _readable(file: Path) -> bool:
 
 
 def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[Pair]:
-    """Pair files with results: in one folder, under the file's own name.
+    """Pair each input file with an output file of the same name in one folder.
 
-    A SOG model in a folder gives the folder's name.
+    The result for a SOG model in a folder is named after that folder.
 
     Args:
         sources: Files to read.
-        folder: For the results.
+        folder: Folder for the results.
         suffix: Format of the results, with or without its dot; by default each file's own.
 
     Raises:

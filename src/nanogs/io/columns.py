@@ -26,11 +26,11 @@ def rest_names(degree: int) -> list[str]:
 
 
 def by_column(names: Sequence[str], array: Array) -> Iterator[tuple[str, Array]]:
-    """Each column of an array under its name.
+    """Yield each column of an array with its name, as a view of shape (N,).
 
     Args:
-        names: Of all columns, the places of the last axis in turn.
-        array: (N,) or more axes, as many places in the others as there are names.
+        names: Names of the columns, in C order of all axes but the first.
+        array: (N, ...); the axes but the first have as many entries together as there are names.
     """
     places: Iterator[Any] = product(*map(range, array.shape[1:]))
     for name, place in zip(names, places, strict=True):
@@ -43,7 +43,7 @@ def is_known(name: str) -> bool:
 
 
 def sh_degree(names: Iterable[str], where: str) -> int:
-    """SH degree from the `f_rest_*` among the column names.
+    """Compute the SH degree from the number of `f_rest_*` columns.
 
     Args:
         names: All column names.

@@ -1,4 +1,4 @@
-"""The files of a SOG model, in a folder or in one zip; only those asked for are read."""
+"""Access to the files of a SOG model, in a folder or in a zip; each is read only on request."""
 
 import zipfile
 import zlib
@@ -12,30 +12,30 @@ from nanogs.io.texts import reason
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can state
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time that a zip can store
 _DAMAGE = (OSError, EOFError, ValueError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
 class Folder:
-    """Files by plain name, in one folder."""
+    """The files of a model in a folder, accessed by plain name."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def where(self, name: str) -> str:
-        """The file as the user may call it, for messages."""
+        """Return the path of a file for messages."""
         return str(self._path / name)
 
     def size(self, name: str) -> int:
-        """Bytes of a file, unpacked.
+        """Return the uncompressed size of a file in bytes.
 
         Raises:
-            FormatError: There is no such file, or it is no plain one.
+            FormatError: There is no such file, or it is no regular one.
         """
         return input_size(self._path / name)
 
     def bytes_on_disk(self, names: Iterable[str]) -> int:
-        """Bytes of the files of those names as they are stored, with what holds them.
+        """Return the stored size of the files in bytes, with that of the container around them.
 
         Raises:
             FormatError: As for `size`.
@@ -43,7 +43,7 @@ class Folder:
         return sum(map(self.size, names))
 
     def read(self, name: str, limit: int) -> bytes:
-        """The first `limit` bytes of a file, or all of it where it is shorter.
+        """Read the first `limit` bytes of a file, or all of it if it is shorter.
 
         Raises:
             FormatError: As for `size`, or the file cannot be read.
@@ -54,12 +54,12 @@ class Folder:
 
 
 class Bundle(Folder):
-    """Files by plain name, in one zip, or in a folder in there.
+    """The files of a model in a zip, or in a folder inside a zip, accessed by plain name.
 
     Args:
         path: The zip, for messages.
         file: The zip, open for reading.
-        inside: The folder, with a slash at its end; empty for the zip's own.
+        inside: The folder in the zip, with a slash at its end; empty for the root of the zip.
 
     Raises:
         FormatError: The file is no zip or is damaged.
@@ -77,20 +77,23 @@ class Bundle(Folder):
             ) from error
 
     def where(self, name: str) -> str:
-        """The file's name after that of the zip."""
+        """Return the path of the zip and the name of a file in it, for messages."""
         return f"{self._path}: {self._inside}{name}"
 
     def size(self, name: str) -> int:
-        """Bytes of a file as the zip states them; see `Folder`."""
+        """Return the uncompressed size of a file that the zip states, in bytes; see `Folder`."""
         return self._entry(name).file_size
 
     def bytes_on_disk(self, names: Iterable[str]) -> int:
-        """Bytes of the zip, in which the files must be; of a folder in there, of them alone."""
+        """Return the size of the whole zip in bytes; for a folder in it, of the files alone.
+
+        The files must be there.
+        """
         packed = sum(self._entry(name).compress_size for name in names)
         return packed if self._inside else input_size(self._path)
 
     def read(self, name: str, limit: int) -> bytes:
-        """The beginning of a file, its checksum checked at its end; see `Folder`."""
+        """Read the first `limit` bytes of a file; reading all of it checks its checksum."""
         entry = self._entry(name)
         try:
             with self._zip.open(entry) as file:
@@ -115,18 +118,18 @@ class Bundle(Folder):
 
 
 def damaged(where: str, what: str) -> FormatError:
-    """The error for a file of a model that is not as it was written.
+    """Build the error for a damaged file of a model.
 
     Args:
-        where: The file, as the user may call it.
-        what: What is wrong with it, to follow that.
+        where: The file, for the message.
+        what: The damage, which follows the file's name in the message.
     """
     return FormatError(f"{where} {what}; export or download the model again.")
 
 
 def plain_entry(name: str) -> zipfile.ZipInfo:
-    """The entry of a file that is put into a zip as it is: the same at any time and anywhere."""
+    """Return the zip entry of an uncompressed file, without time or system, for equal bytes."""
     entry = zipfile.ZipInfo(name, _EPOCH)
-    entry.create_system = 3  # the same bytes on every system
+    entry.create_system = 3  # Unix: the same bytes on every system
     entry.external_attr = 0o644 << 16
     return entry

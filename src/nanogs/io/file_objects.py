@@ -1,7 +1,7 @@
-"""Open files in place of names: `io.BytesIO`, members of archives, what `open` gives.
+"""Reading and writing file objects: `io.BytesIO`, members of archives, results of `open`.
 
-Readers map and seek in files, so what is read goes into a temporary one first; what is written goes
-into a temporary one too, so that nothing half-written reaches the caller's.
+Readers map files and seek in them, so the contents of a file object are copied to a temporary file
+first. Output goes to a temporary file too, so that the caller's never gets an incomplete model.
 """
 
 import io
@@ -20,11 +20,11 @@ from nanogs.io.retag import retagged
 from nanogs.source import Source
 from nanogs.splats import Splats
 
-_IN_MEMORY = 1 << 28  # bytes of a file that is written before it goes to the disk
+_IN_MEMORY = 1 << 28  # bytes of output that are held in memory; more go to a file on disk
 
 
 def as_named(path: Path, format: str | None) -> Path:  # noqa: A002 - as `load` has it
-    """A name whose suffix says the format: the path's own, or one of the format given."""
+    """Return a path whose suffix says the format: the given one, or `model` with that suffix."""
     return path if format is None else Path(f"model{registry.suffix_of(format)}")
 
 
@@ -33,17 +33,18 @@ def read_file(
     format: str | None,  # noqa: A002 - as `load` has it
     render_mode: str | None = None,
 ) -> Splats:
-    """The model in an open file, from where it stands to its end.
+    """Read a model from a file object, from its current position to its end.
 
     Args:
         file: Opened for reading bytes.
-        format: Suffix of its format; by default by its name or its first bytes.
-        render_mode: As `load` has it.
+        format: Suffix of its format; by default taken from its name or detected from its first
+            bytes.
+        render_mode: Render mode that overrides the file's; see `load`.
 
     Raises:
         FormatError: As for `load`.
-        OptionError: It is no file, opened as text, or does not say its format.
-        OutputError: It cannot be copied.
+        OptionError: It is no file object, is opened as text, or its format is unknown.
+        OutputError: It cannot be copied to a temporary file.
     """
     _check_open(file, "read")
     with temporary_folder("nanogs-") as folder:
@@ -65,7 +66,7 @@ def read_file(
         named = copy.rename(copy.with_name(f"stream{suffix}"))
         try:
             return retagged(registry.reader(named).open(named), render_mode).load()
-        except NanogsError as error:  # which names a folder that the user has never seen
+        except NanogsError as error:  # leave the temporary folder out of the message
             inside = f"{folder}{os.sep}"
             error.args = tuple(str(part).replace(inside, "") for part in error.args)
             raise
@@ -77,16 +78,17 @@ def write_file(
     format: str | None,  # noqa: A002 - as `save` has it
     options: FormatOptions,
 ) -> None:
-    """Write a model into an open file, all of it or nothing.
+    """Write a model to a file object, once all of it has been encoded.
 
     Args:
         splats: The model.
-        file: Opened for writing bytes; the model comes where it stands.
-        format: Suffix of its format; by default by its name.
-        options: Of the format.
+        file: Opened for writing bytes; the model is written at its current position.
+        format: Suffix of the format; by default taken from the file's name.
+        options: Options of the format.
 
     Raises:
-        NanogsError: As for `save`; and it is no file, opened as text, or does not say its format.
+        NanogsError: As for `save`; or it is no file object, is opened as text, or its format is
+            unknown.
     """
     _check_open(file, "write")
     suffix = _suffix(file, format)
@@ -107,10 +109,10 @@ def write_file(
 
 
 def _suffix(file: BinaryIO, format: str | None) -> str | None:  # noqa: A002
-    """The suffix that is given, or that the file's name ends in, or None."""
+    """Return the suffix of the given format, or that of the file's name, or None."""
     if format is not None:
         return registry.suffix_of(format)
-    name = getattr(file, "name", None)  # a number, of files without one
+    name = getattr(file, "name", None)  # an integer, the descriptor, for files without a name
     known = registry.find(Path(name)) if isinstance(name, str) else None
     return known.suffix if known and known.suffix.startswith(".") else None
 

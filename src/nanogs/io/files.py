@@ -8,26 +8,27 @@ from typing import BinaryIO
 
 from nanogs.errors import FormatError
 
-# Rows decoded or encoded at a time: bounds the memory beside the model; at 250 bytes a row a block
-# of this size stays in the cache, and is encoded twice as fast as one of 64 K rows.
+# Rows decoded or encoded at a time: bounds the memory used beside the model. With 250 bytes per row
+# a block of this size fits into the cache and is encoded twice as fast as one of 64 K rows.
 BLOCK_ROWS = 8192
-# Packed files whose model takes no more are never refused for it, however small they are: models of
-# equal splats are honest.
+# Bytes in memory of a model that is never refused as a decompression bomb, however small its file:
+# a model of many equal splats compresses to almost nothing.
 _SMALL_MODEL = 128 << 20
-# Most bytes in memory for each byte of the file of a larger model. Centres and colours do not pack
-# well: real files have 10 to 50 bytes a splat, whose 56 to 344 in memory are 3 to 30 times that.
+# Most bytes in memory for each byte of the file, for a larger model. Centres and colours compress
+# badly: real files have 10 to 50 bytes per splat, and its 56 to 344 bytes in memory are 3 to 30
+# times that.
 _MAX_EXPANSION = 64
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _WEB_PAGE = (b"<!doctype", b"<html", b"<head", b"<body", b"<?xml")
-TOLD_BY = 256  # bytes at a file's beginning that tell a pointer or a web page
+TOLD_BY = 256  # bytes at the start of a file that show whether it is a pointer or a web page
 
 
 def input_size(path: Path) -> int:
-    """Size of an input file in bytes.
+    """Return the size of an input file in bytes, after the checks that every reader needs.
 
     Raises:
-        FormatError: There is no such file, it is no regular file, it is empty, or something else
-            lies in its place; see `refuse_stand_in`.
+        FormatError: There is no such file, it is no regular file, it is empty, or it is a Git LFS
+            pointer or a web page; see `refuse_stand_in`.
     """
     try:
         status = path.stat()
@@ -48,14 +49,14 @@ def input_size(path: Path) -> int:
 
 @contextmanager
 def reading(path: Path, buffering: int = -1) -> Iterator[BinaryIO]:
-    """A file, open for reading bytes.
+    """Open a file for reading bytes, converting an `OSError` to a `FormatError`.
 
     Args:
         path: The file.
-        buffering: As `open` takes it.
+        buffering: Passed to `open`.
 
     Raises:
-        FormatError: The system refuses, now or in the block.
+        FormatError: The file cannot be opened, or the block raises an `OSError`.
     """
     try:
         with path.open("rb", buffering=buffering) as file:
@@ -65,7 +66,7 @@ def reading(path: Path, buffering: int = -1) -> Iterator[BinaryIO]:
 
 
 def refuse_stand_in(path: Path, start: bytes) -> None:
-    """Refuse what downloads leave in a file's place: a Git LFS pointer, or a web page.
+    """Refuse a Git LFS pointer or a web page, which downloads leave in place of a model.
 
     Args:
         path: The file, for the message.
@@ -81,20 +82,20 @@ def refuse_stand_in(path: Path, start: bytes) -> None:
 
 
 def splat_bytes(degree: int) -> int:
-    """Bytes that a splat of an SH degree takes in memory, extra columns aside."""
+    """Compute the bytes that a splat of an SH degree takes in memory, without extra columns."""
     return 4 * (3 + 3 + 4 + 1 + 3 * (degree + 1) ** 2)
 
 
 def check_expansion(where: str, model_bytes: int, file_bytes: int) -> None:
-    """Refuse a packed file that states a model far larger than an honest one of its size has.
+    """Refuse a decompression bomb: a file that states a model far too large for its own size.
 
     Args:
         where: The file, for the message.
-        model_bytes: What the model would take in memory, by what the file states.
+        model_bytes: Size of the model in memory, computed from the counts that the file states.
         file_bytes: Size of the file.
 
     Raises:
-        FormatError: It is a bomb.
+        FormatError: The ratio of both is too large.
     """
     if model_bytes > max(_SMALL_MODEL, _MAX_EXPANSION * file_bytes):
         raise FormatError(
@@ -104,6 +105,6 @@ def check_expansion(where: str, model_bytes: int, file_bytes: int) -> None:
 
 
 def unreadable(path: Path, error: Exception) -> FormatError:
-    """The error for a file that exists but that the system will not let us read."""
+    """Build the error for a file that exists but that the system does not let us read."""
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return FormatError(f"{path} cannot be read ({reason}); check its permissions.")

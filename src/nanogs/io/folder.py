@@ -23,11 +23,11 @@ it did not make."""
 
 @contextmanager
 def atomic_folder(path: Path, ours: Ours, *, overwrite: bool = False) -> Iterator[Path]:
-    """A folder to fill; it becomes `path` when the block ends without an exception.
+    """Yield a temporary folder, renamed to `path` if the block ends without an exception.
 
     Args:
         path: The folder to make.
-        ours: Says what may be deleted of an existing folder.
+        ours: Lists the files of an existing folder that may be deleted.
         overwrite: Whether an existing folder may be replaced; an empty one always is.
 
     Raises:
@@ -36,17 +36,17 @@ def atomic_folder(path: Path, ours: Ours, *, overwrite: bool = False) -> Iterato
     target = _target(path, ours, overwrite=overwrite)
     with writing(path), temporary(target, Path.mkdir) as made:
         yield made
-        # Looked at again: minutes may have passed.
+        # Checked again: minutes may have passed since the first check.
         _take_place(made, _target(path, ours, overwrite=overwrite), ours)
 
 
 def move_folder(folder: Path, path: Path, ours: Ours, *, overwrite: bool = False) -> None:
-    """Give a finished folder its name, across file systems if need be.
+    """Move a finished folder to its final path, across file systems if necessary.
 
     Args:
-        folder: What is to be moved.
-        path: Where to.
-        ours: Says what may be deleted of an existing folder.
+        folder: The folder to move.
+        path: Its new path.
+        ours: Lists the files of an existing folder that may be deleted.
         overwrite: Whether an existing folder may be replaced; an empty one always is.
 
     Raises:
@@ -74,7 +74,7 @@ def check_folder_writable(path: Path, ours: Ours, *, overwrite: bool = False) ->
 
 
 def _target(path: Path, ours: Ours, *, overwrite: bool) -> Path:
-    """The folder to make, links resolved, after every check that changes nothing."""
+    """Resolve symbolic links, finish interrupted swaps, and check the target."""
     with writing(path):
         target = Path(os.path.realpath(path))
         _finish_swaps(target, ours)
@@ -106,7 +106,7 @@ def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> N
 
 
 def _contents(folder: Path, prefix: str = "") -> Iterator[str]:
-    """Paths of all files below a folder, and of empty folders; links are not followed."""
+    """Yield relative paths of all files below a folder, and of empty folders; links as files."""
     for entry in folder.iterdir():
         if entry.is_symlink() or not entry.is_dir():
             yield prefix + entry.name
@@ -117,7 +117,7 @@ def _contents(folder: Path, prefix: str = "") -> Iterator[str]:
 
 
 def _take_place(made: Path, target: Path, ours: Ours) -> None:
-    """Rename; an older folder steps aside first and is deleted last."""
+    """Rename the folder; an existing target is first renamed and, at the end, deleted."""
     with undisturbed():
         _swap(made, target, ours)
 
@@ -138,7 +138,7 @@ def _swap(made: Path, target: Path, ours: Ours) -> None:
 
 
 def _finish_swaps(target: Path, ours: Ours) -> None:
-    """Do what a run did not come to that was killed while it replaced a folder."""
+    """Finish the swaps of runs that were killed while they replaced the target folder."""
     for old in left_beside(target, ".old"):
         if target.exists():
             _discard(old, ours)
@@ -147,7 +147,7 @@ def _finish_swaps(target: Path, ours: Ours) -> None:
 
 
 def _discard(old: Path, ours: Ours) -> None:
-    """Delete a folder by name and not as a tree: what came into it meanwhile is not ours."""
+    """Delete a folder file by file, not as a tree: files added meanwhile are not ours."""
     names = ours(old) or frozenset()
     for name in names:
         (old / name).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""A format's entry in the registry."""
+"""The description of a file format, its entry in the registry."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -26,12 +26,12 @@ FolderWriter = Callable[..., None]
 
 
 def nothing_lost(_splats: Splats) -> tuple[str, ...]:
-    """Stand in for the losses of a format that holds all of every model."""
+    """Return no losses: the `losses` of a format that holds all of every model."""
     return ()
 
 
 def unread(path: Path) -> NoReturn:
-    """Stand in for the reader of a format that is only written.
+    """Refuse to read: the `open` of a format that nanogs only writes.
 
     Raises:
         FormatError: Always.
@@ -41,16 +41,16 @@ def unread(path: Path) -> NoReturn:
 
 @dataclass(frozen=True, slots=True)
 class WriteOption:
-    """A choice in writing a format.
+    """An option for writing a format.
 
     Attributes:
-        keyword: What the writer calls it.
-        values: What it may be.
-        begin: Of one that says how finely values are kept, from coarse to fine, the value with
-            which a search for the best begins; None for others.
-        unseen: Of such a one, the value for presets that do not render, where a size is asked for;
-            None for `begin`.
-        whole: Whether a writer to whom it is given has to hold the whole model.
+        keyword: Name of the writer's parameter.
+        values: Allowed values.
+        begin: For an option that sets the precision, with values from coarse to fine: the value
+            with which a search for the best one starts; None for other options.
+        unseen: For an option that sets the precision: the value for presets that do not render,
+            when a file size is asked for; None for `begin`.
+        whole: Whether a writer that gets this option has to hold the whole model.
     """
 
     keyword: str
@@ -61,36 +61,46 @@ class WriteOption:
 
     @property
     def allowed(self) -> str:
-        """The values, for a message."""
+        """The allowed values, for a message."""
         if isinstance(self.values, range):
             return f"a whole number from {self.values[0]:,} to {self.values[-1]:,}"
         return " or ".join(map(str, self.values))
 
 
-# Bytes that writing takes beside a model that it holds, over those of the model.
+# Memory that writing a whole model takes in addition to the model, as a multiple of its size.
 _PACKED, _PALETTE = 0.4, 7.0
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One format: what its files are called, and how they are read and written.
+    """One format: its file suffix, and the functions that read and write its files.
 
-    `open` gives a file as a source, and `open_level`, of a format with levels of detail, one of
-    these; 0 is the finest. `file_bytes` tells the size of a file before it is written; never
-    smaller for more splats. `frame` says which way is up, and `axes` is the name of the frame of a
-    model that was read, or None where files differ; with `turns`, files are in the format's own
-    frame, to and from which reading and writing turn. `options` are what `save` takes as
-    `format_options` for it; where `states_frame` says so of some, `frame` is one, which files then
-    state. Of a format whose model is a folder, described by the file of the name
-    `suffix` in it, `write_folder` makes that folder and `ours` says what in such a folder nanogs
-    made. With `tells`, `write` takes `tell`: it takes long, and tells its parts. With `streams`,
-    `write` takes a source too, and holds no more than some rows of it, but for options that say
-    so. `max_degree` is the highest degree of harmonics that files hold. `check` fails before any
-    computing where this installation cannot write the format. Files without a name are known by
-    what they begin with, one of `starts`, or, where they are zips, by a file that is in them,
-    `holds`. `check_options` fails where options do not go together. `settled` gives options that
-    follow from the model unless they are given, by which a like one can be written in the same way.
-    `around` gives the bytes that every file has around its splats, where these are many.
+    Attributes:
+        suffix: Suffix of its files; of a model that is a folder, the name of its manifest.
+        open: Opens a file as a source.
+        write: Writes a model to an open file.
+        file_bytes: Computes the size of a file before it is written; never smaller for more splats.
+        losses: Names what the format cannot hold of a model.
+        open_level: Opens one level of detail, 0 the finest, of a format that has levels.
+        frame: Text for the user: which axis points up.
+        axes: Name of the coordinate frame of a model that was read; None if files differ.
+        turns: Whether files have the format's own frame, so that reading and writing rotate.
+        options: Options that `save` takes as `format_options`, by name.
+        states_frame: Whether a file that is written with given options can state its frame, by
+            the option `frame`.
+        write_folder: Writes a model as a folder, for a format whose model is one.
+        tells: Whether `write` takes a callback `tell` for its progress, because it takes long.
+        streams: Whether `write` takes a source too and holds only some rows of it at a time, apart
+            from options with `whole`.
+        max_degree: Highest SH degree that files hold.
+        ours: Lists the files that nanogs made in such a folder.
+        check: Fails before any computing if this installation cannot write the format.
+        check_options: Fails if options contradict each other.
+        settled: Computes options that are not given from the model, so that a similar model can be
+            written in the same way.
+        starts: First bytes, by which a file without a name is recognised.
+        holds: Name of a file by which a zip without a name is recognised.
+        around: Number of bytes that every file has in addition to its splats, where it is large.
     """
 
     suffix: str
@@ -118,19 +128,19 @@ class Format:
 
     @property
     def readable(self) -> bool:
-        """Whether nanogs reads it."""
+        """Whether nanogs reads the format."""
         return self.open is not unread
 
     def holds_whole(self, options: FormatOptions) -> bool:
-        """Whether writing with such options holds the whole model, and not some rows of it."""
+        """Whether writing with these options holds the whole model and not only some rows."""
         given = [name for name, value in options.items() if value is not None]
         return not self.streams or any(self.options[n].whole for n in given if n in self.options)
 
     def beside(self, model: int) -> int:
-        """Bytes that writing takes beside a model of so many bytes, where it holds that whole."""
+        """Estimate the bytes of memory that writing takes beside a held model of `model` bytes."""
         return int(model * (_PALETTE if "palette" in self.options else _PACKED))
 
     @property
     def writable(self) -> bool:
-        """Whether nanogs writes it, as a file or as a folder."""
+        """Whether nanogs writes the format, as a file or as a folder."""
         return bool(self.write or self.write_folder)

@@ -1,4 +1,4 @@
-"""The formats of all families, with their readers and writers; ask `registry` for one."""
+"""The table of all formats, with their readers and writers; look them up through `registry`."""
 
 from importlib import import_module
 

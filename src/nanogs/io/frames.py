@@ -1,7 +1,7 @@
-"""The frame that a file states of its axes, and what of it comes into a file that is made of it.
+"""Carrying the coordinate frame that an input file states over to the output file.
 
-A model does not know its frame. Where it is not turned, a file that can state the frame repeats
-what the input states; of another one, a sentence says that it does not.
+A model does not know its frame. If it is not turned, an output that can state a frame states that
+of the input; otherwise a note says that the output does not.
 """
 
 from collections.abc import Sequence
@@ -15,15 +15,18 @@ from nanogs.io.parts import FileSource
 def repeated(
     path: Path, options: FormatOptions | None, inputs: Sequence[FileSource]
 ) -> tuple[FormatOptions | None, tuple[str, ...]]:
-    """Options with which a file states the frame that its inputs state, and what is to be said.
+    """Add the frame of the inputs to the format options of an output, or return a note instead.
 
     Args:
-        path: What is to be written of a model that is not turned.
-        options: Of its format, as they were given.
-        inputs: The files that the model is in.
+        path: The output, a model that is not turned.
+        options: Options of its format that were given.
+        inputs: The files that the model comes from.
+
+    Returns:
+        The options, and notes for the user.
 
     Raises:
-        FormatError: What states a frame cannot be read.
+        FormatError: The part of an input that states the frame cannot be read.
     """
     known, given = registry.find(path), options or {}
     stated = {each.frame for each in inputs}

@@ -1,6 +1,6 @@
-"""Writing a page, `.html`, that shows the model offline; mouse, touch and keys move it.
+"""Writing an `.html` page that shows the model offline, moved by mouse, touch and keys.
 
-The page is that of `nanogs view`: it holds the model as `.spz` and the viewer that draws it.
+It is the page of `nanogs view`, which contains the model as `.spz` and the viewer that draws it.
 """
 
 from typing import BinaryIO
@@ -10,14 +10,14 @@ from nanogs.io.format import Format, unread
 from nanogs.splats import RenderMode, Splats
 
 SUFFIX = ".html"
-_MAX_DEGREE = 3  # that the viewer draws
+_MAX_DEGREE = 3  # highest SH degree that the viewer draws
 
 
 def check() -> None:
-    """Fail before any computing where the viewer is missing.
+    """Fail before any computing if the viewer is missing.
 
     Raises:
-        OptionError: It is.
+        OptionError: This installation has no viewer.
     """
     from nanogs.view.bundle import check_built
 
@@ -32,7 +32,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
         OutputError: There is no splat, or one holds values that are not finite.
         ModelError: The model is too large for a browser.
     """
-    # Here and not above: a format is known by name before any page is made.
+    # Imported here: looking up a format must not import the code that makes pages.
     from nanogs.view.pack import pack
     from nanogs.view.page import Shown, facts_of, render_page
     from nanogs.views.opening import opening_for
@@ -46,7 +46,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
 
 
 def _around() -> int:
-    """Bytes of the viewer in a page."""
+    """Return the number of bytes that the viewer takes in a page."""
     from nanogs.view.bundle import licences, program
 
     return len(program()) + len(licences().encode("utf-8"))

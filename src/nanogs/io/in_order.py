@@ -1,4 +1,4 @@
-"""The rows of a source in another order, by way of a temporary file if it is not in memory."""
+"""Permuting the rows of a source, with a temporary file if the source is not in memory."""
 
 from tempfile import TemporaryFile
 from typing import IO, Any
@@ -15,11 +15,11 @@ _LEAST_ROWS, _MOST_BUCKETS = 1 << 12, 256
 
 
 def in_order(source: Source, order: I64 | I32) -> Source:
-    """The rows of a model in another order, without extra columns where it is not in memory.
+    """Return a source with the rows permuted; extra columns are dropped if it is not in memory.
 
     Args:
         source: N splats.
-        order: (N,) the row that comes first, and so on.
+        order: (N,) the input row of each output row.
 
     Raises:
         OSError: The temporary file cannot be written.
@@ -28,19 +28,23 @@ def in_order(source: Source, order: I64 | I32) -> Source:
 
 
 class _Taken(Source):
-    """Rows of a model in memory."""
+    """Permuted rows of a model in memory."""
 
     def __init__(self, source: Source, order: I64 | I32) -> None:
         self._source, self._order = source, order
         self.count, self.columns = len(order), source.columns
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source.read`."""
         return self._source.take(self._order[start:stop].astype(np.int64, copy=False))
 
 
 class _Sorted(Source):
-    """Rows in a temporary file: those of each bucket of places together, in the order they came."""
+    """Permuted rows in a temporary file, by a bucket sort.
+
+    A bucket is a range of output rows. The file holds the buckets one after another, each in input
+    order; a bucket is sorted when it is read.
+    """
 
     def __init__(self, source: Source, order: I64 | I32) -> None:
         self._source = source
@@ -55,7 +59,7 @@ class _Sorted(Source):
     def _fill(self, order: I64 | I32) -> None:
         places = np.empty_like(order)
         places[order] = np.arange(len(places))
-        ends = np.arange(0, len(places), self._rows)  # of what each bucket has so far
+        ends = np.arange(0, len(places), self._rows)  # the next free row of each bucket
         at = 0
         for block in self._source.blocks():
             rows = np.empty(len(block), self._dtype)
@@ -71,7 +75,7 @@ class _Sorted(Source):
             at += len(block)
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source.read`."""
         parts = []
         while start < stop:
             number, skipped = divmod(start, self._rows)
@@ -85,7 +89,7 @@ class _Sorted(Source):
             count = min(self._rows, self.count - number * self._rows)
             self._file.seek(number * self._rows * self._dtype.itemsize)
             stored = self._file.read(count * self._dtype.itemsize)
-            rows = np.frombuffer(stored, self._dtype, count)  # which refuses fewer
+            rows = np.frombuffer(stored, self._dtype, count)  # raises if the file is too short
             self._last = number, rows[np.argsort(rows["place"])]
         return self._last[1]
 
@@ -95,11 +99,11 @@ class _Sorted(Source):
 
 
 def _columns(splats: Splats) -> list[tuple[str, Any, tuple[int, ...]]]:
-    """Name, type and shape of what is kept of a row."""
+    """Return name, dtype and shape of each column of a stored row."""
     return [(n, getattr(splats, n).dtype, getattr(splats, n).shape[1:]) for n in _COLUMNS]
 
 
 def _splats(rows: Array, columns: Layout) -> Splats:
-    """Rows as they were kept."""
+    """Convert stored rows to `Splats`."""
     found: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in _COLUMNS}
     return Splats(**found, render_mode=RenderMode(columns.render_mode))

@@ -1,4 +1,4 @@
-"""A scene file's description of itself, found without reading its body."""
+"""The metadata of a scene file, read without its body."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,25 +16,25 @@ _TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class FileInfo:
-    """A scene file's own description.
+    """The metadata of a scene file.
 
     Attributes:
         path: The file.
         format: Name of the format: its suffix without the first dot, `sog` for `meta.json` too, or
             `streamed sog`.
-        encoding: `binary_little_endian`, `binary_big_endian` or `ascii`; mostly `gzip` or `zstd` of
-            a `.spz` file, `zip` of a `.npz` file, `webp` of SOG.
+        encoding: `binary_little_endian`, `binary_big_endian` or `ascii`; usually `gzip` or `zstd`
+            for a `.spz` file, `zip` for a `.npz` file, `webp` for SOG.
         file_bytes: Size of the file, or of all files that make up the model, in bytes.
         splats: Number of splats.
         sh_degree: Degree of the spherical harmonics, 0 to 4.
         double_means: Whether the centres are stored in double precision.
         properties: (name, type) of each stored column of a splat, in the file's order; the type is
-            PLY's word, or NumPy's (`float16`, `<U4`) where PLY has none; `int24` is `.spz`'s own.
+            PLY's name, or NumPy's (`float16`, `<U4`) if PLY has none; `int24` is `.spz`'s own.
         extras: Names of the columns nanogs carries through without interpreting them.
         elements: (name, rows) of each PLY element besides those that make up the splats.
         render_mode: The rasteriser the model was trained for.
-        render_tag: What in the file says so, such as `the comment "antialiased 1"`; empty where
-            nothing does, and the usual one is taken.
+        render_tag: The part of the file that states the render mode, such as `the comment
+            "antialiased 1"`; empty if there is none and the default is assumed.
         comments: Comment lines, printable; bytes that are not UTF-8 are shown as Latin-1.
     """
 
@@ -66,5 +66,5 @@ class FileInfo:
         )
 
     def extra_bytes(self) -> int:
-        """Bytes that the extra columns take for each splat."""
+        """Compute the number of bytes that the extra columns take for each splat."""
         return sum(np.dtype(kind).itemsize for _, kind in self.layout.extras)

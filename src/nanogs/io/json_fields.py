@@ -1,4 +1,4 @@
-"""Checked values from a format's JSON. `where` is the file and the field, for the message."""
+"""Validating fields of JSON files. `where` names the file and the field in error messages."""
 
 import json
 import math
@@ -14,10 +14,10 @@ from nanogs.io.files import input_size, reading
 
 
 def parse(data: bytes, where: str) -> dict[str, Any]:
-    """The object that a JSON file holds.
+    """Parse a JSON text and return its object as a `dict`.
 
     Raises:
-        FormatError: It is not JSON in UTF-8, or no object.
+        FormatError: It is not JSON in UTF-8, or is not an object.
     """
     try:
         value = json.loads(data.decode("utf-8-sig"))
@@ -29,14 +29,14 @@ def parse(data: bytes, where: str) -> dict[str, Any]:
 
 
 def read_json(path: Path, limit: int) -> dict[str, Any]:
-    """The object that a small JSON file holds.
+    """Read a small JSON file and return its object as a `dict`.
 
     Args:
         path: The file.
-        limit: The most bytes that it may have.
+        limit: Largest allowed size in bytes.
 
     Raises:
-        FormatError: It cannot be read, is larger, or holds no object.
+        FormatError: It cannot be read, is larger, or is not a JSON object.
     """
     if input_size(path) > limit:
         raise refused(str(path), f"is too large for what it should hold, with over {limit:,} bytes")
@@ -52,7 +52,7 @@ def table(value: object, where: str) -> dict[str, Any]:
 
 
 def rows(value: object, where: str, length: int | None = None) -> list[Any]:
-    """Return a list, of `length` entries where that is given, or raise a `FormatError`."""
+    """Return a list, of `length` entries if that is given, or raise a `FormatError`."""
     if not isinstance(value, list) or length not in (None, len(value)):
         count = "a list" if length is None else f"a list of {length}"
         raise refused(where, f"must be {count}")
@@ -60,9 +60,9 @@ def rows(value: object, where: str, length: int | None = None) -> list[Any]:
 
 
 def integer(value: object, where: str, least: int, most: int | None = None) -> int:
-    """Return an integer of a range, refusing anything else with a `FormatError`."""
+    """Return an integer from `least` to `most`, refusing anything else with a `FormatError`."""
     if isinstance(value, float) and value.is_integer():
-        value = int(value)  # written by a language that has but one kind of number
+        value = int(value)  # JavaScript has only one type of number
     limit = math.inf if most is None else most
     if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= limit:
         up_to = "on" if most is None else f"to {most}"
@@ -71,7 +71,7 @@ def integer(value: object, where: str, least: int, most: int | None = None) -> i
 
 
 def numbers(value: object, where: str, length: int) -> F64:
-    """Return (length,) numbers, finite in single precision too, or raise a `FormatError`."""
+    """Return (length,) float64 numbers that are finite in float32, or raise a `FormatError`."""
     values = rows(value, where, length)
     limit = float(np.finfo(np.float32).max)
     for entry in values:
@@ -89,20 +89,20 @@ def plain_name(value: object, where: str) -> str:
 
 
 def is_plain(name: str) -> bool:
-    """Whether a name leads nowhere: on no system a path, a drive or a device."""
+    """Whether a name is a plain file name, and on no system a path, a drive or a device."""
     return name not in ("", ".", "..") and not set(name) & set('/\\:*?"<>|') and name.isprintable()
 
 
 def local_path(folder: Path, uri: object, where: str) -> Path:
-    """The file that a relative URI names, in a folder or below it.
+    """Return the path that a relative URI names, which must be in a folder or below it.
 
     Args:
-        folder: Of the file that holds the reference.
-        uri: The reference; what follows a `?` or `#` says nothing to a file system.
+        folder: Folder of the file that contains the reference.
+        uri: The reference; a query `?` and a fragment `#` are ignored.
         where: The file and the field, for the message.
 
     Raises:
-        FormatError: It is no text, or leads elsewhere: to another folder or another machine.
+        FormatError: It is not a text, or points outside the folder or to another machine.
     """
     plain = uri.partition("#")[0].partition("?")[0] if isinstance(uri, str) else ""
     parts = [part for part in unquote(plain).split("/") if part != "."]
@@ -112,5 +112,5 @@ def local_path(folder: Path, uri: object, where: str) -> Path:
 
 
 def refused(where: str, what: str) -> FormatError:
-    """The error for a field that is not as the format has it."""
+    """Build the error for a field that violates the format."""
     return FormatError(f"{where} {what}; export the model again.")

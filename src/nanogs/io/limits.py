@@ -1,6 +1,6 @@
-"""Refusals and losses of the formats that do not hold everything.
+"""Errors and notes that are shared by the formats that cannot hold every model.
 
-Said in one place, so that every such format says it alike.
+They are in one place so that every format words them alike.
 """
 
 from collections.abc import Iterator
@@ -19,31 +19,31 @@ from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
 
 def refuse_unstorable(model: Splats | Source, suffix: str) -> None:
-    """Refuse what a format has no code for; infinite opacities and scales of zero are fine.
+    """Refuse values that a format cannot encode; infinite opacities and scales of zero are fine.
 
     Raises:
         OutputError: There is no splat, or one of them holds a NaN or an infinite value, or a centre
-            beyond float32.
+            outside the range of float32.
     """
     for _ in storable(source_of(model), suffix):
         pass
 
 
 def refuse_empty(source: Source, suffix: str) -> None:
-    """Refuse a model without splats, of which no format makes a file that could be read.
+    """Refuse a model without splats, because its file could not be read back in any format.
 
     Raises:
-        OutputError: It is one.
+        OutputError: The model has no splats.
     """
     if not source.count:
         raise UnstorableError(f"The model holds no splats, which a {suffix} file cannot say.")
 
 
 def storable(source: Source, suffix: str) -> Iterator[Splats]:
-    """All blocks of a model; at their end, what `refuse_unstorable` refuses is refused.
+    """Yield all blocks of a model and raise, after the last, if some value cannot be stored.
 
     Raises:
-        OutputError: As said.
+        OutputError: As for `refuse_unstorable`.
     """
     refuse_empty(source, suffix)
     first, wrong, at = 0, 0, 0
@@ -71,18 +71,18 @@ def left_out(
     comments: bool = True,
     max_degree: int = MAX_SH_DEGREE,
 ) -> list[str]:
-    """A sentence each for the columns, elements, comments, bands and digits that stay behind.
+    """Return a sentence each for extra columns, elements, comments and SH bands that are left out.
 
     Args:
         splats: The model.
-        suffix: What the format is called in the sentences.
-        extras: Whether it has no room for extra columns.
-        comments: Whether it has none for comments.
-        max_degree: The highest SH degree it holds.
+        suffix: Name of the format in the sentences.
+        extras: Whether the format leaves extra columns out.
+        comments: Whether the format leaves comments out.
+        max_degree: Highest SH degree that the format holds.
     """
     out: list[str] = []
     with np.errstate(invalid="ignore"):
-        # Most writers put normals of zero into every .ply, which say nothing.
+        # Most writers add normals of zero to every .ply; losing these is not worth a note.
         said = [name for name, each in splats.extras.items() if name not in NORMALS or each.any()]
     if extras and said:
         text = f"Extra columns are left out, {suffix} has no room for them: {{}}."
@@ -100,19 +100,19 @@ def left_out(
 
 
 def degree_left_out(suffix: str, max_degree: int) -> str:
-    """Say that a format holds no more than a degree of harmonics."""
+    """Return the sentence that SH bands above a degree are left out."""
     return f"Spherical harmonics above degree {max_degree} are left out, {suffix} holds no more."
 
 
 def rounded(splats: Splats, suffix: str) -> list[str]:
-    """A sentence if centres in double precision are rounded to single."""
+    """Return a sentence if centres in double precision are rounded to single."""
     if splats.means.dtype == np.float32:
         return []
     return [f"Centres in double precision are rounded, {suffix} holds single."]
 
 
 def lost_mode(splats: Splats, suffix: str, *held: RenderMode) -> list[str]:
-    """A sentence if the format has no tag for the model's render mode."""
+    """Return a sentence if the model's render mode is none of those the format has a tag for."""
     if splats.render_mode in (RenderMode.DEFAULT, *held):
         return []
     tag = f"The render mode {splats.render_mode} is left out, {suffix} has no tag for it"
@@ -120,11 +120,11 @@ def lost_mode(splats: Splats, suffix: str, *held: RenderMode) -> list[str]:
 
 
 def clamped(rows: Bool, what: str) -> list[str]:
-    """A sentence if any splat has a value outside what the format holds.
+    """Return a sentence if any splat has a value outside the range of the format.
 
     Args:
         rows: (N, ...) bool, true where a value is outside.
-        what: The values and their range, to end the sentence.
+        what: The values and their range, inserted into the sentence.
     """
     count = int(rows.reshape(len(rows), -1).any(axis=1).sum())
     text = f"{{:splat has|splats have}} {what}, clamped to that."

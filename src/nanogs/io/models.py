@@ -1,4 +1,4 @@
-"""A model that is given as such, as a source, or as the name of its file."""
+"""Accepting a model as `Splats`, as a `Source`, or as a path."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,18 +15,18 @@ Model: TypeAlias = Splats | Source | str | PathLike[str]
 
 @contextmanager
 def opened(model: Model, name: str = "the model") -> Iterator[Splats | Source]:
-    """The model or the source itself, or the source of a file, which is closed at the end.
+    """Yield `Splats` or a source unchanged, or open a path as a source, closed after the block.
 
     Args:
         model: The model, a source of it, or a path.
-        name: What it is called, for the message.
+        name: Name of the argument, for the message.
 
     Raises:
         FormatError: The file cannot be read; see `open`.
         ModelError: It is none of these.
     """
     if isinstance(model, str | PathLike):
-        from nanogs.io import open as open_model  # `--help` does without
+        from nanogs.io import open as open_model  # slow to import, and not needed by `--help`
 
         with open_model(model) as source:
             yield source
@@ -35,11 +35,11 @@ def opened(model: Model, name: str = "the model") -> Iterator[Splats | Source]:
 
 
 def as_splats(model: Model, name: str = "the model") -> Splats:
-    """The model itself, or what its source or its file holds.
+    """Return the model in memory: `Splats` unchanged, a source or a path loaded.
 
     Args:
         model: The model, a source of it, or a path.
-        name: What it is called, for the message.
+        name: Name of the argument, for the message.
 
     Raises:
         FormatError: The file cannot be read; see `load`.
@@ -50,7 +50,7 @@ def as_splats(model: Model, name: str = "the model") -> Splats:
     if isinstance(model, Source):
         return model.load()
     if isinstance(model, str | PathLike):
-        from nanogs.io import load  # `--help` does without
+        from nanogs.io import load  # slow to import, and not needed by `--help`
 
         return load(model)
     raise ModelError(f"{name} must be Splats, a Source or a path, not {type(model).__name__}.")

@@ -1,4 +1,7 @@
-"""A palette of vectors, found by merging; the same for any number of threads."""
+"""Vector quantisation: a palette of few vectors for many points, found by agglomerative clustering.
+
+The result is the same for any number of threads.
+"""
 
 from dataclasses import dataclass
 
@@ -9,20 +12,20 @@ from nanogs._types import F32, F64, I32, I64, U64, Array
 from nanogs.progress import Parts, untold
 from nanogs.slices import slices
 
-_CELL = 256  # points, about, as long as there are not too many cells
-_MOST_CELLS = 1024  # a point is held against all of them
-_NEAR = 2  # cells in which a point looks for others
+_CELL = 256  # approximate number of points per cell, unless that makes too many cells
+_MOST_CELLS = 1024  # the distance of every point to the centre of every cell is computed
+_NEAR = 2  # number of cells in which a point searches for merge partners
 _ODD = np.uint64(0x9E3779B97F4A7C15)  # Knuth's multiplier, 2^64 over the golden ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Palette:
-    """Vectors in the order of their first use, and which of them stands for each point.
+    """A palette, its entries ordered by first use, and the entry of each point.
 
     Attributes:
         entries: (K, D) float32.
-        labels: (N,) int32, rows of `entries`.
-        exact: Whether every point is one of the entries.
+        labels: (N,) int32, for each point the row of `entries`.
+        exact: Whether every point equals its entry.
     """
 
     entries: F32
@@ -31,16 +34,16 @@ class Palette:
 
 
 def palette(points: F32, size: int, weights: F64 | None = None, tell: Parts = untold) -> Palette:
-    """Find vectors that stand for the points with little squared error.
+    """Find a palette that approximates the points with a small squared error.
 
-    Points that are equal are one point of more weight, so a model that came from a palette
-    keeps it.
+    Equal points are joined to one point of their total weight first, so a model that was read from
+    a palette keeps it.
 
     Args:
         points: (N, D), finite, N at least 1.
-        size: Most entries.
-        weights: (N,) positive, how much a point's error counts; all alike by default.
-        tell: Told of the merges, where there are any.
+        size: Largest number of entries.
+        weights: (N,) positive weights of the squared errors; equal by default.
+        tell: Progress callback, called with the merges done, if there are any.
     """
     distinct, inverse, counts = _distinct(points)
     if len(distinct) <= size:
@@ -51,8 +54,8 @@ def palette(points: F32, size: int, weights: F64 | None = None, tell: Parts = un
 
 
 def _in_order_of_use(entries: F32, labels: I32) -> Palette:
-    """Neighbouring points then often have neighbouring labels."""
-    _, first = np.unique(labels, return_index=True)  # each is used
+    """Sort the entries by first use, so that neighbouring points often have near labels."""
+    _, first = np.unique(labels, return_index=True)  # every entry is used
     order = np.argsort(first, kind="stable")
     places = np.empty(len(entries), np.int32)
     places[order] = np.arange(len(order))
@@ -60,17 +63,17 @@ def _in_order_of_use(entries: F32, labels: I32) -> Palette:
 
 
 def _distinct(points: F32) -> tuple[F32, I64, I64]:
-    """Distinct rows as they come, for each point its row there, and points of each row."""
+    """Return the distinct rows in order of appearance, the row of each point, and their counts."""
     rows = np.ascontiguousarray(points + np.float32(0))  # -0 becomes 0
     first, places, counts = _groups(_keys(rows))
-    if not np.array_equal(rows[first[places]], rows):  # two rows of one key
+    if not np.array_equal(rows[first[places]], rows):  # a hash collision
         whole = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
         first, places, counts = _groups(whole)
     return rows[first], places, counts
 
 
 def _groups(keys: Array) -> tuple[I64, I64, I64]:
-    """Where each distinct key is first, ascending, for each key its place there, and how often."""
+    """Group equal keys: first index of each group, ascending; group of each key; group sizes."""
     order = np.argsort(keys)
     ordered = keys[order]
     starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
@@ -84,7 +87,7 @@ def _groups(keys: Array) -> tuple[I64, I64, I64]:
 
 
 def _keys(rows: F32) -> U64:
-    """(N,) numbers that differ, but for chance, where rows do: sorted in a tenth of the time."""
+    """Hash each row to 64 bits, (N,): sorting hashes takes a tenth of the time of sorting rows."""
     bits, keys = rows.view(np.uint32), np.zeros(len(rows), np.uint64)
 
     def mix(part: slice) -> None:
@@ -99,7 +102,7 @@ def _keys(rows: F32) -> U64:
 
 
 def _cluster(points: F32, weights: F32, size: int, tell: Parts) -> tuple[F32, I32]:
-    """The entries, and the entry of each point."""
+    """Cluster distinct points; return the entries (size, D) and the entry of each point (N,)."""
     from nanogs.io.cells import by_label, nearby_cells
     from nanogs.io.ward import merge_near, settle
     from nanogs.kernels.kmeans import weighted_means
@@ -114,7 +117,7 @@ def _cluster(points: F32, weights: F32, size: int, tell: Parts) -> tuple[F32, I3
 
 
 def _scaled(points: F32) -> F32:
-    """(N, D): the same about their mean and at most 2, so that squares keep what differs."""
+    """Scale points by a power of two, then centre them: at most 2, so that squares stay exact."""
     scaled: F32 = np.ldexp(points, -np.frexp(np.abs(points).max())[1])
     scaled -= scaled.mean(axis=0, dtype=np.float64).astype(np.float32)
     return scaled

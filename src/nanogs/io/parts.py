@@ -1,8 +1,8 @@
-"""Files as sources: how the formats' readers give rows, which are read in three ways.
+"""Base classes of the formats' readers, one for each of three ways of reading rows.
 
-Some files hold their rows one after the other, and any of them can be read: `FileSource` itself.
-Others are packed as a whole; those are unpacked once, column by column, to where columns can be
-read in parts: `Packed`. The rest is read whole: `Whole`.
+`FileSource`: rows are stored one after another, and any range of them can be read directly.
+`Packed`: the file is compressed as a whole; its columns are unpacked once to a place from which
+rows can be read. `Whole`: the file can only be loaded whole.
 """
 
 from abc import abstractmethod
@@ -28,12 +28,12 @@ from nanogs.splats import Splats
 
 
 def level_note(level: int, levels: int) -> str:
-    """Say which level was read, of how many."""
+    """Return the note that says which level of detail was read, and of how many."""
     return f"Level {level} was read, of {levels} from 0, the finest, on."
 
 
 class FileSource(Source):
-    """A model in a file; what is held of it does not grow with its size.
+    """A model in a file, read so that memory does not grow with the size of the file.
 
     Attributes:
         path: The file.
@@ -47,7 +47,7 @@ class FileSource(Source):
 
     @cached_property
     def info(self) -> FileInfo:
-        """The file's description of itself."""
+        """The metadata of the file."""
         raise NotImplementedError
 
     @cached_property
@@ -57,7 +57,7 @@ class FileSource(Source):
 
     @cached_property
     def columns(self) -> Layout:
-        """The columns, from the description."""
+        """The columns, from the metadata."""
         return self.info.layout
 
     @property
@@ -65,13 +65,13 @@ class FileSource(Source):
         """All files of the model.
 
         Raises:
-            FormatError: One of those that name others cannot be read.
+            FormatError: A manifest, which names further files, cannot be read.
         """
         return (self.path,)
 
     @property
     def levels(self) -> tuple[int, ...]:
-        """Splats of each level of detail, the finest first; none of a model without.
+        """Number of splats of each level of detail, the finest first; empty without levels.
 
         Raises:
             FormatError: One of its files cannot be read.
@@ -80,16 +80,16 @@ class FileSource(Source):
 
     @property
     def frame(self) -> str:
-        """The frame of its axes that the file states itself, such as "rub"; mostly empty.
+        """Name of the coordinate frame that the file itself states, such as "rub"; mostly empty.
 
         Raises:
-            FormatError: What states it cannot be read, or names no frame.
+            FormatError: The part that states it cannot be read, or names no known frame.
         """
         return ""
 
     @property
     def environment(self) -> int:
-        """Splats of the sky and the like, a model's last rows, which belong to all its levels.
+        """Number of splats of the environment, such as the sky: last rows, part of every level.
 
         Raises:
             FormatError: The file that holds them cannot be read.
@@ -98,20 +98,20 @@ class FileSource(Source):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on values that are read otherwise than the file says, as the caller asked."""
+        """Sentences on values of the file that the caller has overridden."""
         return ()
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a packed file as it is unpacked: NumPy's name of its type, and its shape."""
+    """An unpacked column of a packed file: NumPy's name of its dtype, and its shape."""
 
     kind: str
     shape: tuple[int, ...]
 
     @property
     def bytes(self) -> int:
-        """Bytes of the column."""
+        """Size of the column in bytes."""
         return np.dtype(self.kind).itemsize * prod(self.shape)
 
 
@@ -120,30 +120,30 @@ ColumnReader = Callable[[str, int, int], Array]
 
 
 class Packed(FileSource):
-    """A file whose rows can only be read once its columns are unpacked.
+    """A file that is compressed as a whole, so that rows can only be read from unpacked columns.
 
-    The first time that some rows and not all are read, they are unpacked into a temporary file, but
-    for those who call `unpack` and `decode` themselves.
+    When some but not all rows are first read, the columns are unpacked to a temporary file, unless
+    `use` has provided unpacked columns before.
     """
 
     _unpacked: "UnpackedColumns | None" = None
 
     @cached_property
     def stored(self) -> Mapping[str, Column]:
-        """The columns that are unpacked, by name, in the order they come."""
+        """The columns that `unpack` yields, by name, in the same order."""
         raise NotImplementedError
 
     @cached_property
     def memory(self) -> int:
-        """Bytes that unpacking takes at most, the libraries aside."""
+        """Upper bound of the memory that unpacking takes, in bytes, without the libraries."""
         raise NotImplementedError
 
     @abstractmethod
     def unpack(self, notes: list[str]) -> Iterator[Array]:
-        """All columns one after the other, in pieces of rows; no piece has rows of two.
+        """Yield all columns one after another, in pieces of rows, each of one column only.
 
         Args:
-            notes: Gets what is to be said of the file as a whole.
+            notes: List to which notes on the whole file are appended.
 
         Raises:
             FormatError: The file cannot be read, is damaged, or holds more or less than it states.
@@ -151,19 +151,19 @@ class Packed(FileSource):
 
     @abstractmethod
     def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
-        """Some rows of the model, bit for bit as the whole file has them.
+        """Decode some rows of the model, bit for bit equal to the same rows of the whole model.
 
         Args:
-            columns: What has been unpacked.
+            columns: Reads rows of the unpacked columns.
             start: The first row.
             stop: The row after the last.
 
         Raises:
-            FormatError: What belongs to the columns cannot be read.
+            FormatError: Something that decoding needs beside the columns cannot be read.
         """
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`.
+        """Read rows `start` to `stop`; see `Source.read`.
 
         Raises:
             FormatError: They cannot be read, or are damaged.
@@ -177,23 +177,23 @@ class Packed(FileSource):
         return replace(splats, notes=[*splats.notes, *self._unpacked.notes])
 
     def use(self, unpacked: "UnpackedColumns") -> None:
-        """Read rows from columns that have been unpacked before; `close` closes them."""
+        """Use columns that were unpacked before; `close` closes them."""
         self._unpacked = unpacked
 
     def load(self) -> Splats:
-        """The whole model, its columns unpacked in memory."""
+        """Read the whole model, with its columns unpacked in memory."""
         notes: list[str] = []
         pieces, held = self.unpack(notes), {}
         for name, column in self.stored.items():
             held[name] = np.empty(column.shape, column.kind)
             fill_rows(held[name], pieces)
-        for _ in pieces:  # what follows the columns is looked at
+        for _ in pieces:  # run the generator to its end, where it checks the rest of the file
             pass
         splats = self.decode(lambda name, start, stop: held[name][start:stop], 0, self.count)
         return replace(splats, notes=[*splats.notes, *notes])
 
     def close(self) -> None:
-        """Close the unpacked columns; those in a temporary file are gone then."""
+        """Close the unpacked columns, which deletes them if they are in a temporary file."""
         if self._unpacked is not None:
             self._unpacked.close()
             self._unpacked = None
@@ -210,12 +210,12 @@ def fill_rows(out: Array, pieces: Iterator[Array]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class UnpackedColumns:
-    """The columns of a packed file where rows of them can be read.
+    """Unpacked columns of a packed file, of which any rows can be read.
 
     Attributes:
-        columns: Reads them.
-        notes: What is to be said of the file as a whole.
-        close: Closes what holds them.
+        columns: Reads rows of a column.
+        notes: Notes on the whole file.
+        close: Closes the storage of the columns.
     """
 
     columns: ColumnReader
@@ -224,13 +224,13 @@ class UnpackedColumns:
 
 
 def _unpacked(packed: Packed) -> UnpackedColumns:
-    """The columns, one after the other in a temporary file without a name."""
+    """Unpack the columns one after another to an anonymous temporary file."""
     ends = accumulate((column.bytes for column in packed.stored.values()), initial=0)
     places = dict(zip(packed.stored, ends, strict=False))
     notes: list[str] = []
     try:
         file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed with the source
-        finalize(packed, file.close)  # if `Packed` does not do it before
+        finalize(packed, file.close)  # on garbage collection, if `close` is not called
         for piece in packed.unpack(notes):
             file.write(np.ascontiguousarray(piece).data)
     except OSError as error:
@@ -247,28 +247,29 @@ def _unpacked(packed: Packed) -> UnpackedColumns:
 
 
 class Whole(FileSource):
-    """A file that is only read whole, by `load`; the first time that some rows are, it is held."""
+    """A file that can only be loaded whole; it is kept in memory once some rows are read."""
 
     _held: Splats | None = None
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source.read`."""
         if self._held is None:
             found = self.load()
-            # Of the whole, whatever rows are read: plain texts are not added up.
+            # The notes are about the whole model. As plain texts they are not added up over reads,
+            # which `Finding` would be.
             self._held = replace(found, notes=tuple(map(str, found.notes)))
         return self._held.span(start, stop)
 
     def close(self) -> None:
-        """Let go of the model."""
+        """Release the model that is kept in memory."""
         self._held = None
 
 
 def check_level(path: Path, level: int, count: int) -> None:
-    """Refuse a level of detail that a file has not.
+    """Refuse a level of detail that a file does not have.
 
     Raises:
-        OptionError: As said.
+        OptionError: There is no such level.
     """
     if not 0 <= level < count:
         raise OptionError(f"{path} has levels 0 to {count - 1}; level {level} is not among them.")
@@ -277,16 +278,18 @@ def check_level(path: Path, level: int, count: int) -> None:
 def row_blocks(
     path: Path, dtype: "np.dtype[Any]", offset: int, count: int
 ) -> Iterator[tuple[slice, Array]]:
-    """Rows of one size in blocks, in a buffer that the next overwrites: maps count as memory.
+    """Read rows of fixed size in blocks, in one buffer that each block overwrites.
+
+    The file is not memory-mapped, because mapped pages count as memory of the process.
 
     Args:
         path: The file.
-        dtype: Of a row.
-        offset: Of the first row, bytes.
-        count: Rows.
+        dtype: The dtype of a row.
+        offset: Byte offset of the first row.
+        count: Number of rows.
 
     Yields:
-        The numbers of the rows, from 0, and the rows.
+        The range of the rows, counted from 0, and the rows.
 
     Raises:
         FormatError: The file cannot be read, or ends before the last row.
@@ -304,7 +307,7 @@ def fill(path: Path, file: BinaryIO, values: Array) -> None:
     """Fill an array with the next bytes of a file.
 
     Raises:
-        FormatError: The file ends before.
+        FormatError: The file ends before the array is full.
     """
     left = values.reshape(-1).view(np.uint8).data
     while left:

@@ -1,8 +1,8 @@
-"""How finely packed files keep values: each kind as finely as it is worth beside the others.
+"""The precision of quantised values in packed files, balanced between the kinds of values.
 
-A bit less of a value takes an eighth of a byte off each splat, whatever the value; what it costs on
-views differs much. At equal cost alphas need most steps, then scales, rotations and colours, and
-centres as many as splats are small.
+One bit less saves an eighth of a byte per splat for every kind of value, but the loss on rendered
+views differs much. At equal loss alphas need most steps, then scales, rotations and colours;
+centres need more the smaller the splats are.
 """
 
 import math
@@ -15,21 +15,21 @@ from nanogs._types import F64
 from nanogs.splats import Splats
 
 FEWEST_BITS, MOST_BITS = 4, 8
-MOST_SPARE_BITS = 6  # of 16, that a centre may do without
-_SHARE_OF_SIZE = 0.02  # largest step of centres at 8 bits, over the middle axis of splats
+MOST_SPARE_BITS = 6  # of the 16 bits of a centre, how many may be dropped at most
+_SHARE_OF_SIZE = 0.02  # largest step of centres at 8 bits, relative to the splats' middle axis
 _AREA_POWER = 0.75
 _LEAST_SIZE = 1e-150  # added to sizes, so that neither they nor their squares are zero
 _CODES = 256
-_VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts
+_VISIBILITY = (1e-3, 1e3)  # smallest and largest weight of a splat, relative to the mean
 
 
 @dataclass(frozen=True, slots=True)
 class Precision:
-    """How finely values are kept.
+    """The precision with which each kind of value is quantised.
 
     Attributes:
-        bits: Of a part of a rotation, 4 to 8, from which all else follows.
-        spare: Bits that centres do without, 0 to 6; by default as many as `spare_bits` finds.
+        bits: Bits of a component of a rotation, 4 to 8, from which all else follows.
+        spare: Bits that are dropped from centres, 0 to 6; by default computed by `spare_bits`.
     """
 
     bits: int
@@ -37,30 +37,30 @@ class Precision:
 
     @property
     def rotation_step(self) -> int:
-        """Codes of eight bits from one that is used to the next."""
+        """Step between used codes, of the 256 that eight bits have."""
         return 1 << (MOST_BITS - self.bits)
 
     @property
     def scales(self) -> int:
-        """Values that log-scales may have: half a bit more than a rotation."""
+        """Number of distinct log-scales: half a bit more than for rotations."""
         return min(_CODES, 3 << (self.bits - 1))
 
     @property
     def colours(self) -> int:
-        """Values that base colours may have: half a bit less."""
+        """Number of distinct base colours per channel: half a bit less than for rotations."""
         return 3 << (self.bits - 2)
 
     @property
     def alphas(self) -> int:
-        """Steps from alpha 0 to 1: a bit more, as light from behind passes many splats."""
+        """Number of steps from alpha 0 to 1: a bit more, because a ray passes many splats."""
         return min(_CODES, 2 << self.bits) - 1
 
     def spare_bits(self, blocks: Iterable[Splats], steps: Callable[[Splats], F64]) -> int:
-        """Bits that centres do without: by default those that large splats have no use for.
+        """Compute how many bits to drop from centres: by default more, the larger the splats.
 
         Args:
-            blocks: All splats.
-            steps: How far codes are apart where the centres of R splats are, (R, 3) or (1, 1).
+            blocks: All splats, in blocks.
+            steps: Computes the quantisation step at the centres of R splats, (R, 3) or (1, 1).
         """
         if self.spare is not None:
             return self.spare
@@ -81,11 +81,11 @@ FINEST = Precision(MOST_BITS)
 
 
 def visibility(splats: Splats) -> F64:
-    """(N,) how much an error of a splat's colour counts on views, within limits.
+    """Estimate the weight of a colour error of each splat on rendered views, (N,), clamped.
 
-    Squared errors grow with alpha squared and with the area, of which large splats show only a
-    part: hence a power below 1. Weighed so, views come several dB nearer to the original than with
-    equal weights, and 0.1 to 1.3 dB nearer than with alpha times area.
+    Squared errors grow with alpha squared and with the area; large splats are partly hidden, hence
+    a power of the area below 1. With these weights, the PSNR of views is several dB higher than
+    with equal weights, and 0.1 to 1.3 dB higher than with alpha times area.
     """
     scales = np.sort(splats.scales().astype(np.float64), axis=1)
     mass: F64 = splats.opacities() ** 2 * (scales[:, 1] * scales[:, 2]) ** _AREA_POWER

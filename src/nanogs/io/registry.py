@@ -1,4 +1,4 @@
-"""The formats nanogs knows, by the suffix of the file name."""
+"""Looking up formats by the suffix of a file name or by the first bytes of a file."""
 
 import zipfile
 from collections.abc import Sequence
@@ -12,29 +12,29 @@ from nanogs.io.urls import Address
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
-_TOLD_BY = 8  # bytes
+_TOLD_BY = 8  # bytes at the start of a file from which the format is detected
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
 ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
 
 
 def formats() -> tuple[Format, ...]:
-    """All formats."""
-    from nanogs.io.formats import FORMATS  # a quarter of the time that `--help` took
+    """Return all formats."""
+    from nanogs.io.formats import FORMATS  # importing it took a quarter of the time of `--help`
 
     return FORMATS
 
 
 def find(path: Path) -> Format | None:
-    """The format with the longest suffix that the file name ends in, whatever its case."""
+    """Find the format with the longest suffix that matches a file name; case does not matter."""
     name = path.name.lower()
     found = [known for known in formats() if name.endswith(known.suffix)]
     return max(found, key=lambda known: len(known.suffix), default=None)
 
 
 def sniff(path: Path) -> str | None:
-    """The suffix of the format that a file's first bytes show; None where they show none.
+    """Detect the format of a file from its first bytes and return its suffix; None if unknown.
 
-    `.splat` files have no such bytes, and those of `.ksplat` are too few to tell.
+    `.splat` files have no magic number, and that of `.ksplat` is too short to be reliable.
 
     Args:
         path: A file that can be read.
@@ -43,13 +43,13 @@ def sniff(path: Path) -> str | None:
         start = file.read(_TOLD_BY)
     depths = _zipped(path) if start.startswith(b"PK\x03\x04") else {}
     told = [known for known in formats() if known.starts and start.startswith(known.starts)]
-    # A zip of a stream has whole models in its folders: what lies outermost says what it is.
+    # A zip of a streamed model has whole models in its folders: the outermost manifest decides.
     held = sorted((k for k in formats() if k.holds in depths), key=lambda k: depths[k.holds])
     return next((known.suffix for known in (*held, *told)), None)
 
 
 def _zipped(path: Path) -> dict[str, int]:
-    """Names of the files in a zip, and in how many folders the outermost of each name is."""
+    """Return the names of the files in a zip, each with the least folder depth at which it is."""
     depths: dict[str, int] = {}
     try:
         with zipfile.ZipFile(path) as archive:
@@ -63,22 +63,22 @@ def _zipped(path: Path) -> dict[str, int]:
 
 
 def suffix_of(format: str) -> str:  # noqa: A002 - as `load` has it
-    """The suffix of a format's name, which may begin with a dot or not: ".ply" of "PLY"."""
+    """Convert a format's name, with or without a dot, to its suffix: "PLY" to ".ply"."""
     return f".{format.lstrip('.').lower()}"
 
 
 def stem_of(path: Path) -> str:
-    """The file's name without its suffix; of a `meta.json` that of its folder."""
+    """Return the file's name without its suffix; for a `meta.json` the name of its folder."""
     known = find(path)
     stem = path.name[: -len(known.suffix)] if known else path.stem
     return stem or path.resolve().parent.name
 
 
 def reader(path: Path) -> Format:
-    """The format to read a file with.
+    """Return the format for reading a file.
 
     Raises:
-        FormatError: No known format has the file's suffix, or it has none and is not there.
+        FormatError: No known format has the file's suffix, or it has none and does not exist.
     """
     known = find(path)
     if known is None:
@@ -93,22 +93,22 @@ def reader(path: Path) -> Format:
 
 
 def _meant(path: Path, suffixes: Sequence[str]) -> str:
-    """Guess the name that a file was meant to have, to follow it; empty where none is close."""
-    if path.suffix.lower() == ".json":  # somewhat like every name that ends so, and like .sog
+    """Return a "did you mean" text with the closest suffix; empty if none is close."""
+    if path.suffix.lower() == ".json":  # too similar to all names in .json, and to .sog
         return did_you_mean(path.name, [s for s in suffixes if s.endswith(".json")], cutoff=0.85)
     return did_you_mean(path.suffix, suffixes)
 
 
 def writer(path: Path, options: FormatOptions | None = None) -> Writer:
-    """The function that writes a model, or a source of one, to files of that suffix.
+    """Return the function that writes a model, or a source of one, to a file of a path's suffix.
 
     Args:
-        path: What is to be written.
-        options: Of the format, by name; those that are None stand for the default.
+        path: The output.
+        options: Options of the format, by name; None means the default.
 
     Raises:
-        OptionError: nanogs does not write the format that the suffix stands for, the format has no
-            such option, or not that value of it.
+        OptionError: nanogs does not write the format of this suffix, or the format has no such
+            option or does not allow that value.
     """
     known = writable(path)
     if known.write is None:
@@ -129,11 +129,11 @@ def _write_whole(
 
 
 def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
-    """Arguments for a format's writer, from options by name; None stands for the default.
+    """Convert options by name to keyword arguments of a format's writer; None means the default.
 
     Raises:
-        OptionError: The format has no such option, or not that value of it, or options do not go
-            together.
+        OptionError: The format has no such option or does not allow that value, or options
+            contradict each other.
     """
     chosen = {}
     for name, value in options.items():
@@ -141,7 +141,8 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
             continue
         if (option := known.options.get(name)) is None:
             raise OptionError(_foreign(name, known))
-        if isinstance(value, bool | float) or value not in option.values:  # 6.0 equals 6
+        # Floats are refused by type, because 6.0 equals 6.
+        if isinstance(value, bool | float) or value not in option.values:
             raise OptionError(f"`{name}` must be {option.allowed}, not {value!r}.")
         chosen[option.keyword] = value
     known.check_options(options)
@@ -151,12 +152,12 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
 def framed(
     path: Path, options: FormatOptions | None, frame: tuple[str, str] | None
 ) -> FormatOptions | None:
-    """Options with which a file states the frame that it is turned to, if its format can.
+    """Add the frame that a model is turned to to the options, if its format can state it.
 
     Args:
-        path: What is to be written.
-        options: As they were given.
-        frame: From and to which the model is turned.
+        path: The output.
+        options: Format options that were given.
+        frame: Names of the frames that the model is turned from and to; None if it is not turned.
     """
     known, given = find(path), options or {}
     if frame is None or known is None or not known.states_frame(given):
@@ -174,10 +175,10 @@ def _foreign(name: str, known: Format) -> str:
 
 
 def sizer(path: Path) -> Sizer:
-    """The function that tells how large a file of that suffix will be.
+    """Return the function that computes the size of a file of a path's suffix beforehand.
 
     Raises:
-        OptionError: As for `writable`, or the size of such files is not known beforehand.
+        OptionError: As for `writable`, or the size of such files is only known once written.
     """
     known = writable(path)
     if known.file_bytes is None:
@@ -189,15 +190,15 @@ def sizer(path: Path) -> Sizer:
 
 
 def losses_by_format(splats: Splats) -> dict[str, tuple[str, ...]]:
-    """Name what a file of each suffix that is written cannot hold of a model."""
+    """For each format that nanogs writes, return sentences on what it cannot hold of a model."""
     return {known.suffix: known.losses(splats) for known in formats() if known.writable}
 
 
 def writable(path: Path) -> Format:
-    """The format to write a file with, or a folder.
+    """Return the format for writing a file or a folder.
 
     Raises:
-        OptionError: nanogs does not write the format that the suffix stands for.
+        OptionError: nanogs does not write the format of this suffix.
     """
     known = find(path)
     if known is not None and known.suffix in (LEVELS, TILESET, ARCHIVE):
@@ -210,7 +211,7 @@ def writable(path: Path) -> Format:
 
 
 def file_of(format: str) -> Path:  # noqa: A002 - as `load` has it
-    """A name for a file of a format, where only that is known.
+    """Return an example file name of a format, for functions that take a path.
 
     Raises:
         OptionError: There is no such format.
@@ -222,7 +223,7 @@ def file_of(format: str) -> Path:  # noqa: A002 - as `load` has it
 
 
 def _instead(path: Path) -> str:
-    """The end of an error on a format's name: what may have been meant, and what is written."""
+    """Return the end of an error about a format: the closest name, and all that are written."""
     suffixes = [known.suffix for known in formats() if known.writable]
     meant = _meant(path, suffixes) if find(path) is None else ""
     return f"{meant}; it writes {', '.join(suffixes)}"

@@ -1,4 +1,4 @@
-"""The render mode as PLY comments state it: `SplatRenderMode: mip`, or `antialiased 1`.
+"""Render mode tags in PLY comments: `SplatRenderMode: mip`, or `antialiased 1`.
 
 As in the field's other readers, case does not matter and the last tag wins.
 """
@@ -15,7 +15,7 @@ _ANTIALIASED = {"0": RenderMode.DEFAULT, "1": RenderMode.MIP}
 
 
 def tag_of(comment: str) -> RenderMode | None:
-    """The render mode that one comment line states, or None."""
+    """Parse the render mode that one comment line states; None if it states none."""
     match = _TAG.fullmatch(comment)
     if match is None:
         return None
@@ -24,19 +24,19 @@ def tag_of(comment: str) -> RenderMode | None:
 
 
 def render_mode(comments: Sequence[str]) -> RenderMode:
-    """The render mode that a file's comments state; the default without a tag."""
+    """Return the render mode that a file's comments state; the default without a tag."""
     tags = [tag for tag in map(tag_of, comments) if tag is not None]
     return tags[-1] if tags else RenderMode.DEFAULT
 
 
 def described(comments: Sequence[str]) -> str:
-    """The comment that states the render mode, as `FileInfo.render_tag` has it."""
+    """Return the text for `FileInfo.render_tag`: the comment that states the render mode, or ""."""
     stated = [comment.strip() for comment in comments if tag_of(comment) is not None]
     return f'the comment "{stated[-1]}"' if stated else ""
 
 
 def contradiction(comments: Sequence[str]) -> list[str]:
-    """A note for the user when the comments state more than one render mode."""
+    """Return a note for the user if the comments state more than one render mode."""
     tags = {tag for tag in map(tag_of, comments) if tag is not None}
     if len(tags) < 2:
         return []
@@ -45,12 +45,12 @@ def contradiction(comments: Sequence[str]) -> list[str]:
 
 
 def agreeing(comments: Sequence[str], mode: RenderMode) -> list[str]:
-    """The comments without the tags of other render modes."""
+    """Return the comments without the tags of other render modes."""
     return [comment for comment in comments if tag_of(comment) in (None, mode)]
 
 
 def tagged(comments: Sequence[str], mode: RenderMode) -> list[str]:
-    """The comments to write: those given, with exactly the tags that agree with `mode`."""
+    """Return the comments to write: tags of other modes removed, that of `mode` added if needed."""
     kept = agreeing(comments, mode)
     stated = any(tag_of(comment) is mode for comment in kept)
     if mode is RenderMode.DEFAULT or stated:

@@ -1,4 +1,4 @@
-"""`render_mode=`: a file that names the wrong rasteriser, read as if it named another."""
+"""The argument `render_mode=`: overriding a wrong render mode tag when a file is read."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -16,7 +16,7 @@ ASKED = RenderMode.DEFAULT, RenderMode.MIP
 
 
 def checked_mode(render_mode: str | None) -> RenderMode | None:
-    """A render mode that is asked for in place of a file's own; None for the file's own.
+    """Validate a requested render mode; None means the file's own.
 
     Raises:
         OptionError: It is neither "default" nor "mip".
@@ -30,14 +30,14 @@ def checked_mode(render_mode: str | None) -> RenderMode | None:
 
 
 def retagged(file: FileSource, render_mode: str | None) -> FileSource:
-    """A file whose render mode is the one that is asked for; the file itself where it says so too.
+    """Wrap a file so that it has the requested render mode; unchanged if it has it already.
 
     Args:
         file: The file.
         render_mode: "default", "mip", or None for the file's own.
 
     Raises:
-        OptionError: It is neither, or antialiasing is asked for of a 2DGS model.
+        OptionError: It is neither, or antialiasing is requested for a 2DGS model.
     """
     mode = checked_mode(render_mode)
     if mode is None or mode is file.info.render_mode:
@@ -47,15 +47,15 @@ def retagged(file: FileSource, render_mode: str | None) -> FileSource:
 
 
 def refuse_mode(name: str, own: str, mode: RenderMode) -> None:
-    """Refuse antialiasing of flat splats, which the rasteriser of 2DGS does not know.
+    """Refuse antialiasing ("mip") for flat splats, because the 2DGS rasteriser has none.
 
     Args:
-        name: What the model is called.
-        own: The render mode that it names.
-        mode: The one that is asked for.
+        name: Name of the model, for the message.
+        own: The render mode that its file states.
+        mode: The requested render mode.
 
     Raises:
-        OptionError: That is asked for.
+        OptionError: Antialiasing is requested for a 2DGS model.
     """
     if own == RenderMode.SURFEL and mode is RenderMode.MIP:
         raise OptionError(
@@ -65,17 +65,17 @@ def refuse_mode(name: str, own: str, mode: RenderMode) -> None:
 
 
 def override_note(info: FileInfo, mode: RenderMode) -> str:
-    """The sentence for the user about a tag that was not followed."""
+    """Return the note for the user that the render mode of the file was overridden."""
     where = f", by {info.render_tag}" if info.render_tag else " for lack of a tag"
     return f"The render mode is {mode}, as asked for; the file has {info.render_mode}{where}."
 
 
 class Retagged(Around):
-    """A file with another render mode than its own; all else, and every row, is the file's.
+    """A wrapper that replaces the render mode of a file, and nothing else.
 
     Args:
-        file: The file, which is closed with this.
-        mode: The render mode that it is to have.
+        file: The file, which is closed with this source.
+        mode: The new render mode.
     """
 
     def __init__(self, file: FileSource, mode: RenderMode) -> None:
@@ -84,19 +84,19 @@ class Retagged(Around):
 
     @cached_property
     def info(self) -> FileInfo:
-        """The file's description, with the render mode."""
+        """The metadata of the file, with the new render mode."""
         return replace(self.file.info, render_mode=self._mode, render_tag="what was asked for")
 
     @cached_property
     def columns(self) -> Layout:
-        """The file's columns, with the render mode, and without comments that name another."""
+        """The columns of the file, with the new mode and without comments that state another."""
         known = self.file.columns
         comments = tuple(agreeing(known.comments, self._mode))
         return replace(known, render_mode=self._mode.value, comments=comments)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """That the tag was not followed; see `FileSource`."""
+        """The note that the render mode was overridden; see `FileSource`."""
         return (override_note(self.file.info, self._mode),)
 
     def _changed(self, splats: Splats) -> Splats:

@@ -1,4 +1,4 @@
-"""Rotations whose largest part is left out, as most packed formats have them."""
+"""Quaternions in "smallest three" form: the largest component is left out, as in most formats."""
 
 import numpy as np
 
@@ -10,11 +10,12 @@ from nanogs.stored import unit
 
 
 def whole_quats(small: F64, largest: I64) -> F64:
-    """(R, 4) quaternions of unit length, the part that was left out positive and in its place.
+    """Restore (R, 4) unit quaternions from their three smallest components; the fourth is positive.
 
     Args:
-        small: (R, 3) the other parts, in order.
-        largest: (R,) the place of the part that was left out; a row of any other stays junk.
+        small: (R, 3) the three smallest components, in order.
+        largest: (R,) index of the component that was left out; rows in which it is not 0 to 3 stay
+            uninitialised.
     """
     left_out = np.sqrt(np.maximum(0, 1 - (small**2).sum(axis=1)))
     quats = np.empty((len(small), 4))
@@ -25,12 +26,12 @@ def whole_quats(small: F64, largest: I64) -> F64:
 
 
 def split_quats(quats: Array) -> tuple[I64, Array]:
-    """The place of the largest part, (R,), and the other three in order, (R, 3).
+    """Return the index of the largest component, (R,), and the other three in order, (R, 3).
 
-    All change their sign where the largest is negative: then it need not be told.
+    A quaternion whose largest component is negative is negated, so that no sign has to be stored.
 
     Args:
-        quats: (R, 4) rotations, in any order of parts.
+        quats: (R, 4) quaternions, with components in any order.
     """
     rows, largest = np.arange(len(quats)), np.abs(quats).argmax(axis=1)
     signed = np.where(quats[rows, largest, None] < 0, -quats, quats)
@@ -38,11 +39,11 @@ def split_quats(quats: Array) -> tuple[I64, Array]:
 
 
 def least_turned(splats: Splats) -> tuple[F64, F32]:
-    """The same splats with other axes first, so that they are turned as little as possible.
+    """Permute and flip the axes of each splat so that its rotation angle is as small as possible.
 
-    An ellipsoid can be written in 24 ways, by which of its axes is the first and by their signs.
-    With the one whose w is the largest, w is the part that is left out of every rotation, and the
-    others lie within ±0.383: they take four and a half bits less.
+    An ellipsoid has 24 equivalent descriptions, which differ in the order and the signs of its
+    axes. In the one with the largest w, w is always the component that is left out, and the others
+    are within ±0.383: they take four and a half bits less.
 
     Args:
         splats: N splats.
@@ -56,14 +57,14 @@ def least_turned(splats: Splats) -> tuple[F64, F32]:
         whole = unit(splats.quats[rows]).astype(np.float64)
         quats[rows], scales[rows] = _turned(whole, splats.log_scales[rows])
 
-    spread.each(slices(len(splats)), turn)  # so many at a time, for the sake of memory, too
+    spread.each(slices(len(splats)), turn)  # in slices, also to limit the memory of temporaries
     return quats, scales
 
 
 def _turned(quats: F64, log_scales: F32) -> tuple[F64, F32]:
-    """`least_turned` of some rows."""
+    """Compute `least_turned` for some rows of unit quaternions and log-scales."""
     nearest = _nearest_symmetry(quats)
-    w, x, y, z = (quats * nearest).T  # as `nearest` is undone: quats times its conjugate
+    w, x, y, z = (quats * nearest).T  # `turned` is the product of quats and nearest's conjugate
     a, b, c, d = nearest.T
     w0, x0, y0, z0 = quats.T
     turned = np.stack(
@@ -80,9 +81,9 @@ def _turned(quats: F64, log_scales: F32) -> tuple[F64, F32]:
 
 
 def _nearest_symmetry(quats: F64) -> F64:
-    """(N, 4): of the 24 turns of a cube, the one nearest to each rotation.
+    """Find the nearest of the 24 rotational symmetries of a cube for each rotation, (N, 4).
 
-    They have one part that is not zero, or two, or all four, and these alike.
+    Their quaternions have one, two or four non-zero components, of equal magnitude.
     """
     sizes = np.abs(quats)
     order = np.argsort(-sizes, axis=1, kind="stable")
@@ -97,9 +98,9 @@ def _nearest_symmetry(quats: F64) -> F64:
 
 
 def _axes_turned(quats: F64) -> I64:
-    """(N, 3): the axis on which each axis lies after the conjugate of a turn of a cube."""
+    """For the conjugate of a cube symmetry, compute to which axis each axis is mapped, (N, 3)."""
     w, x, y, z = quats.T
-    second = [x * y - z * w, 0.5 - x * x - z * z, y * z + x * w]  # rows of half the matrix
+    second = [x * y - z * w, 0.5 - x * x - z * z, y * z + x * w]  # rows of the matrix, halved
     third = [x * z + y * w, y * z - x * w, 0.5 - x * x - y * y]
     along = 2 * np.abs(np.stack(second, axis=1)) + 4 * np.abs(np.stack(third, axis=1))
     result: I64 = np.rint(along).astype(np.int64)

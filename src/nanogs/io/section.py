@@ -1,4 +1,4 @@
-"""Some bytes one after the other, in a file or in memory: where formats lie in other formats."""
+"""Byte ranges of a file or of memory, for formats that are embedded in other formats."""
 
 import io
 from base64 import b64decode
@@ -14,15 +14,14 @@ from nanogs.io.files import input_size
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A stretch of a file, or of bytes that came out of one.
+    """A byte range of a file, of base64 text in a file, or of bytes decoded from a file.
 
     Attributes:
         path: The file, for messages too.
-        start: The first byte's place in it.
-        size: Bytes.
-        data: The bytes themselves where they do not lie in the file as they are; `start` counts in
-            them then.
-        text: Where text in base64 begins that stands for the bytes; `start` counts in these then.
+        start: Offset of the first byte in the file, in `data`, or in the decoded base64 text.
+        size: Number of bytes.
+        data: The decoded bytes, if they are not stored in the file directly.
+        text: Offset in the file at which base64 text begins that encodes the bytes.
     """
 
     path: Path
@@ -32,15 +31,15 @@ class Section:
     text: int | None = None
 
     def part(self, start: int, size: int) -> "Section":
-        """A stretch of this one, which must hold it; its start counts from this one's."""
+        """Return a byte range inside this one; `start` is relative to the start of this one."""
         return Section(self.path, self.start + start, size, self.data, self.text)
 
     @contextmanager
     def opened(self) -> Iterator[BinaryIO]:
-        """A file to be read, which begins and ends with the section.
+        """Open the section as a read-only file that contains nothing else.
 
         Raises:
-            FormatError: What is read of it is no base64.
+            FormatError: The base64 text that is read is invalid.
             OSError: The system refuses to read.
         """
         if self.data is not None:
@@ -54,7 +53,7 @@ class Section:
 
 
 def whole_file(path: Path) -> Section:
-    """All of a file.
+    """Return the section that spans a whole file.
 
     Raises:
         FormatError: As for `input_size`.
@@ -63,7 +62,7 @@ def whole_file(path: Path) -> Section:
 
 
 class _Window(io.RawIOBase):
-    """Some bytes of an open file, as a file that holds nothing else."""
+    """A byte range of an open file, presented as a file of its own."""
 
     def __init__(self, file: BinaryIO, start: int, size: int) -> None:
         self._file, self._start, self._size = file, start, size
@@ -98,7 +97,7 @@ class _Window(io.RawIOBase):
 
 
 class _Decoded(_Window):
-    """Bytes that text in base64 stands for; only what is read of it is decoded."""
+    """A byte range encoded as base64 text; only the parts that are read are decoded."""
 
     def __init__(self, path: Path, file: BinaryIO, text: int, start: int, size: int) -> None:
         super().__init__(file, start, size)

@@ -1,4 +1,4 @@
-"""`.splat` (antimatter15): 32 bytes a splat, no header, linear scales, no view dependence.
+"""`.splat` (antimatter15): 32 bytes per splat, no header, linear scales, no view dependence.
 
 Layout: https://github.com/antimatter15/splat - position and scale 3 x float32 each, colour and
 alpha 4 x uint8, rotation wxyz as 4 x uint8 with 128 for zero.
@@ -24,12 +24,12 @@ from nanogs.stored import SH_C0, alphas, base_colour, logit, rounded_bytes
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _SUFFIX = ".splat"
-_BYTE_SLACK = 1 / 64  # how far from unit length four rounded or truncated bytes can be
+_BYTE_SLACK = 1 / 64  # largest error of a unit quaternion's length after rounding to four bytes
 _PROPERTIES = (("position", "float"), ("scale", "float"), ("rgba", "uchar"), ("rotation", "uchar"))
 
 
 class SplatFile(FileSource):
-    """A `.splat` file; a scale of zero becomes -inf, alpha 0 and 255 become ∓inf.
+    """A `.splat` file; a scale of zero becomes -inf, alpha 0 becomes -inf and 255 +inf.
 
     Raises:
         FormatError: It cannot be read, or is not a whole number of rows.
@@ -49,7 +49,7 @@ class SplatFile(FileSource):
         )
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source.read`."""
         n = stop - start
         out = empty_arrays(n, 0)
         negative = 0
@@ -59,7 +59,7 @@ class SplatFile(FileSource):
 
 
 def _decode(rows: Array, out: dict[str, Any], span: slice) -> int:
-    """Decode one block; how many of its rows have a negative scale."""
+    """Decode one block and return the number of its rows that have a negative scale."""
     out["means"][span] = rows["mean"]
     with np.errstate(divide="ignore", invalid="ignore"):
         out["log_scales"][span] = np.log(rows["scale"].astype(np.float64))
@@ -82,7 +82,7 @@ def _count(path: Path) -> int:
 
 
 def write(model: Splats | Source, file: BinaryIO) -> None:
-    """Write a model in its own order, block by block; `losses` says what does not go in.
+    """Write a model in its own order, block by block; `losses` names what the file cannot hold.
 
     Raises:
         OutputError: A value is NaN or infinite; nothing has been written then.
@@ -93,12 +93,12 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
 
 
 def file_bytes(_splats: Splats, count: int) -> int:
-    """Bytes of the file of a model of `count` splats."""
+    """Compute the size in bytes of the file of a model of `count` splats."""
     return count * _ROW.itemsize
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """Name what the file leaves out or clamps, one sentence each."""
+    """Return a sentence for each thing that the file leaves out or clamps."""
     out = limits.left_out(splats, _SUFFIX, max_degree=0)
     out += limits.lost_mode(splats, _SUFFIX)
     out += limits.clamped(
@@ -113,7 +113,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
 
 
 def _encode(splats: Splats) -> Array:
-    """(R,) packed rows."""
+    """Encode splats as (R,) packed rows."""
     out = np.empty(len(splats), _ROW)
     out["mean"] = splats.means
     out["scale"] = np.exp(splats.log_scales.astype(np.float64))
@@ -124,7 +124,10 @@ def _encode(splats: Splats) -> Array:
 
 
 def _near_unit(quats: F32) -> F64:
-    """(R, 4): those of unit length but for their bytes stay, so that rewriting changes none."""
+    """Normalise quaternions, (R, 4), but for those of unit length up to the error of their bytes.
+
+    These are kept, so that reading and writing a file again does not change it.
+    """
     wide = quats.astype(np.float64)
     length = np.linalg.norm(wide, axis=1, keepdims=True)
     unit = np.where(length == 0, (1, 0, 0, 0), wide / np.where(length == 0, 1, length))

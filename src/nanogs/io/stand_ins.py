@@ -1,7 +1,7 @@
-"""URLs in place of files: what is read is fetched first, what is written is sent at the end.
+"""Temporary files in place of URLs: inputs are downloaded first, outputs uploaded at the end.
 
-Readers want files that they can map and seek in, and writers files that appear whole. So there is
-a temporary file for each, which is called by its URL in whatever is said.
+Readers need files that they can map and seek in, and writers files that appear whole. So each URL
+gets a temporary file, which is shown under its URL in all messages.
 """
 
 import os
@@ -21,12 +21,13 @@ from nanogs.progress import Parts, untold
 
 Telling = Callable[[str], AbstractContextManager[Parts]]
 """Begins "fetch" or "send"; what the block gets is told the bytes."""
-# They name folders of files that name others, or need those beside them to be opened.
+# Manifests whose model cannot be downloaded file by file: their files name further files, or have
+# to be there before the manifest can be opened.
 _MANIFESTS = (registry.LEVELS, registry.TILESET, FILES, ".lcc")
 
 
 def tell_nobody(_stage: str) -> AbstractContextManager[Parts]:
-    """Stand in for `Telling` where nobody listens."""
+    """Report no progress: a `Telling` for callers without a progress display."""
     return nullcontext(untold)
 
 
@@ -40,24 +41,26 @@ def at_hand(
     telling: Telling = tell_nobody,
     remedy: str = 'name it, as in nanogs.load(url, format=".splat")',
 ) -> Iterator[tuple[list[Path], Path | None]]:
-    """Files in place of addresses; other paths as they are.
+    """Replace each URL by the path of a temporary file; other paths are returned unchanged.
 
-    What the block has written for an address is sent there once it ends without an exception.
+    Inputs are downloaded first. If the output is a URL, the file that the block has written is
+    uploaded once the block ends without an exception.
 
     Args:
-        inputs: What is read.
-        output: What is written, or None.
-        overwrite: Replace what is there.
-        format: Suffix of the inputs' format; by default that of their names, or what their first
-            bytes show.
-        telling: Shows what is fetched and sent.
-        remedy: What to do where nothing shows the format of an input.
+        inputs: Paths or URLs to read.
+        output: Path or URL to write, or None.
+        overwrite: Replace a file that exists at the output.
+        format: Suffix of the inputs' format; by default taken from their names or detected from
+            their first bytes.
+        telling: Reports the progress of downloads and uploads.
+        remedy: Advice for the error message if the format of an input cannot be detected.
 
     Yields:
-        The inputs and the output.
+        The local paths of the inputs and of the output.
 
     Raises:
-        NanogsError: One cannot be read or written, or what the block raises, about the addresses.
+        NanogsError: A file cannot be read or written, or the block raises one; in its message, the
+            paths of the temporary files are replaced by the URLs.
     """
     if not any(isinstance(path, Address) for path in (*inputs, output)):
         yield list(inputs), output
@@ -70,7 +73,7 @@ def at_hand(
             real = [_fetched(each, folder, places, format, telling, remedy) for each in inputs]
             target = _to_send(output, folder, places) if isinstance(output, Address) else output
             yield real, target
-        except NanogsError as error:  # which may name a folder the user has never seen
+        except NanogsError as error:  # name URLs, not temporary folders, in the message
             error.args = tuple(_renamed(str(part), places) for part in error.args)
             raise
         if isinstance(output, Address) and target is not None and target.exists():
@@ -84,16 +87,17 @@ def check_sendable(
     overwrite: bool,
     format: str | None = None,  # noqa: A002 - as `save` has it
 ) -> None:
-    """Refuse a URL that no file can be sent to, before anything is computed.
+    """Refuse a URL that no file can be uploaded to, before anything is computed.
 
     Args:
         output: The URL.
-        overwrite: Whether what is there may be replaced.
-        format: Suffix of the format; by default that of its name.
+        overwrite: Whether a file that exists there may be replaced.
+        format: Suffix of the format; by default that of the URL's name.
 
     Raises:
-        OptionError: nanogs does not write the format, or as one file; or not to such a URL.
-        OutputError: Something is there and `overwrite` is off, or the store refuses.
+        OptionError: nanogs does not write the format, does not write it as a single file, or does
+            not write to this kind of URL.
+        OutputError: A file exists there and `overwrite` is off, or the store refuses.
     """
     if format is None and registry.writable(output).write is None:
         raise OptionError(
@@ -103,11 +107,11 @@ def check_sendable(
 
 
 def refuse_address(path: Path, remedy: str) -> None:
-    """Refuse a URL where there has to be a file or folder.
+    """Refuse a URL where a local file or folder is required.
 
     Args:
-        path: What is given.
-        remedy: What to do in its place.
+        path: The path or URL that was given.
+        remedy: Advice for the error message.
 
     Raises:
         OptionError: It is a URL.
@@ -117,17 +121,17 @@ def refuse_address(path: Path, remedy: str) -> None:
 
 
 def suffix_told(raw: Path, called: str, format: str | None, remedy: str) -> str:  # noqa: A002
-    """The suffix of what came without a name: the one given, or what the first bytes show.
+    """Return the suffix of a file without a useful name: as given, or detected from its bytes.
 
     Args:
         raw: The file.
-        called: What it is called in messages.
-        format: As given, or None.
-        remedy: What to do where nothing shows it.
+        called: Name of the file in messages.
+        format: The format that was given, or None.
+        remedy: Advice for the error message if the format cannot be detected.
 
     Raises:
-        FormatError: Something else lies in its place, such as a web page.
-        OptionError: Nothing shows the format.
+        FormatError: The file is a web page or a Git LFS pointer.
+        OptionError: The format cannot be detected.
     """
     suffix = registry.suffix_of(format) if format else sniff(raw)
     if suffix is None:
@@ -142,7 +146,7 @@ def _to_send(output: Address, folder: Path, places: dict[str, str]) -> Path:
 
 
 def _own(folder: Path, address: Address, places: dict[str, str]) -> Path:
-    """A folder for the files of an address."""
+    """Make a temporary folder for the files of a URL and record it in `places`."""
     own = folder / str(len(places))
     own.mkdir()
     places[f"{own}{os.sep}"] = f"{str(address).rpartition('/')[0]}/"
@@ -161,7 +165,7 @@ def _fetched(
     telling: Telling,
     remedy: str,
 ) -> Path:
-    """The temporary file of an address, with all that it names."""
+    """Download the file of a URL, and the files that it refers to; other paths are unchanged."""
     if not isinstance(path, Address):
         return path
     if path.name.lower().endswith(_MANIFESTS):
@@ -170,7 +174,7 @@ def _fetched(
             " folder and name that, or a stream in one file (.ssog, .rad)."
         )
     if format is None and (known := registry.find(path)) and not known.readable:
-        known.open(path)  # which says so, before anything is fetched
+        known.open(path)  # raises for a format that is only written, before the download
     own = _own(folder, path, places)
     raw = own / path.name
     with telling("fetch") as tell:

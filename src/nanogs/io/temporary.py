@@ -1,8 +1,8 @@
-"""Temporary files and folders beside an output, and what killed runs have left of them.
+"""Temporary files and folders beside an output, and removing those that killed runs have left.
 
-Each is locked by the process that fills it. The system lets go of the lock when the process ends,
-however that is; so what is not locked, and was made on this machine for the same output, is left
-over.
+Each is locked by the process that fills it. The system releases the lock when the process ends, in
+whatever way; so one that is not locked, and was made on this machine for the same output, is a
+leftover.
 """
 
 import hashlib
@@ -20,22 +20,22 @@ from nanogs.errors import OutputError
 
 try:
     import fcntl
-except ImportError:  # Windows: nothing is locked, and nothing taken away
+except ImportError:  # Windows: nothing is locked, and leftovers are not removed
     fcntl = None  # type: ignore[assignment]
 
 
 def name_beside(target: Path, suffix: str = ".tmp") -> Path:
-    """A name that nothing has yet, in the folder of a target and of the same file system."""
+    """Return an unused path in the folder of a target, and so on the same file system."""
     return target.with_name(f"{_prefix(target)}{token_hex(8)}{suffix}")
 
 
 @contextmanager
 def temporary(target: Path, make: Callable[[Path], None]) -> Iterator[Path]:
-    """Something new beside a target; it is gone when the block ends, unless it was renamed.
+    """Make a temporary file or folder beside a target; removed after the block unless renamed.
 
     Args:
-        target: What it is to become.
-        make: Makes an empty file or folder of a name.
+        target: The final path.
+        make: Creates an empty file or folder at a path.
 
     Raises:
         OSError: It cannot be made.
@@ -49,11 +49,11 @@ def temporary(target: Path, make: Callable[[Path], None]) -> Iterator[Path]:
 
 
 def no_room(what: str, error: OSError) -> OutputError:
-    """The error of something that a temporary file does not take.
+    """Build the error for a temporary file that cannot be written, such as for a full disk.
 
     Args:
-        what: What cannot be done: "scene.spz cannot be unpacked".
-        error: Why.
+        what: The operation that failed: "scene.spz cannot be unpacked".
+        error: The reason.
     """
     reason = error.strerror or str(error)
     return OutputError(
@@ -63,7 +63,7 @@ def no_room(what: str, error: OSError) -> OutputError:
 
 
 def left_beside(target: Path, suffix: str) -> Iterator[Path]:
-    """Yield the files that killed runs left beside a target, each locked until the next."""
+    """Yield the leftovers of killed runs beside a target, each locked until the next is yielded."""
     if not fcntl:
         return
     for path in target.parent.glob(f"{_prefix(target)}*{suffix}"):
@@ -72,14 +72,14 @@ def left_beside(target: Path, suffix: str) -> Iterator[Path]:
 
 
 def _prefix(target: Path) -> str:
-    """The prefix of all names that are made for a target on this machine."""
+    """Return the prefix of all temporary names for a target on this machine."""
     whose = f"{socket.gethostname()}/{target.name}".encode(errors="surrogateescape")
     return f".nanogs-{hashlib.sha256(whose).hexdigest()[:8]}-"
 
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold a file or folder for as long as this process lives, where the file system can."""
+    """Lock a file or folder during the block, if the file system supports locks."""
     held = None
     if fcntl:
         held = os.open(path, os.O_RDONLY)
@@ -93,17 +93,17 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def sweep(target: Path) -> None:
-    """Take away what killed runs have left beside a target."""
+    """Remove the temporary files and folders that killed runs have left beside a target."""
     for path in left_beside(target, ".tmp"):
         _remove(path)
 
 
 @contextmanager
 def _taken(path: Path) -> Iterator[None]:
-    """Hold what no living process does.
+    """Lock a file or folder during the block, if no living process has locked it.
 
     Raises:
-        OSError: One does, or the file system does not tell.
+        OSError: It is locked, or the file system does not support locks.
     """
     held = os.open(path, os.O_RDONLY)
     try:

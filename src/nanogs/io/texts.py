@@ -1,6 +1,6 @@
-"""Names and comments of files, whatever their encoding.
+"""Decoding and encoding names and comments of files, which may be in any encoding.
 
-They are decoded as UTF-8 with `surrogateescape`, so that those in any encoding keep their bytes.
+They are decoded as UTF-8 with `surrogateescape`, so that bytes that are not UTF-8 are preserved.
 """
 
 from nanogs.errors import OutputError
@@ -10,15 +10,15 @@ _LONGEST = 120  # characters of a reason
 
 
 def decode(text: bytes) -> str:
-    """Bytes as text that `encode` turns back into the same bytes."""
+    """Decode bytes to a text that `encode` converts back to the same bytes."""
     return text.decode("utf-8", "surrogateescape")
 
 
 def encode(text: str) -> bytes:
-    """The inverse of `decode`.
+    """Encode a text; the inverse of `decode`.
 
     Raises:
-        OutputError: The text is neither decoded nor such as can be encoded.
+        OutputError: The text has lone surrogates that `decode` does not make.
     """
     try:
         return text.encode("utf-8", "surrogateescape")
@@ -27,15 +27,15 @@ def encode(text: str) -> bytes:
 
 
 def printable(text: str) -> str:
-    """Decoded text that any terminal can be given: Latin-1 where it is not UTF-8."""
+    """Convert a decoded text to one that can be printed: Latin-1 if its bytes are not UTF-8."""
     try:
         return as_utf8(text)
-    except OutputError:  # of no file
+    except OutputError:  # a text that `decode` did not make
         return utf8(text).decode()
 
 
 def as_utf8(text: str) -> str:
-    """Decoded text without lone surrogates: Latin-1 where it is not UTF-8.
+    """Convert a decoded text to one without lone surrogates: Latin-1 if its bytes are not UTF-8.
 
     Raises:
         OutputError: As for `encode`.
@@ -48,13 +48,13 @@ def as_utf8(text: str) -> str:
 
 
 def reason(error: Exception) -> str:
-    """The words of a library on damage, for a sentence: some quote pages of what they found."""
+    """Return a library's error message, cut to `_LONGEST` characters: some quote pages of input."""
     text = printable(str(error))
     return (text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…") or type(error).__name__
 
 
 def is_utf8(text: str) -> bool:
-    """Whether a text that JSON holds is one, and has no lone surrogates."""
+    """Whether a text, such as one from JSON, can be encoded as UTF-8: it has no lone surrogates."""
     try:
         text.encode()
     except UnicodeEncodeError:

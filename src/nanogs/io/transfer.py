@@ -1,4 +1,4 @@
-"""Whole files from and to URLs: http and https by the standard library, all others by fsspec."""
+"""Downloading and uploading files: http(s) with the standard library, other URLs with fsspec."""
 
 import re
 import shutil
@@ -15,16 +15,16 @@ from nanogs.progress import Parts
 
 _BUCKETS = ("s3", "s3a")
 _PIECE = 1 << 20  # bytes
-_LONGEST = 300  # characters of what a store says
+_LONGEST = 300  # characters of a store's error message that are shown
 
 
 def fetch(address: Address, target: Path, tell: Parts) -> None:
-    """Copy the file of a URL into a new one.
+    """Download the file of a URL to a new file.
 
     Args:
         address: The URL.
-        target: The file to make.
-        tell: Told the bytes that have come, and of how many, where that is known.
+        target: The file to create.
+        tell: Progress callback: bytes that have arrived, and the total, estimated if unknown.
 
     Raises:
         FormatError: It cannot be read.
@@ -48,12 +48,12 @@ def fetch(address: Address, target: Path, tell: Parts) -> None:
 
 
 def check_absent(address: Address, *, overwrite: bool) -> None:
-    """Refuse a URL that cannot be written to, or where something is that may not be replaced.
+    """Refuse a URL that cannot be written to, or where a file exists that may not be replaced.
 
     Raises:
-        OptionError: It is of the web or has a query, which stores would take for a part of the
-            name; a package is missing, or there is no such kind of URL.
-        OutputError: Something is there and `overwrite` is off, or the store refuses.
+        OptionError: It is http(s), or has a query or fragment, which stores would treat as part of
+            the name; a package is missing, or there is no such kind of URL.
+        OutputError: A folder is there, a file exists and `overwrite` is off, or the store refuses.
     """
     if address.on_web:
         raise OptionError(
@@ -77,9 +77,9 @@ def check_absent(address: Address, *, overwrite: bool) -> None:
 
 
 def _try_to_write(files: Any, path: str) -> None:  # noqa: ANN401 - has no types
-    """Begin to send a byte and give it up, which shows whether a bucket takes it.
+    """Start the upload of one byte and abort it, to find out whether a bucket can be written to.
 
-    Nothing ever appears there, and what is there stays.
+    Nothing is created, and an existing file is not changed.
     """
     with suppress(_GivenUp), files.transaction:
         with files.open(path, "wb") as file:
@@ -88,26 +88,26 @@ def _try_to_write(files: Any, path: str) -> None:  # noqa: ANN401 - has no types
 
 
 class _GivenUp(Exception):  # noqa: N818 - is none
-    """Ends a transaction without its files."""
+    """Raised to abort a transaction, so that its files are discarded."""
 
 
 def upload(made: Path, address: Address, tell: Parts, *, overwrite: bool) -> None:
-    """Copy a file to a URL, where it appears whole or not at all.
+    """Upload a file to a URL, where it appears whole or not at all.
 
     Args:
         made: The file.
         address: The URL.
-        tell: Told the bytes that are there, and of how many.
-        overwrite: Replace what is there.
+        tell: Progress callback: bytes that have been sent, and the total.
+        overwrite: Replace a file that exists there.
 
     Raises:
         OptionError: As for `check_absent`.
         OutputError: As for `check_absent`.
     """
-    check_absent(address, overwrite=overwrite)  # again, as minutes may have passed
+    check_absent(address, overwrite=overwrite)  # again: minutes may have passed
     files, path = _store(address)
     size, done = made.stat().st_size, 0
-    # What a transaction has written appears when it ends, and is gone where it fails.
+    # The files of a transaction appear when it ends, and are discarded if it fails.
     with (
         _reached(address, "cannot be written", OutputError),
         files.transaction,
@@ -123,7 +123,7 @@ def upload(made: Path, address: Address, tell: Parts, *, overwrite: bool) -> Non
 
 @contextmanager
 def _sent(files: Any, path: str) -> Iterator[Any]:  # noqa: ANN401 - has no types
-    """A file of a store to write; where that fails it is not closed, which would show a part."""
+    """Open a file of a store for writing; on failure discard it: closing would publish a part."""
     target = files.open(path, "wb")
     try:
         yield target
@@ -131,7 +131,7 @@ def _sent(files: Any, path: str) -> Iterator[Any]:  # noqa: ANN401 - has no type
         with suppress(Exception):
             target.discard()
         with suppress(Exception):
-            target.closed = True  # or Python would close it as it forgets it
+            target.closed = True  # or garbage collection would close it
         raise
     target.close()
 
@@ -139,7 +139,7 @@ def _sent(files: Any, path: str) -> Iterator[Any]:  # noqa: ANN401 - has no type
 @contextmanager
 def _readable(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
     if address.on_web:
-        from nanogs.io import web  # which takes long to import, and most runs need not
+        from nanogs.io import web  # slow to import, and not needed by most runs
 
         with web.opened(address) as opened:
             yield opened
@@ -155,7 +155,7 @@ def _readable(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
 
 
 def _store(address: Address) -> tuple[Any, str]:
-    """The file system of fsspec, and the path there.
+    """Return the fsspec file system of a URL, and the path in it.
 
     Raises:
         OptionError: A package is missing, or there is no such kind of URL.
@@ -182,9 +182,9 @@ def _store(address: Address) -> tuple[Any, str]:
 
 @contextmanager
 def _reached(address: Address, fact: str, kind: type[NanogsError]) -> Iterator[None]:
-    """Say in a sentence what a store answers, which raises errors of its own.
+    """Convert the errors of a store, which are of any type, to errors of nanogs.
 
-    The error itself is not kept, as its text may have what is secret in the URL.
+    The original is not chained, because its text may contain the secrets of the URL.
     """
     try:
         yield
@@ -202,7 +202,7 @@ def _reached(address: Address, fact: str, kind: type[NanogsError]) -> Iterator[N
 def _put(out: IO[bytes], data: bytes, address: Address) -> None:
     try:
         out.write(data)
-        out.flush()  # or what is held back would fail when the file is closed
+        out.flush()  # or a full disk would only raise when the file is closed
     except OSError as error:
         raise no_room(f"{address} cannot be put", error) from None
 

@@ -1,7 +1,8 @@
-"""URLs where files are named: how they are told from files, and what they are called.
+"""URLs in place of paths: recognising them, and showing them without secrets.
 
-pathlib makes `https:/` of `https://`, so a URL is an `Address` from where it comes in. Nothing that
-is said of it, and no file, has what may be secret in it: user and password, query, and fragment.
+pathlib collapses `https://` to `https:/`, so a URL is converted to an `Address` as soon as it is
+passed in. Messages and file names never contain its possible secrets: user and password, query,
+and fragment.
 """
 
 import re
@@ -18,15 +19,16 @@ if sys.platform == "win32":
 else:
     from pathlib import PosixPath as _Native
 
-_URL = re.compile(r"[a-z][a-z0-9+.-]+(::[a-z0-9+.-]+)*://", re.IGNORECASE)  # no drive: C:/
+# A scheme has two characters or more, so that a drive (C:/) is none.
+_URL = re.compile(r"[a-z][a-z0-9+.-]+(::[a-z0-9+.-]+)*://", re.IGNORECASE)
 _WEB = ("http", "https")
-_UNSAFE = re.compile(r"[^\w .,+()-]")  # in a file's name, on any system
-_SHORTEST = 4  # characters of a secret that texts of others are searched for
+_UNSAFE = re.compile(r"[^\w .,+()-]")  # characters that some system does not allow in file names
+_SHORTEST = 4  # secrets with fewer characters are not removed from texts: they match other words
 _LONGEST = 120  # characters of a file's name
 
 
 class _Called(_Native):
-    """A path that is called otherwise in whatever is said: `str` has that, the system the path."""
+    """A path with a display name: `str` gives that name, and `os.fspath` the real path."""
 
     called: str
 
@@ -41,19 +43,19 @@ class _Called(_Native):
             super().__init__(place)
 
         def with_segments(self, *segments: str | PathLike[str]) -> Path:  # type: ignore[override]
-            """Make a plain path of whatever is derived from this one, such as its folder."""
+            """Return a plain `Path` for paths derived from this one, such as its parent."""
             return Path(*segments)
 
     else:
 
         @classmethod
         def _from_parsed_parts(cls, *parts: Any) -> Path:  # noqa: ANN401 - pathlib's own
-            """Do as `with_segments`, by the name that Python 3.11 calls."""
+            """Return a plain `Path`; the equivalent of `with_segments` in Python 3.11."""
             made: Path = _Native._from_parsed_parts(*parts)  # type: ignore[attr-defined]  # noqa: SLF001
             return made
 
     def __str__(self) -> str:
-        # Python 3.11 makes what `resolve` gives without calling the class.
+        # In Python 3.11, `resolve` creates the result without calling the class.
         return getattr(self, "called", None) or super().__str__()
 
     def __fspath__(self) -> str:
@@ -72,23 +74,23 @@ class _Called(_Native):
 
 
 class StandIn(_Called):
-    """A temporary file in place of a URL, which it is called by."""
+    """A temporary file in place of a URL, which is its display name."""
 
 
 class Address(_Called):
-    """A URL where a path is expected; no file of the system.
+    """A URL as a `Path` object, for functions that take paths; it is no file of the system.
 
-    Its name and suffix are those of the URL without query and fragment, fit for a file of every
-    system, and `str` is the URL without its secrets.
+    Its name and suffix are those of the URL without query and fragment, valid as a file name on
+    every system, and `str` is the URL without its secrets.
 
     Attributes:
-        url: All of it.
+        url: The complete URL, with its secrets.
     """
 
     url: str
 
     def __new__(cls, url: str, _called: str = "") -> Self:
-        """An address of all of a URL."""
+        """Make an address from a complete URL."""
         self = super().__new__(cls, _placed(url), said_of(url))
         self.url = url
         return self
@@ -109,7 +111,7 @@ class Address(_Called):
 
     @property
     def kind(self) -> str:
-        """The protocol of the URL, in small letters: "https", "s3"."""
+        """The protocol of the URL, in lower case: "https", "s3"."""
         return self.url.partition("://")[0].rpartition("::")[2].lower()
 
     @property
@@ -118,10 +120,12 @@ class Address(_Called):
         return self.url.lower().startswith(tuple(f"{kind}://" for kind in _WEB))
 
     def beside(self, name: str) -> "Address":
-        """Another file of the same folder, whose query is the same, in which keys may be.
+        """Return the URL of another file in the same folder, with the same query.
+
+        The query is kept because it may contain access keys.
 
         Args:
-            name: Of the file, or a path from the folder.
+            name: Name of the file, or its path relative to the folder.
         """
         main = _main(self.url)
         ends = re.search(r"[?#]", main)
@@ -131,7 +135,7 @@ class Address(_Called):
         return Address(self.url.replace(main, other, 1))
 
     def said(self, text: str) -> str:
-        """A text of others about the URL, such as an error, without its secrets."""
+        """Remove the secrets of the URL from a text, such as the error message of a library."""
         text = text.replace(self.url, str(self))
         for part in self.url.split("::"):
             place = part.partition("://")[2].partition("/")[0]
@@ -143,18 +147,18 @@ class Address(_Called):
 
 
 def is_url(text: object) -> bool:
-    """Whether a text is a URL, such as "s3://bucket/scene.ply", and no path."""
+    """Whether a text is a URL, such as "s3://bucket/scene.ply", and not a path."""
     return isinstance(text, str) and _URL.match(text) is not None
 
 
 def place(given: str | PathLike[str]) -> Path:
-    """The path that is meant, or the `Address` of a URL; of `file://` the path.
+    """Convert an argument to a `Path`, or a URL to an `Address`; `file://` URLs become paths.
 
     Args:
         given: A path or a URL.
 
     Raises:
-        OptionError: It is empty, or a file of another machine.
+        OptionError: It is empty, or a `file://` URL of another machine.
     """
     if given == "":
         raise OptionError("A path is empty; name a file.")
@@ -165,7 +169,7 @@ def place(given: str | PathLike[str]) -> Path:
     address = Address(given)
     if address.kind != "file" or "::" in given:
         return address
-    from urllib.request import url2pathname  # takes long to import
+    from urllib.request import url2pathname  # slow to import
 
     host, slash, path = str(address).partition("://")[2].partition("/")
     if host.lower() not in ("", "localhost"):
@@ -174,7 +178,7 @@ def place(given: str | PathLike[str]) -> Path:
 
 
 def said_of(url: str) -> str:
-    """A URL without user and password, query and fragment."""
+    """Return a URL without user, password, query and fragment."""
     parts = []
     for part in url.split("::"):
         kind, colon, rest = re.split(r"[?#]", part, maxsplit=1)[0].partition("://")
@@ -184,12 +188,15 @@ def said_of(url: str) -> str:
 
 
 def _main(url: str) -> str:
-    """Of URLs in each other, `zip://a.ply::s3://b/c.zip`, the one that names the file."""
+    """Return the part of a chained fsspec URL that names the file.
+
+    In `zip://a.ply::s3://b/c.zip` that is `zip://a.ply`.
+    """
     return next((part for part in url.split("::") if "://" in part), url)
 
 
 def _placed(url: str) -> str:
-    """The text that the parts of an address are taken from: its name is one for a file."""
+    """Return the path from which an `Address` takes its name and suffix, valid on every system."""
     folder, _, last = _main(said_of(url)).rpartition("/")
     name = _UNSAFE.sub("_", unquote(last))[-_LONGEST:].strip(" .") or "model"
     return f"{folder}/{name}"

@@ -1,9 +1,10 @@
-"""Groups of near points, by merging the two whose merge costs least, many at a time.
+"""Agglomerative clustering of points by Ward's method, many merges per pass.
 
-Ward's method, see `nanogs.kernels.ward`. A point knows its cheapest partners among those in cells
-near it. What comes of a merge costs no less to merge with any other than the cheaper of the two did
-(Lance and Williams, 1967). So where all the partners that a point knows are gone, the last of them
-says what another costs at least, and others are looked for only when that is cheap enough.
+For the costs see `nanogs.kernels.ward`. Each point has a list of its cheapest merge partners in
+nearby cells. The result of a merge costs no less to merge with any third point than the cheaper of
+the two merged points did (Lance and Williams, 1967). So when all partners in a point's list are
+gone, the cost of the last one is a lower bound for any other partner, and a new search is made only
+if this bound is low enough.
 """
 
 import numpy as np
@@ -22,27 +23,27 @@ from nanogs.kernels.ward import (
 )
 from nanogs.progress import Parts
 
-_PARTNERS = 6  # that a point knows
-_SHARE = 0.2  # of the points that are left: at most so many merges before partners are looked for
-_STALE = 0.7  # share of the columns of the table that are points, below which it is made anew
+_PARTNERS = 6  # length of a point's list of partners
+_SHARE = 0.2  # most merges in a pass, relative to the number of remaining points
+_STALE = 0.7  # the table is rebuilt when fewer than this share of its points remain
 
 
 def merge_near(points: F32, weights: F32, cells: I32, size: int, tell: Parts) -> tuple[I32, I32]:
-    """Groups of little squared error.
+    """Merge points until `size` groups remain, with a small squared error.
 
-    Every pass merges a pair, or finds for some point that none is left near it: while there are
-    more points than `size`, some cell has two, and these find each other.
+    This ends: while there are more groups than `size`, and so more than cells, some cell holds two,
+    which find each other. Every pass merges a pair, or finds a point without any partner nearby.
 
     Args:
-        points: (N, D), at most 2 from zero, D a multiple of three, N more than `size`.
+        points: (N, D), within 2 of the origin, D a multiple of three, N more than `size`.
         weights: (N,) positive.
-        cells: (N, P) the cells in which each looks for partners, that in which it lies first; of
-            all cells there are less than `size`, or one.
-        size: How many groups.
-        tell: Told of the merges done, of all.
+        cells: (N, P) the cells that each point searches for partners, its own cell first; the
+            number of cells is less than `size`, or one.
+        size: Number of groups.
+        tell: Progress callback: merges done, and their total.
 
     Returns:
-        (N,) the group of each point, from 0 on, and (size,) the cell in which each group lies.
+        (N,) the group of each point, from 0 on, and (size,) the cell of each group.
     """
     nodes = _Nodes(points, weights, cells)
     rows = changed = np.arange(len(points))
@@ -58,7 +59,7 @@ def merge_near(points: F32, weights: F32, cells: I32, size: int, tell: Parts) ->
 
 
 def _numbered(parents: I32, rows: I64) -> I32:
-    """The group of each point, by the one of these rows into which it was merged in the end."""
+    """Follow each point's parents to its root, and return the root's index in `rows`, (N,)."""
     while True:
         further = parents[parents]
         if np.array_equal(further, parents):
@@ -67,14 +68,16 @@ def _numbered(parents: I32, rows: I64) -> I32:
 
 
 def settle(points: F32, weights: F32, cells: I32, labels: I32, home: I32) -> I32:
-    """(N,) the groups of points, each having gone to that whose mean is the nearest; none is empty.
+    """Move each point to the group with the nearest mean, one step of k-means; return (N,) groups.
+
+    No group becomes empty.
 
     Args:
         points: (N, D), as for `merge_near`.
         weights: (N,) positive.
-        cells: (N, P) the cells in which each looks for a nearer mean.
-        labels: (N,) the group of each, from 0 on.
-        home: (K,) the cell in which each group lies.
+        cells: (N, P) the cells that each point searches for a nearer mean.
+        labels: (N,) the current group of each point, from 0 on.
+        home: (K,) the cell of each group.
     """
     size, count = len(home), int(cells.max()) + 1
     means = np.empty((points.shape[1], size), np.float32)
@@ -91,22 +94,22 @@ def settle(points: F32, weights: F32, cells: I32, labels: I32, home: I32) -> I32
         starts, order = by_label(near, count)
         table.look(starts, order + size, alike, partners, costs)
     settled = partners[size:, 0].copy()
-    # A group that all have left gets its points back, so that there are as many as asked for; so
-    # may those that only these points had gone to, until at worst all are back.
+    # A group that all points have left gets them back, so that the number of groups stays. This can
+    # empty groups that only these points had moved to, so repeat; at worst all points are back.
     while (empty := np.bincount(settled, minlength=size) == 0).any():
         settled[empty[labels]] = labels[empty[labels]]
     return settled
 
 
 class _Table:
-    """Points side by side in cells; see `nanogs.kernels.ward`.
+    """Points sorted by cell and padded to vector lanes; see `nanogs.kernels.ward` for the layout.
 
     Args:
         points: (N, D).
-        lengths: (N,) squared.
-        rows: (R,) which points are in it, ascending.
-        home: (R,) the cell of each.
-        count: Cells.
+        lengths: (N,) squared lengths of the points.
+        rows: (R,) indices of the points in the table, ascending.
+        home: (R,) the cell of each of these.
+        count: Number of cells.
     """
 
     def __init__(self, points: F32, lengths: F32, rows: I64, home: I32, count: int) -> None:
@@ -126,14 +129,14 @@ class _Table:
         )  # fmt: skip
 
     def look(self, starts: I64, order: I64, weights: F32, partners: I32, costs: F32) -> None:
-        """Look in each cell for the cheapest partners of some points, beside those known.
+        """Search each cell for the cheapest partners of some points, and update their lists.
 
         Args:
-            starts: (C + 1,) where the points that look into each cell begin.
-            order: These points.
-            weights: (N,) of all.
-            partners: (N, P) in and out.
-            costs: (N, P) in and out.
+            starts: (C + 1,) for each cell, the offset in `order` of the points that search it.
+            order: Indices of these points, by cell.
+            weights: (N,) weights of all points.
+            partners: (N, P) lists of partners, in and out.
+            costs: (N, P) their costs, in and out.
         """
         rounding = np.float32((self.points.shape[1] + 8) * 2.0**-21)
         near_partners(
@@ -143,7 +146,7 @@ class _Table:
 
 
 class _Nodes:
-    """Points that are merged, and what they know of each other."""
+    """The points during merging, with each one's list of cheapest partners."""
 
     def __init__(self, points: F32, weights: F32, cells: I32) -> None:
         count = len(points)
@@ -157,16 +160,16 @@ class _Nodes:
         self.changed, self.searched = np.zeros((2, count), np.int32)
         self._now = 0
         self._count = int(cells.max()) + 1
-        self._laid = np.inf  # points that the table was made for
+        self._laid = np.inf  # number of points that the table was built for
 
     def prepare(self, rows: I64) -> None:
-        """Make the table of the points that are left, where it is of many more."""
+        """Rebuild the table if far fewer points remain than it was built for."""
         if len(rows) < _STALE * self._laid:
             self._laid = len(rows)
             self.table = _Table(self.points, self.lengths, rows, self.home[rows], self._count)
 
     def look(self, rows: I64) -> None:
-        """Find the cheapest partners of some points."""
+        """Search the cheapest partners of some points anew."""
         self.partners[rows], self.costs[rows] = NOBODY, np.inf
         self.searched[rows] = self._now
         for near in self.cells.T:
@@ -174,10 +177,13 @@ class _Nodes:
             self.table.look(starts, rows[order], self.weights, self.partners, self.costs)
 
     def merge(self, rows: I64, most: int) -> I64:
-        """Merge the cheapest pairs of the points that are left, and return what they became."""
+        """Merge up to `most` of the cheapest pairs of the remaining points, and return the merged.
+
+        The merged point takes the index of the heavier of the two.
+        """
         best, least = self._cheapest(rows)
         likely = np.arange(len(rows))
-        if 2 * most < len(rows):  # a pair may come twice
+        if 2 * most < len(rows):  # twice as many, because both points may list the same pair
             likely = np.flatnonzero(least <= np.partition(least, 2 * most)[2 * most])
         lost = likely[(best[likely] == NOBODY) & (least[likely] < np.inf)]
         self.look(rows[lost])
@@ -193,7 +199,7 @@ class _Nodes:
         return merged[:count]
 
     def _cheapest(self, rows: I64) -> tuple[I32, F32]:
-        """(R,) the cheapest partner of each that is left, and its cost; see the kernel."""
+        """Return the cheapest remaining partner of each point and its cost; see the kernel."""
         best, least = np.empty(len(rows), np.int32), np.empty(len(rows), np.float32)
         cheapest(
             rows, self.parents, self.changed, self.searched, self.partners, self.costs, best, least
@@ -202,6 +208,6 @@ class _Nodes:
 
 
 def _lengths(points: F32) -> F32:
-    """(N,) squared."""
+    """Compute the squared length of each point, (N,)."""
     lengths: F32 = np.einsum("ij,ij->i", points, points)
     return lengths

@@ -1,4 +1,4 @@
-"""Files by http and https, with the standard library alone."""
+"""Downloading files by http and https, with the standard library alone."""
 
 import base64
 import gzip
@@ -17,19 +17,19 @@ from nanogs._version import __version__
 from nanogs.errors import FormatError
 from nanogs.io.urls import Address
 
-_PATIENCE = 60.0  # seconds without a byte
-_KEPT = "%/:=&?~#+!$,;'@()*[]"  # what `quote` leaves: a URL may have its escapes already
+_PATIENCE = 60.0  # timeout in seconds without a byte
+_KEPT = "%/:=&?~#+!$,;'@()*[]"  # not escaped by `quote`; with %, as a URL may be escaped already
 
 
 @contextmanager
 def opened(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
-    """A file to read from its start to its end, and its bytes where the server tells them.
+    """Open a URL for reading from start to end; yield the file and its size in bytes, if known.
 
-    User and password go to the host that they were given for, and not where that sends us on to.
+    User and password are sent only to the host of the URL, not to hosts that it redirects to.
 
     Raises:
-        FormatError: There is no such host or file, it is not given out, or less of it came than was
-            announced.
+        FormatError: There is no such host or file, access is denied, or fewer bytes arrived than
+            were announced.
     """
     try:
         with urlopen(_request(address), timeout=_PATIENCE) as answer:  # noqa: S310 - http alone
@@ -52,13 +52,13 @@ def opened(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
         raise FormatError(f"{address}: {_unreached(address, error)}.") from None
     except (EOFError, gzip.BadGzipFile):
         raise FormatError(f"{address}: it was cut short on the way; run again.") from None
-    except ValueError as error:  # of a port or host that is none
+    except ValueError as error:  # an invalid port or host
         reason = address.said(str(error))
         raise FormatError(f"{address} is no address ({reason}); check it.") from None
 
 
 class _Counted(io.RawIOBase):
-    """An HTTP answer as a stream that counts the bytes read."""
+    """An HTTP response as a stream that counts the bytes read."""
 
     def __init__(self, answer: http.client.HTTPResponse, size: int | None) -> None:
         self._answer, self.size, self.read_bytes = answer, size, 0
