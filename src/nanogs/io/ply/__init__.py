@@ -1,4 +1,4 @@
-"""`.ply` files of splats, plain or packed in PlayCanvas' chunks; the header tells which."""
+"""`.ply` files of splats, plain or in PlayCanvas' compressed layout, which the header shows."""
 
 from nanogs.io.format import Format
 from nanogs.io.ply import compressed_write, write

@@ -1,8 +1,9 @@
-"""Reading PlayCanvas' `.compressed.ply`: 16 bytes a splat, in chunks of 256 with common bounds.
+"""Reading PlayCanvas' `.compressed.ply`: 16 bytes per splat, in chunks of 256 with common bounds.
 
 Layout: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply/
-Positions and log-scales are 11-10-11 bits between the chunk's bounds, colours 8 bits, rotations
-the three smaller parts in 10 bits each; an optional element `sh` holds a byte a coefficient.
+Positions and log-scales are quantised to 11-10-11 bits between the chunk's bounds, colours to 8
+bits, rotations to the three smaller components in 10 bits each; an optional element `sh` holds one
+byte per coefficient.
 """
 
 from dataclasses import replace
@@ -32,14 +33,14 @@ _OWN = ("chunk", "vertex", "sh")
 
 
 def is_compressed(header: Header) -> bool:
-    """Whether the header is one of this layout, whatever the file is called."""
+    """Whether the header has this layout, independently of the file's name."""
     vertex = header.element("vertex")
     packed = vertex is not None and "packed_position" in vertex.names and "x" not in vertex.names
     return packed and header.element("chunk") is not None
 
 
 def open_compressed(header: Header) -> FileSource:
-    """A file whose header and size have been checked.
+    """Open a compressed file whose header and size have been checked.
 
     Raises:
         FormatError: An element does not have the properties or rows of this layout.
@@ -48,7 +49,7 @@ def open_compressed(header: Header) -> FileSource:
 
 
 class _Chunks(FileSource):
-    """The rows of a file in chunks."""
+    """A binary compressed file, of which any rows are read directly."""
 
     def __init__(self, header: Header) -> None:
         super().__init__(header.path)
@@ -72,18 +73,18 @@ class _Chunks(FileSource):
         self.columns = replace(self.info.layout, comments=tuple(header.all_comments))
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
-        """The further elements; see `Source`."""
+        """Read the further elements; see `Source.read_elements`."""
         return tuple(self.load().elements) if self.elements else ()
 
     def load(self) -> Splats:
-        """The whole model, from one pass over the file."""
+        """Read the whole model, in one pass over the file."""
         rows = {e.name: np.empty(e.count, e.dtype()) for e in _kept(self._header)}
         for block in iter_blocks(self._header):
             rows[block.element.name][block.rows] = block.values
         return _splats(self._header, rows, self._degree)
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows, from the chunks that they are in; see `Source`."""
+        """Read rows `start` to `stop` and the chunks that hold them; see `Source.read`."""
         first = start // CHUNK_ROWS
         spans = dict.fromkeys(("vertex", "sh") if self._degree else ("vertex",), (start, stop))
         spans["chunk"] = first, -(-stop // CHUNK_ROWS)
@@ -97,11 +98,18 @@ class _Chunks(FileSource):
 
 
 class _Text(Whole, _Chunks):
-    """The same as text."""
+    """A compressed file in ASCII encoding, which is loaded whole."""
 
 
 def _splats(header: Header, rows: dict[str, Array], degree: int, skipped: int = 0) -> Splats:
-    """The model of some rows, of whose first chunk so many are left out."""
+    """Decode some rows of the file to `Splats`.
+
+    Args:
+        header: The header of the file.
+        rows: The rows of each element by its name.
+        degree: SH degree.
+        skipped: Rows of the first chunk that precede the first vertex row.
+    """
     comments = header.all_comments
     vertex = rows["vertex"]
     return Splats(
@@ -127,7 +135,7 @@ def _kept(header: Header) -> list[Element]:
 
 
 def _check(header: Header) -> int:
-    """Check the elements of the layout against each other; the SH degree."""
+    """Check that the elements of the layout match each other, and return the SH degree."""
     chunk, vertex = _element(header, "chunk"), _element(header, "vertex")
     _check_types(header, vertex, list(PACKED), "u4")
     _check_types(header, chunk, BOUNDS, "f4")
@@ -164,7 +172,7 @@ def _error(header: Header, what: str) -> FormatError:
 
 
 def _decoded(rows: dict[str, Array], degree: int, skipped: int) -> dict[str, Any]:
-    """The arrays of `Splats`, computed in float64 block by block and rounded once."""
+    """Decode the arrays of `Splats`, computed in float64 block by block and rounded once."""
     n = len(rows["vertex"])
     out = empty_arrays(n, degree)
     for start in range(0, n, BLOCK_ROWS):
@@ -204,19 +212,22 @@ def _between(chunk: Array, pattern: str, axes: str, t: F64) -> F64:
 
 
 def _colour(chunk: Array, rgb: F64) -> F64:
-    """Files written before the colour bounds existed hold colours from 0 to 1."""
+    """Dequantise colours: between the chunk's bounds, or, in older files without them, 0 to 1."""
     names = chunk.dtype.names or ()
     return _between(chunk, "{}_{}", "rgb", rgb) if "min_r" in names else rgb
 
 
 def _quats(packed: U32) -> F64:
-    """(R, 4) wxyz: the two top bits say which part was the largest and is left out."""
+    """Decode quaternions, (R, 4) wxyz; the top two bits are the index of the left-out component."""
     small = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], axis=1)
     return whole_quats((small / 1023.0 - 0.5) * np.sqrt(2.0), packed >> 30)
 
 
 def _higher(sh: Array, degree: int) -> F64:
-    """(R, K - 1, 3): bytes are the middles of 256 steps over [-4, 4], the ends exact."""
+    """Decode the higher coefficients, (R, K - 1, 3).
+
+    A byte stands for the middle of one of 256 steps over [-4, 4]; 0 and 255 are exactly the ends.
+    """
     stored = np.stack([sh[name] for name in columns.rest_names(degree)], axis=1)
     unit = (stored + 0.5) / 256
     unit[stored == 0] = 0

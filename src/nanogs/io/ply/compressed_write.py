@@ -1,8 +1,8 @@
-"""Writing PlayCanvas' `.compressed.ply`: 16 bytes a splat, in chunks of 256 with common bounds.
+"""Writing PlayCanvas' `.compressed.ply`: 16 bytes per splat, in chunks of 256 with common bounds.
 
 Layout: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply/; the rounding
 and the order of the splats are those of https://github.com/playcanvas/splat-transform (MIT), so
-that both write the same numbers. Rows come in Morton order (Morton 1966), for narrow bounds.
+that both write the same numbers. Rows are in Morton order (Morton 1966), for narrow bounds.
 """
 
 from typing import BinaryIO
@@ -23,7 +23,7 @@ from nanogs.splats import Splats
 from nanogs.stored import SH_C0
 
 MAX_DEGREE = 3
-_LOG_SCALES = 20.0  # a log-scale beyond ±20 is clamped: one of -inf would void its chunk's bounds
+_LOG_SCALES = 20.0  # log-scales are clamped to ±20: -inf would make its chunk's bounds useless
 _SH_RANGE = 4.0
 _CELLS = 1024  # on each axis, in one pass of the ordering
 _CHUNK = np.dtype([(name, "<f4") for name in (*BOUNDS, *COLOUR_BOUNDS)])
@@ -31,7 +31,7 @@ _VERTEX = np.dtype([(name, "<u4") for name in PACKED])
 
 
 def write(model: Splats | Source, file: BinaryIO) -> None:
-    """Write a model; its rows come out in Morton order. Of a source only the centres are held.
+    """Write a model, its rows in Morton order; only the centres of a source are held in memory.
 
     Raises:
         OutputError: A splat holds a value that the format cannot, or a comment is too long.
@@ -41,16 +41,16 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
     order = _order(source)
     file.write(_header(source.read(0, 1), source.count))
     with in_order(source, order) as rows:
-        del order  # which is not needed any more, and large
+        del order  # large, and not needed any more
         _write_rows(rows, file)
 
 
 def _order(source: Source) -> I64 | I32:
-    """The rows in Morton order, once it is known that all can be stored."""
+    """Compute the Morton order of the rows, and refuse a model that cannot be stored."""
     means = np.empty((source.count, 3), np.float32)
     at = 0
     for block in limits.storable(source, ".compressed.ply"):
-        # What overflows is refused when all have been looked at.
+        # A centre that overflows is refused by `storable` after the last block.
         with np.errstate(over="ignore", invalid="ignore"):
             means[at : at + len(block)] = block.means
         at += len(block)
@@ -58,7 +58,7 @@ def _order(source: Source) -> I64 | I32:
 
 
 def _write_rows(rows: Source, file: BinaryIO) -> None:
-    """Write splats in their order; blocks begin where chunks do."""
+    """Write splats in their order, in blocks of whole chunks."""
     size = max(BLOCK_ROWS // CHUNK_ROWS, 1) * CHUNK_ROWS
     chunks = np.concatenate([_bounds(block) for block in rows.blocks(size)])
     file.write(chunks.data)
@@ -72,21 +72,21 @@ def _write_rows(rows: Source, file: BinaryIO) -> None:
 
 
 def file_bytes(splats: Splats, count: int) -> int:
-    """Bytes of the file of a model of `count` splats that is like this one in all else.
+    """Compute the file size in bytes of a model of `count` splats that is otherwise like this one.
 
     Args:
-        splats: What the degree and the comments are taken from.
-        count: Splats, 1 or more.
+        splats: The model that the SH degree and the comments are taken from.
+        count: Number of splats, 1 or more.
 
     Raises:
-        OutputError: A comment cannot stand in a header.
+        OutputError: A comment is not allowed in a header.
     """
     row = _VERTEX.itemsize + len(columns.rest_names(_degree(splats)))
     return len(_header(splats, count)) + _chunks(count) * _CHUNK.itemsize + count * row
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """Name what the file leaves out or clamps, one sentence each."""
+    """Return a sentence for each thing that the file leaves out or clamps."""
     found = limits.left_out(splats, ".compressed.ply", comments=False, max_degree=MAX_DEGREE)
     found += limits.rounded(splats, ".compressed.ply")
     if count := int((np.abs(splats.log_scales) > _LOG_SCALES).any(axis=1).sum()):
@@ -101,13 +101,13 @@ def losses(splats: Splats) -> tuple[str, ...]:
 
 
 def morton_order(means: F32) -> I64 | I32:
-    """Rows in Morton order, refined where more than a chunk of them share a cell.
+    """Compute the Morton order of points, refined recursively in cells with more than a chunk.
 
     Args:
         means: (N, 3) float32, finite.
 
     Returns:
-        (N,) int32, or int64 for more than 2 billion.
+        (N,) row numbers, int32, or int64 for more than 2 billion points.
     """
     order: I64 | I32
     if len(means) > np.iinfo(np.int32).max:
@@ -121,7 +121,7 @@ def morton_order(means: F32) -> I64 | I32:
         rank = np.argsort(codes, kind="stable")
         codes = codes[rank]
         order[start:stop] = order[start:stop][rank]
-        del rank  # of a large model large too
+        del rank  # large for a large model
         if codes[0] != codes[-1]:
             crowded = np.unique(codes[CHUNK_ROWS:][codes[CHUNK_ROWS:] == codes[:-CHUNK_ROWS]])
             edges = (start + np.searchsorted(codes, crowded, side) for side in ("left", "right"))
@@ -130,7 +130,7 @@ def morton_order(means: F32) -> I64 | I32:
 
 
 def _codes(means: F32, rows: I64 | I32) -> U32:
-    """(R,) uint32: interleaved bits of the cells of the rows' own bounding box, x lowest."""
+    """Compute Morton codes, (R,) uint32, on a grid of the rows' own bounding box, x lowest."""
     blocks = [rows[at : at + BLOCK_ROWS] for at in range(0, len(rows), BLOCK_ROWS)]
     low, high = (
         np.array([edge(means[block], axis=0) for block in blocks], np.float64)
@@ -167,14 +167,14 @@ def _header(splats: Splats, count: int) -> bytes:
 
 
 def _values(splats: Splats) -> tuple[F32, F32, F32]:
-    """Centres, clamped log-scales and base colours, (R, 3) float32 each, as the bounds see them."""
+    """Return the quantised values: centres, clamped log-scales and colours, (R, 3) float32 each."""
     colours = splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5
     scales = np.clip(splats.log_scales, -_LOG_SCALES, _LOG_SCALES)
     return splats.means.astype(np.float32), scales, colours.astype(np.float32)
 
 
 def _bounds(splats: Splats) -> Array:
-    """(C,) of the chunk's type: the lowest and highest value in every 256 rows."""
+    """Compute the chunk rows, (C,): the lowest and highest value in every 256 rows."""
     chunks = np.empty(_chunks(len(splats)), _CHUNK)
     starts = np.arange(0, len(splats), CHUNK_ROWS)
     for values, names in zip(_values(splats), _NAMES, strict=True):
@@ -188,7 +188,7 @@ _NAMES = (BOUNDS[:6], BOUNDS[6:], COLOUR_BOUNDS)
 
 
 def _packed(splats: Splats, chunk: Array) -> memoryview:
-    """The vertex rows; `chunk` holds the bounds of each."""
+    """Encode the vertex rows; `chunk` holds the bounds for each row."""
     units = [
         _unit(values, chunk, names) for values, names in zip(_values(splats), _NAMES, strict=True)
     ]
@@ -202,7 +202,7 @@ def _packed(splats: Splats, chunk: Array) -> memoryview:
 
 
 def _unit(values: F32, chunk: Array, names: list[str]) -> F64:
-    """(R, 3): values from 0 at the chunk's lower bound to 1 at the upper one."""
+    """Scale values to 0 at the chunk's lower bound and 1 at the upper one, (R, 3)."""
     low, high = (
         np.stack([chunk[name] for name in part], axis=1).astype(np.float64)
         for part in (names[:3], names[3:])
@@ -212,7 +212,7 @@ def _unit(values: F32, chunk: Array, names: list[str]) -> F64:
 
 
 def _words(units: F64, bits: tuple[int, ...]) -> U32:
-    """(R,) uint32: values from 0 to 1 rounded to so many bits each, the first uppermost."""
+    """Round values from 0 to 1 to `bits` bits each, packed in (R,) uint32, the first uppermost."""
     words = np.zeros(len(units), np.uint32)
     for unit, width in zip(units.T, bits, strict=True):
         top = (1 << width) - 1
@@ -221,8 +221,8 @@ def _words(units: F64, bits: tuple[int, ...]) -> U32:
 
 
 def _rotations(quats: F64) -> U32:
-    """(R,) uint32: the place of the largest part in 2 bits, the other three in 10 each."""
-    norms = np.sqrt((quats * quats).sum(axis=1, keepdims=True))  # of float32, so none overflows
+    """Encode quaternions, (R,) uint32: index of the largest component in 2 bits, others in 10."""
+    norms = np.sqrt((quats * quats).sum(axis=1, keepdims=True))  # no overflow: values are float32
     quats = np.where(norms > 0, quats * (1 / np.where(norms > 0, norms, 1)), (1, 0, 0, 0))
     largest, small = split_quats(quats)
     units = np.clip(small * np.sqrt(0.5) + 0.5, 0, 1)
@@ -231,7 +231,7 @@ def _rotations(quats: F64) -> U32:
 
 
 def _sh_bytes(sh: F32) -> memoryview:
-    """A byte a coefficient, all of red first: 256 steps over [-4, 4]."""
+    """Encode the higher coefficients as a byte each, red first: 256 steps over [-4, 4]."""
     kept = min(sh.shape[1], (MAX_DEGREE + 1) ** 2)
     rest = sh[:, 1:kept].astype(np.float64).transpose(0, 2, 1)
     steps = np.clip((rest / (2 * _SH_RANGE) + 0.5) * 256, 0, 255)

@@ -1,4 +1,4 @@
-"""The header of a PLY file: what it says, and where the body begins."""
+"""Parsing the header of a PLY file: its elements and comments, and the offset of the body."""
 
 import re
 from dataclasses import dataclass, field
@@ -28,7 +28,7 @@ _COUNT = re.compile(rb"[0-9]{1,18}")
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """One property: its name, and its numpy type code, or None for a list."""
+    """A property of an element: its name, and its numpy type code, or None for a list."""
 
     name: str
     code: str | None
@@ -36,7 +36,7 @@ class Property:
 
 @dataclass(slots=True)
 class Element:
-    """One element: its rows all have the same properties."""
+    """A PLY element: a table of rows that all have the same properties."""
 
     name: str
     count: int
@@ -52,7 +52,7 @@ class Element:
         return [prop.name for prop in self.properties if prop.code is None]
 
     def dtype(self, order: str = "=") -> np.dtype[np.void]:
-        """The packed row as a structured dtype of the given byte order (`<`, `>` or `=`)."""
+        """Return the packed row as a structured dtype of the byte order `<`, `>` or `=`."""
         return _row(order, tuple(self.properties))
 
 
@@ -74,26 +74,26 @@ class Header:
     size: int = 0
 
     def element(self, name: str) -> Element | None:
-        """The element of that name, or None."""
+        """Return the element of that name, or None."""
         return next((element for element in self.elements if element.name == name), None)
 
     @property
     def order(self) -> str:
-        """Byte order of the rows as they are read, as numpy writes it: of text, the machine's."""
+        """Byte order of the rows that are read, in numpy's notation; native for text files."""
         return {"ascii": "=", "binary_big_endian": ">"}.get(self.encoding, "<")
 
     @property
     def all_comments(self) -> list[str]:
-        """The comments, then the lines of `obj_info`, which are kept as comments too."""
+        """The comments, then the `obj_info` lines, which are kept as comments too."""
         return [*self.comments, *self.obj_info]
 
     def printable_comments(self) -> tuple[str, ...]:
-        """The comments without lone surrogates: Latin-1 where they are not UTF-8."""
+        """Return the comments without lone surrogates: as Latin-1 if they are not UTF-8."""
         return tuple(printable(comment) for comment in self.comments)
 
 
 def header_notes(header: Header) -> list[str]:
-    """Name what the header holds that `Splats` carries in another way, or not at all."""
+    """Return notes on parts of the header that `Splats` holds in another form, or not at all."""
     notes = render_tag.contradiction(header.all_comments)
     if header.obj_info:
         notes.append(f"{len(header.obj_info)} obj_info lines were kept as comments.")
@@ -148,13 +148,13 @@ def _endless(header: Header, number: int) -> FormatError:
 
 
 class _Line:
-    """One header line, applied to the header read so far."""
+    """A line of the header, which `apply` parses and adds to the header."""
 
     def __init__(self, header: Header, number: int, line: bytes) -> None:
         self.header, self.number = header, number
         text = line[:-1].rstrip(b"\r")
         self.words = text.split()
-        # One separator only: the rest of a comment line is the user's, spaces included.
+        # Only one separator is removed: further spaces belong to the text of a comment.
         keyword = self.words[0] if self.words else b""
         self.rest = decode(text.lstrip()[len(keyword) :][1:])
 

@@ -1,4 +1,4 @@
-"""Reading 3DGS `.ply` files: any encoding, any column order, by name."""
+"""Reading 3DGS `.ply` files in any encoding; columns are found by name, in any order."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -25,12 +25,12 @@ from nanogs.slices import slices
 from nanogs.splats import ExtraElement, Splats
 
 _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exactly
-_PART_ROWS = BLOCK_ROWS // 4  # that a thread reads at once: what it held stays with the thread
-_TOKEN = 120  # bytes that a number of text takes while it is read: as text, number and value
+_PART_ROWS = BLOCK_ROWS // 4  # rows that a thread reads at once; its allocator keeps that memory
+_TOKEN = 120  # bytes of memory per number of a text file: as token, as Python float, in the array
 
 
 def open_ply(path: Path) -> FileSource:
-    """A `.ply` file, or a compressed one under either name.
+    """Open a `.ply` file, plain or compressed, whichever suffix it has.
 
     Raises:
         FormatError: The file cannot be read, is damaged, or holds something that cannot be kept.
@@ -42,7 +42,7 @@ def open_ply(path: Path) -> FileSource:
 
 
 class _Ply(FileSource):
-    """The rows of a file, and its further elements."""
+    """Base class of plain PLY files: metadata, and the elements besides the splats."""
 
     def __init__(self, header: Header) -> None:
         super().__init__(header.path)
@@ -72,15 +72,15 @@ class _Ply(FileSource):
         self.columns = replace(self.info.layout, comments=tuple(header.all_comments))
 
     def _no_rows(self) -> list[ExtraElement]:
-        """The further elements without their rows."""
+        """Return the further elements without their rows."""
         return [ExtraElement(e.name, np.empty(0, e.dtype())) for e in self._kept]
 
 
 class _Binary(_Ply):
-    """The rows of a binary file."""
+    """A binary PLY file, of which any rows are read directly."""
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`, on several threads; see `Source.read`."""
         vertex, element = _Vertex(self._header, rows=stop - start), self._vertex.element
 
         def read(part: slice) -> None:
@@ -92,7 +92,7 @@ class _Binary(_Ply):
         return vertex.splats(self._no_rows())
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
-        """The further elements; see `Source`."""
+        """Read the further elements; see `Source.read_elements`."""
         found = []
         for element in self._kept:
             rows = np.empty(element.count, element.dtype())
@@ -103,7 +103,7 @@ class _Binary(_Ply):
 
 
 class _Text(_Ply, Packed):
-    """The rows of a file of text, which are unpacked to binary ones."""
+    """An ASCII PLY file, whose rows are converted to binary ones by `unpack`."""
 
     def __init__(self, header: Header) -> None:
         super().__init__(header)
@@ -112,14 +112,14 @@ class _Text(_Ply, Packed):
         self.memory = BLOCK_ROWS * max(len(e.properties) for e in header.elements) * _TOKEN
 
     def _rows(self, blocks: Iterable[Block], count: int) -> Splats:
-        """The splats of blocks with so many rows in all; elements come without theirs."""
+        """Collect blocks with `count` rows in total; further elements come without their rows."""
         vertex = _Vertex(self._header, rows=count)
         for block in blocks:
             vertex.put(block)
         return vertex.splats(self._no_rows())
 
     def _filled(self, elements: dict[str, Array]) -> Iterator[Block]:
-        """The rows of all splats; those of elements go to arrays."""
+        """Yield the blocks of splats; write the rows of further elements to `elements`."""
         for block in iter_blocks(self._header):
             if block.element is self._vertex.element:
                 yield block
@@ -127,26 +127,26 @@ class _Text(_Ply, Packed):
                 elements[block.element.name][block.rows] = block.values
 
     def load(self) -> Splats:
-        """The whole model, from one pass over the file."""
+        """Read the whole model, in one pass over the file."""
         found = {e.name: np.empty(e.count, e.dtype()) for e in self._kept}
         splats = self._rows(self._filled(found), self.count)
         return replace(splats, elements=[ExtraElement(n, rows) for n, rows in found.items()])
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
-        """The further elements; see `Source`."""
+        """Read the further elements; see `Source.read_elements`."""
         found = {e.name: np.empty(e.count, e.dtype()) for e in self._kept}
         for _ in self._filled(found) if found else ():
             pass
         return tuple(ExtraElement(name, rows) for name, rows in found.items())
 
     def unpack(self, _notes: list[str]) -> Iterator[Array]:
-        """The one column; see `Packed`."""
+        """Yield the only column: the vertex rows as bytes; see `Packed.unpack`."""
         for block in iter_blocks(self._header):
             if block.element is self._vertex.element:
                 yield block.values.view(np.uint8).reshape(-1, self._row.itemsize)
 
     def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
-        """Some rows; see `Packed`."""
+        """Decode rows `start` to `stop`; see `Packed.decode`."""
         return self._rows(self._blocks(columns, start, stop), stop - start)
 
     def _blocks(self, columns: ColumnReader, start: int, stop: int) -> Iterator[Block]:
@@ -157,12 +157,12 @@ class _Text(_Ply, Packed):
 
 
 def described(element: Element) -> tuple[tuple[str, str], ...]:
-    """(name, PLY type) of each property."""
+    """Return (name, PLY type) of each property."""
     return tuple((p.name, TYPE_NAMES[p.code] if p.code else "list") for p in element.properties)
 
 
 def _checked(path: Path) -> Header:
-    """The header of a file that holds splats, its counts checked against the file's size."""
+    """Read the header of a file of splats, and check its counts against the size of the file."""
     header = read_header(path)
     vertex = header.element("vertex")
     if vertex is None:
@@ -190,9 +190,10 @@ class _Vertex:
         self.codes = {prop.name: str(prop.code) for prop in element.properties}
         wide = any(self.codes[name] in _WIDE for name in columns.MEANS)
         self.means_dtype = np.dtype(np.float64 if wide else np.float32)
-        self.overflowed: dict[tuple[str, int], int] = {}  # by column and first row
+        # Number of values that became infinite, by column and first row of the block.
+        self.overflowed: dict[tuple[str, int], int] = {}
         self.targets: dict[str, Array] = {}
-        self.arrays: list[tuple[Sequence[str], Array]] = []  # and the names of their columns
+        self.arrays: list[tuple[Sequence[str], Array]] = []  # each with the names of its columns
         self._allocate(element.count if rows is None else rows)
 
     def _allocate(self, n: int) -> None:
@@ -209,7 +210,7 @@ class _Vertex:
         self._map_columns()
 
     def _map_columns(self) -> None:
-        """Name the view that each column of the file is copied to."""
+        """For each column of the file, set the array view that it is copied to."""
         self.arrays = [
             (columns.MEANS, self.means),
             (columns.SCALES, self.log_scales),
@@ -224,11 +225,11 @@ class _Vertex:
 
     @cached_property
     def _copies(self) -> tuple[list[tuple[Any, str, Array]], dict[str, Array]]:
-        """How blocks are copied: arrays whose columns follow each other in the rows, and the rest.
+        """Plan of copying: arrays whose columns are adjacent in the rows, and single columns.
 
         Returns:
-            Of each such array a type of the rows with all its columns as the one field, the name of
-            that, and the array; and where each of the other columns goes.
+            For each array with adjacent columns: a dtype of the rows with these columns as its only
+            field, the name of the field, and the array. Then the target of each other column.
         """
         rows: Any = self.element.dtype(self.header.order)
         together, alone = [], dict(self.targets)
@@ -291,7 +292,7 @@ class _Vertex:
         return notes
 
     def _overflows(self) -> dict[str, int]:
-        """Values of each column that were lost, columns in the order in which they came."""
+        """Sum the values of each column that became infinite, columns in order of appearance."""
         counts: dict[str, int] = {}
         order = list(self.targets)
         for name, start in sorted(self.overflowed, key=lambda at: (at[1], order.index(at[0]))):
@@ -300,7 +301,7 @@ class _Vertex:
 
 
 def _copy(values: Array, out: Array) -> None:
-    """Copy (R, C) values, or (R, 3, C) ones channel by channel, whose rows are longer."""
+    """Copy (R, C) values column by column, or (R, 3, C) values channel by channel."""
     for channel in range(out.shape[1]) if out.ndim == 3 else [...]:
         out[:, channel] = values[:, channel]
 

@@ -1,4 +1,4 @@
-"""The body of a PLY file as blocks of structured rows, whatever its encoding."""
+"""Reading the body of a PLY file, in any encoding, as blocks of structured rows."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Block:
 
     element: Element
     rows: slice
-    values: Array  # (R,) structured; only until the next block is asked for
+    values: Array  # (R,) structured; valid only until the next block is requested
 
 
 def check_body(header: Header) -> None:
@@ -43,10 +43,10 @@ def check_body(header: Header) -> None:
 
 
 def iter_blocks(header: Header) -> Iterator[Block]:
-    """All rows of all elements in the file's order; call `check_body` first.
+    """Read all rows of all elements in the file's order; call `check_body` first.
 
     Raises:
-        FormatError: A row of text is not what the header says, or the file cannot be read.
+        FormatError: A row of text contradicts the header, or the file cannot be read.
     """
     if header.encoding != "ascii":
         for element in header.elements:
@@ -56,10 +56,12 @@ def iter_blocks(header: Header) -> Iterator[Block]:
 
 
 def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterator[Block]:
-    """Some rows of one element of a binary file, numbered from 0; call `check_body` first.
+    """Read some rows of one element of a binary file; call `check_body` first.
+
+    The rows of the blocks are numbered from 0, which is row `start` of the element.
 
     Args:
-        header: Of the file.
+        header: The header of the file.
         element: One of its elements.
         start: The first row.
         stop: The row after the last.
@@ -80,7 +82,7 @@ def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterat
 
 def _check_keepable(path: Path, element: Element) -> None:
     if element.count == 0:
-        return  # without rows there is nothing to lose
+        return  # an element without rows is left out without loss
     if lists := element.lists():
         raise FormatError(
             f"{path}: element {element.name!r} has the list property {lists[0]!r}, whose indices"
@@ -153,12 +155,12 @@ def _ascii_rows(path: Path, file: BinaryIO, element: Element, span: slice) -> Ar
 
 
 def _numbers(path: Path, element: Element, span: slice, tokens: list[list[bytes]]) -> F64:
-    """(R, P) float64, which holds every PLY type exactly."""
+    """Convert the tokens to (R, P) float64, which holds every PLY type exactly."""
     try:
         return np.array([[_number(token) for token in row] for row in tokens], np.float64)
     except ValueError:
         pass
-    for i, row in enumerate(tokens):  # a second pass, to name the place
+    for i, row in enumerate(tokens):  # a second pass finds the bad value for the message
         for name, token in zip(element.names, row, strict=True):
             try:
                 _number(token)

@@ -20,10 +20,10 @@ ElementRows = tuple[str, int, Sequence[tuple[str, str]]]
 
 
 def write(model: Splats | Source, file: BinaryIO) -> None:
-    """Write a model, every extra column, element and comment with it, block by block.
+    """Write a model with all its extra columns, elements and comments, block by block.
 
     Raises:
-        OutputError: The model holds no splat, or something that PLY cannot; nothing has been
+        OutputError: The model holds no splat, or something that PLY cannot hold; nothing has been
             written then.
         OSError: The system refuses to write.
     """
@@ -34,7 +34,8 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
     file.write(_header(first, tables, source.count))
     buffer = None
     for block in source.blocks(BLOCK_ROWS):
-        arrays = {names[0]: array for names, array in _arrays(block) if names}  # few long copies
+        # Whole arrays as fields of a row, not single columns: fewer and longer copies.
+        arrays = {names[0]: array for names, array in _arrays(block) if names}
         if buffer is None:
             buffer = np.empty(min(source.count, BLOCK_ROWS), _row(arrays))
         file.write(_filled(buffer, arrays, slice(None)))
@@ -45,11 +46,11 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
 
 
 def file_bytes(splats: Splats, count: int) -> int:
-    """Bytes of the file of a model of `count` splats that is like this one in all else.
+    """Compute the file size in bytes of a model of `count` splats that is otherwise like this one.
 
     Args:
-        splats: What the columns, comments and further elements are taken from.
-        count: Splats, 1 or more.
+        splats: The model that columns, comments and further elements are taken from.
+        count: Number of splats, 1 or more.
 
     Raises:
         OutputError: As for `write`.
@@ -66,7 +67,7 @@ def _row_bytes(table: Mapping[str, Array]) -> int:
 
 
 def _tables(splats: Splats) -> dict[str, dict[str, Array]]:
-    """The columns of every element by its name, `vertex` first."""
+    """Return the columns of every element by its name, `vertex` first."""
     tables = {"vertex": _vertex(splats)}
     for element in splats.elements:
         if element.name in tables:
@@ -77,7 +78,7 @@ def _tables(splats: Splats) -> dict[str, dict[str, Array]]:
 
 
 def _vertex(splats: Splats) -> dict[str, Array]:
-    """The columns of the vertex rows, in the order they are written."""
+    """Return the columns of the vertex rows by name, in the order they are written."""
     return {
         name: column
         for names, array in _arrays(splats)
@@ -86,7 +87,7 @@ def _vertex(splats: Splats) -> dict[str, Array]:
 
 
 def _arrays(splats: Splats) -> list[tuple[Sequence[str], Array]]:
-    """The arrays that they are of, in that order, and the names of each one's columns."""
+    """Return the arrays of the vertex rows in writing order, with the names of their columns."""
     if clash := [name for name in splats.extras if columns.is_known(name)]:
         raise OutputError(f"The extra column {clash[0]!r} has a splat's own name; rename it.")
     extras = dict(splats.extras)
@@ -114,14 +115,15 @@ def _header(splats: Splats, tables: Mapping[str, Mapping[str, Array]], splat_cou
 
 
 def header(comments: Sequence[str], elements: Iterable[ElementRows]) -> bytes:
-    """The header of a binary little-endian PLY file.
+    """Build the header of a binary little-endian PLY file.
 
     Args:
         comments: Comment lines without their keyword.
-        elements: Name, number of rows and (name, PLY type) of each property, in the file's order.
+        elements: For each element its name, number of rows and (name, PLY type) of each property,
+            in the file's order.
 
     Raises:
-        OutputError: A name or comment cannot stand in a header, or it would be too long.
+        OutputError: A name or comment is not allowed in a header, or the header would be too long.
     """
     lines = [b"ply", b"format binary_little_endian 1.0", *(_comment(text) for text in comments)]
     for name, count, properties in elements:
@@ -161,12 +163,12 @@ def _type(name: str, column: Array) -> str:
 
 
 def _row(table: Mapping[str, Array]) -> "np.dtype[Any]":
-    """A packed little-endian row."""
+    """Return the dtype of a packed little-endian row."""
     return np.dtype([(n, "<" + c.dtype.str[1:], c.shape[1:]) for n, c in table.items()])
 
 
 def _filled(buffer: Array, table: Mapping[str, Array], part: slice) -> memoryview:
-    """The bytes of some rows, until the buffer is filled again."""
+    """Fill the buffer with some rows and return their bytes, valid until it is filled again."""
     rows = buffer[: len(next(iter(table.values()))[part])]
     for name, column in table.items():
         rows[name] = column[part]
