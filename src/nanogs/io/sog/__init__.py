@@ -1,4 +1,4 @@
-"""PlayCanvas' SOG: splats in lossless pictures; with levels of detail, streamed SOG."""
+"""PlayCanvas' SOG: splats in lossless WebP textures; streamed SOG has levels of detail."""
 
 from nanogs.io.format import Format, FormatOptions, WriteOption
 from nanogs.io.precision import FEWEST_BITS, MOST_BITS, MOST_SPARE_BITS
@@ -9,14 +9,14 @@ from nanogs.io.sog.meta import PALETTE_MAX
 from nanogs.io.sog.read import META, SogSource
 from nanogs.source import Source
 
-_FIRST_BITS = 6  # that a search begins with: mostly one off the best at most
+_FIRST_BITS = 6  # start of a search for the best `bits`: mostly at most one off
 _OPTIONS = {
     "palette": WriteOption("palette_size", range(1, PALETTE_MAX + 1)),
     "bits": WriteOption(
         "bits",
         range(FEWEST_BITS, MOST_BITS + 1),
         _FIRST_BITS,
-        unseen=write.USUAL_BITS,  # 6 gain most scenes 1 dB, and lose smooth ones 4
+        unseen=write.USUAL_BITS,  # 6 would gain 1 dB in most scenes, but lose 4 dB in smooth ones
     ),
     "spare_bits": WriteOption("spare", range(MOST_SPARE_BITS + 1)),
 }

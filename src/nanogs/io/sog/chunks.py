@@ -1,4 +1,4 @@
-"""Which rows of the levels of a streamed SOG stand for which region of the scene."""
+"""The chunks of a streamed SOG: for each region of the scene, its rows in each level of detail."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +12,13 @@ from nanogs.io.sog.levels import read_manifest
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chunks:
-    """C regions, of each of which there are L levels.
+    """C regions of the scene, each with consecutive rows in L levels of detail.
 
     Attributes:
-        boxes: (C, 2, 3) float64, the lowest and the highest corner of each, scene units.
-        starts: (C, L) int64, its first row in the level as it is read; 0 where there is none.
-        counts: (C, L) int64, its rows there, one after the other.
-        environment: Rows that follow those of all regions, the same in every level.
+        boxes: (C, 2, 3) float64, the lowest and the highest corner of each region, scene units.
+        starts: (C, L) int64, first row of the region in a level that is read; 0 if it has none.
+        counts: (C, L) int64, number of rows of the region in a level.
+        environment: Number of rows after those of all regions, the same in every level.
     """
 
     boxes: F64
@@ -28,7 +28,7 @@ class Chunks:
 
 
 def read_chunks(path: Path) -> Chunks:
-    """Read them from a `lod-meta.json`, or from the one in a `.ssog`.
+    """Read the chunks from a `lod-meta.json`, or from the one in a `.ssog`.
 
     Raises:
         FormatError: It is missing or damaged, or a region has no box or a level twice.
@@ -44,7 +44,7 @@ def read_chunks(path: Path) -> Chunks:
         for level, file, (offset, count) in leaf.entries:
             runs[level].append((file, offset, count, number))
     for level, each in enumerate(runs):
-        row = 0  # a level is read file by file, and of each its runs from the first row on
+        row = 0  # a level is read file by file, and the runs of a file in order of their offset
         for _file, _offset, count, number in sorted(each):
             starts[number, level], counts[number, level] = row, count
             row += count

@@ -1,4 +1,4 @@
-"""Codebooks: few values that stand for many, and the index of the nearest for each."""
+"""Scalar quantisation: computing a codebook of few values, and the nearest entry for each value."""
 
 import numpy as np
 
@@ -7,20 +7,20 @@ from nanogs._types import F32, F64, U8
 from nanogs.io.sog.meta import CODES
 from nanogs.slices import slices
 
-BINS = 4096  # about, since an outlier leaves few evenly spaced ones to the others
-# Rare values matter for the picture, a few large splats above all: a bin weighs by a power of the
-# density of values in it.
+BINS = 4096  # approximate; half of them by rank, as an outlier would leave few even ones to others
+# Rare values, such as those of a few large splats, matter for the picture: a bin is weighted by
+# this power of the density of values in it.
 RARITY = 0.5
-NOTHING = 20.0  # a log-scale that much below the least stands for -inf: 2e-9 of the smallest
+NOTHING = 20.0  # -inf is stored as the smallest log-scale minus this: 2e-9 of the smallest scale
 
 
 def codebook(values: F32, size: int = CODES, power: float = RARITY) -> F32:
-    """(256,) ascending: the values to quantise to, for the least weighted squared error.
+    """Compute a codebook, (256,) ascending, with the smallest weighted squared error.
 
     Args:
         values: (N,) or any other shape; -inf gets an entry of its own below all others.
-        size: How many of the entries differ, at least 2; the fewer, the better codes are packed.
-        power: 1 for the least squared error, less to give rare values more weight.
+        size: Number of distinct entries, at least 2; fewer make the codes compress better.
+        power: 1 for the smallest plain squared error, less to give rare values more weight.
     """
     finite = values[np.isfinite(values)].astype(np.float64)
     lowest = finite.min() if len(finite) else 0.0
@@ -32,11 +32,11 @@ def codebook(values: F32, size: int = CODES, power: float = RARITY) -> F32:
 
 
 def nearest(values: F32, book: F32) -> U8:
-    """Index of the nearest entry for each value, in the same shape; ties go to the lower one.
+    """Find the index of the nearest entry for each value, in the same shape; the lower of a tie.
 
     Args:
-        values: Of any shape; -inf goes to the first entry.
-        book: (256,) ascending; of entries that repeat the last, none is chosen.
+        values: Of any shape; -inf gets the first entry.
+        book: (256,) ascending; entries that repeat the last value are never chosen.
     """
     book = book[: np.searchsorted(book, book[-1]) + 1]
     middles = (book[1:].astype(np.float64) + book[:-1]) / 2
@@ -51,7 +51,7 @@ def nearest(values: F32, book: F32) -> U8:
 
 
 def _entries(values: F64, most: int, power: float) -> F64:
-    """Choose the values, at most so many, that finite ones are quantised to."""
+    """Choose at most `most` entries for finite values."""
     values = np.sort(values)
     changes = np.flatnonzero(values[1:] != values[:-1]) + 1
     if len(changes) < most:
@@ -65,14 +65,14 @@ def _entries(values: F64, most: int, power: float) -> F64:
     if len(centres) <= most:
         return centres
     tail = len(values) // 100
-    # Bins about a value that is there many times are narrow, and must not weigh nothing.
+    # Bins around a value that occurs many times are narrow; their weight must not become zero.
     narrow = (values[-1 - tail] - values[tail]) / BINS
     widths = np.maximum(np.diff(edges), narrow)[used]
     return _means_of_runs(centres, counts[used] ** power * widths ** (1 - power), most)
 
 
 def _edges(values: F64) -> F64:
-    """Edges of bins for sorted values: half of them evenly spaced, half by rank."""
+    """Compute the edges of bins for sorted values: half of them evenly spaced, half by rank."""
     even = np.linspace(values[0], values[-1], BINS // 2 + 1)
     ranks = np.linspace(0, len(values) - 1, BINS // 2 + 1).astype(np.int64)
     return np.unique(np.concatenate([even, values[ranks]]))

@@ -1,11 +1,11 @@
-"""Reading streamed SOG: a `lod-meta.json` over SOG models of several levels of detail.
+"""Reading streamed SOG: a manifest `lod-meta.json` of SOG models with several levels of detail.
 
 Layout: https://github.com/playcanvas/splat-transform (MIT). `filenames` lists the `meta.json` of
-each model, `lodLevels` says how many levels there are, 0 the finest, and the leaves of `tree` say
-in `lods`, by level, which `count` rows from `offset` on of which `file` stand for their region.
-Each level is the whole scene: levels are read one at a time and never put together. `environment`
-names one more model, of the sky and what else is far away on all sides: viewers draw all of it with
-every level, and so it is read as the last rows of each.
+each model and `lodLevels` is the number of levels, 0 the finest. Each leaf of `tree` is a region;
+its `lods` give, for each level, the rows of the region: `count` rows of model `file` from `offset`
+on. Each level is the whole scene, so levels are read one at a time and never joined. `environment`
+names one more model, with the sky and everything far away: viewers draw all of it with every level,
+and so it is read as the last rows of each.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,19 +28,20 @@ from nanogs.io.sog.meta import MAX_COUNT
 from nanogs.io.sog.read import META, SogSource
 from nanogs.splats import RenderMode, Splats, empty_arrays, padded
 
-# Python takes up to 25 times a JSON text's size; a leaf has some 500 bytes for 10 K splats or more.
+# Parsed JSON takes up to 25 times the size of its text in memory; a leaf has some 500 bytes for
+# 10 K splats or more.
 MAX_MANIFEST_BYTES = 8 << 20
-_DIGITS = 3  # of the number of a level, at most
+_DIGITS = 3  # most digits of the number of a level
 _MAX_LEVELS = 64
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Rows of one level in one model.
+    """The rows of one level that are stored in one SOG model.
 
     Attributes:
-        folder: The model's folder.
-        name: Name of its `meta.json`, or of its `.sog`; or of the zip that it is in.
+        folder: The folder of the file `name`.
+        name: Name of the model's `meta.json` or `.sog`, or of the zip that contains the model.
         spans: (offset, count) of runs of rows, ascending, without overlap; None for all rows.
         inside: The model's folder in the zip, with a slash at its end.
     """
@@ -57,10 +58,10 @@ class Piece:
 
     @property
     def count(self) -> int:
-        """Number of rows in all spans; of a whole model from its description.
+        """Number of rows in all spans; for a whole model the count of its `meta.json`.
 
         Raises:
-            FormatError: That is missing or damaged.
+            FormatError: The `meta.json` is missing or damaged.
         """
         if self.spans is None:
             return SogSource(self.path, None, self.inside).meta.count
@@ -68,11 +69,11 @@ class Piece:
 
 
 class Leaf(NamedTuple):
-    """A region of the scene.
+    """A region of the scene, a node of the tree.
 
     Attributes:
-        bound: Its box as the file has it, unchecked, since models are read without it.
-        entries: What stands for it: (level, number of the file, (offset, count)).
+        bound: Its bounding box from the JSON, unchecked, because reading a level does not need it.
+        entries: Its rows in each level: (level, number of the file, (offset, count)).
     """
 
     bound: object
@@ -84,8 +85,8 @@ class Levels:
     """A checked `lod-meta.json`.
 
     Attributes:
-        levels: Pieces by level, from the finest on.
-        environment: What belongs to every level beside them, or None.
+        levels: The pieces of each level, the finest level first.
+        environment: The model that belongs to every level, or None.
         leaves: The regions of the scene.
     """
 
@@ -94,11 +95,11 @@ class Levels:
     leaves: tuple["Leaf", ...] = ()
 
     def pieces(self, path: Path, level: int) -> tuple[Piece, ...]:
-        """The pieces of one level of that file, the environment's last.
+        """Return the pieces of one level, that of the environment last; `path` is for messages.
 
         Raises:
             OptionError: There is no such level.
-            FormatError: It holds nothing.
+            FormatError: The level is empty.
         """
         check_level(path, level, len(self.levels))
         if not self.levels[level]:
@@ -137,8 +138,8 @@ def _is_archive(path: Path) -> bool:
 
 
 def _archived(path: Path) -> dict[str, Any]:
-    """The `lod-meta.json` of a zip."""
-    input_size(path)  # which refuses what downloads leave in its place
+    """Parse the `lod-meta.json` in a zip."""
+    input_size(path)  # refuses Git LFS pointers and web pages
     with reading(path) as file:
         bundle = Bundle(path, file)
         where = bundle.where(LEVELS)
@@ -148,8 +149,8 @@ def _archived(path: Path) -> dict[str, Any]:
 
 
 def _environment(path: Path, name: object, names: Sequence[object]) -> Piece | None:
-    """The model that belongs to every level; None without."""
-    if name is None or name == "":  # as viewers take it
+    """Return the model that belongs to every level, or None if there is none."""
+    if name is None or name == "":  # viewers treat both as none
         return None
     if name in names:
         raise refused(f"{path}, environment", "is one of the models of the levels")
@@ -157,7 +158,7 @@ def _environment(path: Path, name: object, names: Sequence[object]) -> Piece | N
 
 
 def _leaves(tree: object, depth: int, files: int, where: str) -> Iterator[Leaf]:
-    """Every node of the tree that has splats."""
+    """Yield every node of the tree that has splats."""
     where = f"{where}, tree"
     open_nodes = [table(tree, where)]
     while open_nodes:
@@ -183,7 +184,7 @@ def _entry(entry: dict[str, Any], files: int, where: str) -> tuple[int, tuple[in
 def _piece(
     path: Path, name: object, spans: list[tuple[int, int]] | None, key: str = "filenames"
 ) -> Piece:
-    """A model that the description names under a key, and runs of its rows or all."""
+    """Make a piece of a model that the manifest names, with runs of its rows, or None for all."""
     parts = name.split("/") if isinstance(name, str) else []
     if not parts or not all(map(is_plain, parts)):
         raise refused(f"{path}, {key}", "must name files below its own folder")
@@ -197,7 +198,7 @@ def _piece(
 
 
 def _ordered(path: Path, name: object, spans: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """The runs of a level's rows in a model that are not empty, none of which may overlap."""
+    """Sort the non-empty runs of a level's rows in a model, and refuse runs that overlap."""
     ordered = sorted(span for span in spans if span[1])
     end = 0
     for offset, count in ordered:
@@ -208,7 +209,7 @@ def _ordered(path: Path, name: object, spans: list[tuple[int, int]]) -> tuple[tu
 
 
 def _opened(piece: Piece) -> SogSource:
-    """The model of a piece, whose rows must be there."""
+    """Open the model of a piece, which must have all rows of the piece."""
     source = SogSource(piece.path, piece.spans, piece.inside)
     available = source.meta.count
     if any(offset + count > available for offset, count in piece.spans or ()):
@@ -220,12 +221,19 @@ def _opened(piece: Piece) -> SogSource:
 
 
 def joined_notes(models: Sequence[Sequence[str]], notes: Sequence[str]) -> list[str]:
-    """Join the notes of the models and of the manifest, each once."""
+    """Join the notes of the models and of the manifest, without duplicates."""
     return [*dict.fromkeys(note for model in models for note in model), *notes]
 
 
 def joined_info(path: Path, kind: str, infos: Sequence[FileInfo], splats: int) -> FileInfo:
-    """The description of a level of several models, of a file that names them."""
+    """Join the metadata of the models of a level.
+
+    Args:
+        path: The manifest.
+        kind: Name of the format.
+        infos: Metadata of each model.
+        splats: Number of splats of the level.
+    """
     modes = {info.render_mode for info in infos}
     first = max(infos, key=lambda info: info.sh_degree)
     return replace(
@@ -241,12 +249,12 @@ def joined_info(path: Path, kind: str, infos: Sequence[FileInfo], splats: int) -
 
 
 def common_mode(modes: set[RenderMode]) -> RenderMode:
-    """The render mode that all models state; a scene cannot be drawn in two ways at once."""
+    """Return the render mode that all models have, or the default: a scene can have only one."""
     return modes.pop() if len(modes) == 1 else RenderMode.DEFAULT
 
 
 def open_level(path: Path, level: int = 0) -> "SogLevel":
-    """A level of a `lod-meta.json`; 0 is the finest.
+    """Open a level of a `lod-meta.json`; 0 is the finest.
 
     Raises:
         OptionError: There is no such level.
@@ -257,7 +265,7 @@ def open_level(path: Path, level: int = 0) -> "SogLevel":
 
 
 class SogLevel(Packed):
-    """The models of a level, one after the other; what is kept of each is small."""
+    """A level of a streamed SOG: the rows of its models, one model after another."""
 
     def __init__(self, path: Path, manifest: Levels, pieces: Sequence[Piece]) -> None:
         super().__init__(path)
@@ -271,7 +279,7 @@ class SogLevel(Packed):
 
     @cached_property
     def info(self) -> FileInfo:
-        """The description, from the manifest and those of the models."""
+        """The metadata of the level, joined from those of its models."""
         models = [model.info for model in self._models]
         info = joined_info(self.path, "streamed sog", models, self.count)
         return replace(info, file_bytes=input_size(self.path)) if _is_archive(self.path) else info
@@ -286,19 +294,19 @@ class SogLevel(Packed):
 
     @property
     def levels(self) -> tuple[int, ...]:
-        """Splats of each level, those of the environment among them; see `FileSource`."""
+        """Number of splats of each level, including the environment; see `FileSource`."""
         levels = self._manifest.levels
         return tuple(sum(piece.count for piece in each) + self.environment for each in levels)
 
     @cached_property
     def environment(self) -> int:
-        """Splats that belong to every level; see `FileSource`."""
+        """Number of splats that belong to every level; see `FileSource`."""
         found = self._manifest.environment
         return found.count if found else 0
 
     @cached_property
     def stored(self) -> Mapping[str, Column]:
-        """The textures of all models; see `Packed`."""
+        """The columns, one for each texture of each model; see `Packed`."""
         return {
             f"{number}:{name}": column
             for number, model in enumerate(self._models)
@@ -307,16 +315,16 @@ class SogLevel(Packed):
 
     @cached_property
     def memory(self) -> int:
-        """Bytes that the largest texture takes."""
+        """Bytes of memory for decoding the largest texture of all models."""
         return max(model.memory for model in self._models)
 
     def unpack(self, notes: list[str]) -> Iterator[Array]:
-        """All columns of each model; see `Packed`."""
+        """Decode all textures of each model; see `Packed.unpack`."""
         for model in self._models:
             yield from model.unpack(notes)
 
     def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
-        """Some rows, whichever models they are in; see `Packed`."""
+        """Decode rows `start` to `stop`, which may be in several models; see `Packed.decode`."""
         out = empty_arrays(stop - start, self.info.sh_degree)
         spans = zip(self._models, pairwise(self._ends), strict=True)
         for number, (model, (first, end)) in enumerate(spans):

@@ -1,22 +1,22 @@
-"""The `meta.json` of SOG, PlayCanvas' compressed splats, versions 1 and 2.
+"""Parsing the `meta.json` of SOG, PlayCanvas' compressed splats, versions 1 and 2.
 
-Layout: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/ and, for what
-that leaves open and for version 1, https://github.com/playcanvas/splat-transform (MIT). A splat is
+Layout: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/ and, for
+version 1 and details missing there, https://github.com/playcanvas/splat-transform (MIT). A splat is
 one texel, row by row, in each of these lossless WebP files, named in `meta.json`:
 
-    means.files      low and high bytes of 16-bit codes, a fraction of mins..maxs; the fraction's
-                     value t stands for the coordinate sign(t)(exp|t| - 1)
-    quats.files      RGB the three smaller parts, a byte over ±1/√2 each; A is 252 + the index
+    means.files      low and high bytes of 16-bit codes, interpolated between mins and maxs to a
+                     signed logarithm t; the coordinate is sign(t)(exp|t| - 1)
+    quats.files      RGB, the three smaller components, a byte over ±1/√2 each; A is 252 + the index
                      (wxyz) of the largest, which is positive; any other A is no rotation
     scales.files     RGB, log-scales
     sh0.files        RGB, base colour coefficients; A, opacity
-    shN.files        the palette, then R + 256 G, an index into it; the palette's picture has 64
-                     entries a row, one texel a coefficient, RGB its channels
+    shN.files        the palette, then R + 256 G, an index into it; the palette's texture has 64
+                     entries per row, one texel per coefficient, RGB its channels
 
-Version 2 (`version: 2`, `count`) turns bytes into values by codebooks of 256 entries, and A of sh0
-is alpha from 0 to 255. Version 1 (no `version`; the count is `means.shape[0]`) has mins and maxs
-in place of codebooks, by channel except for shN, and A of sh0 is a logit. `model` names the render
-mode. Early files have null in place of the first codebook entry.
+Version 2 (`version: 2`, `count`) maps bytes to values by codebooks of 256 entries, and A of sh0 is
+alpha from 0 to 255. Version 1 (no `version`; the count is `means.shape[0]`) has mins and maxs in
+place of codebooks, for each channel except in shN, and A of sh0 is a logit. `model` names the
+render mode. Early files have null in place of the first codebook entry.
 """
 
 from collections.abc import Mapping
@@ -32,8 +32,8 @@ from nanogs.splats import RenderMode
 from nanogs.stored import logit
 
 MAX_META_BYTES = 1 << 22  # a usual meta.json has 10 to 20 KB
-CODES = 256  # of a byte
-LAST_CODE = (1 << 16) - 1  # of a coordinate, whose codes have 16 bits
+CODES = 256  # number of codes of a byte
+LAST_CODE = (1 << 16) - 1  # largest code of a coordinate, which has 16 bits
 PALETTE_COLUMNS = 64
 PALETTE_MAX = 1 << 16
 MODELS = {
@@ -51,19 +51,19 @@ class Meta:
     Attributes:
         version: 1 or 2.
         count: Number of splats.
-        files: Names by texture: means_l, means_u, quats, scales, sh0, and shN_centroids and
-            shN_labels where the colour depends on the view.
-        bounds: Two of (3,) float64, logarithms of the coordinates that the first and the last
-            16-bit code stand for.
-        scales: (256, 3) float32, the log-scales that the bytes stand for.
-        sh0: (256, 3) float32, base colour coefficients.
-        logits: (256,) float32, opacity logits.
-        sh_rest: (256,) float32, higher coefficients; empty without them.
-        degree: SH degree, or None where only the palette's width tells.
-        palette: Entries of the palette, or None where only its size tells.
+        files: File name of each texture: means_l, means_u, quats, scales, sh0, and shN_centroids
+            and shN_labels if there are higher SH coefficients.
+        bounds: Two of (3,) float64, the signed logarithms of the coordinates for the first and the
+            last 16-bit code.
+        scales: (256, 3) float32, the log-scale of each byte in each channel.
+        sh0: (256, 3) float32, the base colour coefficient of each byte in each channel.
+        logits: (256,) float32, the opacity logit of each byte.
+        sh_rest: (256,) float32, the higher coefficient of each byte; empty without them.
+        degree: SH degree, or None if only the width of the palette's texture shows it.
+        palette: Number of entries of the palette, or None if only the texture's size shows it.
         render_mode: The rasteriser the model was trained for.
-        tagged: Whether the file says so.
-        notes: What was not understood, for the user.
+        tagged: Whether the file states the render mode.
+        notes: Notes for the user on values that were not understood.
     """
 
     version: int
@@ -81,7 +81,7 @@ class Meta:
     notes: tuple[str, ...]
 
     def coordinates(self) -> F32:
-        """(65536, 3): what each code stands for on each axis, scene units."""
+        """Compute the coordinate of each code on each axis, (65536, 3), in scene units."""
         return _coordinates(*self.bounds, np.arange(LAST_CODE + 1))
 
 
@@ -101,7 +101,7 @@ def read_meta(data: Mapping[str, Any], where: str) -> Meta:
         where: The file, for messages.
 
     Raises:
-        FormatError: A field is missing or not as the format has it.
+        FormatError: A field is missing or violates the format.
     """
     version = data.get("version", 1)
     if version not in (1, 2) or isinstance(version, bool):
@@ -135,7 +135,7 @@ def _render_mode(model: object) -> tuple[RenderMode, tuple[str, ...]]:
 
 
 class _Fields:
-    """Access to the fields that the versions spell differently."""
+    """Access to fields whose form differs between the versions."""
 
     def __init__(self, data: Mapping[str, Any], where: str, version: int) -> None:
         self._data, self._where, self._version = data, where, version
@@ -154,7 +154,7 @@ class _Fields:
         return integer(shape[0] if shape else None, f"{at}[0]", 1, MAX_COUNT)
 
     def degree(self) -> int | None:
-        """The SH degree; None where only the palette's width tells."""
+        """Return the SH degree; None if only the width of the palette's texture shows it."""
         if self._data.get("shN") is None:
             return 0
         given = self._table("shN").get("bands")
@@ -184,7 +184,7 @@ class _Fields:
         return low, numbers(own.get("maxs"), self._at(name, "maxs"), length)
 
     def values(self, name: str, channels: int) -> F32:
-        """(256, channels): what each byte stands for."""
+        """Return the value of each byte in each channel, (256, channels)."""
         if self._version == 2:
             return np.repeat(self._codebook(name)[:, None], channels, axis=1)
         return self._between(name, 4 if name == "sh0" else channels)[:, :channels]
@@ -206,7 +206,7 @@ class _Fields:
     def _codebook(self, name: str) -> F32:
         at = self._at(name, "codebook")
         book = rows(self._table(name).get("codebook"), at, CODES)
-        if book[0] is None:  # as PlayCanvas' engine fills the gap
+        if book[0] is None:  # extrapolated in the same way as by PlayCanvas' engine
             known = numbers(book[1:], at, CODES - 1)
             book = [known[0] + (known[0] - known[-1]) / 255, *known]
             return np.array(book, np.float32)

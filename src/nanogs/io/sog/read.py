@@ -1,9 +1,9 @@
 """Reading SOG: `.sog`, which is one zip, and `meta.json` with its files beside it.
 
-The layout is described in `meta`. A texture cannot be decoded in part, so the bytes of all are
-unpacked, one after the other; rows of them are then looked up in tables of what codes stand
-for. These come from float64 and are rounded once. As in the other 8-bit formats, alpha 0 and 255
-become logits of ∓inf.
+The layout is described in `meta`. A texture cannot be decoded in part, so all textures are first
+unpacked to bytes, one after another; values of rows are then looked up in tables by these bytes.
+The tables are computed in float64 and rounded once. As in the other 8-bit formats, alpha 0 becomes
+a logit of -inf and 255 one of +inf.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,8 +27,8 @@ from nanogs.splats import Splats
 
 META = "meta.json"
 _PALETTE = "shN_centroids"
-_TEXEL = 25  # bytes that decoding holds for each, measured: copies of Pillow and ours
-_ROWS = 1 << 16  # of a piece
+_TEXEL = 25  # bytes of memory per texel while decoding, measured: Pillow's copies and ours
+_ROWS = 1 << 16  # rows of a piece that `unpack` yields
 _PROPERTIES = (
     ("means", "ushort"),
     ("quats", "uchar"),
@@ -45,14 +45,15 @@ _DEGREE_OF_WIDTH = {PALETTE_COLUMNS * ((d + 1) ** 2 - 1): d for d in (1, 2, 3)}
 
 
 class SogSource(Packed):
-    """A `.sog` file or a `meta.json`, of which some runs of rows, or all, are unpacked.
+    """A `.sog` file or a `meta.json`, all of it or some runs of its rows.
 
-    Only what is asked for is read: first the description, then the beginnings of the textures.
+    Files are read on demand: first `meta.json`, then the heads of the textures, then the textures.
 
     Args:
         path: The file.
-        spans: (offset, count) of the runs of rows; all by default.
-        inside: Folder of its files in a zip, which the file is, with a slash at its end.
+        spans: (offset, count) of the runs of rows; all rows by default.
+        inside: If `path` is a zip with several models, the folder of this model in it, with a
+            slash at its end.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class SogSource(Packed):
 
     @cached_property
     def info(self) -> FileInfo:
-        """The description of all rows, the count checked against the sizes of the files."""
+        """The metadata of the whole file, its count checked against the sizes of the files."""
         meta = self.meta
         with _opened(self.path, self._inside) as (container, name):
             degree = _sh_degree(container, meta)
@@ -92,7 +93,7 @@ class SogSource(Packed):
 
     @property
     def files(self) -> Sequence[Path]:
-        """The description and its textures; see `FileSource`."""
+        """The `meta.json` and its textures; see `FileSource`."""
         if self._inside or self.path.name.lower().endswith(".sog"):
             return (self.path,)
         names = dict.fromkeys(self.meta.files.values())
@@ -100,7 +101,7 @@ class SogSource(Packed):
 
     @cached_property
     def _sizes(self) -> dict[str, tuple[int, int]]:
-        """Width and height that each texture states, none of them decoded."""
+        """Width and height of each texture, read from its head without decoding."""
         degree = self.info.sh_degree
         with _opened(self.path, self._inside) as (container, _):
             return _checked_sizes(container, self.meta, degree)
@@ -111,7 +112,7 @@ class SogSource(Packed):
 
     @cached_property
     def stored(self) -> Mapping[str, Column]:
-        """The textures; see `Packed`."""
+        """The columns, one for each texture; see `Packed`."""
         rows = dict.fromkeys(self._sizes, sum(count for _, count in self._spans))
         if _PALETTE in rows:
             width, height = self._sizes[_PALETTE]
@@ -120,14 +121,14 @@ class SogSource(Packed):
 
     @cached_property
     def memory(self) -> int:
-        """Bytes that decoding the largest texture takes."""
+        """Bytes of memory for decoding the largest texture."""
         with _opened(self.path, self._inside) as (container, _):
             packed = {each: container.size(name) for each, name in self.meta.files.items()}
         texels = {each: width * height for each, (width, height) in self._sizes.items()}
         return max(_TEXEL * texels[each] + 2 * packed[each] for each in texels)
 
     def unpack(self, _notes: list[str]) -> Iterator[Array]:
-        """All columns; see `Packed`."""
+        """Decode all textures, one after another; see `Packed.unpack`."""
         with _opened(self.path, self._inside) as (container, _):
             for each, column in self.stored.items():
                 name = self.meta.files[each]
@@ -136,10 +137,10 @@ class SogSource(Packed):
                     for start in range(offset, offset + count, _ROWS):
                         stop = min(start + _ROWS, offset + count)
                         yield np.ascontiguousarray(texels[start:stop, : column.shape[1]])
-                del texels  # before the next one is decoded
+                del texels  # free the memory before the next texture is decoded
 
     def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
-        """Some rows; see `Packed`."""
+        """Decode rows `start` to `stop`; see `Packed.decode`."""
 
         def texture(name: str) -> U8:
             span = (0, self.stored[name].shape[0]) if name == _PALETTE else (start, stop)
@@ -161,7 +162,7 @@ class SogSource(Packed):
         return Splats(**out, render_mode=meta.render_mode, notes=meta.notes)
 
     def _fill_rest(self, texture: Callable[[str], U8], sh: Array) -> None:
-        """Write the higher coefficients of the palette's entries that the labels name."""
+        """Fill in the higher coefficients: the palette entry that each row's label refers to."""
         n, coefficients = len(sh), sh.shape[1] - 1
         palette = self.meta.palette or PALETTE_COLUMNS * self._sizes[_PALETTE][1]
         texels = texture("shN_labels")
@@ -171,7 +172,7 @@ class SogSource(Packed):
                 where = container.where(self.meta.files["shN_labels"])
             raise damaged(where, f"names entries beyond the palette's {palette}")
         entries = texture(_PALETTE).reshape(-1, coefficients, 3)
-        if n < len(entries):  # those named are fewer than all
+        if n < len(entries):  # decode only the entries that are used, which are fewer than all
             sh[:, 1:] = self.meta.sh_rest[entries[labels]]
             return
         centroids = self.meta.sh_rest[entries]
@@ -181,7 +182,7 @@ class SogSource(Packed):
 
 @contextmanager
 def _opened(path: Path, inside: str) -> Iterator[tuple[Folder, str]]:
-    """The files of a model, and the name of its `meta.json` among them."""
+    """Open the container of a model's files; yield it and the name of the model's `meta.json`."""
     input_size(path)
     if not inside and not path.name.lower().endswith(".sog"):
         yield Folder(path.parent), path.name
@@ -191,7 +192,7 @@ def _opened(path: Path, inside: str) -> Iterator[tuple[Folder, str]]:
 
 
 def _sh_degree(container: Folder, meta: Meta) -> int:
-    """The SH degree, from the palette's width where `meta.json` does not tell."""
+    """Return the SH degree, from the width of the palette's texture if `meta.json` lacks it."""
     if meta.degree is not None:
         return meta.degree
     name = meta.files[_PALETTE]
@@ -202,7 +203,7 @@ def _sh_degree(container: Folder, meta: Meta) -> int:
 
 
 def _checked_sizes(container: Folder, meta: Meta, degree: int) -> dict[str, tuple[int, int]]:
-    """Compare the sizes that the textures state with the count, before any is decoded."""
+    """Return the sizes that the textures state, checked against the count before decoding."""
     sizes = {}
     for texture, name in meta.files.items():
         where = container.where(name)
@@ -213,7 +214,7 @@ def _checked_sizes(container: Folder, meta: Meta, degree: int) -> dict[str, tupl
             most = PALETTE_MAX // PALETTE_COLUMNS
             fits = width == expected and needed <= height <= most
         else:
-            # Files are padded to whole blocks or, by some, to powers of two.
+            # Writers pad textures to whole blocks, and some to powers of two.
             fits = meta.count <= width * height <= 4 * meta.count + HEAD_BYTES
         if not fits:
             raise damaged(where, f"has {width} x {height} texels, which do not fit the model")
@@ -222,25 +223,28 @@ def _checked_sizes(container: Folder, meta: Meta, degree: int) -> dict[str, tupl
     return sizes
 
 
-@lru_cache(maxsize=1)  # which takes longer than all else here
+@lru_cache(maxsize=1)  # the slowest step of decoding a block of rows
 def _coordinates(meta: Meta) -> F32:
     return meta.coordinates()
 
 
 def _words(low: U8, high: U8) -> U16:
-    """16-bit numbers of their bytes, in the same shape."""
+    """Combine low and high bytes to 16-bit numbers of the same shape."""
     words: U16 = np.stack([low, high], axis=-1).view("<u2")[..., 0]
     return words
 
 
 def _lookup(values: Array, codes: Array) -> Array:
-    """(N, C) values of (N, C) codes, by a table for each channel."""
+    """Look up (N, C) codes in a table for each channel; returns (N, C) values."""
     columns = [values[codes[:, channel], channel] for channel in range(codes.shape[1])]
     return np.stack(columns, axis=1)
 
 
 def _quats(texels: U8) -> F32:
-    """(N, 4) wxyz: A says which part was the largest and is left out; unit by construction."""
+    """Decode quaternions, (N, 4) wxyz; A is 252 + the index of the left-out component.
+
+    They have unit length by construction; other values of A give the identity.
+    """
     part = (np.arange(CODES) / 255 * 2 - 1) / np.sqrt(2)
     out = np.empty((len(texels), 4), np.float32)
     for start in range(0, len(texels), BLOCK_ROWS):

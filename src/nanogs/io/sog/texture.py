@@ -1,7 +1,7 @@
-"""Lossless WebP files as arrays of bytes: the textures of SOG.
+"""Encoding and decoding the textures of SOG: arrays of bytes as lossless WebP files.
 
 Layout of the container: https://developers.google.com/speed/webp/docs/riff_container
-Its first chunks state the size of the image, so that a bomb is refused before it is decoded.
+Its first chunks state the image size, so that a decompression bomb is refused before decoding.
 """
 
 import io
@@ -13,9 +13,9 @@ from nanogs._types import U8
 from nanogs.io.container import damaged
 from nanogs.io.texts import reason
 
-MAX_SIDE = 16_383  # of WebP: 14 bits
-HEAD_BYTES = 1 << 16  # enough for the chunks before the picture, profiles and the like aside
-_QUALITY, _METHOD = 70, 4  # effort of the search, not fidelity; more takes long and gains little
+MAX_SIDE = 16_383  # largest width and height of WebP, 14 bits
+HEAD_BYTES = 1 << 16  # enough for the chunks before the image data, unless there are profiles
+_QUALITY, _METHOD = 70, 4  # compression effort, not fidelity; more takes long and gains little
 
 
 def encode(texels: U8) -> bytes:
@@ -24,10 +24,10 @@ def encode(texels: U8) -> bytes:
     Args:
         texels: RGB or RGBA.
     """
-    from PIL import Image  # here and below: 20 ms that `--help` does without
+    from PIL import Image  # imported here and below, because it takes 20 ms of `--help`
 
     file = io.BytesIO()
-    # Without `exact`, RGB under alpha 0 is destroyed: for these files data, not a colour unseen.
+    # Without `exact`, RGB values under alpha 0 are lost; here they are data, not invisible colours.
     Image.fromarray(texels).save(
         file, "WEBP", lossless=True, exact=True, quality=_QUALITY, method=_METHOD
     )
@@ -35,14 +35,14 @@ def encode(texels: U8) -> bytes:
 
 
 def size(data: bytes, where: str) -> tuple[int, int]:
-    """Width and height that a lossless WebP file states, from its first `HEAD_BYTES`.
+    """Read the width and height of a lossless WebP file from its first `HEAD_BYTES`.
 
     Args:
-        data: The file's beginning, or all of it.
+        data: The first bytes of the file, or all of it.
         where: Its name, for the message.
 
     Raises:
-        FormatError: It is no WebP file, or a lossy or moving one.
+        FormatError: It is no WebP file, or a lossy or animated one.
     """
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
         raise damaged(where, "is no WebP file")
@@ -54,7 +54,7 @@ def size(data: bytes, where: str) -> tuple[int, int]:
                 break
             (sides,) = struct.unpack_from("<I", data, at + 9)
             found = (sides & 0x3FFF) + 1, (sides >> 14 & 0x3FFF) + 1
-            if canvas not in (None, found):  # which is what a decoder makes room for
+            if canvas not in (None, found):  # a decoder would allocate the size of the canvas
                 break
             return found
         if name == b"VP8X" and at + 18 <= len(data):
@@ -71,7 +71,7 @@ def size(data: bytes, where: str) -> tuple[int, int]:
 
 
 def decode(data: bytes, where: str) -> U8:
-    """(P, 4) RGBA bytes of all texels, row by row, of a file whose `size` has been checked.
+    """Decode a file whose `size` has been checked to (P, 4) RGBA bytes of all texels, row by row.
 
     Args:
         data: The whole file.
@@ -81,7 +81,7 @@ def decode(data: bytes, where: str) -> U8:
         FormatError: The file is damaged.
     """
     from PIL.Image import DecompressionBombError
-    from PIL.WebPImagePlugin import WebPImageFile  # Image.open warns of fewer texels than we write
+    from PIL.WebPImagePlugin import WebPImageFile  # Image.open warns at sizes that we write
 
     width, height = size(data, where)
     try:

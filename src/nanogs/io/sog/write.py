@@ -1,8 +1,8 @@
 """Writing SOG, version 2: `.sog`, which is one zip, or `meta.json` in a folder of its files.
 
-The layout is described in `meta`. As PlayCanvas' own tool does, splats go in Morton order, so
-that texels side by side are alike, and the zip packs nothing twice.
-Codes are rounded to the nearest. The same model gives the same bytes.
+The layout is described in `meta`. As in PlayCanvas' own tool, splats are in Morton order, so that
+neighbouring texels are similar, and the zip stores the WebP files without compressing them again.
+Values are rounded to the nearest code. The same model gives the same bytes.
 """
 
 import json
@@ -39,14 +39,14 @@ from nanogs.slices import slices
 from nanogs.splats import RenderMode, Splats
 
 MAX_DEGREE = 3
-USUAL_BITS = 7  # with which files look no worse than those of PlayCanvas' own tool
-_BLOCK = 4  # sides of textures are multiples of it
+USUAL_BITS = 7  # default; files then look no worse than those of PlayCanvas' own tool
+_BLOCK = 4  # width and height of textures are multiples of it
 _GENERATOR = "nanogs"
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
-# Entries of the codebook of a palette; a palette that rounds already needs fewer.
+# Entries of the codebook for an exact palette, and for one of merged values, which needs fewer.
 _EXACT, _ROUNDED = 64, 32
-_SMALL_PALETTE = 1024  # models of so few splats keep a value each
-_FARTHEST = 1e18  # squares of colours that far apart are still float32
+_SMALL_PALETTE = 1024  # models of up to so many splats get a palette entry per splat
+_FARTHEST = 1e18  # largest magnitude of a value: squared differences must not overflow float32
 
 Submit = Callable[[str, U8], None]
 """Starts the encoding of a texture, by name."""
@@ -57,12 +57,12 @@ _USUAL_PRECISION = Precision(USUAL_BITS)
 
 @dataclass(frozen=True, slots=True)
 class Packing:
-    """How much a file may round off.
+    """The quantisation of a file.
 
     Attributes:
-        palette_size: Most entries of the palette of the higher coefficients, 1 to 65,536; by
-            default `usual_palette`.
-        precision: Of all else.
+        palette_size: Largest number of entries of the palette of the higher coefficients, 1 to
+            65,536; by default `usual_palette`.
+        precision: Precision of all other values.
     """
 
     palette_size: int | None = None
@@ -85,17 +85,17 @@ def write(
 
     Args:
         splats: The model.
-        file: To write to.
-        tell: Told of the parts of what takes long.
-        palette_size: Most entries of the palette of the higher coefficients, 1 to 65,536; by
-            default `usual_palette`.
-        bits: Of a part of a rotation, 4 to 8; all else follows, see `Precision`.
-        spare: Bits that centres do without, 0 to 6; by default they are as fine as splats are
-            small.
+        file: The file to write to.
+        tell: Progress callback for computing the palette.
+        palette_size: Largest number of entries of the palette of the higher coefficients, 1 to
+            65,536; by default `usual_palette`.
+        bits: Bits of a component of a rotation, 4 to 8; all else follows, see `Precision`.
+        spare: Bits that are dropped from centres, 0 to 6; by default the smaller the splats, the
+            fewer.
 
     Raises:
-        OutputError: A value is NaN, infinite or beyond what a codebook holds, or there are more
-            splats than a texture holds; nothing has been written then.
+        OutputError: A value is NaN, infinite or too large for a codebook, or there are too many
+            splats for a texture; nothing has been written then.
     """
     files = contents(splats, None, tell, Packing(palette_size, Precision(bits, spare)))
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
@@ -138,14 +138,14 @@ def contents(
     tell: Parts = untold,
     packing: Packing = USUAL,
 ) -> dict[str, bytes]:
-    """The contents of `meta.json` and its textures by name.
+    """Encode a model; return the contents of `meta.json` and its textures by file name.
 
     Args:
         splats: N splats.
-        groups: (N,) numbers from 0 on. Splats go in their order, those of one group in Morton
-            order; by default all are one group.
-        tell: Told of the merges that the palette comes of.
-        packing: How much may be rounded off.
+        groups: (N,) group numbers from 0 on. Splats are sorted by group, and in Morton order within
+            a group; by default all are one group.
+        tell: Progress callback for computing the palette.
+        packing: The quantisation.
 
     Raises:
         OutputError: As for `write`.
@@ -155,7 +155,7 @@ def contents(
 
 
 def encoders() -> ThreadPoolExecutor:
-    """Threads that textures are encoded on, to be closed."""
+    """Make a thread pool for encoding textures, to be closed by the caller."""
     import numba
 
     return ThreadPoolExecutor(numba.get_num_threads())
@@ -168,7 +168,7 @@ def begun(
     tell: Parts = untold,
     packing: Packing = USUAL,
 ) -> Callable[[], dict[str, bytes]]:
-    """Compute the textures and leave their encoding to a pool.
+    """Compute the textures and submit their WebP encoding to a thread pool.
 
     Args:
         pool: From `encoders`.
@@ -178,7 +178,7 @@ def begun(
         packing: As for `contents`.
 
     Returns:
-        What waits for the textures and gives the `contents`.
+        A function that waits for the encoding and returns the same as `contents`.
 
     Raises:
         OutputError: As for `write`.
@@ -196,13 +196,13 @@ def begun(
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """Name what a SOG file cannot hold of a model, one sentence each."""
+    """Return a sentence for each thing in a model that a SOG file cannot hold."""
     left_out = limits.left_out(splats, ".sog", max_degree=MAX_DEGREE)
     return (*left_out, *limits.rounded(splats, ".sog"))
 
 
 def _refuse_unstorable(splats: Splats) -> None:
-    """Refuse a model that the file would hold in part, or with other values."""
+    """Refuse a model with values that the file cannot hold, or with too many splats."""
     limits.refuse_unstorable(splats, ".sog")
     if len(splats) > MAX_SIDE**2 // 2:
         raise UnstorableError(
@@ -221,7 +221,7 @@ def _refuse_unstorable(splats: Splats) -> None:
 
 
 def ours(folder: Path) -> frozenset[str] | None:
-    """The names of a folder that nanogs wrote, or None for other folders."""
+    """Return the names of the files in a folder that nanogs wrote, or None for other folders."""
     try:
         data = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
         if not str(data["asset"]["generator"]).startswith(_GENERATOR):
@@ -234,14 +234,14 @@ def ours(folder: Path) -> frozenset[str] | None:
         ]
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
-    # Plain names only: a description that someone changed must not lead out of its folder.
+    # Plain names only: a manipulated meta.json must not name files outside its folder.
     return frozenset({"meta.json", *filter(is_plain, named)})
 
 
 def _encode(
     splats: Splats, groups: I64 | None, packing: Packing, submit: Submit, tell: Parts
 ) -> dict[str, Any]:
-    """Submit every texture; the contents of `meta.json`."""
+    """Compute and submit every texture, and return the contents of `meta.json`."""
     codes, bounds = _codes(splats, packing.precision)
     rows = _morton_order(codes, groups)
     codes = codes[rows]
@@ -265,24 +265,24 @@ def _encode(
         "sh0": {"codebook": _short(colours), "files": ["sh0.webp"]},
     }
     if splats.render_mode is RenderMode.DEFAULT:
-        del meta["model"]  # as untagged as the files of older writers
+        del meta["model"]  # older writers do not tag the default either
     if splats.sh_degree:
         meta["shN"] = _higher(splats, packing, submit, tell)
     return meta
 
 
 def _codebooks(*wanted: tuple[F32, int]) -> list[F32]:
-    """A codebook of each of some values, of so many entries."""
+    """Compute a codebook for each pair of values and number of entries, in parallel."""
     return spread.results(wanted, lambda values: codebook(*values))
 
 
 def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
-    """Bits that centres do without unless told otherwise, as `write` has it for so many bits."""
+    """Compute the default of `spare` that `write` uses for a model and `bits`."""
     return _spare(splats, Precision(bits), _bounds(_logarithms(splats))[2])
 
 
 def _logarithms(splats: Splats) -> F64:
-    """(N, 3) signed logarithms of 1 and the coordinates."""
+    """Compute the signed logarithms of the coordinates, sign(x) log(1 + |x|), (N, 3)."""
     logarithms = np.empty((len(splats), 3))
 
     def take(rows: slice) -> None:
@@ -294,24 +294,24 @@ def _logarithms(splats: Splats) -> F64:
 
 
 def _bounds(logarithms: F64) -> tuple[F64, F64, F64]:
-    """(3,) the least and the largest logarithms, and how far these are apart, 1 where they meet."""
+    """Return the minimum, the maximum and the range of each axis, (3,); a range of zero is 1."""
     low, high = logarithms.min(axis=0), logarithms.max(axis=0)
     return low, high, np.where(high > low, high - low, 1)
 
 
 def _spare(splats: Splats, precision: Precision, range_: F64) -> int:
-    """Bits that centres do without, whose logarithms reach so far."""
+    """Compute the bits to drop from centres, whose signed logarithms span `range_`, (3,)."""
     apart = range_ / LAST_CODE
-    # A step of the logarithm of 1 + |x| is one of x times 1 + |x|.
+    # A step d of log(1 + |x|) is a step (1 + |x|) d of x.
     return precision.spare_bits([splats], lambda s: (1 + np.abs(s.means, dtype=np.float64)) * apart)
 
 
 def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
-    """(N, 3) codes of the coordinates' signed logarithms, and the bounds that they lie between."""
+    """Quantise the coordinates' signed logarithms to (N, 3) codes; return these and the bounds."""
     logarithms = _logarithms(splats)
     low, high, range_ = _bounds(logarithms)
     step = 1 << _spare(splats, precision, range_)
-    steps = LAST_CODE // step  # the last code that is used stands for the highest
+    steps = LAST_CODE // step  # the last used code is mapped to the maximum
     codes = np.empty((len(splats), 3), np.uint16)
 
     def encode_rows(rows: slice) -> None:
@@ -323,7 +323,7 @@ def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[fl
 
 
 def _morton_order(codes: U16, groups: I64 | None) -> I64:
-    """Rows by their group, then by the interleaved bits of their codes; ties as they come."""
+    """Sort rows by group, then by Morton code of their codes; the order of ties is kept."""
     key = np.zeros(len(codes), np.uint64)
     for axis in range(3):
         key |= interleaved_bits(codes[:, axis].astype(np.uint64), axis)
@@ -331,7 +331,10 @@ def _morton_order(codes: U16, groups: I64 | None) -> I64:
 
 
 def _quats(quats: F64, step: int) -> U8:
-    """(N, 4): the three smaller parts of wxyz, the sign such that the largest is positive."""
+    """Encode wxyz quaternions, (N, 4): three smaller components, and 252 + index of the largest.
+
+    A quaternion is negated where its largest component is negative.
+    """
     out = np.empty((len(quats), 4), np.uint8)
 
     def pack(rows: slice) -> None:
@@ -345,13 +348,13 @@ def _quats(quats: F64, step: int) -> U8:
 
 
 def _alphas(splats: Splats, steps: int) -> U8:
-    """(N,) the nearest of so many steps from 0 to 255, both of them too."""
+    """Round alphas to the nearest of `steps` + 1 levels from 0 to 255, both included, (N,)."""
     alphas: U8 = np.rint(np.rint(splats.opacities() * steps) * (255 / steps)).astype(np.uint8)
     return alphas
 
 
 def _higher(splats: Splats, packing: Packing, submit: Submit, tell: Parts) -> dict[str, Any]:
-    """Submit the palette of the higher coefficients and the labels; their part of `meta.json`."""
+    """Submit the palette of the higher coefficients and its labels; return `shN` of `meta.json`."""
     degree = min(splats.sh_degree, MAX_DEGREE)
     coefficients = (degree + 1) ** 2 - 1
     points = splats.sh[:, 1 : coefficients + 1].reshape(len(splats), -1)
@@ -379,21 +382,21 @@ def _higher(splats: Splats, packing: Packing, submit: Submit, tell: Parts) -> di
 
 
 def _few_values(entries: F32) -> bool:
-    """Whether entries are of a codebook already, and not the means of splats that share them."""
+    """Whether the values of the entries come from a codebook already and are not means."""
     return len(np.unique(entries)) <= CODES
 
 
 def usual_palette(count: int) -> int:
-    """Entries for so many splats: two for three, but one each in small models.
+    """Return the default palette size: two entries for three splats, one each in small models.
 
-    With as many, files look better than those of PlayCanvas' own tool. With fewer, a file of the
-    same bytes can hold more splats, which often looks better still.
+    Files then look better than those of PlayCanvas' own tool. With a smaller palette, a file of the
+    same size can hold more splats, which often looks better still.
     """
     return min(max(count * 2 // 3, _SMALL_PALETTE), sog_meta.PALETTE_MAX)
 
 
 def _picture(texels: U8) -> U8:
-    """(N, C) bytes as an almost square picture, filled up with zeros."""
+    """Arrange (N, C) bytes as an almost square texture, padded with zeros."""
     count, channels = texels.shape
     width = _BLOCK * math.ceil(math.sqrt(count) / _BLOCK)
     height = _BLOCK * math.ceil(count / width / _BLOCK)
@@ -403,9 +406,9 @@ def _picture(texels: U8) -> U8:
 
 
 def _short(values: F32) -> list[float]:
-    """Numbers with no more digits than single precision needs; unused entries, which repeat, are 0.
+    """Convert to numbers with only the digits of float32; repeated, unused entries become 0.
 
-    Small files have thousands of bytes of them otherwise.
+    This saves thousands of bytes of JSON, which matters for small files.
     """
     used = np.diff(values, prepend=np.float32(np.nan)) != 0
     return [float(str(v)) if own else 0 for v, own in zip(values, used, strict=True)]
