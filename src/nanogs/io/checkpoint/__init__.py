@@ -1,4 +1,4 @@
-"""Checkpoints of trainers, which PyTorch saved."""
+"""Training checkpoints that were saved by PyTorch: `.pt`, `.ckpt` and `.pth`."""
 
 from nanogs.io.checkpoint.read import FRAME, Checkpoint
 from nanogs.io.checkpoint.torch_file import LEGACY_START, PICKLE

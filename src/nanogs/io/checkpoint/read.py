@@ -1,12 +1,12 @@
-"""Checkpoints of trainers: gsplat's `.pt`, nerfstudio's `.ckpt`, Inria's `chkpnt*.pth`.
+"""Reading training checkpoints: gsplat's `.pt`, nerfstudio's `.ckpt`, Inria's `chkpnt*.pth`.
 
 gsplat (examples/simple_trainer.py) saves `splats`: means, scales (logarithms), quats (wxyz),
 opacities (logits), sh0 and shN. nerfstudio (models/splatfacto.py) has features_dc and features_rest
-in their place, below `pipeline` as `_model.gauss_params.<name>`, once `_model.<name>`; trained
-without harmonics, its features_dc are logits of the colours. The
-reference trainer (scene/gaussian_model.py, capture) saves a tuple: the degree it has come to, xyz,
-features_dc, features_rest, scaling, rotation, opacity and what its optimiser needs. Only what is
-needed is read; the state of optimisers, most of a checkpoint, is not.
+in place of sh0 and shN, below `pipeline` as `_model.gauss_params.<name>`, in older versions
+`_model.<name>`; trained without harmonics, its features_dc are logits of the colours. The reference
+trainer (scene/gaussian_model.py, capture) saves a tuple: the active SH degree, xyz, features_dc,
+features_rest, scaling, rotation, opacity and the state of the optimiser. Only the tensors of the
+splats are read; the state of optimisers, most of a checkpoint, is not.
 """
 
 import re
@@ -30,19 +30,20 @@ from nanogs.stored import alphas, base_colour
 FRAME = "that of the training, as stored; nerfstudio and gsplat turn scenes to have z up by default"
 _SHAPED = ("scales", "quats", "opacities")
 _COLOURS = (("sh0", "shN"), ("features_dc", "features_rest"))
-_LEARNED = ("features", "colors")  # gsplat's appearance model makes colours of these
+_LEARNED = ("features", "colors")  # inputs of gsplat's appearance network, which computes colours
 _MOST_CONTAINERS = 200
-# What `capture` puts behind the degree; the names are those that a model has here.
+# Our names of the tensors that the tuple of `capture` holds after the degree, in order.
 _CAPTURED = ("means", "sh0", "shN", "scales", "quats", "opacities")
 _RANK = re.compile(r"(.*_rank)[0-9]+(\.[^.]+)")
 _KINDS = {"f4": "float", "f8": "double", "f2": "float16", "bf": "bfloat16"}
 
 
 class Checkpoint(Whole):
-    """A checkpoint, described without reading its numbers.
+    """A training checkpoint; opening it reads the shapes of the tensors, but not their values.
 
     Raises:
-        FormatError: It is damaged, names code, or holds no splats of a known trainer.
+        FormatError: It is damaged, its pickle refers to unexpected code, or it holds no splats of
+            a known trainer.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,7 +67,7 @@ class Checkpoint(Whole):
         )
 
     def load(self) -> Splats:
-        """The whole model."""
+        """Read the whole model."""
         notes = list(_other_ranks(self.path))
         arrays = {
             n: _floats(self.path, n, self._file.array(t), notes) for n, t in self._found.items()
@@ -86,7 +87,7 @@ class Checkpoint(Whole):
 
 
 def _degree(path: Path, found: Mapping[str, Tensor]) -> int:
-    """The SH degree, from the shapes of the tensors."""
+    """Compute the SH degree from the shapes of the tensors."""
     rest = [tensor for name, tensor in found.items() if name in ("shN", "features_rest")]
     coefficients = 1 + (rest[0].shape[1] if rest and len(rest[0].shape) == 3 else 0)
     degrees = {(degree + 1) ** 2: degree for degree in range(MAX_SH_DEGREE + 1)}
@@ -99,7 +100,7 @@ def _degree(path: Path, found: Mapping[str, Tensor]) -> int:
 
 
 def _find(path: Path, content: Any) -> dict[str, Tensor]:  # noqa: ANN401 - whatever was saved
-    """The tensors of the one model in a saved object, by their last names."""
+    """Find the tensors of the only model in a saved object, by the last part of their names."""
     if captured := _captured(content):
         if captured["scales"].shape[1:] == (2,):
             raise FormatError(
@@ -127,7 +128,7 @@ def _find(path: Path, content: Any) -> dict[str, Tensor]:  # noqa: ANN401 - what
 
 
 def _captured(content: Any) -> dict[str, Tensor] | None:  # noqa: ANN401
-    """The tensors of what `capture` gives, alone or with the iteration; None for all else."""
+    """Find the tensors in a tuple of `capture`, alone or with the iteration; None for others."""
     for given in (content, content[0] if isinstance(content, tuple) and content else None):
         if not isinstance(given, tuple) or len(given) <= len(_CAPTURED):
             continue
@@ -138,13 +139,16 @@ def _captured(content: Any) -> dict[str, Tensor] | None:  # noqa: ANN401
 
 
 def _flatten(value: Any, prefix: str, seen: set[int]) -> Iterator[tuple[str, Tensor]]:  # noqa: ANN401
-    """The tensors in nested dictionaries and tuples, each once: they may hold each other."""
+    """Yield the tensors in nested dictionaries, tuples and lists, with dotted names.
+
+    Each container is visited once, because containers may contain each other.
+    """
     if isinstance(value, Tensor):
         yield prefix, value
     elif isinstance(value, dict) and id(value) not in seen and len(seen) < _MOST_CONTAINERS:
         seen.add(id(value))
         for key, entry in value.items():
-            if isinstance(key, str):  # those of optimisers are numbers
+            if isinstance(key, str):  # optimisers number their tensors, which are not needed
                 yield from _flatten(entry, f"{prefix}.{key}" if prefix else key, seen)
     elif isinstance(value, tuple | list) and id(value) not in seen and len(seen) < _MOST_CONTAINERS:
         seen.add(id(value))
@@ -170,7 +174,7 @@ def _model(tensors: Mapping[str, Tensor], means: str) -> dict[str, Tensor] | Non
 
 
 def _floats(path: Path, name: str, array: Array, notes: list[str]) -> Array:
-    """The numbers of a tensor in single precision, or centres in double; notes get what is lost."""
+    """Convert a tensor to float32, but keep centres in float64; overflows are added to `notes`."""
     if array.dtype.kind != "f":
         raise FormatError(f"{path}: {name} is {array.dtype}, not floats; save the splats again.")
     if name == "means" and array.dtype == np.float64:
@@ -183,7 +187,7 @@ def _floats(path: Path, name: str, array: Array, notes: list[str]) -> Array:
 
 
 def _harmonics(arrays: Mapping[str, Array], count: int) -> F32:
-    """(N, K, 3)."""
+    """Assemble the SH coefficients, (N, K, 3)."""
     if "sh0" in arrays:
         base, rest = arrays["sh0"], arrays.get("shN")
     else:
@@ -197,7 +201,7 @@ def _harmonics(arrays: Mapping[str, Array], count: int) -> F32:
 
 
 def _other_ranks(path: Path) -> list[str]:
-    """A note where a training on several devices has left other parts beside this one."""
+    """Return a note if training on several devices left more files, with other splats."""
     match = _RANK.fullmatch(path.name)
     if match is None:
         return []

@@ -1,9 +1,10 @@
-"""Tensors from a file of `torch.save`, without PyTorch; `torch_pickle` reads the pickles in it.
+"""Reading tensors from a file of `torch.save` without PyTorch; `torch_pickle` reads its pickles.
 
 Since PyTorch 1.6 such a file is a zip: `<name>/data.pkl`, a pickle of the saved object, and
-`<name>/data/<key>`, the storages that its tensors are parts of. Before, and for those who ask for
-it, it is five pickles one after the other (a number, a version, facts about the system, the object,
-the keys of the storages) and then the storages: a count of 8 bytes and the numbers of each.
+`<name>/data/<key>`, the storages of which its tensors are views. The legacy format, which can still
+be requested, is five pickles one after another (a magic number, a version, facts about the system,
+the object, the keys of the storages), followed by the storages: each an 8-byte count and its
+numbers.
 
 Layout: https://github.com/pytorch/pytorch, torch/serialization.py.
 """
@@ -25,7 +26,8 @@ from nanogs.io.checkpoint.torch_pickle import Storage, Tensor, end_of_pickle, un
 from nanogs.io.files import input_size, reading
 from nanogs.io.texts import printable, reason
 
-# An object takes up to 72 times its bytes in the pickle; a tensor has 130, a model some ten.
+# An unpickled object takes up to 72 times its bytes in the pickle; a tensor has 130 bytes there,
+# and a model has some ten tensors.
 _MAX_PICKLE = 1 << 21
 _LEGACY_MAGIC, _LEGACY_VERSION = 0x1950A86A20F9469CFC6C, 1001
 PICKLE = "data.pkl"
@@ -53,10 +55,10 @@ class TorchFile:
 
     Attributes:
         content: The saved object: dictionaries, lists and numbers, with a `Tensor` for each tensor.
-        encoding: `zip`, or `binary_little_endian` or `binary_big_endian` of an old one.
+        encoding: `zip`, or for the legacy format `binary_little_endian` or `binary_big_endian`.
 
     Raises:
-        FormatError: It is none, is damaged, or names code.
+        FormatError: It is no such file, is damaged, or its pickle refers to unexpected code.
     """
 
     def __init__(self, path: Path) -> None:
@@ -71,7 +73,7 @@ class TorchFile:
             )
         try:
             kind: type[_Zip | _Legacy] = _Zip if start.startswith(b"PK") else _Legacy
-            with warnings.catch_warnings():  # of odd escapes in texts, which are damage
+            with warnings.catch_warnings():  # on invalid escapes in texts of damaged pickles
                 warnings.simplefilter("ignore")
                 self._file = kind(path, self.file_bytes)
         except _DAMAGE as error:
@@ -79,10 +81,10 @@ class TorchFile:
         self.content, self.encoding = self._file.content, self._file.encoding
 
     def array(self, tensor: Tensor) -> Array:
-        """The numbers of a tensor; bfloat16 becomes float32.
+        """Read the values of a tensor; bfloat16 becomes float32.
 
         Raises:
-            FormatError: As for `check`, or its storage is missing, or does not hold so many.
+            FormatError: As for `check`, or its storage is missing or too short.
         """
         kind = tensor.storage.kind
         dtype = _dtype(kind).newbyteorder(self._file.order)
@@ -102,11 +104,11 @@ class TorchFile:
         return np.array(numbers, np.dtype(kind))
 
     def check(self, tensor: Tensor) -> None:
-        """Look whether a tensor can be in the file, without reading its numbers.
+        """Check that a tensor fits its storage, and the storage the file; no values are read.
 
         Raises:
-            FormatError: It has numbers outside of its storage, or more than that, or the storage
-                is larger than the file.
+            FormatError: It has elements outside its storage, or more elements than that, or the
+                storage is larger than the file.
         """
         bytes_ = tensor.storage.size * _dtype(tensor.storage.kind).itemsize
         if bytes_ > self.file_bytes:
@@ -131,7 +133,7 @@ def _dtype(kind: str) -> "np.dtype[Any]":
 
 
 class _Zip:
-    """The members of a zip."""
+    """The zip format, since PyTorch 1.6."""
 
     encoding = "zip"
 
@@ -145,7 +147,7 @@ class _Zip:
         self.content = unpickled(data, path)
 
     def numbers(self, storage: Storage, size: int) -> bytes:
-        """The bytes of a storage, of so many at most."""
+        """Read the bytes of a storage, and refuse more than `size`."""
         with zipfile.ZipFile(self._path) as archive:
             return self._read(archive, f"data/{storage.key}", size)
 
@@ -171,7 +173,7 @@ class _Zip:
 
 
 class _Legacy:
-    """Pickles and storages one after the other."""
+    """The legacy format: pickles and storages one after another."""
 
     def __init__(self, path: Path, size: int) -> None:
         self._path = path
@@ -191,7 +193,7 @@ class _Legacy:
         self._places = dict(self._located(keys, kinds, at, size))
 
     def numbers(self, storage: Storage, size: int) -> bytes:
-        """The bytes of a storage, of so many at most."""
+        """Read at most `size` bytes of a storage."""
         start, count = self._places[storage.key]
         if count != storage.size:
             raise ValueError(f"a storage of {count} numbers in place of {storage.size}")
@@ -202,14 +204,14 @@ class _Legacy:
     def _next(
         self, data: bytes, start: int, storages: dict[str, Storage] | None = None
     ) -> tuple[Any, int]:
-        """Read the pickle that begins at a place; its contents, and the place after it."""
+        """Read the pickle at an offset; return its object and the offset after it."""
         end = end_of_pickle(data, start)
         return unpickled(data[start:end], self._path, storages), end
 
     def _located(
         self, keys: list[str], kinds: dict[str, str], at: int, size: int
     ) -> Iterator[tuple[str, tuple[int, int]]]:
-        """The first byte and the numbers of each storage by its key."""
+        """Yield the key of each storage with its byte offset and its count of numbers."""
         with self._path.open("rb") as file:
             for key in keys:
                 file.seek(at)

@@ -1,8 +1,8 @@
-"""The pickles in files of `torch.save`, read without running what they name.
+"""Reading the pickles in files of `torch.save` safely, without running code that they refer to.
 
-A pickle can call whatever it names. Here it can name a few things only, none of which is run: a
-tensor becomes a description of itself, what else PyTorch and NumPy leave in checkpoints an empty
-stand-in, and any other name refuses the file.
+A pickle can import and call any function. Here only a few names are allowed, and only `OrderedDict`
+is the real one: a tensor becomes a `Tensor`, which describes it, other objects that PyTorch and
+NumPy leave in checkpoints become empty placeholders, and a file with any other name is refused.
 
 Layout: https://github.com/pytorch/pytorch, torch/serialization.py and torch/_utils.py.
 """
@@ -43,11 +43,11 @@ _STAND_INS = {
     *((f"numpy.{core}.multiarray", "scalar") for core in ("core", "_core")),
     *((f"numpy.{core}.multiarray", "_reconstruct") for core in ("core", "_core")),
 }
-_MAX_WEIGHT = 10_000_000  # objects in an object
+_MAX_WEIGHT = 10_000_000  # most objects nested in an object, counted with repetition
 
 
-class Storage(NamedTuple):  # and not a dataclass: a pickle could set the fields of one
-    """Numbers of one type, by the name that the file has for them."""
+class Storage(NamedTuple):  # not a dataclass, because a pickle could set its fields
+    """A PyTorch storage: its key in the file, the dtype of its numbers, and their count."""
 
     key: str
     kind: str
@@ -55,7 +55,7 @@ class Storage(NamedTuple):  # and not a dataclass: a pickle could set the fields
 
 
 class Tensor(NamedTuple):
-    """A tensor as its file describes it; `TorchFile.array` reads its numbers."""
+    """The description of a tensor as a view of a storage; `TorchFile.array` reads its values."""
 
     storage: Storage
     offset: int
@@ -64,7 +64,7 @@ class Tensor(NamedTuple):
 
 
 class _StandIn:
-    """Takes the place of an object that is of no use here; ignores all that it is given."""
+    """A placeholder for an object that is not needed; it ignores its arguments and state."""
 
     __slots__ = ()
 
@@ -76,26 +76,26 @@ class _StandIn:
 
 
 def unpickled(data: bytes, path: Path, storages: dict[str, Storage] | None = None) -> Any:  # noqa: ANN401 - whatever was saved
-    """The object of a pickle, with a `Tensor` for each tensor.
+    """Unpickle an object, with a `Tensor` for each tensor.
 
     Args:
         data: The pickle.
         path: Its file, for the message.
-        storages: Gets all that it refers to, by their keys.
+        storages: Filled with all storages that the pickle refers to, by their keys.
 
     Raises:
-        FormatError: It names code.
-        Exception: Whatever `pickle` raises of one that is damaged.
+        FormatError: It refers to a name that is not allowed.
+        Exception: Any error of `pickle` for a damaged pickle.
     """
     _check_weights(data)
     return _Unpickler(data, path, {} if storages is None else storages).load()
 
 
 def end_of_pickle(data: bytes, start: int) -> int:
-    """The place after a pickle that begins at another place.
+    """Return the byte offset after the pickle that begins at `start`.
 
     Raises:
-        Exception: Whatever `pickletools` raises of one that is damaged or cut short.
+        Exception: Any error of `pickletools` for a pickle that is damaged or cut short.
     """
     stream = io.BytesIO(data)
     stream.seek(start)
@@ -105,14 +105,15 @@ def end_of_pickle(data: bytes, start: int) -> int:
 
 
 def _check_weights(data: bytes) -> None:
-    """Refuse a pickle that would take far more than its bytes do: room, or time.
+    """Refuse a pickle that would take far more memory or time than its size suggests.
 
-    The unpickler makes room for the highest place in its memo, however high it is. A tuple of two
-    times one tuple, and so on, has few bytes, and hashing it takes for ever; so the stack is walked
-    with the number of objects in each entry in its place, those met twice counted twice.
+    The unpickler allocates its memo up to the highest index, however high. A tuple that contains
+    the same tuple twice, and so on, has few bytes, but hashing it takes exponential time; so the
+    opcodes are run on a stack that holds, for each entry, its number of nested objects, counted
+    again for each reference.
 
     Raises:
-        ValueError: A place or an object is too large; LookupError if the stack runs empty.
+        ValueError: A memo index or an object is too large; LookupError if the stack runs empty.
     """
     stack: list[int | None] = []  # None is a mark
     memo: dict[int, int | None] = {}
@@ -136,7 +137,7 @@ def _check_weights(data: bytes) -> None:
 
 
 def _take(stack: list[int | None], kinds: list[str]) -> int:
-    """Take what an opcode takes from the stack; the objects in it."""
+    """Pop the operands of an opcode from the stack, and return their number of objects."""
     total = 0
     if "mark" in kinds:
         while (top := stack.pop()) is not None:
@@ -146,7 +147,7 @@ def _take(stack: list[int | None], kinds: list[str]) -> int:
 
 
 class _Unpickler(pickle.Unpickler):
-    """Builds descriptions, and refuses every name that is not expected."""
+    """An unpickler that builds descriptions of tensors and refuses every unexpected name."""
 
     def __init__(self, data: bytes, path: Path, storages: dict[str, Storage]) -> None:
         super().__init__(io.BytesIO(data))
@@ -180,7 +181,10 @@ class _Unpickler(pickle.Unpickler):
 
 
 class _MakeTensor:
-    """Stand in for PyTorch's function; no plain function, whose attributes a pickle could set."""
+    """Replaces PyTorch's `_rebuild_tensor_v2` and returns a `Tensor`.
+
+    It is an object with slots, because a pickle could set attributes of a plain function.
+    """
 
     __slots__ = ()
 
@@ -201,7 +205,7 @@ class _MakeTensor:
 
 
 class _MakeParameter:
-    """A parameter is the tensor in it."""
+    """Replaces PyTorch's `_rebuild_parameter` and returns the tensor of the parameter."""
 
     __slots__ = ()
 
