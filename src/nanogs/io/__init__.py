@@ -80,10 +80,10 @@ def open(  # noqa: A001 - what it is called everywhere
 ) -> FileSource:
     """Open a model for reading some of its rows at a time, without holding all of it in memory.
 
-    Rows of .ply, .compressed.ply, .splat, .ksplat and glTF files are read directly from the file.
-    Files that are compressed as a whole (.spz, .sog, .npz) and text files are unpacked into a
-    temporary file when some rows are first read; close the source, or use `with`, to remove it.
-    Other formats are loaded whole when some rows are first read.
+    Rows of .ply, .compressed.ply, .splat, .ksplat, .lcc and glTF files are read directly from the
+    file, those of .rad files chunk by chunk. Files that are compressed as a whole (.spz, .sog,
+    .npz) and .ply files of text are unpacked to a temporary file when some rows are first read;
+    close the source, or use `with`, to remove it. Other files are loaded whole at that point.
 
     A URL, as text, is downloaded to a temporary file, which closing the source removes.
 
