@@ -42,7 +42,7 @@ def load(
     path: str | PathLike[str] | BinaryIO,
     *,
     level: int = 0,
-    format: str | None = None,  # noqa: A002 - what it is called everywhere
+    format: str | None = None,  # noqa: A002 - the usual name of this
     render_mode: str | None = None,
 ) -> Splats:
     """Read a model from a file of any format that nanogs knows.
@@ -71,11 +71,11 @@ def load(
         return source.load()
 
 
-def open(  # noqa: A001 - what it is called everywhere
+def open(  # noqa: A001 - the usual name of this
     path: str | PathLike[str],
     *,
     level: int = 0,
-    format: str | None = None,  # noqa: A002 - as `load` has it
+    format: str | None = None,  # noqa: A002 - the name in `load`
     render_mode: str | None = None,
 ) -> FileSource:
     """Open a model for reading some of its rows at a time, without holding all of it in memory.
@@ -118,7 +118,7 @@ def open(  # noqa: A001 - what it is called everywhere
 def _opened(
     path: Path,
     level: int,
-    format: str | None,  # noqa: A002 - as `load` has it
+    format: str | None,  # noqa: A002 - the name in `load`
     render_mode: str | None,
 ) -> FileSource:
     """Open a local file; see `open`."""
@@ -137,7 +137,7 @@ def save(
     path: str | PathLike[str] | BinaryIO,
     *,
     overwrite: bool = False,
-    format: str | None = None,  # noqa: A002 - what it is called everywhere
+    format: str | None = None,  # noqa: A002 - the usual name of this
     format_options: FormatOptions | None = None,
     progress: Progress | None = None,
 ) -> None:

@@ -26,7 +26,7 @@ class Around(FileSource):
 
     @cached_property
     def info(self) -> FileInfo:
-        """The file's description of itself."""
+        """The metadata of the file."""
         return self.file.info
 
     @cached_property

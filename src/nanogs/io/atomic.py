@@ -44,7 +44,7 @@ def check_writable(path: Path, *, overwrite: bool = False) -> None:
         OutputError: As for `atomic_write`.
     """
     target = _target(path, overwrite=overwrite)
-    # Only creating a file shows read-only mounts and access lists.
+    # Read-only mounts and access control lists only show when a file is created.
     with writing(path), temporary(target, _make):
         pass
 

@@ -21,7 +21,7 @@ DEGREE_OF_REST = {3 * ((d + 1) ** 2 - 1): d for d in range(MAX_SH_DEGREE + 1)}
 
 
 def rest_names(degree: int) -> list[str]:
-    """Names of the higher coefficients: all of red, then green, then blue."""
+    """Return the columns of the higher SH coefficients: all of red, then green, then blue."""
     return [f"f_rest_{i}" for i in range(3 * ((degree + 1) ** 2 - 1))]
 
 

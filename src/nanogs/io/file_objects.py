@@ -23,14 +23,14 @@ from nanogs.splats import Splats
 _IN_MEMORY = 1 << 28  # bytes of output that are held in memory; more go to a file on disk
 
 
-def as_named(path: Path, format: str | None) -> Path:  # noqa: A002 - as `load` has it
+def as_named(path: Path, format: str | None) -> Path:  # noqa: A002 - the name in `load`
     """Return a path whose suffix says the format: the given one, or `model` with that suffix."""
     return path if format is None else Path(f"model{registry.suffix_of(format)}")
 
 
 def read_file(
     file: BinaryIO,
-    format: str | None,  # noqa: A002 - as `load` has it
+    format: str | None,  # noqa: A002 - the name in `load`
     render_mode: str | None = None,
 ) -> Splats:
     """Read a model from a file object, from its current position to its end.
@@ -75,7 +75,7 @@ def read_file(
 def write_file(
     splats: Splats | Source,
     file: BinaryIO,
-    format: str | None,  # noqa: A002 - as `save` has it
+    format: str | None,  # noqa: A002 - the name in `save`
     options: FormatOptions,
 ) -> None:
     """Write a model to a file object, once all of it has been encoded.

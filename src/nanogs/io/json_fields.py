@@ -76,7 +76,7 @@ def numbers(value: object, where: str, length: int) -> F64:
     limit = float(np.finfo(np.float32).max)
     for entry in values:
         plain = isinstance(entry, int | float) and not isinstance(entry, bool)
-        if not plain or not abs(entry) <= limit:  # NaN too
+        if not plain or not abs(entry) <= limit:  # refuses NaN too
             raise refused(where, "must hold finite numbers")
     return np.array(values, np.float64)
 

@@ -200,7 +200,7 @@ class Packed(FileSource):
 
 
 def fill_rows(out: Array, pieces: Iterator[Array]) -> None:
-    """Fill an array with the next pieces of rows."""
+    """Fill an array with the next pieces of rows from an iterator."""
     at = 0
     while at < len(out):
         piece = next(pieces)

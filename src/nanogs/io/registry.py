@@ -62,7 +62,7 @@ def _zipped(path: Path) -> dict[str, int]:
     return depths
 
 
-def suffix_of(format: str) -> str:  # noqa: A002 - as `load` has it
+def suffix_of(format: str) -> str:  # noqa: A002 - the name in `load`
     """Convert a format's name, with or without a dot, to its suffix: "PLY" to ".ply"."""
     return f".{format.lstrip('.').lower()}"
 
@@ -210,7 +210,7 @@ def writable(path: Path) -> Format:
     return known
 
 
-def file_of(format: str) -> Path:  # noqa: A002 - as `load` has it
+def file_of(format: str) -> Path:  # noqa: A002 - the name in `load`
     """Return an example file name of a format, for functions that take a path.
 
     Raises:

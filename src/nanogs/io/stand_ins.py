@@ -37,7 +37,7 @@ def at_hand(
     output: Path | None = None,
     *,
     overwrite: bool = False,
-    format: str | None = None,  # noqa: A002 - as `load` has it
+    format: str | None = None,  # noqa: A002 - the name in `load`
     telling: Telling = tell_nobody,
     remedy: str = 'name it, as in nanogs.load(url, format=".splat")',
 ) -> Iterator[tuple[list[Path], Path | None]]:
@@ -85,7 +85,7 @@ def check_sendable(
     output: Address,
     *,
     overwrite: bool,
-    format: str | None = None,  # noqa: A002 - as `save` has it
+    format: str | None = None,  # noqa: A002 - the name in `save`
 ) -> None:
     """Refuse a URL that no file can be uploaded to, before anything is computed.
 
@@ -161,7 +161,7 @@ def _fetched(
     path: Path,
     folder: Path,
     places: dict[str, str],
-    format: str | None,  # noqa: A002 - as `load` has it
+    format: str | None,  # noqa: A002 - the name in `load`
     telling: Telling,
     remedy: str,
 ) -> Path:

@@ -87,7 +87,7 @@ def _try_to_write(files: Any, path: str) -> None:  # noqa: ANN401 - has no types
         raise _GivenUp
 
 
-class _GivenUp(Exception):  # noqa: N818 - is none
+class _GivenUp(Exception):  # noqa: N818 - not an error
     """Raised to abort a transaction, so that its files are discarded."""
 
 

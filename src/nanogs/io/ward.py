@@ -85,7 +85,7 @@ def settle(points: F32, weights: F32, cells: I32, labels: I32, home: I32) -> I32
     weighted_means(points, weights, *by_label(labels, size), means, squares)
     pool = np.concatenate([means.T, points])
     lengths = np.concatenate([squares, _lengths(points)])
-    alike = np.full(len(pool), 2, np.float32)  # 2 · 2 / (2 + 2) = 1
+    alike = np.full(len(pool), 2, np.float32)  # Ward's cost of weights 2 and 2 is |a - b|²
     partners = np.empty((len(pool), 1), np.int32)
     costs = np.empty((len(pool), 1), np.float32)
     own_costs(labels, pool, alike, partners, costs)

@@ -115,7 +115,7 @@ def _check_weights(data: bytes) -> None:
     Raises:
         ValueError: A memo index or an object is too large; LookupError if the stack runs empty.
     """
-    stack: list[int | None] = []  # None is a mark
+    stack: list[int | None] = []  # None for the MARK opcode
     memo: dict[int, int | None] = {}
     for opcode, argument, _ in pickletools.genops(data):
         if opcode.name.endswith("PUT") or opcode.name == "MEMOIZE":

@@ -25,7 +25,7 @@ from nanogs.stored import SH_C0
 MAX_DEGREE = 3
 _LOG_SCALES = 20.0  # log-scales are clamped to ±20: -inf would make its chunk's bounds useless
 _SH_RANGE = 4.0
-_CELLS = 1024  # on each axis, in one pass of the ordering
+_CELLS = 1024  # grid cells per axis in one pass of the ordering
 _CHUNK = np.dtype([(name, "<f4") for name in (*BOUNDS, *COLOUR_BOUNDS)])
 _VERTEX = np.dtype([(name, "<u4") for name in PACKED])
 
@@ -115,7 +115,7 @@ def morton_order(means: F32) -> I64 | I32:
     else:
         order = np.arange(len(means), dtype=np.int32)
     spans = [(0, len(means))]
-    while spans:  # each pass splits a span of at least two places, so this ends
+    while spans:  # ends, because each pass splits a span that has two distinct points or more
         start, stop = spans.pop()
         codes = _codes(means, order[start:stop])
         rank = np.argsort(codes, kind="stable")

@@ -15,7 +15,7 @@ from nanogs.io.texts import decode, printable
 
 MAX_HEADER_BYTES = 1 << 20
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
-# Both spellings of every scalar type, as numpy names them.
+# Both spellings of every scalar type, with numpy's type code.
 TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2",
     "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
@@ -48,7 +48,7 @@ class Element:
         return [prop.name for prop in self.properties]
 
     def lists(self) -> list[str]:
-        """Names of the list properties."""
+        """Return the names of the list properties."""
         return [prop.name for prop in self.properties if prop.code is None]
 
     def dtype(self, order: str = "=") -> np.dtype[np.void]:
@@ -56,7 +56,7 @@ class Element:
         return _row(order, tuple(self.properties))
 
 
-@lru_cache(maxsize=8)  # a model is read in hundreds of parts
+@lru_cache(maxsize=8)  # computed once, though a model is read in hundreds of parts
 def _row(order: str, properties: tuple[Property, ...]) -> np.dtype[np.void]:
     return np.dtype([(prop.name, f"{order}{prop.code}") for prop in properties])
 
