@@ -64,7 +64,7 @@ def _in_order_of_use(entries: F32, labels: I32) -> Palette:
 
 def _distinct(points: F32) -> tuple[F32, I64, I64]:
     """Return the distinct rows in order of appearance, the row of each point, and their counts."""
-    rows = np.ascontiguousarray(points + np.float32(0))  # -0 becomes 0, so that both have equal bits
+    rows = np.ascontiguousarray(points + np.float32(0))  # -0 becomes 0, for equal bits
     first, places, counts = _groups(_keys(rows))
     if not np.array_equal(rows[first[places]], rows):  # a hash collision
         whole = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]

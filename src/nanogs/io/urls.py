@@ -28,7 +28,7 @@ _LONGEST = 120  # characters of a file's name
 
 
 class _Called(_Native):
-    """A path with a display name: `str` gives that name, and `os.fspath` the real path."""
+    """A path with a display name: `str` gives that name, and `fspath` the real path."""
 
     called: str
 
