@@ -7,7 +7,9 @@ from nanogs._types import F32, F64, U8
 from nanogs.io.sog.meta import CODES
 from nanogs.slices import slices
 
-BINS = 4096  # approximate; half of them by rank, as an outlier would leave few even ones to others
+# Approximate number of bins; many, because with an outlier few of the evenly spaced ones are left
+# for all other values.
+BINS = 4096
 # Rare values, such as those of a few large splats, matter for the picture: a bin is weighted by
 # this power of the density of values in it.
 RARITY = 0.5
