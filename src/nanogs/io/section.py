@@ -31,7 +31,7 @@ class Section:
     text: int | None = None
 
     def part(self, start: int, size: int) -> "Section":
-        """Return a byte range inside this one; `start` is relative to the start of this one."""
+        """Return a part of this range, which must contain it; `start` is relative to this range."""
         return Section(self.path, self.start + start, size, self.data, self.text)
 
     @contextmanager
