@@ -1,4 +1,4 @@
-"""A simplification from a wish to a report: `api` checks and asks, `run` calls the stages in turn.
+"""The simplification pipeline: `api` checks the arguments, `run` runs the stages in order.
 
 Importing this package imports no Numba; the stages do.
 """

@@ -1,4 +1,4 @@
-"""`nanogs.simplify`: from a model and a wish to a smaller model and a report."""
+"""`nanogs.simplify`: simplify a model in memory, and report what was done."""
 
 import time
 from dataclasses import replace
@@ -56,44 +56,45 @@ def simplify(
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Splats, SimplifyReport]:
-    """A smaller model of the same scene: of the ratio, count, size, PSNR or draw cost asked for.
+    """Simplify a model to a ratio, a count, a file size, a PSNR or a draw cost.
 
     Exactly one of the five is given. A ratio and a count are met exactly.
 
     Args:
         model: The model, which is not changed, or a path.
         ratio: Compaction ratio in (0, 1]: ceil(ratio x finite splats) are delivered.
-        count: Splats to deliver.
-        size: Bytes that the saved file may have, a number or text like "20MB": as many splats as
-            fit are delivered. Where only writing a file tells its size, results are written until
-            one fits that takes 98 % of it or more; presets that render choose by looking how many
-            harmonics and how large a palette are written, too, and `format_options` of the report
-            has what to save the result with.
-        psnr: dB that the result must reach as `nanogs compare` measures it at its defaults, on
-            views that nothing is learnt from. A count is searched whose result lies from there to
-            0.3 dB above, as a file of the format gives it back.
-        draw_cost: Most that the result may take to draw, as a share of the model's own splats a
-            pixel (see `draw_cost`), on the views of `compare` at its defaults: the largest count
-            is searched that takes so much, to 2 % below it.
-        format: Suffix of the file that `size`, `psnr` and `draw_cost` are about.
-        format_options: What that file will be saved with, as `save` takes it.
+        count: Number of splats to deliver.
+        size: Largest allowed size of the saved file in bytes, a number or text like "20MB": as many
+            splats as fit are delivered. Where the size is only known by writing the file, results
+            are written until one fits and takes at least 98 % of it; presets that render also
+            choose the degree of the harmonics and the size of the palette by rendering, and
+            `format_options` of the report holds the options to save the result with.
+        psnr: PSNR in dB that the result must reach as `nanogs compare` measures it at its defaults,
+            on held-out views. The count is searched for; the result, as read back from a file of
+            the format, reaches this PSNR and exceeds it by at most 0.3 dB.
+        draw_cost: Highest allowed cost of drawing the result, as a share of the model's own splats
+            per pixel (see `draw_cost`), on the views of `compare` at its defaults: the largest
+            count that stays within it is searched for, until the cost is at most 2 % below it.
+        format: Suffix of the file that `size`, `psnr` and `draw_cost` refer to.
+        format_options: Options that the file will be saved with, as `save` takes them.
         preset: Name of a preset.
-        sh_degree: Of the result's harmonics, which are fitted for it; by default the model's, or
-            where `size` is searched for and the preset renders, whichever shows most.
-        frame: From and to which the result is turned, such as ("rdf", "rub"); a size and a PSNR are
-            of the file of what is turned.
+        sh_degree: Degree of the result's spherical harmonics, which are fitted for it; by default
+            the model's, or the best-looking one if `size` is searched for and the preset renders.
+        frame: Source and target frame to turn the result from and to, such as ("rdf", "rub"); a
+            size and a PSNR are those of the turned file.
         cameras: Views that matter, for presets that render: "auto", "orbit", "inside", "roam", a
             file or folder of cameras, or cameras; by default automatic.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
-            data and does not count): "drop" them and say so in the report, or raise.
+            data and does not count): "drop" them and say so in the report, or raise an "error".
         device: Where presets that render look and fit: "cpu", which is the default; "cuda" for a
-            graphics card, "auto" for one where there is one. What is merged is merged on the CPU.
-            Results differ in the last digits; the notes name another device than the CPU.
-        threads: Threads to use; all by default. The result does not depend on it.
-        max_memory: Bytes that this process may take, a number or text like "4GB"; by default what
-            is free, less a tenth. More is refused before anything is computed.
+            graphics card; "auto" for a graphics card if there is one. Merging always runs on the
+            CPU. Results differ in the last digits; the notes name a device other than the CPU.
+        threads: Number of threads; all by default. The result does not depend on it.
+        max_memory: Bytes that this process may take, a number or text like "4GB"; by default nine
+            tenths of the free memory. If more is needed, an error is raised before anything is
+            computed.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
-            each `nanogs.progress.Step`: the stage, which of how many it is, and the
+            each `nanogs.progress.Step`: the stage, its number and the number of stages, and the
             fraction of the whole that is done; the last step has the fraction 1.
         **overrides: Parameters of the preset to replace, such as `k=8`.
 
@@ -102,11 +103,11 @@ def simplify(
 
     Raises:
         FormatError: The path cannot be read as a model.
-        OptionError: An option is out of range, or the size is less than one splat takes, or the
-            draw cost less than the fewest splats that the model can be made of; or there is no such
-            device, or nothing for it to do.
+        OptionError: An option is out of range; the size is too small for one splat; the draw cost
+            is too small for the fewest splats that the model can be merged to; or the device does
+            not exist or has nothing to do.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
-        ModelError: No splat is usable, `nan="error"` and one is not, or a PSNR or a draw cost is
+        ModelError: No splat is usable; `nan="error"` and one is not; or a PSNR or a draw cost is
             asked for and nothing is visible.
     """
     start, clock = time.perf_counter(), StageClock()
@@ -118,7 +119,7 @@ def simplify(
     refuse_device(device, preset, chosen, goal)
     check_degree(sh_degree)
     frame = checked_frames(frame)
-    # Here and not above: this brings Numba, which `--help` and `info` do without.
+    # Imported here because this imports Numba, which `--help` and `info` do without.
     from nanogs.pipeline.foreseen import simplify_stages
     from nanogs.pipeline.held_files import HeldFiles
     from nanogs.threads import use_threads
@@ -157,7 +158,7 @@ def simplify(
 
 
 def _with_size_notes(outcome: Outcome, size: int, available: int, path: Path) -> Outcome:
-    """The outcome that says, where it is so, why much of the size is not used."""
+    """Add a note on why much of the size is unused, if it is."""
     from nanogs.pipeline.fit_size import WHOLE_FITS, notes_on_known
 
     small, file_bytes = outcome.splats, registry.writable(path).file_bytes
@@ -169,16 +170,16 @@ def _with_size_notes(outcome: Outcome, size: int, available: int, path: Path) ->
 
 
 def refuse_device(device: str | None, preset: str, chosen: Parameters, goal: Goal) -> None:
-    """Refuse a device that cannot be had, or a card where nothing is rendered, for nothing to do.
+    """Raise if a device is not available, or if it is a graphics card and nothing is rendered.
 
     Args:
-        device: What was asked for; "auto" asks for none where there is none.
+        device: The device asked for; "auto" never raises.
         preset: Name of the preset.
         chosen: Its parameters.
-        goal: What is asked.
+        goal: The target of the simplification.
 
     Raises:
-        OptionError: It is one of these.
+        OptionError: The device is not available, or has nothing to do.
     """
     looks = renders(chosen) or goal.psnr is not None
     if device not in (None, CPU, AUTO) and not looks:
@@ -190,16 +191,16 @@ def refuse_device(device: str | None, preset: str, chosen: Parameters, goal: Goa
 
 
 def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
-    """Refuse, before anything is read, a wish that only a search can meet and a preset cannot.
+    """Raise, before anything is read, if the goal needs a search that the preset cannot do.
 
     Args:
-        goal: What is asked.
+        goal: The target of the simplification.
         preset: Name of a preset.
-        path: What will be written; only its suffix counts.
+        path: The output file; only its suffix counts.
 
     Raises:
-        OptionError: The preset runs anew for every count, or the format is not written, or not as
-            one file, which a size or a PSNR is of.
+        OptionError: The preset starts again for every count; the format cannot be written; or a
+            size or a PSNR is asked for, and the format is not a single file.
     """
     if goal.psnr is not None:
         refuse_search(preset, "a PSNR")
@@ -224,18 +225,18 @@ def target_of(
     chosen: Parameters,
     sh_degree: int | None = None,
 ) -> int | None:
-    """The count that a wish comes to; None where only trying can tell.
+    """Return the count that meets the goal, or None if it has to be searched for.
 
     Args:
-        goal: What is asked.
+        goal: The target of the simplification.
         splats: The model.
-        available: Its usable splats.
-        path: What will be written; only its suffix counts.
+        available: Number of its usable splats.
+        path: The output file; only its suffix counts.
         chosen: Parameters of the method.
-        sh_degree: Of the result's harmonics, if it is asked for.
+        sh_degree: Degree of the result's harmonics, if one is asked for.
 
     Raises:
-        OptionError: It cannot be had from this model, or not in this format.
+        OptionError: The goal cannot be met with this model or in this format.
     """
     if goal.size is None:
         return goal.known_count(available)
@@ -252,15 +253,15 @@ def target_of(
 
 
 def refuse_small(wish: "Wish", some: Splats, files: "HeldFiles") -> None:
-    """Refuse, before anything is computed, a size that is far too small.
+    """Raise, before anything is computed, if the file size asked for is far too small.
 
     Args:
-        wish: What is asked of the file.
-        some: Usable splats of the model, one at least.
-        files: Writes some to see what they take.
+        wish: The requirements on the file.
+        some: Usable splats of the model, at least one.
+        files: Writes sample files to measure their size.
 
     Raises:
-        TooSmallError: It is.
+        TooSmallError: The size is far too small.
     """
     from nanogs.pipeline.fit_size import refuse_hopeless
 
@@ -319,7 +320,7 @@ def _reach(job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tr
     wish = Wish(0, registry.writable(files.path), files.given, job.sh_degree)
     pack = PackNear(results, wish, lambda: job.splats.take(job.rows), files, progress)
     outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack)
-    if found.stop is StopReason.UNREACHED:  # and so the whole model is written, as it is
+    if found.stop is StopReason.UNREACHED:  # then the whole model is written unchanged
         pack.packed = None
     with clock.time("measure"):
         judged = views.judge(stored(outcome))

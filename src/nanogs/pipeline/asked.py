@@ -1,4 +1,4 @@
-"""The views that a job is asked to look from, as plain data."""
+"""The views that the user asked for, as plain data that a job can store as JSON."""
 
 import json
 import os
@@ -20,12 +20,12 @@ AUTO = "auto"
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Views that were asked for.
+    """The views that the user asked for: a named way to find cameras, or given cameras.
 
     Attributes:
-        source: "auto", or another name of those in `views.cameras.FOUND`.
-        up: Up direction of views that are found, or None.
-        cameras: Given ones as JSON; then none are found.
+        source: "auto", or another name in `views.cameras.FOUND`.
+        up: Up direction for views that are found, or None.
+        cameras: Given cameras as JSON; if there are any, no views are found.
     """
 
     source: str = AUTO
@@ -33,7 +33,7 @@ class Asked:
     cameras: tuple[str, ...] = ()
 
     def given(self) -> list[Camera]:
-        """The given cameras."""
+        """Parse the given cameras."""
         return [camera_of(json.loads(text)) for text in self.cameras]
 
 
@@ -44,11 +44,11 @@ def asked_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Asked:
     """Check the views asked for; a file of cameras is read now, so that no worker needs it.
 
     Args:
-        cameras: A name of those that are found, a file or folder, or cameras; None for automatic.
-        up: Up direction of views that are found, or None.
+        cameras: A name in `views.cameras.FOUND`, a file or folder, or cameras; None for automatic.
+        up: Up direction for views that are found, or None.
 
     Raises:
-        NanogsError: A file is none of cameras, or `up` is no direction.
+        NanogsError: A file holds no cameras, or `up` is not a direction.
     """
     from nanogs.views.cameras import FOUND, cameras_from, given_cameras
 
@@ -68,7 +68,7 @@ def asked_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Asked:
 
 
 def plain_camera(camera: Camera) -> dict[str, Any]:
-    """A camera as plain data; floats keep every digit in JSON."""
+    """Convert a camera to plain data for JSON, without loss; see `camera_of` for the inverse."""
     names = ("width", "height", "fx", "fy", "cx", "cy", "name", "near")
     plain = {name: _plain(getattr(camera, name)) for name in names}
     plain["world_to_camera"] = camera.world_to_camera.tolist()
@@ -84,7 +84,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - a number of NumPy's or Python's
 
 
 def camera_of(data: Mapping[str, Any]) -> Camera:
-    """A camera from what `plain_camera` made of it."""
+    """Restore a camera from the plain data of `plain_camera`."""
     fixed: dict[str, Any] = {**data, "world_to_camera": np.array(data["world_to_camera"])}
     if "lens" in data:
         fixed["lens"] = Lens(**{name: _fixed(value) for name, value in data["lens"].items()})

@@ -1,4 +1,4 @@
-"""The splats of a block, put together from sorted segments."""
+"""Reading the splats of a block from the sorted segments, and making merge nodes of them."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,16 +26,16 @@ def read_block(
     at: int = 0,
     rows: I64 | None = None,
 ) -> int:
-    """Fill columns with the splats of a block, segment after segment.
+    """Read the splats of a block into arrays, segment by segment.
 
     Args:
-        scratch: Where the segments are.
+        scratch: Storage of the segments.
         segments: Their records.
-        partition: What is in each block.
-        block: Which.
-        columns: What to fill, by the names in the tables.
+        partition: Row range of each block in each segment.
+        block: Number of the block.
+        columns: Arrays to fill, keyed by column names of the tables.
         at: The first row to fill.
-        rows: Ascending rows of the block to read; all by default.
+        rows: Rows of the block to read, ascending; all by default.
 
     Returns:
         The row after the last one filled.
@@ -68,18 +68,18 @@ def read_block(
 
 
 def morton_rows(codes: U64) -> I64:
-    """(N,) rows in Morton order, ties by row."""
+    """Return (N,) the rows sorted by Morton code, ties by row."""
     return np.argsort(codes, kind="stable")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
-    """How nodes of splats are weighed that views show.
+    """The visibility of splats in the views, by which the weights of their nodes are scaled.
 
     Attributes:
-        visible: (N,) how visible each is.
-        hidden: Weight of what is not seen at all, over that of what is in full sight.
-        typical: What weights are multiples of, square scene units.
+        visible: (N,) visibility of each splat.
+        hidden: Weight of a splat that no view shows, relative to a fully visible one.
+        typical: Unit of the weights, which are divided by it, in square scene units.
     """
 
     visible: F64
@@ -95,7 +95,7 @@ def leaves_of(
     *,
     bare: bool = False,
 ) -> Nodes:
-    """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
+    """Make a merge node for each row, in the units shared by all blocks; bare: no coverages."""
     nodes = activate_nodes(splats, rows, units.centre(), units.dilation(), units.thinnest)
     prominences = prominence(nodes.coverages, nodes.means, units.viewers())
     if weighing is None:
@@ -108,5 +108,5 @@ def leaves_of(
 
 
 def with_codes(columns: dict[str, Array], count: int) -> dict[str, Array]:
-    """The columns and that of the Morton codes, to be filled with them."""
+    """Return the columns plus an uninitialised column for `count` Morton codes."""
     return columns | {CODES: np.empty(count, np.uint64)}

@@ -1,7 +1,8 @@
-"""How many groups each block keeps: the merges of lowest score of all blocks are done.
+"""Number of groups that each block keeps, so that the merges of lowest score overall are done.
 
-The one threshold is found by radix selection over the scores' bits: a histogram of the upper half
-of all scores, then one of the lower half of those in the bin that holds the threshold.
+The threshold common to all blocks is found by radix selection over the bits of the scores: a
+histogram of the upper halves of all scores, then one of the lower halves of the scores in the bin
+that holds the threshold.
 """
 
 from collections.abc import Sequence
@@ -15,15 +16,19 @@ from nanogs.store.tables import Record, Table
 
 
 def budget(scratch: Scratch, forests: Sequence[Record], target: int, balance: int = 0) -> list[int]:
-    """Groups of each block, as many as are asked for in all, or the fewest that there can be.
+    """Divide a total number of groups among the blocks by one threshold on the merge scores.
 
-    Ties are given to the blocks in their order.
+    Merges whose score equals the threshold are done in the order of the blocks. If `target` is less
+    than the forests can be merged to, each block keeps the fewest groups that it can.
 
     Args:
-        scratch: Where the forests are.
+        scratch: Storage of the forests.
         forests: Their records.
-        target: Groups in all.
-        balance: Number of the one by whose scores.
+        target: Number of groups of all blocks together.
+        balance: Index of the balance whose scores are used.
+
+    Returns:
+        Number of groups of each block.
     """
     splats = np.array([int(record.facts["splats"]) for record in forests], np.int64)
     merges = splats - np.array([int(record.facts["fewest"]) for record in forests], np.int64)
@@ -44,14 +49,14 @@ def budget(scratch: Scratch, forests: Sequence[Record], target: int, balance: in
 
 
 def _select(histograms: I64, wanted: int) -> tuple[int, I64, int]:
-    """The bin in which the last one wanted lies.
+    """Find the bin that holds the `wanted`-th lowest element of all blocks.
 
     Args:
-        histograms: (B, bins) of each block.
-        wanted: How many are to be taken from the lowest bins, 1 or more.
+        histograms: (B, bins), one of each block.
+        wanted: Number of elements to take from the lowest bins, at least 1.
 
     Returns:
-        The bin; (B,) how many lie below it in each block; how many are still wanted of it.
+        The bin; (B,) number of elements of each block below it; how many to take from the bin.
     """
     below = np.cumsum(histograms.sum(axis=0))
     chosen = int(np.searchsorted(below, wanted))

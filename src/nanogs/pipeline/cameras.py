@@ -1,4 +1,4 @@
-"""The views that the user asks for, for presets that render. No Numba before they are wanted."""
+"""Cameras that the user asks for, for presets that render. Numba is imported only if needed."""
 
 import os
 from collections.abc import Sequence
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 def fit_cameras(
     splats: "Splats", source: str, up: Sequence[float] | None, count: int, size: int
 ) -> "list[Camera] | None":
-    """Cameras to learn from, from a file or of a kind; None where nothing was asked for.
+    """Return cameras to fit to, from a file or of a kind; None if nothing was asked for.
 
     Args:
         splats: The model.
         source: As `nanogs.views.cameras.cameras_for` takes it.
         up: Up direction of automatic views, or None.
         count: Number of automatic views.
-        size: Pixels along either side of automatic views.
+        size: Width and height of automatic views in pixels.
 
     Raises:
         NanogsError: The source is no camera file, or cannot be read.
@@ -43,7 +43,7 @@ def chosen_cameras(
     up: Sequence[float] | None,
     chosen: Parameters,
 ) -> "Sequence[Camera] | None":
-    """Cameras that a caller of the library names or gives; None for those of the preset's choice.
+    """Return the cameras that a caller of the library names or gives; None for the preset's own.
 
     Args:
         splats: The model.
@@ -52,7 +52,7 @@ def chosen_cameras(
         chosen: Parameters of the method.
 
     Raises:
-        NanogsError: They are no cameras, or none, or cannot be read.
+        NanogsError: They are not cameras, there are none, or they cannot be read.
     """
     if given is None or isinstance(given, str | PathLike):
         return requested_cameras(splats, os.fspath(given or "auto"), up, chosen)
@@ -64,7 +64,7 @@ def chosen_cameras(
 def requested_cameras(
     splats: "Splats", source: str, up: Sequence[float] | None, chosen: Parameters
 ) -> "list[Camera] | None":
-    """Cameras for a preset; None where it chooses its own or renders none.
+    """Return the cameras asked for; None if the preset chooses its own or does not render.
 
     Args:
         splats: The model.
@@ -81,15 +81,15 @@ def requested_cameras(
 
 
 def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool) -> None:
-    """Views mean nothing where nothing is rendered.
+    """Raise if views are given to a preset that does not render.
 
     Args:
-        preset: Its name.
+        preset: Name of the preset.
         chosen: Its parameters.
         given: Whether the user asked for certain views.
 
     Raises:
-        OptionError: They are given, and nothing is rendered.
+        OptionError: Views are given, and nothing is rendered.
     """
     if given and not renders(chosen):
         raise OptionError(

@@ -1,9 +1,9 @@
-"""The levels of a block as chunks: its cells, and the files of each of its levels.
+"""Levels of detail of a block as chunks: the block's cells, and the files of each of its levels.
 
-Each block has a tree of cells of its own, made from its finest level; the splats of its coarser
-levels, which are what its own became, are put into these cells. Where few are left of a block, its
-files hold those of the next blocks too: which ones follows from counts alone, so that files can be
-made anywhere. How chunks are made is the sink's business.
+Each block has its own tree of cells, which is built from its finest level. Its coarser levels were
+merged from the same splats, and are put into the same cells. If few splats are left of a block, its
+files also hold those of the next blocks: which ones depends on the counts alone, so that any worker
+can make the files. The sink decides how chunks are encoded.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 
 def write_cells(work: "Work", name: str, block: int) -> Record:
-    """Divide a block's finest level.
+    """Divide a block's finest level into cells and write these to a table.
 
     Args:
-        work: The job, the parts of all levels done.
-        name: Of the table, which is empty where the block holds nothing.
-        block: Its number.
+        work: The job; the parts of all levels are done.
+        name: Name of the table, which is empty if the block holds no splats.
+        block: Number of the block.
     """
     means = means_of_block(work, block, 0)
     cells = work.settings.chunked.divide(means) if len(means) else {}
@@ -40,13 +40,13 @@ def write_cells(work: "Work", name: str, block: int) -> Record:
 def write_chunks(work: "Work", name: str, block: int, level: int) -> Record:
     """Write the files of a block at a level into a table, each as a column of bytes.
 
-    Of blocks whose files are made together, the table of the first that holds anything has all.
+    If blocks share files, all of these are in the table of the first block that has cells.
 
     Args:
-        work: The job, all cells and the chunks of the finer levels done.
-        name: Of the table.
-        block: Its number.
-        level: Of the result.
+        work: The job; all cells and the chunks of the finer levels are done.
+        name: Name of the table.
+        block: Number of the block.
+        level: Number of the level.
     """
     cells = _cells(work, block)
     made = BlockChunks(cells)
@@ -68,7 +68,7 @@ def write_chunks(work: "Work", name: str, block: int, level: int) -> Record:
 
 
 def blocks_of(work: "Work", level: int, tell: Parts) -> Iterator[BlockChunks]:
-    """The blocks of a level as `write_chunks` made them; told of those of all levels."""
+    """Yield the blocks of a level as `write_chunks` wrote them; progress counts all levels."""
     levels, blocks = work.settings.levels, work.partition.blocks
     for block, record in enumerate(work.of_blocks("chunk", level)):
         tell(level * blocks + block, levels * blocks)
@@ -83,9 +83,9 @@ def blocks_of(work: "Work", level: int, tell: Parts) -> Iterator[BlockChunks]:
 
 
 def _together(work: "Work", block: int, level: int) -> list[int]:
-    """The blocks that share files of which this one is the first; none if it is not the first.
+    """Return the blocks that share files, if `block` is the first of them; otherwise none.
 
-    Blocks that hold nothing at all are left out; one of the finest level alone is not.
+    Blocks without any splats are left out; a block with splats in the finest level alone is not.
     """
     holding = [each for each in range(work.partition.blocks) if _has_cells(work, each)]
     counts = [count_of_block(work, each, level) for each in holding]
@@ -96,11 +96,14 @@ def _together(work: "Work", block: int, level: int) -> list[int]:
 
 
 def joined_up(counts: Sequence[int], fewest: int) -> list[range]:
-    """Neighbours put together until each group has so many, unless there are fewer in all.
+    """Group consecutive blocks until each group has `fewest` splats, if there are so many in all.
 
     Args:
-        counts: Of splats.
-        fewest: Of a group; 0 leaves each by itself.
+        counts: Number of splats of each block.
+        fewest: Least number of splats of a group; 0 makes each block a group of its own.
+
+    Returns:
+        The groups, as ranges of indices into `counts`.
     """
     ends, held = [0], 0
     for number, count in enumerate(counts, 1):
@@ -108,7 +111,7 @@ def joined_up(counts: Sequence[int], fewest: int) -> list[range]:
         if held >= fewest:
             ends.append(number)
             held = 0
-    if ends[-1] < len(counts):  # what is left goes to the last group
+    if ends[-1] < len(counts):  # the remaining blocks join the last group
         ends[max(len(ends) - 1, 1) :] = [len(counts)]
     return [range(*pair) for pair in pairwise(ends)]
 

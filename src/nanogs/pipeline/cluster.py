@@ -1,4 +1,4 @@
-"""Who does tasks for the command: processes of this machine, or workers of a Dask scheduler."""
+"""Executors for the command's tasks: local processes, or the workers of a Dask scheduler."""
 
 import logging
 import os
@@ -22,10 +22,10 @@ _PATIENCE = 10  # seconds for a scheduler to answer
 def executor_of(
     workers: int | None, scheduler: str | None
 ) -> "AbstractContextManager[Client | Executor | None]":
-    """Who does the tasks: so many processes, the workers of a scheduler, or nobody else.
+    """Return a context manager that yields a process pool, a Dask client, or None for neither.
 
     Args:
-        workers: Processes of this machine, or None.
+        workers: Number of local processes, or None.
         scheduler: Address such as tcp://host:8786, or None.
     """
     if workers is not None:
@@ -35,22 +35,24 @@ def executor_of(
 
 @contextmanager
 def processes(workers: int) -> Iterator[Executor]:
-    """Processes of this machine, which start at once and end with the block or with this process.
+    """Yield a pool of local processes, which start at once and end with the context.
+
+    They also end if this process does.
 
     Args:
-        workers: Their number.
+        workers: Number of processes.
     """
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _attend)
     with cleaned_up(_end_children):
         with starting_processes():
-            for _ in range(workers):  # each starts one
+            for _ in range(workers):  # each submitted task starts one process
                 pool.submit(_load)
         yield pool
         pool.shutdown()
 
 
 def _attend() -> None:
-    """Leave interrupts from the terminal to the process that started this one, and end with it."""
+    """Initialise a worker: ignore SIGINT, which the parent handles, and exit with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
@@ -63,12 +65,12 @@ def _attend() -> None:
 
 
 def _load() -> None:
-    """Import what tasks need."""
+    """Import the modules that tasks need, as the first task of a worker."""
     import nanogs.pipeline.workers  # noqa: F401
 
 
 def _end_children() -> None:
-    """Kill the processes that this one has started, and take away their semaphores."""
+    """Kill the child processes of this process, and remove their semaphores."""
     util._run_finalizers(0)  # type: ignore[attr-defined]  # noqa: SLF001 - what Python calls when it ends
     for child in active_children():
         child.kill()
@@ -76,7 +78,7 @@ def _end_children() -> None:
 
 @contextmanager
 def connected(scheduler: str) -> Iterator["Client"]:
-    """A client of the scheduler at an address, such as tcp://host:8786.
+    """Yield a client of the Dask scheduler at an address, such as tcp://host:8786.
 
     Raises:
         OptionError: Dask is not installed, or no scheduler answers.
@@ -92,7 +94,7 @@ def connected(scheduler: str) -> Iterator["Client"]:
     with _silent():
         try:
             client = _in_time(connect)
-        except Exception as error:  # Dask raises most kinds here, by what it finds at the address
+        except Exception as error:  # the type depends on what Dask finds at the address
             raise OptionError(
                 f"No Dask scheduler answers at {scheduler!r} ({type(error).__name__}); start one"
                 " with `dask scheduler`, or do without one."
@@ -102,7 +104,7 @@ def connected(scheduler: str) -> Iterator["Client"]:
 
 
 def _in_time(connect: Callable[[], "Client"]) -> "Client":
-    """Connect, and give up after some seconds: to some servers Dask would try for ever.
+    """Connect with a time limit of `_PATIENCE` seconds: with some servers Dask never gives up.
 
     Raises:
         TimeoutError: There is no answer.
@@ -121,7 +123,7 @@ def _in_time(connect: Callable[[], "Client"]) -> "Client":
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Dask logs what it lost, with tracebacks; here a sentence says it."""
+    """Silence Dask's loggers, which write tracebacks: the caller raises one sentence instead."""
     names = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
     loggers = [logging.getLogger(name) for name in names]
     before = [logger.level for logger in loggers]

@@ -1,6 +1,6 @@
-"""Coarse levels of the whole scene: what a block sees of all others.
+"""Coarse levels of the whole scene, which replace all other blocks when a block is rendered.
 
-The finer one tells what hides what; the rougher one surrounds a part while it is fitted.
+The fine one is used for occlusion, the rough one surrounds a part while it is fitted.
 """
 
 from dataclasses import replace
@@ -20,23 +20,23 @@ from nanogs.store.tables import Record, write_table
 if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
-GROWTH = 1.5  # most that its splats grow: what they hide is hidden
+GROWTH = 1.5  # most that its splats are enlarged, so that they still hide what is behind them
 
 
 def outline_counts(settings: Settings, blocks: int) -> list[int]:
-    """Splats of each coarse level of a job, one a block at the least."""
+    """Return the number of splats of each coarse level of a job, at least one for each block."""
     levels = range(len(COARSE_SHARES))
     return [max(most_coarse(n, settings.block, settings.splats), blocks) for n in levels]
 
 
 def write_coarse(work: "Work", name: str, block: int, level: int) -> Record:
-    """Write the splats that stand for a block where others are looked at, in one colour each.
+    """Write a block's splats of a coarse level, with harmonics of degree 0.
 
     Args:
-        work: The job, the rough forests and their budgets done.
-        name: Of the table.
-        block: Its number.
-        level: Fine or rough.
+        work: The job; the rough forests and their budgets are done.
+        name: Name of the table.
+        block: Number of the block.
+        level: `FINE` or `ROUGH`.
     """
     splats, rows = work.block(block)
     splats = replace(splats.with_sh_degree(0), extras={})
@@ -48,12 +48,12 @@ def write_coarse(work: "Work", name: str, block: int, level: int) -> Record:
 
 
 def coarse_scene(work: "Work", level: int, but: int | None = None) -> Splats | None:
-    """A coarse level of all blocks but one; None where there are no others.
+    """Read a coarse level of all blocks but one; None if the scene is a single block.
 
     Args:
-        work: The job, the coarse levels done.
-        level: Fine or rough.
-        but: What is left out; None for nothing.
+        work: The job; the coarse levels are done.
+        level: `FINE` or `ROUGH`.
+        but: Number of the block to leave out, or None.
     """
     if work.partition.blocks == 1:
         return None
@@ -69,6 +69,6 @@ def coarse_scene(work: "Work", level: int, but: int | None = None) -> Splats | N
 
 
 def surroundings(work: "Work", block: int, level: int) -> PreparedSplats | None:
-    """A coarse level of all other blocks, to be drawn; None where there are none."""
+    """Prepare a coarse level of all other blocks for rendering; None if there are none."""
     scene = coarse_scene(work, level, block)
     return None if scene is None else prepare(scene)

@@ -1,4 +1,4 @@
-"""The groups of each block, cut from its forest, and where they are."""
+"""Cutting a block's forest into groups, and the table of the groups' members and centres."""
 
 import numpy as np
 
@@ -15,13 +15,13 @@ LABELS, CENTRES, REACH = "labels", "centres", "reach"
 
 
 def cut_block(scratch: Scratch, forest: Record, groups: int, balance: int = 0) -> I32:
-    """(N,) int32: the group of each leaf of a block's forest, in Morton order.
+    """Return (N,) int32, the group of each leaf of a block's forest, in Morton order.
 
     Args:
-        scratch: Where the forest is.
+        scratch: Storage of the forest.
         forest: Its record.
-        groups: Groups to keep.
-        balance: Number of the balance whose scores order the merges.
+        groups: Number of groups to keep.
+        balance: Index of the balance whose scores order the merges.
     """
     with Table(scratch, forest) as table:
         children, scores = table.read(CHILDREN), table.read(scores_of(balance))
@@ -33,14 +33,14 @@ def cut_block(scratch: Scratch, forest: Record, groups: int, balance: int = 0) -
 def write_cut(
     scratch: Scratch, name: str, leaves: Nodes, labels: I32, groups: int, threads: int
 ) -> Record:
-    """Write the groups of a block: of each row its group, their centres, how far apart they are.
+    """Write the groups of a block: the group of each row, and each group's centre and reach.
 
     Args:
-        scratch: Where to.
-        name: Of the table.
+        scratch: Storage to write to.
+        name: Name of the table.
         leaves: The block's splats; only weights and centres are used.
-        labels: (N,) the group of each.
-        groups: Their number.
+        labels: (N,) the group of each leaf.
+        groups: Number of groups.
         threads: Threads for the nearest-neighbour query.
     """
     totals = np.bincount(labels, leaves.weights, groups)
@@ -62,7 +62,7 @@ def write_cut(
 
 
 def _reach(centres: F64, threads: int) -> F64:
-    """(G,) distance from each group to the furthest one that its splats may move to."""
+    """Return (G,) the distance from each group to the furthest one its splats may move to."""
     nearest = nearest_neighbours(centres, NEIGHBOURS, threads)
     if nearest.shape[1] == 0:
         return np.zeros(len(centres))

@@ -1,7 +1,7 @@
-"""The largest count that takes no more to draw than a share of what the original takes.
+"""Search for the largest count whose draw cost is at most a given share of the original's.
 
-Two searches of one kind, as for a PSNR: quick results, plain cuts of the forest, lead near the
-count; then results are made and measured as they are delivered.
+As for a PSNR, the same search runs twice: first with quick results, which are plain cuts of the
+forest, to get near the count; then with full results, measured as they are delivered.
 """
 
 import math
@@ -15,19 +15,19 @@ from nanogs.pipeline.weights import COUNTS
 from nanogs.progress import Stage, Tracker
 from nanogs.report import DrawProbeReport, StopReason
 
-SPAN = 0.02  # share of what is asked: less by no more than this is near enough
+SPAN = 0.02  # relative tolerance below the share asked for
 MOST_PROBES = 16
-PATIENCE = 5  # probes, after which every second one halves the range that is left
-TOLERANCE = 0.005  # counts that differ by no larger share are neighbours: none is tried between
-POWER = 0.4  # splats a pixel grow as this power of the count; scenes here: 0.37 to 0.47
-POWERS = 0.2, 1.5  # limits of a measured power: beyond them, small unevennesses mislead
+PATIENCE = 5  # probes, after which every second one bisects the remaining range
+TOLERANCE = 0.005  # counts whose relative difference is at most this: none is tried in between
+POWER = 0.4  # splats per pixel grow as this power of the count; measured scenes: 0.37 to 0.47
+POWERS = 0.2, 1.5  # limits of a measured power: values outside are due to noise
 
 _Probe = DrawProbeReport | None
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The count that a search ends with, what it tried, and why it ended."""
+    """The result of a search: the count found, the counts tried, and why the search ended."""
 
     count: int
     probes: tuple[DrawProbeReport, ...]
@@ -35,7 +35,7 @@ class Found:
 
     @property
     def power(self) -> float:
-        """The power of the count as which the share grows, by the two latest counts."""
+        """Exponent with which the share grows with the count, from the two latest probes."""
         return _power(self.probes)
 
 
@@ -49,22 +49,22 @@ def search_share(
     *,
     quick: bool = False,
 ) -> Found:
-    """Look for a count whose share is at most what is asked and at least `SPAN` of it below.
+    """Search for a count whose share is between `(1 - SPAN) * asked` and `asked`.
 
-    The share grows with the count but for small unevennesses, nearly in a line where both are
-    logarithms. That line is followed; where it does not help, what is between is halved.
+    Apart from noise, the share grows with the count, nearly as a straight line in log-log scale.
+    The search follows that line; after `PATIENCE` probes every second step bisects instead.
 
     Args:
-        share_of: Measures the result of a count, as a share of what the original takes.
-        asked: Above 0 and below 1.
+        share_of: Measures the draw cost of the result of a count, as a share of the original's.
+        asked: The largest allowed share, above 0 and below 1.
         fewest: Smallest count that can be delivered, at least 1.
-        available: Splats of the whole model, whose share is 1.
+        available: Number of splats of the whole model, whose share is 1.
         guess: Count to begin with.
-        power: Of the count as which the share grows, where it is known.
-        quick: Mark the probes so, and end within `SPAN` on either side.
+        power: Exponent with which the share grows with the count, if known.
+        quick: Mark the probes as quick, and accept a share within `SPAN` on either side.
 
     Raises:
-        TooSmallError: Not even the fewest splats take so little.
+        TooSmallError: Even the fewest splats cost more.
     """
     probes: list[DrawProbeReport] = []
     fits: _Probe = None
@@ -94,7 +94,7 @@ def search_share(
 
 
 def _ending(fits: DrawProbeReport, over: DrawProbeReport, tried: int) -> StopReason | None:
-    """Why a search ends that has found something, but nothing near; None while it goes on."""
+    """Return why the search ends with a count whose share is not near; None to continue."""
     if over.count <= max((1 + TOLERANCE) * fits.count, fits.count + 1):
         return StopReason.STEP
     return None if tried < MOST_PROBES else StopReason.PROBES
@@ -108,10 +108,10 @@ def _next(
     power: float,
     tried: int,
 ) -> int:
-    """The next count: along the line from the latest; later, each second time, halfway between."""
+    """Return the next count: on the log-log line, or later, every second time, by bisection."""
     aim = asked * (1 - SPAN / 2)
     if fits is None and tried >= MOST_PROBES:
-        return 0  # the fewest, which tell whether anything fits
+        return 0  # the caller clamps it to `fewest`, which shows whether any count fits
     if fits and tried >= PATIENCE and tried % 2:
         return round(math.sqrt(fits.count * over.count))
     if latest.share <= 0:
@@ -137,20 +137,20 @@ def meet_cost(
     quick_share_of: Callable[[T], float],
     progress: Tracker,
 ) -> tuple[T, Found]:
-    """The largest result of a model that is found to take no more to draw than is asked.
+    """Make the largest result that the search finds with a draw cost of at most `asked`.
 
     Args:
-        results: Of the model.
-        asked: Share of what the original takes, above 0 and at most 1.
-        share_of: Measures a result as it is delivered, as such a share.
-        quick_share_of: Measures one that only leads there.
-        progress: Told of each stage.
+        results: Makes results of the model.
+        asked: Share of the original's draw cost, above 0 and at most 1.
+        share_of: Measures the draw cost of a full result, as such a share.
+        quick_share_of: Measures that of a quick result.
+        progress: Receives each stage.
 
     Returns:
-        The result, and what was tried.
+        The result, and the search that found it.
 
     Raises:
-        TooSmallError: Not even the fewest splats take so little.
+        TooSmallError: Even the fewest splats cost more.
     """
     available = results.available
 
@@ -167,7 +167,7 @@ def meet_cost(
     if results.looks:
         quick = attempts(results.plain(rounds=0), quick_share_of)
         near = search_share(quick, asked, *limits, guess, quick=True)
-        del quick  # and the result that it holds
+        del quick  # frees the result that it holds
         probes, guess, power = near.probes, near.count, near.power
         progress.begin("deliver")
     tried = attempts(results, share_of)

@@ -1,7 +1,7 @@
-"""The end of a job: its files become results, which get their name when they are complete.
+"""The end of a job: results are written in the job's folder and, when complete, moved into place.
 
-They are made in the job's folder and then moved. A run that is killed between any two of its steps
-finds out what was done by checksums.
+If a run is killed between any two of these steps, the next run finds out by checksums which were
+done.
 """
 
 import json
@@ -32,13 +32,13 @@ Tell = Callable[[Done, Sequence[Written]], list[SimplifyReport]]
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """Makes the results of a job whose tasks are done.
+    """Writes the results of a job whose tasks are done.
 
     Attributes:
-        sink: Where they go.
+        sink: Destination of the results.
         reports: Makes the report of each result.
-        measured: Whether each is held against the model.
-        costed: Whether it is said what each takes to draw.
+        measured: Whether each result is compared with the model.
+        costed: Whether the draw cost of each result is measured.
         max_memory: Bytes that this process may take for that; by default what is free.
     """
 
@@ -49,30 +49,30 @@ class Ending:
     costed: bool = False
 
     def check(self, folder: Path, *, resume: bool) -> None:
-        """Look whether they can be written, before anything is begun.
+        """Check that the results can be written, before a new job is begun.
 
         Args:
-            folder: Of the job.
-            resume: Whether one was to be continued, which is not there.
+            folder: The job's folder.
+            resume: Whether the caller asked to resume a job, and there is none.
 
         Raises:
-            OutputError: They cannot.
+            OutputError: They cannot be written.
         """
         if resume and not self.sink.overwrite:
             refuse_finished(folder, self.sink.place)
         self.sink.check()
 
     def check_begun(self, folder: Path) -> None:
-        """Look whether those can be written that have not got their name yet.
+        """Check that the results of a resumed job can be written, unless they are in place.
 
         Raises:
-            OutputError: They cannot.
+            OutputError: They cannot be written.
         """
         if self._sealed(self._made(folder), self.sink.place) is None:
             self.sink.check()
 
     def finish(self, done: Done, folder: Path, progress: Tracker) -> list[Written]:
-        """Make them in the job's folder and give them their name, unless a run before has.
+        """Write the results in the job's folder and move them, unless an earlier run has.
 
         Raises:
             OutputError: They cannot be written.
@@ -92,7 +92,7 @@ class Ending:
             tell: Parts = progress.part
             if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
                 filling.add_trees(trees_of(work), levels, even_sample(work), tell)
-                tell = untold  # all is written in the end
+                tell = untold  # the trees are the progress: further levels are not reported
             for number, level in enumerate(done.levels):
                 if not isinstance(self.sink.chunks, Chunked):
                     tell(number, len(done.levels))
@@ -102,7 +102,7 @@ class Ending:
                     filling.add_blocks(blocks_of(work, level, progress.part))
             with self._judge(work, progress) as judge:
                 filling.finish(self.reports(done, filling.written), judge)
-            if self.costed and judge is None:  # its PSNR is known already
+            if self.costed and judge is None:  # not measured here: its PSNR is known already
                 filling.written[0] = self._costed(work, filling.written[0], made)
             _seal(made, self.sink.files(made), filling.written, measured=self.measured)
         except OSError as error:
@@ -111,7 +111,7 @@ class Ending:
 
     @contextmanager
     def _judge(self, work: Work, progress: Tracker) -> Iterator[FileJudge | None]:
-        """Yield a judge of files while the model is open; None where nothing is measured."""
+        """Open the model and yield a judge of result files; None if nothing is measured."""
         if not self.measured:
             yield None
             return
@@ -133,7 +133,7 @@ class Ending:
         return written._replace(costs=[each.numbers for each in costs] or None)
 
     def _sealed(self, made: Path, place: Path) -> list[Written] | None:
-        """The results as sealed, if the files at a place are these; else None."""
+        """Return the results noted by `_seal` if the files at `place` match the note, else None."""
         with suppress(OSError, ValueError, LookupError, TypeError):
             note = json.loads(_note(made).read_bytes())
             files = note["files"]
@@ -146,19 +146,19 @@ class Ending:
         return None
 
     def _made(self, folder: Path) -> Path:
-        """The place of results until they get their name."""
+        """Return the path in the job's folder where the results are until they are moved."""
         return folder / f"{RESULT}made{''.join(self.sink.place.suffixes[-2:])}"
 
 
 @contextmanager
 def result_of(work: Work, level: int) -> Iterator[Source]:
-    """The result of a level, in the frame that was asked for.
+    """Open the result of a level, in the frame that was asked for.
 
-    Where blocks could not go as far as asked, the rest is done in memory.
+    If the blocks could not be merged to the count asked for, the rest is merged in memory.
 
     Args:
-        work: The job, all its tasks done.
-        level: Of the result.
+        work: The job; all its tasks are done.
+        level: Number of the level.
     """
     target = work.target(level)
     with LevelSource(work, level) as parts:
@@ -169,7 +169,7 @@ def result_of(work: Work, level: int) -> Iterator[Source]:
 
 
 def _seal(made: Path, files: Sequence[str], written: Sequence[Written], *, measured: bool) -> None:
-    """Note what results are, beside them, so that they are known again under another name."""
+    """Write a note with file sizes and a checksum, by which moved results are recognised."""
     sizes = {name: (made / name).stat().st_size for name in files}
     with (made / files[0]).open("rb") as file:
         first = hash_file(file)

@@ -1,4 +1,4 @@
-"""`nanogs.simplify_blocks`: from files to a smaller one, in memory or in blocks."""
+"""`nanogs.simplify_blocks`: simplify model files into one file, in memory or in blocks."""
 
 import time
 from collections.abc import Sequence
@@ -80,66 +80,67 @@ def simplify_blocks(
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> SimplifyReport:
-    """Simplify files of any size: in memory where that is enough, otherwise block by block.
+    """Simplify files of any size: in memory if that is enough, otherwise block by block.
 
-    Blocks take bounded memory, here or elsewhere. Each block is looked at, chosen and fitted as a
-    whole model is, a coarse level of all others around it, on views of the whole scene. The result
-    does not depend on where, in how many processes or in how many runs it was made; it does depend
-    on the size of the blocks.
+    Blocks take bounded memory, in this process or in workers. Each block is rendered, cut and
+    fitted as a whole model is, surrounded by a coarse level of all others, on views of the whole
+    scene. The result does not depend on where, in how many processes or in how many runs it was
+    made; it does depend on the size of the blocks.
 
     Args:
-        inputs: A file, or several that are parts of one scene; or their URLs, which are fetched
-            first, so that such a job is not for `resume`.
+        inputs: A file, or several that are parts of one scene; or their URLs, which are downloaded
+            first, so that such a job cannot be resumed.
         output: The file to write, or a URL to send it to; see `nanogs.save`. Files of .ply,
-            .compressed.ply, .splat, .npz and .spz are written block by block, others are held
-            whole.
+            .compressed.ply, .splat, .npz and .spz are written block by block; for others the whole
+            result is held in memory.
         ratio: Compaction ratio in (0, 1]; exactly one of the five is given.
-        count: Splats to deliver.
+        count: Number of splats to deliver.
         size: As `simplify` takes it.
         psnr: As `simplify` takes it.
         draw_cost: As `simplify` takes it.
-        measured: Hold the file against the model, as `nanogs compare` does. With None that is done
-            where the preset renders anyway and the model is in memory.
+        measured: Whether to compare the file with the model, as `nanogs compare` does. None does so
+            if the preset renders anyway and the model is in memory.
         preset: Name of a preset; in blocks one that grows a forest: any but `paper`.
         max_memory: Bytes that each process may take, a number or text like "4GB"; it decides
-            whether there are blocks, and their size. By default what is free, less a tenth; 4 GB
-            with an executor. A job that is resumed keeps its blocks.
-        block: Splats of a block, in place of that. Where it, `job`, `scratch` or `executor` is
-            given, the model is made in blocks, of which there may be one.
-        job: Folder for what has to survive a crash; by default, of a model in blocks, the output's
-            name with `.job`. It is removed when the run ends well.
+            whether there are blocks, and their size. By default nine tenths of the free memory;
+            4 GB with an executor. A job that is resumed keeps its blocks.
+        block: Number of splats of a block, instead of a size that follows from `max_memory`. If
+            `block`, `job`, `scratch` or `executor` is given, the model is simplified in blocks,
+            perhaps a single one.
+        job: Folder for the files that have to survive a crash; by default, for a model in blocks,
+            the output's name with `.job`. It is removed when the run succeeds.
         scratch: Folder or URL of the intermediate files, which all workers must see; by default in
             the job folder.
-        resume: Continue the job in that folder; without one, begin it.
+        resume: Continue the job in that folder, or begin it if there is none.
         overwrite: Replace the output if it exists.
         nan: "drop" splats that hold a NaN or an infinite value, or raise an "error".
-        filters: What leaves out splats first, such as `[nanogs.filters.box(low, high)]`; the
-            inputs are read once more for them. One that has to see the whole model is refused.
-        sh_degree: The highest degree of spherical harmonics that stays; all by default.
-        frame: From and to which the result is turned, such as ("rdf", "rub").
+        filters: Filters that leave out splats first, such as `[nanogs.filters.box(low, high)]`; the
+            inputs are read once more for them. In blocks, one that needs the whole model is
+            refused.
+        sh_degree: The highest degree of spherical harmonics that is kept; all by default.
+        frame: Source and target frame to turn the result from and to, such as ("rdf", "rub").
         render_mode: "default" or "mip" in place of the render mode that the inputs name; see
             `nanogs.open`.
-        cameras: Views that matter, for presets that look: "auto", "orbit", "inside", "roam", a file
-            or folder of cameras, or cameras; by default automatic.
-        up: Up direction of views that are found, scene coordinates.
-        device: As `simplify` takes it; of blocks the CPU alone.
-        threads: Threads to use in a process; all of its machine by default.
-        executor: Whose workers do the work: a Dask client, or a `concurrent.futures.Executor` such
-            as a ProcessPoolExecutor. It is used as it is, and not closed.
-        patience: Seconds to wait for workers where a Dask cluster has none, before the run ends.
-        format_options: Of the output's format, as `save` takes them.
+        cameras: Views that matter, for presets that render: "auto", "orbit", "inside", "roam", a
+            file or folder of cameras, or cameras; by default automatic.
+        up: Up direction for views that are found, in scene coordinates.
+        device: As `simplify` takes it; blocks are always computed on the CPU.
+        threads: Number of threads of each process; all of its machine by default.
+        executor: Executor that runs the tasks: a Dask client, or a `concurrent.futures.Executor`
+            such as a ProcessPoolExecutor. It is not closed.
+        patience: Seconds to wait while a Dask cluster has no workers, before the run ends.
+        format_options: Options of the output's format, as `save` takes them.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
-            each `nanogs.progress.Step`, its parts tasks; with "wait" in place of a stage
-            while a cluster has no worker.
+            each `nanogs.progress.Step`, whose parts are tasks; the stage is "wait" while a cluster
+            has no worker.
         **overrides: Parameters of the preset to replace.
 
     Returns:
         The report; its `blocks` say how the work was divided, if it was.
 
     Raises:
-        NanogsError: Something in the inputs or options makes no sense, the output cannot be
-            written, or workers were lost. The job folder is then kept for `resume`, unless nothing
-            was begun.
+        NanogsError: The inputs or options are invalid, the output cannot be written, or workers
+            were lost. The job folder is then kept for `resume`, unless nothing was begun.
     """
     paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
     frame = checked_frames(frame)
@@ -163,14 +164,14 @@ def simplify_blocks(
 
 
 def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
-    """Do what is asked for, in memory or in blocks.
+    """Carry out a request whose paths are local files, in memory or in blocks.
 
     Args:
-        request: What is asked for.
-        told: Called with each step.
+        request: All arguments of the call.
+        told: Progress callback, called with each step.
 
     Raises:
-        NanogsError: It cannot be done.
+        NanogsError: The request cannot be carried out.
     """
     request.check()
     options, notes = stated_frame(request, request.output)
@@ -186,14 +187,17 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
 
 
 def fitted_for(request: Request, degree: int, output: Path) -> tuple[Request, tuple[str, ...]]:
-    """Request the highest degree of harmonics that the format holds, and note if that is less.
+    """Lower the degree of the result's harmonics to the highest that the format can store.
 
-    Fitted for what is written, a result makes up for what the format leaves out.
+    The result is then fitted at this degree, which makes up for the harmonics left out.
 
     Args:
-        request: What is asked for.
-        degree: Of the harmonics of the model.
-        output: Of the format that is written.
+        request: All arguments of the call.
+        degree: Degree of the model's harmonics.
+        output: The output file, whose suffix names the format.
+
+    Returns:
+        The request, and a note if the degree was lowered.
     """
     known = registry.writable(output)
     most = known.max_degree
@@ -203,11 +207,11 @@ def fitted_for(request: Request, degree: int, output: Path) -> tuple[Request, tu
 
 
 def stated_frame(request: Request, output: Path) -> tuple["FormatOptions | None", tuple[str, ...]]:
-    """Options with which an output repeats the frame that the inputs state; see `repeated`.
+    """Return format options and notes to store the frame that the inputs state; see `repeated`.
 
     Args:
-        request: What is asked for.
-        output: Of the format that is written.
+        request: All arguments of the call.
+        output: The output file, whose suffix names the format.
 
     Raises:
         FormatError: An input cannot be read.
@@ -231,7 +235,10 @@ def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
 
 
 def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
-    """Notes on a size whose count was known beforehand; a search has its own."""
+    """Return notes on an unused part of the size asked for, if no search was needed for it.
+
+    A search makes its own notes.
+    """
     if (sizer := request.sizer) is None or request.goal.size is None:
         return ()
     from nanogs.pipeline.fit_size import notes_on_known
@@ -244,14 +251,14 @@ def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
 
 
 def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
-    """Read, simplify and write; what the whole call took is in the report."""
+    """Read, simplify and write; the report has the seconds of the whole call."""
     start = time.perf_counter()
     request.goes_on()
     check_writable(
         request.output, overwrite=request.overwrite, format_options=request.format_options
     )
     import_stages(request.parameters)
-    with use_threads(request.threads):  # files are read and written on no more than that
+    with use_threads(request.threads):  # limits reading and writing, too
         report = _from_file_to_file(request, plan, told)
     return replace(report, total_seconds=time.perf_counter() - start)
 
@@ -306,18 +313,18 @@ def _from_file_to_file(request: Request, plan: Plan, told: Progress | None) -> S
 
 
 def cameras_of(request: Request, splats: Splats) -> "Sequence[Camera] | None":
-    """Cameras for presets that render; None for those that they choose themselves."""
+    """Return the cameras asked for; None if the preset chooses its own or does not render."""
     return chosen_cameras(splats, request.cameras, request.up, request.parameters)
 
 
 def _stages(request: Request, plan: Plan) -> list[Stage]:
-    """The stages to come: reading, filters, the method's own ones, writing, measuring."""
+    """List the stages of the call: reading, filters, those of the method, writing, measuring."""
     from nanogs.pipeline.foreseen import simplify_stages
 
     splats, suffix, goal = plan.splats, request.output.suffix, request.goal
     count = goal.known_count(splats)
     if goal.size is not None and not request.searches(plan.sh_degree):
-        count = max(splats // 10, 1)  # or any: the size tells it once the model is read
+        count = max(splats // 10, 1)  # a guess: the size gives the count once the model is read
     stages = reading_stages(request.edits, splats)
     stages += simplify_stages(request.parameters, goal, splats, count, suffix)
     stages.append(Stage("write", write_weight(suffix, count or splats // 10)))
@@ -325,7 +332,7 @@ def _stages(request: Request, plan: Plan) -> list[Stage]:
 
 
 def _around(clock: StageClock, inner: dict[str, float]) -> dict[str, float]:
-    """Seconds of reading, then those of the method, then those of what follows."""
+    """Order the seconds: reading and filtering, then the method (`inner`), then the rest."""
     before = {name: value for name, value in clock.seconds.items() if name in ("read", "filter")}
     total = StageClock(before | inner)
     total.add({name: value for name, value in clock.seconds.items() if name not in before})

@@ -1,4 +1,4 @@
-"""The most splats whose file is no larger than asked, where only writing it tells its size."""
+"""Search for the largest count whose file fits a size, for formats of unpredictable file size."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -15,16 +15,16 @@ from nanogs.report import SizeProbeReport, StopReason
 from nanogs.splats import Splats
 from nanogs.views.occupancy import FAINTEST
 
-# Shares of the size, less what every file of the format has around its splats:
-AIM = 0.993  # a probe is put there, so that it is seldom just above
-ENOUGH = 0.98  # a file that takes so much of it ends the search
-TOLERANCE = 0.01  # share of a count: where one larger by this is too large, the search ends, too
+# `AIM` and `ENOUGH` are shares of the size less the fixed overhead of every file of the format.
+AIM = 0.993  # share that a probe aims at, so that it is seldom slightly too large
+ENOUGH = 0.98  # share at which a file that fits ends the search
+TOLERANCE = 0.01  # the search also ends if a count larger by this share is too large
 MOST_PROBES = 12
 SAMPLE = 8192  # splats of the input that are written for the first guess
-HOPELESS = 0.5  # of the file of one splat: a smaller size is refused at once
-# Of a count that is too large: the next is at most so much of it, at first and later on.
+HOPELESS = 0.5  # share of the size of a one-splat file; anything smaller is refused at once
+# After a count that is too large, the next is at most this share of it: at first, later on.
 _STEPS = 0.995, 0.97
-_LEAP = 16  # times a count that fits: the next is at most so many
+_LEAP = 16  # while all counts fit, the next is at most this many times the largest
 
 WHOLE_FITS = "The whole model fits into the size asked for; nothing was merged."
 
@@ -35,7 +35,7 @@ Probe = SizeProbeReport | None
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The largest count found to fit, its bytes, what was tried in order, and why it ended."""
+    """The largest count found to fit, its bytes, the probes in order, and why the search ended."""
 
     count: int
     bytes: int
@@ -43,7 +43,7 @@ class Fitted:
     stop: StopReason = StopReason.TARGET
 
     def leap(self, size: int, available: int, around: int = 0) -> tuple[str, ...]:
-        """A sentence where much of the size is left, mostly as a few splats more take far more."""
+        """Return a note if much of the size is unused, mostly because the size jumps there."""
         over = min((probe for probe in self.probes if probe.bytes > size), default=None, key=_count)
         if not self.probes or self.count == available:
             return ()
@@ -51,12 +51,12 @@ class Fitted:
 
 
 def part_of(size: float, share: float, around: int) -> float:
-    """Bytes that a file takes whose splats take a share of what the size leaves for them.
+    """Return the bytes of a file whose splats use a share of the size left by the overhead.
 
     Args:
-        size: Bytes that the file may have.
-        share: Of these, less what is around the splats.
-        around: Bytes that every file of the format has around its splats.
+        size: Largest allowed size of the file in bytes.
+        share: Share of `size - around` that the splats use.
+        around: Fixed overhead in bytes of every file of the format.
     """
     return around + share * (size - around)
 
@@ -66,13 +66,13 @@ def _count(probe: SizeProbeReport) -> int:
 
 
 def little_used(size: int, taken: int, over: Probe, around: int = 0) -> tuple[str, ...]:
-    """A sentence where a file leaves much of the size, mostly since the next one is too large.
+    """Return a note if a file leaves much of the size unused, with the reason.
 
     Args:
-        size: Bytes that the file may have.
-        taken: Its bytes.
-        over: One that is too large, or None where enough others were tried.
-        around: Bytes that every file of the format has around its splats.
+        size: Largest allowed size of the file in bytes.
+        taken: Bytes of the file.
+        over: The smallest file found too large, or None if the search ran out of probes.
+        around: Fixed overhead in bytes of every file of the format.
     """
     if taken >= part_of(size, ENOUGH, around):
         return ()
@@ -85,13 +85,13 @@ def little_used(size: int, taken: int, over: Probe, around: int = 0) -> tuple[st
 def notes_on_known(
     size: int, count: int, available: int, file_bytes: Callable[[int], int]
 ) -> tuple[str, ...]:
-    """A sentence where a size is far from used that a format of known sizes was to fill.
+    """Return a note if much of the size is unused, for formats whose file sizes are known.
 
     Args:
-        size: Bytes that the file may have.
-        count: Its splats.
-        available: Splats of the whole model.
-        file_bytes: Size of the file for a count.
+        size: Largest allowed size of the file in bytes.
+        count: Number of splats in the file.
+        available: Number of splats of the whole model.
+        file_bytes: Computes the size of the file from the count.
     """
     if count == available:
         return (WHOLE_FITS,)
@@ -107,23 +107,23 @@ def search_fit(
     enough: float | None = None,
     around: int = 0,
 ) -> Fitted:
-    """Interpolate bytes over counts until a file fits and takes most of the size.
+    """Search by interpolation for a count whose file fits and takes most of the size.
 
-    Bytes grow with the count but for small unevennesses, so that a slightly larger count than the
-    one found may fit too. They may leap: every other step halves, so that the search does not creep
-    towards a leap.
+    The file size grows with the count apart from noise, so that a slightly larger count than the
+    one found may fit too. It may also jump: every second step bisects, because interpolation alone
+    would approach a jump in tiny steps.
 
     Args:
-        bytes_of: Size of the file of a count, by writing it.
-        size: Bytes that it may have.
+        bytes_of: Writes the file of a count and returns its size.
+        size: Largest allowed size of the file in bytes.
         guess: Count to begin with.
         fewest: Smallest count that can be delivered, at least 1.
-        available: Largest.
-        enough: Bytes that are near enough to the size; by default 98 % of it, less what is around.
-        around: Bytes that every file of the format has around its splats.
+        available: Largest count.
+        enough: Bytes that end the search; by default 98 % of the size less the overhead, plus it.
+        around: Fixed overhead in bytes of every file of the format.
 
     Raises:
-        TooSmallError: Not even the fewest fit.
+        TooSmallError: Not even the fewest splats fit.
     """
     probes: list[SizeProbeReport] = []
     fits: Probe = None
@@ -148,7 +148,7 @@ def search_fit(
 
 
 def too_small(size: int, fewest: int, needed: int) -> TooSmallError:
-    """The error to raise where a file of the fewest splats is larger than the size."""
+    """Make the error to raise if a file of the fewest splats is larger than the size."""
     if fewest == 1:
         held = "a file of one splat of this model"
     else:
@@ -161,7 +161,7 @@ def too_small(size: int, fewest: int, needed: int) -> TooSmallError:
 def _stop(
     fits: SizeProbeReport, over: Probe, enough: float, available: int, tried: int
 ) -> StopReason | None:
-    """Why no count is left that is worth a probe; None where one is."""
+    """Return why the search ends, or None if another probe is worthwhile."""
     if fits.bytes >= enough or fits.count == available:
         return StopReason.TARGET
     if over is not None and over.count <= max((1 + TOLERANCE) * fits.count, fits.count + 1):
@@ -170,14 +170,14 @@ def _stop(
 
 
 def _next(fits: Probe, over: Probe, aim: float, probes: Sequence[SizeProbeReport]) -> int:
-    """The count where the bytes should be those aimed at, just below the size."""
+    """Return the next count to try: where the file should have `aim` bytes."""
     tried = len(probes)
     if over is None:
-        assert fits is not None  # noqa: S101 - one has been tried
+        assert fits is not None  # noqa: S101 - one count has been tried
         found = min(_along(probes[-2:], aim), _LEAP * fits.count)
         return max(int(found), fits.count + 1)
     if fits is None:
-        step = _STEPS[tried > 1] if tried < MOST_PROBES else 0.5  # and so it ends
+        step = _STEPS[tried > 1] if tried < MOST_PROBES else 0.5  # so that the search ends
         return int(min(_along(probes[-2:], aim), over.count * step))
     between = over.count - fits.count
     share = 0.5 if tried % 2 else (aim - fits.bytes) / (over.bytes - fits.bytes)
@@ -185,39 +185,39 @@ def _next(fits: Probe, over: Probe, aim: float, probes: Sequence[SizeProbeReport
 
 
 def _along(probes: Sequence[SizeProbeReport], aim: float) -> float:
-    """The count of so many bytes on a line through the latest two; else through one and zero."""
+    """Return the count of `aim` bytes on the line through two probes, or through one and zero."""
     latest = probes[-1]
     for before in probes[:-1]:
         each = (before.bytes - latest.bytes) / (before.count - latest.count)
-        if each > 0:  # bytes of a splat; what is below 0 is noise
+        if each > 0:  # bytes per splat; a negative slope is noise
             return latest.count - (latest.bytes - aim) / each
     return latest.count * aim / latest.bytes
 
 
 def first_two(splats: Splats, rows: I32 | I64) -> I32 | I64:
-    """(2,) The first row, and the first one that is not transparent (or again the first)."""
+    """Return (2,) the first row and the first row that is not transparent (else the first)."""
     shown = splats.opacities()[rows] > FAINTEST
     return rows[[0, int(shown.argmax())]]
 
 
 def _least(sample: Splats, encode: Encode) -> int:
-    """Bytes of a file of one splat: of one that shows something, where it must."""
+    """Return the bytes of a file of one splat, a visible one if the format requires it."""
     first, shown = first_two(sample, np.arange(len(sample)))
     try:
         return encode(sample.take(np.array([first])))
-    except ModelError:  # a page opens on what is to be seen
+    except ModelError:  # a page needs something visible for its first camera
         return encode(sample.take(np.array([shown])))
 
 
 def guess_count(sample: Splats, available: int, size: int, encode: Encode, around: int = 0) -> int:
-    """A count to begin with, from what some of the model's own splats take.
+    """Estimate the count to begin with, from the file size of a sample of the model's splats.
 
     Args:
-        sample: Some of the usable ones, spread over the model; of them some are taken again.
-        available: How many there are in all.
-        size: Bytes that the file may have.
-        encode: Bytes of a model's file.
-        around: Bytes that every file of the format has around its splats.
+        sample: Some of the usable splats, spread over the model; at most `SAMPLE` are encoded.
+        available: Number of usable splats.
+        size: Largest allowed size of the file in bytes.
+        encode: Encodes a model and returns the bytes of the file.
+        around: Fixed overhead in bytes of every file of the format.
     """
     least = _least(sample, encode)
     rows = np.arange(0, len(sample), -(-len(sample) // SAMPLE))
@@ -227,18 +227,18 @@ def guess_count(sample: Splats, available: int, size: int, encode: Encode, aroun
 
 
 def refuse_hopeless(sample: Splats, size: int, encode: Encode) -> None:
-    """Refuse, before anything is computed, a size that is far too small.
+    """Raise, before anything is computed, if the size is far too small.
 
-    How many bytes the fewest splats take is known exactly once they are made; a splat of the model
-    itself takes about as many.
+    The bytes of the smallest result are known exactly only once it is made; a file of one splat of
+    the model itself takes about as many.
 
     Args:
         sample: Some usable splats.
-        size: Bytes that the file may have.
-        encode: Bytes of a model's file, as small as may be.
+        size: Largest allowed size of the file in bytes.
+        encode: Encodes a model as small as possible and returns the bytes of the file.
 
     Raises:
-        TooSmallError: It has room for less than half of one splat's file.
+        TooSmallError: The size is less than half of a one-splat file.
     """
     least = _least(sample, encode)
     if size < HOPELESS * least:
@@ -258,23 +258,22 @@ def fit_size(
     near: bool = False,
     around: int = 0,
 ) -> tuple[T, Fitted]:
-    """The largest result of a model that is found to fit, and takes most of the size.
+    """Make the largest result that the search finds to fit, one that takes most of the size.
 
-    The count is searched for with plain cuts of the forest, which are quick. Only few results are
-    made as they are delivered, chosen by measurement or fitted.
+    The count is searched for with plain cuts of the forest, which are quick. Only few full results,
+    which are chosen by measurement and fitted, are made.
 
     Args:
-        results: Of the model.
-        size: Bytes that the file may have.
+        results: Makes results of the model.
+        size: Largest allowed size of the file in bytes.
         guess: Count to begin with.
-        bytes_of: Bytes of a result's file.
-        progress: Told of each stage.
-        near: Whether the guess comes from results as they are delivered, so that nothing else leads
-            nearer.
-        around: Bytes that every file of the format has around its splats.
+        bytes_of: Encodes a result and returns the bytes of the file.
+        progress: Receives each stage.
+        near: Whether the guess comes from full results, so that quick ones cannot improve it.
+        around: Fixed overhead in bytes of every file of the format.
 
     Returns:
-        The result, and what was tried.
+        The result, and the search that found it.
 
     Raises:
         TooSmallError: Not even the fewest splats fit.
@@ -292,11 +291,11 @@ def fit_size(
         quick = attempts(results.plain(), SIZES)
         found = search_fit(quick, size, guess, *limits, around=around)
         probes, guess = found.probes, found.count
-        if found.bytes < enough:  # no count uses up the size, so what this one took is enough
+        if found.bytes < enough:  # no count uses up the size: aim for the bytes of this one
             enough, otherwise = part_of(found.bytes, ENOUGH, around), found.stop
         if not results.looks:
             return quick.found(), found
-        del quick  # and the result that it holds
+        del quick  # frees the result that it holds
     progress.begin("deliver")
     delivered = attempts(results, RESULTS)
     found = search_fit(delivered, size, guess, *limits, enough, around)

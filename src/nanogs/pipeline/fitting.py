@@ -1,7 +1,7 @@
-"""The fit of each block's part to what views show of the block, its surroundings held as they are.
+"""The fit of each block's part to renders of the block, with fixed surroundings.
 
-The surroundings are the same coarse level in the original's pictures and in those of the part, so
-that a part learns its own errors alone, and those of two neighbours are not made good twice.
+The surroundings are the same coarse level in the renders of the original and of the part, so that
+a part corrects its own errors alone, and two neighbours do not both correct the same error.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
 LEAST = 16.0  # pixels of a block that a view has to show
-# Views that tell which colours count, and their pixels along the longer side. They do not show all:
-# what is hidden in all of them counts this much of what is in full sight.
+# Number of views by which colours are weighted, and their pixels along the longer side. They do not
+# show everything: a splat hidden in all of them has this share of the weight of a visible one.
 GLANCES, GLANCE = 12, 256
 HIDDEN = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _BlockViews:
-    """The parts of views that show a block: well enough to decide, others, and more to be drawn."""
+    """Crops of views to a block: for validation, to fit to, and further ones rendered later."""
 
     deciding: list[Camera]
     fitting: list[Camera]
@@ -47,13 +47,13 @@ class _BlockViews:
 
 
 def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
-    """Keep a block's part as it is after the fit, or as it was where too few views show it.
+    """Fit a block's part of a result and keep it; unchanged if too few views show the block.
 
     Args:
-        scene: With that part of the result.
-        name: Of what is kept.
-        block: Its number.
-        level: Of the result.
+        scene: The scene, which has that part of the result.
+        name: Name of the record to keep.
+        block: Number of the block.
+        level: Number of the level.
     """
     part, views = scene.part(block, level), scene.fit_views(block, level)
     if views is None:
@@ -73,11 +73,11 @@ def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
 
 
 def weights_of_colours(part: Splats, fitting: Fitting) -> F64:
-    """(N,) how much an error of a splat's colour counts: less where views hardly show it.
+    """Return (N,) the weight of an error of each splat's colour, less if views hardly show it.
 
     Args:
         part: N splats.
-        fitting: Views, with what is drawn beside the splats.
+        fitting: The views, and the surroundings that are rendered with the splats.
     """
     cameras = [view.camera for view in evenly(fitting.kept, GLANCES)]
     small = [each if each.whole else each.reduced(GLANCE) for each in cameras]
@@ -87,7 +87,7 @@ def weights_of_colours(part: Splats, fitting: Fitting) -> F64:
 
 
 def fit_report(work: "Work", level: int) -> RefitReport | None:
-    """The gains of the fits of all blocks, each a group; None where no block could be fitted."""
+    """Report the gains of the fits of all blocks, one group each; None if none was fitted."""
     records = work.of_blocks("fit", level)
     gains = [(number, record.facts["gained"]) for number, record in enumerate(records)]
     groups = tuple(GroupReport(f"block {n}", (), *gained) for n, gained in gains if gained)
@@ -102,7 +102,7 @@ def fit_report(work: "Work", level: int) -> RefitReport | None:
         original_count=work.partition.splats,
         count=sum(map(count_of, records)),
         fit_views=tuple(camera.name for camera in (*work.views.kept, *work.views.further)),
-        validation_views=(),  # each block has its own, of those that show it well
+        validation_views=(),  # each block has its own, out of those that show it well
         groups=groups,
         psnr_before=before,
         psnr_after=after,
@@ -117,7 +117,7 @@ def fit_report(work: "Work", level: int) -> RefitReport | None:
 
 
 def notes_on_fits(work: "Work", level: int) -> list[str]:
-    """A sentence on the blocks that were not fitted; none where all were, or nothing was seen."""
+    """Return a note on the blocks that were not fitted; none if all were."""
     records = work.of_blocks("fit", level)
     left = sum(record.facts["gained"] is None for record in records)
     if not left:
@@ -129,12 +129,12 @@ def notes_on_fits(work: "Work", level: int) -> list[str]:
 
 
 def fit_views(work: "Work", block: int, level: int) -> FitViews | None:
-    """The parts of views that show a block, to fit it to and to decide; None for too few.
+    """Render the views that show a block, to fit to and for validation; None if too few do.
 
     Args:
-        work: The job, the part done.
-        block: Its number.
-        level: Of the result.
+        work: The job; the part is done.
+        block: Number of the block.
+        level: Number of the level.
     """
     found = work.members(block, level, reassigned=work.chosen(level).reassigned)
     if found.visible is None:  # the scene shows nothing
@@ -163,7 +163,13 @@ def fit_views(work: "Work", block: int, level: int) -> FitViews | None:
 def _divided(
     kept: list[Camera | None], further: list[Camera | None], light: list[float]
 ) -> _BlockViews:
-    """Which parts decide, and which are fitted to; what a view hardly shows it cannot decide."""
+    """Divide the views of a block into those for validation, which must show it well, and others.
+
+    Args:
+        kept: Crop of each view to the block, None if the view does not show it.
+        further: Likewise for the further views.
+        light: Pixels of the block that each kept view shows.
+    """
     seen = [(part, lit) for part, lit in zip(kept, light, strict=True) if part and lit >= LEAST]
     if len(seen) < 2:
         return _BlockViews([], [], [])

@@ -1,6 +1,6 @@
 """The job folder: its manifest, and the lock that keeps a second run out.
 
-The lock is the system's, on an open file: it goes with the process that holds it, however it ends.
+The lock is an operating-system lock on an open file, which is released however the process ends.
 """
 
 import json
@@ -22,16 +22,16 @@ MANIFEST, LOCK, SCRATCH, RESULT = "job.json", "lock", "scratch", "result-"
 
 
 def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
-    """The job folder: the one named, or that beside the output.
+    """Return the path of the job folder: the one named, or by default one beside the output.
 
     Raises:
-        OutputError: There can be none of that name.
+        OutputError: A folder of that name is not possible.
     """
     folder = output.with_name(f"{output.name}.job") if job is None else Path(job)
     try:
         folder.lstat()
     except (FileNotFoundError, NotADirectoryError, PermissionError):
-        pass  # that is found out, and said, where it is made
+        pass  # these errors are reported where the folder is made
     except OSError as error:
         raise OutputError(
             f"The folder {folder} cannot be made ({error.strerror}), in which a job in blocks keeps"
@@ -42,10 +42,10 @@ def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a job folder, which is made if missing; one without a manifest goes afterwards.
+    """Lock a job folder, made if missing, and remove it afterwards if it has no manifest.
 
     Raises:
-        OutputError: It cannot be made, is no job folder, or another run holds it.
+        OutputError: It cannot be made, is no job folder, or is locked by another run.
     """
     try:
         if folder.exists() and not folder.is_dir():
@@ -62,7 +62,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _remove_unless_begun(folder: Path) -> None:
-    """Take a job's folder away that holds no job."""
+    """Remove a job folder that has no manifest."""
     if (folder / MANIFEST).exists():
         return
     with suppress(OSError):
@@ -92,7 +92,7 @@ def _take(file: BinaryIO, folder: Path) -> None:
             import fcntl
 
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # A run that ended just now may have taken the file away from under the name.
+        # A run that has just ended may have deleted the lock file after it was opened here.
         if not os.path.samestat(os.fstat(file.fileno()), (folder / LOCK).stat()):
             raise OSError
     except OSError:
@@ -102,11 +102,11 @@ def _take(file: BinaryIO, folder: Path) -> None:
 
 
 def write_manifest(folder: Path, settings: Settings, scratch: str) -> None:
-    """Say what the job is.
+    """Write the manifest of a job.
 
     Args:
-        folder: Of the job.
-        settings: What decides its result.
+        folder: The job's folder.
+        settings: The settings that determine its result.
         scratch: The folder or URL of its intermediate files.
 
     Raises:
@@ -118,7 +118,7 @@ def write_manifest(folder: Path, settings: Settings, scratch: str) -> None:
 
 
 def read_manifest(folder: Path) -> tuple[dict[str, Any], str] | None:
-    """The settings, as plain data, and the scratch of the job in a folder; None without a job.
+    """Read the settings, as plain data, and the scratch of the job in a folder; None without one.
 
     Raises:
         FormatError: The manifest is damaged, or of another version.
@@ -141,10 +141,10 @@ def read_manifest(folder: Path) -> tuple[dict[str, Any], str] | None:
 
 
 def refuse_finished(folder: Path, output: Path) -> None:
-    """Say that there is nothing to resume, where an output stands without a job folder.
+    """Raise if there is nothing to resume: the output exists, and there is no job folder.
 
     Raises:
-        OutputError: It is so.
+        ExistsError: The output exists, and there is no job to resume.
     """
     empty = output.is_dir() and not any(output.iterdir())
     if output.exists() and not empty and not (folder / MANIFEST).exists():
@@ -156,5 +156,5 @@ def refuse_finished(folder: Path, output: Path) -> None:
 
 
 def forget(folder: Path) -> None:
-    """Take away the manifest; the rest goes with the lock."""
+    """Delete the manifest; the rest of the folder is removed when the lock is released."""
     (folder / MANIFEST).unlink(missing_ok=True)

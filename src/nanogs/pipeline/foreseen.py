@@ -1,4 +1,4 @@
-"""The stages that a call is going to have, and about how long each takes, for its progress."""
+"""Lists of the stages of each call and their estimated durations, for its progress."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ from nanogs.progress import Stage
 
 
 def job_stages(settings: Settings) -> list[Stage]:
-    """The stages of a job in blocks, and how long each takes beside the others."""
+    """List the stages of a job in blocks, each weighted by its estimated duration."""
     ratios = settings.ratios or tuple(count / settings.splats for count in settings.counts)
     packing = settings.chunks.weight if settings.chunks else 1.0
     stages = []
@@ -46,23 +46,23 @@ def job_stages(settings: Settings) -> list[Stage]:
 
 
 def result_stages(settings: Settings, count: int) -> list[Stage]:
-    """The stages of one result of a job in blocks."""
+    """List the stages of one result of a job in blocks."""
     load = Load(settings.parameters, settings.splats / 1e6, count / 1e6)
     return [Stage(stage.name, stage.weight(load)) for stage, _ in level_stages(settings, 0)]
 
 
 def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
-    """Stages of a model in memory that are done once for any count.
+    """List the stages of a model in memory that run once, whatever the count.
 
     Args:
-        parameters: Of the method; `paper` does all of it for each count.
-        splats: Of the model.
+        parameters: Of the method; for `paper` there are none: everything runs for each count.
+        splats: Number of splats of the model.
     """
     return _weighed(parameters, splats, splats, results=False)
 
 
 def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Stage]:
-    """Stages of a model in memory that are done for each count."""
+    """List the stages of a model in memory that run for each count."""
     if isinstance(parameters, PaperParameters):
         return published_stages(splats)
     return _weighed(parameters, splats, count, results=True)
@@ -83,14 +83,14 @@ def _weighed(parameters: Parameters, splats: int, count: int, *, results: bool) 
 def simplify_stages(
     parameters: Parameters, goal: Goal, splats: int, count: int | None, suffix: str
 ) -> list[Stage]:
-    """The stages of `simplify`.
+    """List the stages of `simplify`.
 
     Args:
-        parameters: Of the method.
-        goal: What is asked.
-        splats: Of the model.
-        count: What the goal comes to, or None where only a search can tell.
-        suffix: Of the file that a size is about.
+        parameters: Parameters of the method.
+        goal: The target of the simplification.
+        splats: Number of splats of the model.
+        count: The count that meets the goal, or None if it has to be searched for.
+        suffix: Suffix of the file that a size refers to.
     """
     once = build_stages(parameters, splats)
     if isinstance(parameters, PaperParameters) or count is not None:
@@ -102,13 +102,13 @@ def simplify_stages(
 def search_stages(
     measured: bool, parameters: ForestParameters, splats: int, suffix: str
 ) -> tuple[list[Stage], list[Stage]]:
-    """Stages before a search for a count, and those of the search itself.
+    """List the stages before a search for a count, and those of the search itself.
 
     Args:
-        measured: Whether what is asked is measured on views; else it is a size.
-        parameters: Of the method.
-        splats: Of the model.
-        suffix: Of the file that a size is about.
+        measured: Whether the goal is measured on views; otherwise it is a size.
+        parameters: Parameters of the method.
+        splats: Number of splats of the model.
+        suffix: Suffix of the file that a size refers to.
     """
     typical, millions = splats // 10, splats / 1e6
     weight = sum(stage.weight for stage in delivery_stages(parameters, splats, typical))
@@ -129,7 +129,7 @@ def search_stages(
 
 
 def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) -> list[Stage]:
-    """The stages of `levels`: what is done once, and each level."""
+    """List the stages of `levels`: those that run once, and one for each level."""
     each = [delivery_stages(parameters, splats, count) for count in counts]
     levels = [
         Stage(level_stage(number), sum(stage.weight for stage in stages))

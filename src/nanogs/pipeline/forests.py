@@ -1,4 +1,4 @@
-"""The merge forest of each block, and how late each of its merges is to be done."""
+"""The merge forest of each block, and the scores that order its merges."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -20,12 +20,12 @@ BINS = 1 << 16
 
 
 def scores_of(balance: int) -> str:
-    """Name of the column of scores of a balance, by its number."""
+    """Return the name of the column with the merge scores of a balance, by its index."""
     return f"scores_{balance}"
 
 
 def histogram_of(balance: int) -> str:
-    """Name of the column of their histogram."""
+    """Return the name of the column with the histogram of these scores."""
     return f"histogram_{balance}"
 
 
@@ -37,21 +37,21 @@ def grow(
     balances: Sequence[float],
     threads: int,
 ) -> Record:
-    """Grow a block's forest and write its merges, their scores and a histogram of these.
+    """Grow a block's forest and write its merges, their scores and a histogram of the scores.
 
     Args:
-        scratch: Where to.
-        name: Of the table.
-        leaves: Makes the block's nodes, in units that all blocks share; none are kept.
-        parameters: Of the method.
-        balances: Of the cuts that are going to be made of it.
+        scratch: Storage to write to.
+        name: Name of the table.
+        leaves: Makes the block's nodes, in units that all blocks share; no reference is kept here.
+        parameters: Parameters of the method.
+        balances: Balances of the cuts that will be made of the forest.
         threads: Threads for the nearest-neighbour query.
     """
     forest = grow_forest(leaves(), parameters, threads, untold)
     columns: dict[str, Array | Sorted] = {CHILDREN: forest.children}
     for number, balance in enumerate(balances):
-        # Errors are not over the block's own median, so that scores of all blocks compare. In
-        # single precision none falls below those of the merges under it: rounding keeps the order.
+        # Errors are not divided by the block's own median, so that the scores of all blocks are
+        # comparable. Rounding to float32 is monotonic: no merge's score falls below its children's.
         scores = merge_scores(forest, balance, 1.0).astype(np.float32)
         columns[scores_of(number)] = scores
         columns[histogram_of(number)] = np.bincount(keys(scores) >> 16, minlength=BINS)
@@ -59,14 +59,14 @@ def grow(
         "splats": forest.splats,
         "fewest": forest.fewest,
         "stop": str(forest.stop),
-        # No seconds: they would differ from run to run.
+        # Without seconds, which would differ from run to run: tables are the same byte for byte.
         "passes": [asdict(replace(each, seconds={})) for each in forest.passes],
     }
     return write_table(scratch, name, columns, facts)
 
 
 def passes_of(forests: Sequence[Record]) -> tuple[PassReport, ...]:
-    """The passes of all forests, added up; a forest of fewer passes stays at what it has left."""
+    """Add up the passes of all forests; one with fewer passes counts with its last nodes."""
     passes = [[PassReport(**each) for each in record.facts["passes"]] for record in forests]
     found = []
     for number in range(max(map(len, passes), default=0)):
@@ -88,7 +88,10 @@ def passes_of(forests: Sequence[Record]) -> tuple[PassReport, ...]:
 
 
 def keys(scores: F32) -> U32:
-    """(M,) uint32 keys that sort as the scores do, unlike the bits of floats below zero."""
+    """Return (M,) uint32 keys in the order of the scores, for radix selection on the bits.
+
+    The bits of negative floats would sort in reverse, and after the positive ones.
+    """
     bits = (scores + np.float32(0)).view(np.uint32)  # -0 becomes 0
     negative = bits >> 31 != 0
     result: U32 = np.where(negative, ~bits, bits | np.uint32(1 << 31))
@@ -96,6 +99,6 @@ def keys(scores: F32) -> U32:
 
 
 def counts_of(low_bits: U32) -> I64:
-    """(65536,) how often each low half of a key occurs."""
+    """Return (65536,) the histogram of the lower 16 bits of the keys."""
     counts: I64 = np.bincount(low_bits & 0xFFFF, minlength=BINS)
     return counts

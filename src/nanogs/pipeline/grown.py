@@ -1,4 +1,4 @@
-"""`nanogs.grow`: a model whose merges are known, so that any count is a moment away."""
+"""`nanogs.grow`: a model with its merge forest, from which any count is made quickly."""
 
 import time
 from collections.abc import Iterator
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A result as a file: its size and its scores.
+    """Size and scores of a result as a file.
 
     Attributes:
-        bytes: Of the file; of all files where the format is a folder.
-        judged: The file, read back, against the model it was made of.
+        bytes: Bytes of the file, or of all files if the format is a folder.
+        judged: Scores of the file, as read back, against the model it was made of.
     """
 
     bytes: int
@@ -42,11 +42,11 @@ class Measured:
 
 
 class Grown:
-    """A model that has been looked at and whose forest of merges is grown; see `nanogs.grow`.
+    """A model that has been rendered from its views and has its merge forest; see `nanogs.grow`.
 
     Attributes:
-        available: Splats that results are made of: those that are finite.
-        fewest: The smallest count that can be had.
+        available: Number of splats that results are made of: the finite ones.
+        fewest: The smallest count that can be delivered.
         seconds: Time that growing took, by stage.
     """
 
@@ -59,15 +59,15 @@ class Grown:
         device: str | None,
         threads: int | None,
     ) -> None:
-        """Keep what `grow` has made.
+        """Store the results of `grow`.
 
         Args:
-            original: The model with all of its harmonics, which results are held against.
+            original: The model with all of its harmonics, which results are compared with.
             job: The model and the method.
-            scene: The same, looked at and grown.
-            clock: The seconds that took.
-            device: Where results are looked at and fitted.
-            threads: To use; None for all.
+            scene: The model with its visibility and its forest.
+            clock: The seconds that growing took.
+            device: Device on which results are rendered and fitted.
+            threads: Number of threads; None for all.
         """
         from nanogs.pipeline.results import HeldResults
 
@@ -80,16 +80,16 @@ class Grown:
         self.seconds = dict(clock.seconds)
 
     def draft(self, count: int) -> Splats:
-        """A quick model of a count: one cut of the forest; nothing is looked at or fitted.
+        """Make a quick model of a count: one cut of the forest, nothing rendered or fitted.
 
         Args:
-            count: Splats; where the forest does not go as far, there are `fewest`.
+            count: Number of splats to deliver; below `fewest` that many are delivered.
 
         Returns:
             The model, its rows in the order of the input.
 
         Raises:
-            OptionError: There are not as many splats, or the count is below 1.
+            OptionError: The count is below 1, or above the number of usable splats.
         """
         self._check(count)
         if count == self.available:
@@ -100,18 +100,18 @@ class Grown:
     def simplify(
         self, count: int, *, progress: Progress | bool | None = None
     ) -> tuple[Splats, SimplifyReport]:
-        """Simplify to a count as `nanogs.simplify` does, without growing the forest anew.
+        """Simplify to a count as `nanogs.simplify` does, without growing the forest again.
 
         Args:
-            count: Splats to deliver.
+            count: Number of splats to deliver.
             progress: As `nanogs.simplify` takes it.
 
         Returns:
-            The same model, and its report, in which growing takes no time.
+            The same model as of `nanogs.simplify`, and its report, without the time of growing.
 
         Raises:
-            OptionError: There are not as many splats, or the count is below 1.
-            ModelError: Elements of the file have a row for each splat.
+            OptionError: The count is below 1, or above the number of usable splats.
+            ModelError: Other elements of the file have a row for each splat, which would be lost.
         """
         from nanogs.pipeline.foreseen import delivery_stages
 
@@ -135,18 +135,18 @@ class Grown:
         format_options: FormatOptions | None = None,
         progress: Progress | bool | None = None,
     ) -> Measured:
-        """Hold a result, as its file gives it back, against the model as `nanogs compare` does.
+        """Compare a result, as read back from its file, with the model as `nanogs compare` does.
 
         The views of the model are rendered when they are first needed, and kept: 3 MB each.
 
         Args:
             splats: The result.
             format: Suffix of the file.
-            format_options: Of the format, as `nanogs.save` takes them.
+            format_options: Options of the format, as `nanogs.save` takes them.
             progress: As `nanogs.simplify` takes it.
 
         Raises:
-            OptionError: The format is not written, or there is no such option.
+            OptionError: The format cannot be written, or there is no such option.
             ModelError: Nothing of the model is visible.
         """
         path = registry.file_of(format)
@@ -167,7 +167,7 @@ class Grown:
         return Measured(size, judged)
 
     def _views(self, tell: Parts) -> "HeldOut":
-        """The model on the views of `compare`, from which nothing is learnt, rendered once."""
+        """Render the model on the held-out views of `compare`, on the first call only."""
         from nanogs.scoring.held_out import held_out
 
         if self._held_out is None:
@@ -182,10 +182,10 @@ class Grown:
         return deliver(self._scene, count, clock, progress)
 
     def _check(self, count: int) -> None:
-        """Refuse a count that there is not.
+        """Raise if a count cannot be delivered.
 
         Raises:
-            OptionError: It is below 1, or above that of the usable splats.
+            OptionError: It is below 1, or above the number of usable splats.
         """
         target_count(self.available, None, count)
 
@@ -203,10 +203,10 @@ def grow(
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Grown:
-    """Look at a model and grow its forest, from which results of any count are made.
+    """Render the views of a model and grow its merge forest, from which any count can be made.
 
-    That is what nearly all time of `nanogs.simplify` with a preset that does not fit goes into. A
-    `Grown` is for who wants to try counts; for ratios that are known, there is `nanogs.levels`.
+    With presets that do not fit, this is nearly all the time that `nanogs.simplify` takes. Use a
+    `Grown` to try several counts; for ratios known in advance, use `nanogs.levels`.
 
     Args:
         model: The model, which is not changed, or a path.
@@ -215,21 +215,21 @@ def grow(
         cameras: As `nanogs.simplify` takes it.
         nan: As `nanogs.simplify` takes it.
         device: As `nanogs.simplify` takes it.
-        threads: Threads to use; all by default. Results do not depend on it.
+        threads: Number of threads; all by default. Results do not depend on it.
         max_memory: As `nanogs.simplify` takes it.
         progress: As `nanogs.simplify` takes it.
         **overrides: Parameters of the preset to replace, such as `k=8`.
 
     Raises:
         FormatError: The path cannot be read as a model.
-        OptionError: An option is out of range, the preset grows no forest, or there is no such
-            device, or nothing for it to do.
+        OptionError: An option is out of range, the preset grows no forest, or the device is not
+            available.
         ModelError: No splat is usable, or `nan="error"` and one is not.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     refuse_search(preset, "several counts")
     chosen, clock = parameters(preset, overrides), StageClock()
-    # Any result may be measured, which is what a card can do for a preset that renders nothing.
+    # A PSNR as the goal: `measure` renders, so that a card has work even if the preset does not.
     refuse_device(device, preset, chosen, Goal(psnr=1.0))
     check_degree(sh_degree)
     from nanogs.pipeline.foreseen import build_stages
@@ -247,8 +247,8 @@ def grow(
 
 @contextmanager
 def _on(device: str | None, threads: int | None) -> Iterator[tuple[str, int]]:
-    """The device and the number of threads in use."""
-    from nanogs.threads import use_threads  # here and not above: this brings Numba
+    """Use a device and a number of threads; yield those actually in use."""
+    from nanogs.threads import use_threads  # imported here because it imports Numba
 
     with use_device(device) as used, use_threads(threads) as threads_used:
         yield used, threads_used

@@ -1,4 +1,4 @@
-"""The groups of other blocks that lie near those of a block, and the splats in them."""
+"""The halo of a block: nearby groups of other blocks, and the splats in them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,20 +12,21 @@ from nanogs.pipeline.settings import MOST_SEEN
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table
 
-# A splat may move to groups within the reach of its own. Groups one reach around a block decide on
-# its splats in the first round; these depend on groups one reach farther in the next.
+# A splat may be reassigned to groups within the reach of its own group. In the first round, a
+# block's splats depend on groups one reach around it; in the next, these depend on groups one reach
+# farther.
 REACHES = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Halo:
-    """The groups and splats of another block that lie near a block.
+    """The groups and splats of another block that are near a block.
 
     Attributes:
-        block: The other.
-        groups: (H,) int64, its groups that lie near, ascending.
-        rows: (R,) int64, its splats in these, ascending.
-        labels: (R,) int32, the group of each, as a place in `groups`.
+        block: Number of the other block.
+        groups: (H,) int64, its groups that are near, ascending.
+        rows: (R,) int64, its splats in these groups, ascending.
+        labels: (R,) int32, the group of each splat, as an index into `groups`.
     """
 
     block: int
@@ -36,12 +37,13 @@ class Halo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Near:
-    """The groups of another block that lie near a block.
+    """The groups of another block that are near a block.
 
     Attributes:
-        block: The other.
-        groups: (H,) int64, these groups of it, ascending.
-        distances: (H,) float64, from the nearest group of the block, in reaches of that one.
+        block: Number of the other block.
+        groups: (H,) int64, its groups that are near, ascending.
+        distances: (H,) float64, distance to the nearest group of the block, divided by the reach
+            of that group.
     """
 
     block: int
@@ -52,14 +54,17 @@ class Near:
 def find_halo(
     scratch: Scratch, cuts: Sequence[Record], block: int, splats: int, threads: int
 ) -> list[Halo]:
-    """Find what lies near a block in each of the others, in their order: the nearest groups.
+    """Find the nearest groups of all other blocks, with at most `MOST_SEEN * splats` splats.
 
     Args:
-        scratch: Where the cuts are.
+        scratch: Storage of the cuts.
         cuts: Their records.
-        block: Whose neighbours.
-        splats: Of that block.
+        block: Number of the block whose halo is wanted.
+        splats: Number of splats of that block.
         threads: Threads for the nearest-neighbour query.
+
+    Returns:
+        One halo for each other block that has any such groups, in the order of the blocks.
     """
     found = near_groups(scratch, cuts, block, threads)
     kept = _nearest(found, _sizes(scratch, cuts, found), int(MOST_SEEN * splats))
@@ -67,7 +72,7 @@ def find_halo(
 
 
 def near_groups(scratch: Scratch, cuts: Sequence[Record], block: int, threads: int) -> list[Near]:
-    """All groups near a block in each of the others, in their order; see `find_halo`."""
+    """Find all groups of other blocks near a block, without the limit of `find_halo`."""
     with Table(scratch, cuts[block]) as table:
         centres, reach = table.read(CENTRES), table.read(REACH)
     around = REACHES * float(cuts[block].facts["reach"])
@@ -88,13 +93,13 @@ def near_groups(scratch: Scratch, cuts: Sequence[Record], block: int, threads: i
 
 
 def _overlap(record: Record, low: F64, high: F64) -> bool:
-    """Whether the box of a block's centres meets another."""
+    """Return whether the bounding box of a block's centres intersects another box."""
     facts = record.facts
     return bool((np.array(facts["low"]) <= high).all() and (np.array(facts["high"]) >= low).all())
 
 
 def _sizes(scratch: Scratch, cuts: Sequence[Record], found: Sequence[Near]) -> list[I64]:
-    """Of each of these, how many splats its groups have."""
+    """Return, for each entry of `found`, the number of splats of each of its groups."""
     sizes = []
     for each in found:
         with Table(scratch, cuts[each.block]) as table:
@@ -103,7 +108,7 @@ def _sizes(scratch: Scratch, cuts: Sequence[Record], found: Sequence[Near]) -> l
 
 
 def _nearest(found: Sequence[Near], counts: Sequence[I64], most: int) -> list[Near]:
-    """The nearest groups of all, with no more splats than so many."""
+    """Keep the nearest groups of all blocks, with at most `most` splats in total."""
     if not found:
         return []
     distances = np.concatenate([each.distances for each in found])

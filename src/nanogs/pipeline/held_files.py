@@ -1,4 +1,4 @@
-"""Files of results in memory: how large they are, and what they show as they are read back."""
+"""Encoding results in memory, to measure their file size and their quality when read back."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ from nanogs.splats import Splats
 
 @dataclass(eq=False)
 class HeldFiles:
-    """Writes results of a model in memory; see `wish.Files`.
+    """Encodes and measures results of a model in memory; see `wish.Files`.
 
     Attributes:
-        path: What is going to be written; only its suffix counts.
+        path: The output file; only its suffix counts.
         given: Options of its format that the user has chosen.
         original: The model.
-        clock: Gets the seconds.
-        frame: From and to which results are turned before they are written.
-        by_psnr: Whether a PSNR is asked for, which is one of automatic views.
+        clock: Accumulates the seconds of each stage.
+        frame: Source and target frame that results are turned from and to before encoding.
+        by_psnr: Whether the goal is a PSNR, which is measured on automatic views alone.
     """
 
     path: Path
@@ -37,29 +37,29 @@ class HeldFiles:
 
     @cached_property
     def views(self) -> ToChooseBy:
-        """The original on views from which much is learnt, so that others can judge the result."""
+        """Renders of the original by which packings are chosen, on views not used for scoring."""
         return to_choose_by(self.original, automatic=self.by_psnr)
 
     def count(self, result: Outcome) -> int:
-        """As `Files` says."""
+        """Return the number of splats of a result; see `Files.count`."""
         return len(result.splats)
 
     def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
-        """As `Files` says."""
+        """Return the bytes of a file of some splats; see `Files.sample_bytes`."""
         with self.clock.time("encode"):
             return encoded_bytes(self._turned(some), self.path, {**self.given, **options})
 
     def bytes_of(self, result: Outcome, options: Mapping[str, Any]) -> int:
-        """As `Files` says."""
+        """Return the bytes of a result's file; see `Files.bytes_of`."""
         return self.sample_bytes(result.splats, options)
 
     def shows(self) -> bool:
-        """As `Files` says."""
+        """Return whether any view shows the original; see `Files.shows`."""
         with self.clock.time("measure"):
             return bool(self.views.kinds)
 
     def seen(self, result: Outcome, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
-        """As `Files` says."""
+        """Encode a result and measure its bytes and quality; see `Files.seen`."""
         with self.clock.time("encode"):
             bare = self._turned(result.splats.with_sh_degree(sh_degree))
             options = {**options, **settled(bare, self.path, {**self.given, **options})}
@@ -69,7 +69,7 @@ class HeldFiles:
         return PackingReport(sh_degree, options, len(bare), size, psnr, ssim)
 
     def stored(self, splats: Splats, options: Mapping[str, Any]) -> Splats:
-        """Splats as their file gives them back, in the frame of the original."""
+        """Return splats as read back from their encoded file, in the frame of the original."""
         given = {**self.given, **options}
         return self._turned_back(as_stored(self._turned(splats), self.path, given))
 
