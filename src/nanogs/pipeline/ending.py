@@ -92,7 +92,7 @@ class Ending:
             tell: Parts = progress.part
             if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
                 filling.add_trees(trees_of(work), levels, even_sample(work), tell)
-                tell = untold  # the trees are the progress: further levels are not reported
+                tell = untold  # `finish` writes everything, and reports the progress itself
             for number, level in enumerate(done.levels):
                 if not isinstance(self.sink.chunks, Chunked):
                     tell(number, len(done.levels))

@@ -1,4 +1,4 @@
-"""From files that do not fit into memory to a sink of smaller ones, block by block."""
+"""Simplify files that do not fit into memory block by block, and write the results to a sink."""
 
 import json
 import shutil
@@ -48,15 +48,15 @@ if TYPE_CHECKING:
 def fill_in_blocks(
     request: "Request", sink: Sink, told: Progress | None
 ) -> tuple[list[Written], list[SimplifyReport]]:
-    """Simplify files block by block, and give the results to a sink.
+    """Simplify files block by block, and write the results to a sink.
 
     Args:
-        request: What is asked for.
-        sink: Takes each result.
-        told: Called with each step.
+        request: All arguments of the call.
+        sink: Destination of the results.
+        told: Progress callback, called with each step.
 
     Returns:
-        Each result as it was written, and its report.
+        A description of each written result, and the report of each.
 
     Raises:
         NanogsError: As for `simplify_blocks`.
@@ -68,7 +68,7 @@ def fill_in_blocks(
         elsewhere=request.executor is not None,
     )  # fmt: skip
     settings, divided = plan_job(request, max_memory, block)
-    # Here and not above: these bring Numba, which `--help` and `info` do without.
+    # Imported here because these import Numba, which `--help` and `info` do without.
     from nanogs.pipeline.ending import Ending
     from nanogs.pipeline.job_report import report_of
     from nanogs.pipeline.stored_job import BlockJob, Where
@@ -110,16 +110,16 @@ def block_memory(
     *,
     elsewhere: bool,
 ) -> tuple[int | None, int | None]:
-    """The limit that decides the size of the blocks: memory of a process, or a number of splats.
+    """Return the limit that determines the block size: memory of a process, or a splat count.
 
     Args:
         max_memory: Bytes that each process may take, or None.
-        block: Splats of a block, or None.
-        begun: Folder of a job to continue, or None.
-        elsewhere: Whether the work is done by processes whose machines are not known.
+        block: Number of splats of a block, or None.
+        begun: Folder of a job to resume, or None.
+        elsewhere: Whether an executor does the work, on machines of unknown memory.
 
     Returns:
-        Bytes that each process may take, or splats of a block; the other is None.
+        Bytes that each process may take, and number of splats of a block; one of the two is None.
     """
     if block or max_memory is not None:
         return (None, block) if block else (max_memory, None)
@@ -132,10 +132,10 @@ def block_memory(
 
 
 def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters:
-    """The parameters of a preset that grows a forest.
+    """Return the parameters of a preset that can simplify blocks, which is one with a forest.
 
     Raises:
-        OptionError: There is no such preset or parameter, or blocks cannot be simplified so.
+        OptionError: There is no such preset or parameter, or the preset cannot work in blocks.
     """
     chosen = parameters(preset, overrides)
     if not isinstance(chosen, ForestParameters):
@@ -149,16 +149,16 @@ def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters
 def plan_job(
     request: "Request", max_memory: int | None, block: int | None
 ) -> tuple[Settings, ScalePlan]:
-    """Plan the job, and what it takes; only headers are read, but for filters all rows.
+    """Plan the job and its memory and disk use; only headers are read, with filters all rows.
 
     Args:
-        request: What is asked for.
-        max_memory: Bytes that a process may take; not needed where `block` is given.
-        block: Splats of a block, in place of what memory allows.
+        request: All arguments of the call.
+        max_memory: Bytes that a process may take; not needed if `block` is given.
+        block: Number of splats of a block, instead of as many as the memory allows.
 
     Raises:
-        NanogsError: An input cannot be read, filters leave nothing or need the whole model, or the
-            memory is too little.
+        NanogsError: An input cannot be read, filters leave nothing or need the whole model, or
+            there is not enough memory.
     """
     chosen = block_parameters(request.preset, request.overrides)
     changes, goals = request.changes, request.goals
@@ -174,7 +174,7 @@ def plan_job(
     delivered = layout.reduced(request.sh_degree)
 
     def planned(splats: int) -> ScalePlan:
-        # A search may try any count, and has two results at a time in files.
+        # A search may try any count, and keeps the files of two results at a time.
         counts = [count_of(goal, splats, delivered, request.sizer) for goal in goals if not sought]
         shares = tuple(count / splats for count in counts) or (1.0, 1.0)
         given = max_memory, block, request.chunks, beside
@@ -207,15 +207,15 @@ def plan_job(
 
 
 def sought_by(request: "Request", layout: Layout, splats: int) -> Sought | None:
-    """Target of the search for a count; None where the count is known beforehand.
+    """Return the target of the search for a count; None if the count is known beforehand.
 
     Args:
-        request: What is asked for.
-        layout: The columns of the model.
-        splats: Of the model.
+        request: All arguments of the call.
+        layout: Columns of the model.
+        splats: Number of splats of the model.
 
     Raises:
-        TooSmallError: Not even one splat fits, where that is known beforehand.
+        TooSmallError: It is known beforehand that not even one splat fits.
     """
     goal = request.goal
     if request.ratios or not request.searches(layout.sh_degree):
@@ -229,16 +229,16 @@ def sought_by(request: "Request", layout: Layout, splats: int) -> Sought | None:
 
 
 def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> int:
-    """Splats of a result: by a ratio, a count, or a size where it is known beforehand.
+    """Return the number of splats of a result, from a ratio, a count, or a predictable size.
 
     Args:
-        goal: What is asked.
-        splats: Of the model.
-        layout: Its columns.
-        sizer: Bytes of a file, as `registry.sizer` gives them; needed for a size.
+        goal: The target of the simplification.
+        splats: Number of splats of the model.
+        layout: Columns of the result.
+        sizer: Computes the bytes of a file, see `registry.sizer`; needed for a size.
 
     Raises:
-        OptionError: Not even one splat fits, or there are fewer than are asked for.
+        OptionError: Not even one splat fits, or the model has fewer splats than are asked for.
     """
     if goal.size is None or sizer is None:
         return target_count(splats, goal.ratio, goal.count)
@@ -247,15 +247,15 @@ def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> in
 
 
 def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:
-    """Refuse a job whose intermediate files would not fit; what a URL has room for is not known.
+    """Raise if the disk has no room for the intermediate files; a URL is not checked.
 
     Args:
-        plan: What it takes.
-        folder: Of the job.
+        plan: The plan, which has the bytes of the intermediate files.
+        folder: The job's folder.
         scratch: As `simplify_blocks` takes it.
 
     Raises:
-        OutputError: There is too little room.
+        OutputError: There is not enough free space.
     """
     place = folder.absolute() if scratch is None else Path(scratch).absolute()
     if scratch is not None and is_url(scratch):

@@ -1,4 +1,4 @@
-"""The input files of a job: what they were when it began, and whether they still are."""
+"""Reading the input files of a job, and checking that they have not changed since it began."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -18,36 +18,36 @@ if TYPE_CHECKING:
 
 
 def input_file(source: FileSource) -> InputFile:
-    """A file as it is now.
+    """Describe an open file, to recognise it later.
 
     Raises:
         FormatError: It cannot be read.
     """
-    where = source.path.absolute()  # and no link followed, whose target may have another suffix
+    where = source.path.absolute()  # not resolved: the target of a link may have another suffix
     return InputFile(fspath(where), *_identity(source), source.count, access_of(source))
 
 
 def access_of(source: FileSource) -> Access:
-    """How rows of a file are come by."""
+    """Return how the rows of a file are read."""
     if isinstance(source, Packed):
         return Access.PACKED
     return Access.WHOLE if isinstance(source, Whole) else Access.ROWS
 
 
 def check_unchanged(file: InputFile) -> None:
-    """Compare a file with what it was.
+    """Raise if a file has changed since the job began.
 
     Raises:
-        FormatError: It has changed, or is gone.
+        FormatError: It has changed, or is missing.
     """
     open_unchanged(file).close()
 
 
 def open_unchanged(file: InputFile) -> FileSource:
-    """Open a file that is what it was.
+    """Open a file, after checking that it has not changed since the job began.
 
     Raises:
-        FormatError: It has changed, or is gone.
+        FormatError: It has changed, or is missing.
     """
     if not Path(file.path).exists():
         raise FormatError(
@@ -65,17 +65,17 @@ def open_unchanged(file: InputFile) -> FileSource:
 
 
 def _identity(source: FileSource) -> tuple[int, int]:
-    """Bytes of all files of a model, and when the last of them was modified, in nanoseconds."""
+    """Return total bytes and latest modification time (ns) of all files of a model."""
     found = [each.stat() for each in source.files]
     return sum(each.st_size for each in found), max(each.st_mtime_ns for each in found)
 
 
 class Inputs:
-    """The files of a job, each opened when rows of it are first read, and one at a time.
+    """The input files of a job, opened when rows are read; only one is open at a time.
 
     Args:
-        files: As they were when the job began.
-        unpacked: Those of them that have been unpacked, if any.
+        files: The files as they were when the job began.
+        unpacked: Unpacked columns of compressed files, if there are any.
     """
 
     def __init__(self, files: Sequence[InputFile], unpacked: "Unpacked | None") -> None:
@@ -85,7 +85,7 @@ class Inputs:
         self._read: set[int] = set()
 
     def of(self, number: int) -> Source:
-        """The rows of a file.
+        """Return the open source of a file; the one opened before is closed.
 
         Raises:
             FormatError: It has changed since the job began, or cannot be read.
@@ -100,10 +100,10 @@ class Inputs:
         return self._last[1]
 
     def check(self) -> None:
-        """Look whether the files that have been read are what they were.
+        """Check that the files read so far have not changed since the job began.
 
         Raises:
-            FormatError: One of them is not.
+            FormatError: One of them has.
         """
         for number in self._read:
             check_unchanged(self._files[number])
@@ -122,7 +122,7 @@ class Inputs:
 
 
 class _Input(Source):
-    """One of the files."""
+    """One file of `Inputs` as a source, which is opened when it is needed."""
 
     def __init__(self, inputs: Inputs, number: int, file: InputFile) -> None:
         self._inputs, self._number = inputs, number
@@ -130,9 +130,9 @@ class _Input(Source):
 
     @cached_property
     def columns(self) -> Layout:
-        """The columns; see `Source`."""
+        """Columns of the file; see `Source`."""
         return self._inputs.of(self._number).columns
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source`."""
         return self._inputs.of(self._number).read(start, stop)

@@ -1,4 +1,4 @@
-"""A simplification that has been checked: what `simplify` and `levels` share."""
+"""A checked simplification of a model in memory, shared by `simplify`, `grow` and `levels`."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -43,9 +43,9 @@ class Job:
         splats: The model.
         rows: (M,) int32, its usable rows, ascending.
         preset: Name of the preset.
-        parameters: Of the method.
-        cameras: As `OneBlock` has them.
-        sh_degree: Of the result's harmonics, or None where none is asked for.
+        parameters: Parameters of the method.
+        cameras: As `OneBlock` takes them.
+        sh_degree: Degree of the result's harmonics, or None if none is asked for.
     """
 
     splats: Splats
@@ -58,16 +58,16 @@ class Job:
     def refuse_too_large(
         self, target: int | None, max_memory: int | str | None, *, judged: bool = False
     ) -> None:
-        """Refuse what takes more memory than there is, the model being held already.
+        """Raise if there is not enough memory; the model itself is in memory already.
 
         Args:
-            target: Splats of the largest result, or None where that is not known beforehand.
+            target: Number of splats of the largest result, or None if not known beforehand.
             max_memory: Bytes that this process may take, or text; None for what is free.
-            judged: Whether results are held against views of the original whatever the preset.
+            judged: Whether results are compared with views of the original, whatever the preset.
 
         Raises:
-            NotEnoughMemoryError: It takes more.
-            OptionError: The limit is no number of bytes.
+            NotEnoughMemoryError: There is not enough memory.
+            OptionError: The limit is not a number of bytes.
         """
         splats = self.splats
         allowed = None if max_memory is None else as_bytes(max_memory)
@@ -83,12 +83,14 @@ class Job:
         )  # fmt: skip
 
     def build(self, threads: int, clock: StageClock, progress: Tracker) -> "OneBlock":
-        """Look at the model and grow its forest, from which any count is made; where one is grown.
+        """Render the model's views and grow its forest, from which any count is made.
+
+        Only for presets that grow a forest.
 
         Args:
-            threads: Threads in use.
-            clock: Gets the seconds of each stage.
-            progress: Told of each stage.
+            threads: Number of threads in use.
+            clock: Accumulates the seconds of each stage.
+            progress: Receives each stage.
         """
         from nanogs.pipeline.one_block import OneBlock, whole_settings
         from nanogs.pipeline.run import build
@@ -101,7 +103,7 @@ class Job:
         return scene
 
     def whole(self) -> Outcome:
-        """Deliver all usable splats as they are, of which nothing is merged."""
+        """Deliver all usable splats unmerged, with the degree of harmonics asked for."""
         kept = self.splats.take(self.rows)
         if self.sh_degree is not None:
             kept = kept.with_sh_degree(self.sh_degree)
@@ -110,14 +112,14 @@ class Job:
     def deliverer(
         self, smallest: int, threads: int, clock: StageClock, progress: Tracker
     ) -> Deliver:
-        """Do once what every count needs, and return what delivers each of them.
+        """Run the stages that all counts share, and return a function that delivers one count.
 
         Args:
-            smallest: Count that will be asked for; where it is that of the usable splats, nothing
-                is done.
-            threads: Threads in use.
-            clock: Gets the seconds of what is done once.
-            progress: Told of that.
+            smallest: Smallest count that will be asked for; if it is the number of usable splats,
+                no stage is run.
+            threads: Number of threads in use.
+            clock: Accumulates the seconds of the shared stages.
+            progress: Receives these stages.
         """
         chosen = self.parameters
         if isinstance(chosen, PaperParameters):
@@ -143,13 +145,13 @@ class Job:
         clock: StageClock,
         start: float,
     ) -> SimplifyReport:
-        """Report what was asked, delivered and spent.
+        """Make the report: the goal, the result, and the time taken.
 
         Args:
-            goal: What was asked.
-            asked_count: What it comes to.
-            outcome: What was delivered.
-            threads: Threads used.
+            goal: The target of the simplification.
+            asked_count: The count that meets it.
+            outcome: The result.
+            threads: Number of threads used.
             clock: The seconds of the stages.
             start: `time.perf_counter()` at the start.
         """
@@ -182,13 +184,13 @@ def prepare_job(
     nan: NanPolicy,
     sh_degree: int | None = None,
 ) -> Job:
-    """Check all that can be checked before anything is computed.
+    """Make a job, after all checks that are possible before anything is computed.
 
-    A method that does not look at views gets the model without harmonics above the degree.
+    For a method that does not render, harmonics above `sh_degree` are removed here.
 
     Raises:
-        OptionError: There is no such preset, parameter or policy for NaN, or views are given that
-            are no cameras or mean nothing to the preset.
+        OptionError: There is no such preset, parameter or policy for NaN; or views are given that
+            are not cameras, or to a preset that does not render.
         ModelError: No splat is usable, or `nan="error"` and one is not.
     """
     chosen = parameters(preset, overrides)
@@ -201,7 +203,7 @@ def prepare_job(
 
 
 def import_stages(chosen: Parameters) -> None:
-    """Import now, and Numba with it, what a method is going to need."""
+    """Import the modules that a method needs, and Numba with them, ahead of time."""
     if isinstance(chosen, PaperParameters):
         import nanogs.pipeline.published
     else:
@@ -209,10 +211,10 @@ def import_stages(chosen: Parameters) -> None:
 
 
 def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
-    """(M,) int32: rows that are finite, ascending.
+    """Return (M,) int32, the rows whose values are finite, ascending.
 
     Raises:
-        ModelError: None is, or one is not and the policy is "error".
+        ModelError: No row is finite, or one is not and the policy is "error".
     """
     finite = splats.finite()
     rows = np.flatnonzero(finite).astype(np.int32)

@@ -1,4 +1,4 @@
-"""The report of a job."""
+"""The report of a job in blocks."""
 
 import time
 from dataclasses import asdict
@@ -25,16 +25,16 @@ def report_of(
     start: float,
     level: int = 0,
 ) -> SimplifyReport:
-    """Report what was asked, delivered and spent.
+    """Make the report of a result: the goal, the result, and the time taken.
 
     Args:
-        preset: Its name.
-        goal: What was asked.
-        done: What the job did.
-        written: The result.
-        clock: The seconds of its stages.
+        preset: Name of the preset.
+        goal: The target of the simplification.
+        done: The job, whose tasks are done.
+        written: The result as it was written.
+        clock: The seconds of the job's stages.
         start: `time.perf_counter()` at the start.
-        level: Of the result.
+        level: Number of the level.
     """
     work = done.work
     settings, partition = work.settings, work.partition
@@ -88,7 +88,7 @@ def report_of(
 
 
 def _filter_reports(settings: Settings) -> tuple[FilterReport, ...]:
-    """How many splats each filter of a job took."""
+    """Report the number of splats that each filter of a job removed."""
     if settings.filters is None:
         return ()
     filters = [filter_of(*plain) for plain in settings.filters.plain]

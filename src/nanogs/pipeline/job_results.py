@@ -1,4 +1,4 @@
-"""Results of any count of a scene in blocks; a resumed run finds their measurements again."""
+"""Results of any count of a scene in blocks; a resumed run reuses their stored measurements."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -18,11 +18,11 @@ MARKED, COUNT, MARK = "marked", "count", "mark"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """A result of a job in blocks, in its files.
+    """A result of a job in blocks, stored in the job's files.
 
     Attributes:
-        work: The job, as it was for this result.
-        level: Of the result.
+        work: The job, with the settings of this result.
+        level: Number of the level that is this result.
     """
 
     work: Work
@@ -31,7 +31,7 @@ class Result:
 
 @dataclass(slots=True, eq=False)
 class _Tried:
-    """The counts that were tried, which result is kept of them, and which have files now."""
+    """The counts tried so far, the result kept as the best, and the results that have files."""
 
     counts: tuple[int, ...] = ()
     kept: Result | None = None
@@ -42,15 +42,15 @@ class _Tried:
 class JobResults:
     """Results of a scene in blocks; see `results.Results`.
 
-    Each is a further level of the job. Files of two results at most are kept: of the latest, and of
-    the best so far. A resumed run searches again from the start, which comes to the same counts; it
-    takes measurements that are kept, and need not make these results again.
+    Each result is a further level of the job. Files of at most two results are kept: of the latest,
+    and of the best so far. A resumed run repeats the search from the start, which tries the same
+    counts; it reuses the stored measurements, and need not make these results again.
 
     Attributes:
-        work: The job; what is done once is done.
-        run: Does its tasks.
-        settings: By which results are made.
-        tried: The levels so far.
+        work: The job; the stages that all results share are done.
+        run: Runs its tasks.
+        settings: Settings of the results.
+        tried: The results so far.
     """
 
     work: Work
@@ -60,42 +60,42 @@ class JobResults:
 
     @classmethod
     def of(cls, work: Work, run: Run) -> "JobResults":
-        """Results of a job of which no level has been made."""
+        """Make the results of a job that has no levels yet."""
         return cls(work, run, work.settings, _Tried())
 
     @property
     def available(self) -> int:
-        """As `Results` says."""
+        """Number of splats of the whole scene; see `Results`."""
         return self.work.partition.splats
 
     @property
     def fewest(self) -> int:
-        """One: below what blocks can be merged to, the rest is done in memory."""
+        """One: if blocks cannot be merged as far as asked, the rest is merged in memory."""
         return 1
 
     @property
     def looks(self) -> bool:
-        """As `Results` says."""
+        """Whether a result takes rendering; see `Results`."""
         return self.work.looks
 
     def plain(self, rounds: int | None = None) -> "JobResults":
-        """As `Results` says."""
+        """Return results that are cut without rendering; see `Results.plain`."""
         return replace(self, settings=plain(self.settings, rounds))
 
     def brief(self) -> "JobResults":
-        """As `Results` says."""
+        """Return results that are fitted in few steps; see `Results.brief`."""
         return replace(self, settings=brief(self.settings))
 
     def packed(self, sh_degree: int, sharing: Sharing | None) -> "JobResults":
-        """As `Results` says."""
+        """Return results with limited or shared harmonics; see `Results.packed`."""
         return replace(self, settings=replace(self.settings, sh_degree=sh_degree, sharing=sharing))
 
     def stages(self, count: int) -> list[Stage]:
-        """As `Results` says."""
+        """List the stages of one result."""
         return result_stages(self.settings, count)
 
     def make(self, count: int, progress: Tracker) -> Result:
-        """As `Results` says."""
+        """Make the result of a count."""
         result = self._next(count)
         self._do(result, progress)
         return result
@@ -103,10 +103,10 @@ class JobResults:
     def marked(
         self, count: int, mark: Callable[[Result], M], progress: Tracker
     ) -> tuple[Result, M]:
-        """As `Results` says.
+        """Make and measure the result of a count, or reuse its stored measurement.
 
         Raises:
-            OutputError: The job has made another search.
+            OutputError: The stored measurement is of another count: of another search.
         """
         result = self._next(count)
         work, task = result.work, Task(MARKED, 0, result.level)
@@ -125,11 +125,11 @@ class JobResults:
         return result, found
 
     def keep(self, result: Result) -> None:
-        """As `Results` says."""
+        """Keep the files of this result; those of the one kept before may be deleted."""
         self.tried.kept = result
 
     def verify(self, result: Result, progress: Tracker) -> None:
-        """Make files of a result again that are damaged or missing, if a run before made them."""
+        """Make damaged or missing files of a result again, if an earlier run made them."""
         if self.run.resumed:
             self._do(result, progress)
 
@@ -149,7 +149,7 @@ class JobResults:
 
 
 def _discard(result: Result) -> None:
-    """Delete the files of a result, as far as they are there."""
+    """Delete the files of a result that exist."""
     work, level = result.work, result.level
     stages = [stage for stage, _ in level_stages(work.settings, level)]
     work.scratch.discard(tuple(f"{stage.name}-{level}-" for stage in stages))

@@ -1,4 +1,4 @@
-"""`nanogs.levels`: several ratios of one model, from one build."""
+"""`nanogs.levels`: simplify one model to several ratios, with the shared stages done once."""
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -38,21 +38,21 @@ def levels(
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
-    """Levels of detail, one after the other, each the same as `simplify` gives for its ratio.
+    """Yield levels of detail, each the same model as `simplify` returns for its ratio.
 
-    What every ratio needs is computed once, when the first level is asked for; the seconds are in
-    its report. A level is made when it is asked for, so only those the caller keeps take memory.
+    The stages that all ratios share run once, when the first level is asked for; their seconds are
+    in its report. A level is made when it is asked for, so only those the caller keeps take memory.
 
     Args:
         model: The model, which is not changed, or a path.
         ratios: Compaction ratios in (0, 1], from the finest level to the coarsest.
-        preset: Name of a preset; `paper` grows no forest, so that each level is a run of its own.
+        preset: Name of a preset; `paper` grows no forest, so that each level is a separate run.
         sh_degree: As `simplify` takes it.
         cameras: Views that matter, for presets that render: "auto", "orbit", "inside", "roam", a
             file or folder of cameras, or cameras; by default automatic.
         nan: As `simplify` takes it.
         device: As `simplify` takes it.
-        threads: Threads to use; all by default. The result does not depend on it.
+        threads: Number of threads; all by default. The result does not depend on it.
         max_memory: As `simplify` takes it.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`; a level is a stage, such as "level_0".
@@ -64,7 +64,7 @@ def levels(
 
     Raises:
         FormatError: The path cannot be read as a model.
-        OptionError: An option is out of range, or there is no such device, or nothing for it to do.
+        OptionError: An option is out of range, or the device is not available or has nothing to do.
         ModelError: No splat is usable, or `nan="error"` and one is not.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
@@ -89,19 +89,19 @@ def judged_levels(
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
-    """Make levels as `levels` does, where views of the original may be held beside.
+    """Make levels as `levels` does, reserving memory for measuring them if `judged`.
 
     Args:
         model: The model, which is not changed, or a path.
         ratios: Compaction ratios in (0, 1], from the finest level to the coarsest.
-        judged: Whether the caller holds each level against views of the original, which take
-            memory beside it.
+        judged: Whether the caller compares each level with views of the original, which take
+            additional memory.
         preset: Name of a preset.
         sh_degree: As `simplify` takes it.
         cameras: Views that matter, for presets that render, as `levels` takes them.
         nan: As `simplify` takes it.
         device: As `simplify` takes it.
-        threads: Threads to use; all by default.
+        threads: Number of threads; all by default.
         max_memory: As `simplify` takes it.
         progress: As `levels` takes it.
         **overrides: Parameters of the preset to replace.
@@ -112,7 +112,7 @@ def judged_levels(
     ratios = checked_ratios(ratios)
     refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))
     check_degree(sh_degree)
-    from nanogs.threads import use_threads  # here and not above: this brings Numba
+    from nanogs.threads import use_threads  # imported here because it imports Numba
 
     with use_threads(threads):
         job = prepare_job(as_splats(model), preset, overrides, cameras, nan, sh_degree)
@@ -126,10 +126,10 @@ def judged_levels(
 
 
 def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
-    """The ratios of levels as numbers of Python's, whatever holds them.
+    """Convert the ratios of levels to Python floats and check them.
 
     Raises:
-        OptionError: There are none, one is out of range, or they do not fall from one to the next.
+        OptionError: There are none, one is out of range, or they are not strictly decreasing.
     """
     if not isinstance(ratios, Iterable):
         raise OptionError(f"The ratios of levels are several, such as [0.5, 0.1], not {ratios!r}.")
@@ -169,8 +169,8 @@ def _deliver(
     deliver: Deliver | None = None
     for number, ratio in enumerate(ratios):
         start, clock = time.perf_counter(), StageClock()
-        # Here and not above: this brings Numba. Around each level and not around all of them: the
-        # number of threads is the caller's own between two levels.
+        # Imported here because this imports Numba. It is entered anew for each level, so that the
+        # caller's own number of threads applies between two levels.
         from nanogs.threads import use_threads
 
         with use_device(device) as used, use_threads(threads) as threads_used:
@@ -182,7 +182,7 @@ def _deliver(
         if number == len(ratios) - 1:
             progress.finish()
         yield small, report
-        del small  # or it would be kept while the next one is made
+        del small  # otherwise it would stay in memory while the next one is made
 
 
 def _level(

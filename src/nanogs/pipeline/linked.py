@@ -1,7 +1,7 @@
-"""The levels of a block as a tree, for results that are linked to one in the end.
+"""The levels of detail of a block as a tree; the sink joins the trees of all blocks in the end.
 
-Each block has a tree of its own, of what its levels are left with, down from a few roots: blocks
-need nothing of each other. How levels are linked is the sink's business.
+Each block has its own tree, with the splats of its levels below a few roots, so that blocks are
+independent of each other. The sink decides how levels are linked.
 """
 
 from collections.abc import Iterator
@@ -25,30 +25,30 @@ from nanogs.store.tables import Record, Streamed, Table, write_table
 if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
-_ROOTS = 1 << 10  # of all blocks, about; each takes as many reads as there are layers in the end
-_TOGETHER = 4  # splats that become one, step by step, up to the roots
-_STRETCHES, _LONG = 64, 1024  # runs of rows of the finest level, and rows of each, in a sample
-_ROWS = 1 << 14  # that are written at a time
+_ROOTS = 1 << 10  # approximate number of roots of all blocks; each costs one read per layer
+_TOGETHER = 4  # splats that are merged into one in each step up to the roots
+_STRETCHES, _LONG = 64, 1024  # a sample: number of runs of rows of the finest level, rows of each
+_ROWS = 1 << 14  # rows that are written at a time
 _SPLATS, _CHILDREN, _ROOT = "splats-", "children-", "root-"
 
 
 def linked_levels(work: "Work") -> int:
-    """How many levels are linked block by block: those that blocks could be cut to."""
+    """Return the number of levels that are linked block by block: those blocks can be cut to."""
     levels = range(work.settings.levels)
     return sum(_count(work, level) <= work.target(level) for level in levels)
 
 
 def write_tree(work: "Work", name: str, block: int) -> Record:
-    """Link the levels of a block, and write all layers.
+    """Link the levels of a block to a tree, and write all its layers to a table.
 
     Args:
-        work: The job, the parts of all levels done.
-        name: Of the table.
-        block: Its number.
+        work: The job; the parts of all levels are done.
+        name: Name of the table.
+        block: Number of the block.
     """
     levels, steps = linked_levels(work), 0
     if levels < work.settings.levels:
-        levels += 1  # cut as far as blocks can be: the rest is done above it
+        levels += 1  # the coarsest that blocks can be cut to; coarser levels are merged from it
     else:
         while _count(work, levels - 1) > _ROOTS * _TOGETHER**steps:
             steps += 1
@@ -66,12 +66,12 @@ def write_tree(work: "Work", name: str, block: int) -> Record:
 
 
 def trees_of(work: "Work") -> list[BlockTree]:
-    """The trees of all blocks, as `write_tree` made them."""
+    """Read the trees of all blocks that `write_tree` wrote."""
     return [_tree_of(work, record) for record in work.of_blocks("tree")]
 
 
 def even_sample(work: "Work") -> Splats:
-    """Splats of the finest level, spread over the scene in stretches."""
+    """Read a sample of the finest level: runs of rows spread evenly over the scene."""
     with LevelSource(work, 0) as parts:
         long = min(_LONG, -(-parts.count // _STRETCHES))
         starts = np.linspace(0, parts.count - long, _STRETCHES).astype(np.int64)
@@ -84,7 +84,7 @@ def _count(work: "Work", level: int) -> int:
 
 
 def _turned(work: "Work", source: Source) -> Source:
-    """In the frame that results are turned to."""
+    """Turn a source to the frame of the results."""
     return Turned(source, *work.settings.frame) if work.settings.frame else source
 
 
@@ -104,7 +104,7 @@ def _counts(scratch: Scratch, record: Record, column: str, start: int, stop: int
 
 
 class _Layer(Source):
-    """The splats of a layer, whose file is open while they are read."""
+    """The splats of a layer as a source, whose file is opened for each read."""
 
     def __init__(self, scratch: Scratch, record: Record, column: str, layout: Layout) -> None:
         self._scratch, self._record, self._column = scratch, record, column
@@ -112,7 +112,7 @@ class _Layer(Source):
         self.columns = replace(layout, extras=())
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source`."""
         with Table(self._scratch, self._record) as table:
             rows = table.read(self._column, start, stop).view(_dtype(self.columns))[:, 0]
         columns = {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
@@ -120,7 +120,7 @@ class _Layer(Source):
 
 
 def _packed(layer: Source) -> Iterator[Array]:
-    """All columns of some rows at a time, side by side."""
+    """Yield the rows of a layer as bytes, `_ROWS` at a time, all columns of a row adjacent."""
     dtype = _dtype(layer.columns)
     for block in layer.blocks(_ROWS):
         rows, columns = np.empty((len(block), 1), dtype), columns_of(block)
@@ -130,6 +130,6 @@ def _packed(layer: Source) -> Iterator[Array]:
 
 
 def _dtype(layout: Layout) -> "np.dtype[np.void]":
-    """A splat without extra columns."""
+    """Return the structured dtype of a splat without its extra columns."""
     columns = empty_columns(replace(layout, extras=()), 0)
     return np.dtype([(name, each.dtype, each.shape[1:]) for name, each in columns.items()])

@@ -1,4 +1,7 @@
-"""The views of a scene, and what they show of each block, with all others before and behind it."""
+"""Choosing the views of a scene, and computing the visibility of each block's splats in them.
+
+All other blocks are rendered with a block, so that they hide it where they should.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,10 +22,10 @@ if TYPE_CHECKING:
 
 
 def choose_views(scene: Scene) -> Views:
-    """Choose the views of the whole scene, or take those asked for.
+    """Choose the views of the whole scene, or take those that the user asked for.
 
     Args:
-        scene: With its coarse levels, if it has other blocks.
+        scene: The scene, with its coarse levels if it has several blocks.
     """
     parameters, some = scene.settings.parameters, scene.sample()
     try:
@@ -41,15 +44,15 @@ def choose_views(scene: Scene) -> Views:
 
 
 def look_at_block(scene: Scene, name: str, number: int) -> Record:
-    """Find how visible each of a block's splats is, and how much of the block each view shows.
+    """Compute the visibility of each of a block's splats, and how much of the block a view shows.
 
     Args:
-        scene: With its views.
-        name: Of what is kept.
-        number: Of the block.
+        scene: The scene, with its views.
+        name: Name of the record to keep.
+        number: Number of the block.
 
     Raises:
-        OptionError: A view that results are to be chosen by is too small to compare them.
+        OptionError: A view by which results are to be chosen is too small to compare them.
     """
     own, views = scene.bare(number), scene.views
     count = len(own.splats)
@@ -72,7 +75,7 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     anywhere = light_in(drawn, views.roaming) if views.roaming else None
     del drawn
     visible, missed = visibility_of(looked, anywhere)
-    # The surroundings' are not asked for.
+    # Values of the block alone: the rows after `count` belong to its surroundings.
     own, discovery = replace(own, visible=visible[:count]), discovery_of(looked, anywhere, count)
     record = scene.keep_look(name, own, missed[:count], lights, discovery)
     if scene.measures:
@@ -81,7 +84,7 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
 
 
 def _refuse_small(deciding: Sequence["Camera"]) -> None:
-    """Refuse views that no candidate can be judged by, before the forest is grown."""
+    """Raise, before the forest is grown, if a view is too small for scoring candidates."""
     for camera in deciding:
         if min(camera.width, camera.height) < LEAST:
             raise OptionError(

@@ -1,6 +1,6 @@
-"""How much memory a simplification takes, computed from what its stages allocate.
+"""Estimate of the memory of a simplification, from the arrays that its stages allocate.
 
-No Numba here: `--dry-run` uses it without compiling anything.
+This module does not import Numba: `--dry-run` uses it without compiling anything.
 """
 
 from collections.abc import Sequence
@@ -14,19 +14,19 @@ from nanogs.pipeline.presets import Parameters
 from nanogs.slices import IN_HAND
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
-_GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # Gaussians; their features are the model's
-_LEFT = 0.55  # share of the splats that a pass leaves at least; the method leaves half or more
+_GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # a Gaussian; features are in the model
+_LEFT = 0.55  # assumed share of the splats that a pass leaves; the method leaves half or more
 
 
 @dataclass(frozen=True, slots=True)
 class MemoryPlan:
-    """Bytes that a simplification keeps, stage by stage; the libraries come on top.
+    """Bytes that a simplification holds in each stage, without the libraries themselves.
 
     Attributes:
-        input_columns: The model as loaded.
-        working_set: Activated values of the splats.
-        stages: All that each stage holds, the model with it.
-        peak: The most that any stage holds.
+        input_columns: Bytes of the model as loaded.
+        working_set: Bytes of the activated values of the splats.
+        stages: Bytes held in each stage, including the model.
+        peak: The largest of these.
     """
 
     input_columns: int
@@ -44,15 +44,15 @@ def plan_memory(
     *,
     judged: bool = False,
 ) -> MemoryPlan:
-    """Memory of `simplify` before anything is pruned or merged.
+    """Estimate the memory of `simplify` from the size of the input.
 
     Args:
-        count: Splats in the input.
+        count: Number of splats in the input.
         sh_degree: Degree of its spherical harmonics.
         extra_bytes: Bytes of extra columns for each splat.
-        parameters: Of the method.
-        target: Splats in the largest result.
-        judged: Whether results are held against the original on views held out.
+        parameters: Parameters of the method.
+        target: Number of splats in the largest result.
+        judged: Whether results are compared with the original on held-out views.
     """
     features = 3 * (sh_degree + 1) ** 2 * _F4
     row = 11 * _F4 + features + extra_bytes
@@ -69,13 +69,13 @@ def plan_memory(
 
 
 def plan_writing(plan: MemoryPlan, splats: int, target: int, known: Format) -> MemoryPlan:
-    """Memory of making a file whose writer holds the whole result.
+    """Add the memory of writing a file whose writer holds the whole result.
 
     Args:
-        plan: Of making the result.
-        splats: Of the model.
-        target: Splats of the result.
-        known: The format of the file.
+        plan: Plan of making the result.
+        splats: Number of splats of the model.
+        target: Number of splats of the result.
+        known: Format of the file.
     """
     small = plan.input_columns // max(splats, 1) * target
     held = plan.input_columns + small + known.beside(small)
@@ -90,29 +90,29 @@ def plan_chunks(
     ratios: Sequence[float],
     chunks: Chunked | Linked,
 ) -> MemoryPlan:
-    """Memory of making levels in chunks, or of a tree.
+    """Add the memory of encoding levels as chunks or as a tree.
 
     Args:
-        plan: Of making levels.
-        splats: Of the model.
-        degree: Of the spherical harmonics.
-        target: Splats of the finest level.
-        ratios: Of the levels.
-        chunks: How they are divided or linked.
+        plan: Plan of making the levels.
+        splats: Number of splats of the model.
+        degree: Degree of its spherical harmonics.
+        target: Number of splats of the finest level.
+        ratios: Ratios of the levels.
+        chunks: The layout that divides or links them.
     """
     row = plan.input_columns // max(splats, 1)
     if isinstance(chunks, Linked):
         held = plan.input_columns + target * chunks.whole(row)
         return replace(plan, stages=plan.stages | {"tree": held}, peak=max(plan.peak, held))
     file = chunks.encoding(row, degree, splats, ratios).file
-    # Between two levels, what a cut needs is kept, and each is encoded before the next.
+    # Each level is encoded before the next one is cut, while the data for cuts stays in memory.
     held = int(plan.stages.get("cut", plan.input_columns) + target * (row + PLACED) + file)
     return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
 
 
 def _paper_stages(count: int, row: int, features: int, k: int, target: int) -> dict[str, int]:
-    pairs, masses = pairs_of(k), 6 * _F8  # logarithms of scales and opacity among them
-    # Splats; pairs of them, whose features are theirs; then splats with features of their own.
+    pairs, masses = pairs_of(k), 6 * _F8  # including logarithms of scales and opacity
+    # Second pass: merged pairs, which refer to features of the model; third: with own features.
     second = _LEFT * (_GEOMETRY + 2 * _I4 + 2 * _F8)
     third = _LEFT**2 * (_GEOMETRY + _I4 + features)
     lists = 3 * _I4 + _I8 + 1 + 2 * _F8

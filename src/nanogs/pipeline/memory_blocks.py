@@ -1,6 +1,6 @@
-"""Memory of a block, stage by stage, for blocks of any size; and what all write to the scratch.
+"""Estimates for a job in blocks: memory of each stage of a block, and disk space of all files.
 
-No Numba here: `--dry-run` uses it.
+This module does not import Numba: `--dry-run` uses it.
 """
 
 from collections.abc import Sequence
@@ -23,24 +23,24 @@ from nanogs.pipeline.settings import MOST_SEEN
 from nanogs.source import Layout
 from nanogs.store.columns import row_bytes
 
-FINE, ROUGH = 0, 1  # coarse levels of the scene
-# Splats of a coarse level, at most: this share of the scene's, and no more than this many for each
-# splat of a block, for which memory has room, since they are only drawn. The third number is always
-# allowed, however small the blocks.
+FINE, ROUGH = 0, 1  # indices of the coarse levels of the scene
+# Limits on the splats of each coarse level: a share of the scene's splats, and a number for each
+# splat of a block, which fits into memory because they are only rendered. `COARSE_LEAST` splats are
+# always allowed, however small the blocks are.
 COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 18, 1 << 15)
-_CODES = 2 * 8  # Morton codes and their order
-_HISTOGRAM = 8 << 16  # of the scores of a forest, for each balance
-_PLACE = 4 * 8  # of a group: its centre and reach
-_TRIED = 2  # models that are compared with the original at a time; growths share all but scales
+_CODES = 2 * 8  # bytes a splat: Morton code and sort order
+_HISTOGRAM = 8 << 16  # bytes of the histogram of a forest's scores, for each balance
+_PLACE = 4 * 8  # bytes of a group: its centre and reach
+_TRIED = 2  # models compared with the original at a time; growth candidates differ in scales only
 
 
 def most_coarse(level: int, block: int, splats: int) -> int:
-    """Splats of a coarse level of the scene, at most: enough to hide what is behind them.
+    """Return the most splats of a coarse level of the scene, enough for it to hide what is behind.
 
     Args:
         level: `FINE` or `ROUGH`.
-        block: Most splats of a block.
-        splats: Of the scene.
+        block: Largest number of splats of a block.
+        splats: Number of splats of the scene.
     """
     beside = max(int(COARSE_OF_BLOCK[level] * block), COARSE_LEAST[level])
     return min(int(splats * COARSE_SHARES[level]), beside)
@@ -49,14 +49,14 @@ def most_coarse(level: int, block: int, splats: int) -> int:
 def block_stages(
     block: int, splats: int, layout: Layout, parameters: ForestParameters, share: float
 ) -> dict[str, int]:
-    """Bytes that the tasks of a block hold at most, the libraries apart.
+    """Estimate the most bytes that each task of a block holds, without the libraries themselves.
 
     Args:
-        block: Splats of the block.
-        splats: Of the whole scene.
-        layout: Of their columns.
-        parameters: Of the method.
-        share: What the result keeps of the splats; one block can keep more than others.
+        block: Number of splats of the block.
+        splats: Number of splats of the whole scene.
+        layout: Layout of their columns.
+        parameters: Parameters of the method.
+        share: Share of the splats that the result keeps; a block can keep a larger one.
     """
     kept = int(min(1.0, 2 * share) * block)
     degree, row = layout.sh_degree, row_bytes(layout)
@@ -70,7 +70,7 @@ def block_stages(
     bare, features = row_bytes(layout.bare()), 3 * (degree + 1) ** 2 * 4
     pixels = parameters.view_size**2
     coarse = plan_memory(block, 0, 0, plain, min(block, fine)).peak + block * (row + _CODES)
-    # Drawn together: the block and its surroundings, copied into one model.
+    # Rendered together: the block and its surroundings, copied into one model.
     scene = (block + rough) * (12 + features + PREPARED)
     alone = block * (12 + features + PREPARED) + rough * (bare + PREPARED)
     views = 4 * pixels
@@ -100,26 +100,26 @@ def scratch_bytes(
     *,
     encoded: bool,
 ) -> int:
-    """Bytes of the intermediate files of a job at its end, the results among them.
+    """Estimate the bytes of all files of a job at its end, including the results.
 
     Args:
-        splats: Of the whole scene.
-        block: Most splats of a block.
-        blocks: How many blocks.
-        layout: Of their columns.
-        parameters: Of the method.
-        shares: What each result keeps of the splats.
-        encoded: Whether results are encoded in chunks before they are put together.
+        splats: Number of splats of the whole scene.
+        block: Largest number of splats of a block.
+        blocks: Number of blocks.
+        layout: Layout of their columns.
+        parameters: Parameters of the method.
+        shares: Share of the splats that each result keeps.
+        encoded: Whether results are encoded as chunks before they are assembled.
     """
     row, balances = row_bytes(layout), len(parameters.balances)
     results = sum(int(share * splats) for share in shares)
-    copies = 2 + encoded + (parameters.steps > 0)  # parts, fitted, encoded, the result
-    held = splats * (row + 8)  # sorted, with their codes
+    copies = 2 + encoded + (parameters.steps > 0)  # parts, fitted parts, chunks, the result
+    held = splats * (row + 8)  # sorted splats with their Morton codes
     held += splats * (8 + 4 * balances) + blocks * balances * _HISTOGRAM  # forests
     held += len(shares) * splats * 2 * 4 + results * (copies * row + _PLACE)  # labels, parts
     if not renders(parameters):
         return held
-    held += splats * 8  # how visible each is
+    held += splats * 8  # visibility
     if blocks > 1:
         coarse = sum(most_coarse(level, block, splats) for level in (FINE, ROUGH))
         held += splats * 12 + blocks * _HISTOGRAM + coarse * row_bytes(layout.bare())

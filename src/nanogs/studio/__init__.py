@@ -1,5 +1,5 @@
-"""`nanogs studio`: a page of this machine's browser in which a smaller model is chosen.
+"""`nanogs studio`: a web page on this machine in which the user chooses a smaller model.
 
-The server (`server.py`) hands requests of pages to one process (`worker.py`), which holds the model
-and calls the library; what it finds comes back as events.
+The server (`server.py`) passes requests of pages to one worker process (`worker.py`), which holds
+the model and calls the library; its answers come back as events.
 """

@@ -1,4 +1,4 @@
-"""Answers to what a page asks: what filters take, a coarse model at once, the measured one."""
+"""Answers to requests of a page: effects of filters, a quick draft, and the measured result."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -20,68 +20,70 @@ if TYPE_CHECKING:
     from nanogs.views.opening import Opening
 
 Event = dict[str, Any]
-SETTLED = 0.3  # seconds without a newer request after which a slider stands still
-UNSEEN = 2.0  # seconds that a page has to draw a model in, beside its pace, before others compute
-QUICK = 0.1  # seconds in which a page is to draw a draft
-FEWEST_DRAFTED = 5_000  # splats, however slowly a page draws
-TRIES = 3  # results that are made for a PSNR, each nearer to it
-NEAR = 0.3  # dB above a wish that a search of the command comes within, too
-NEAR_SIZE = 0.03  # of the size, below it
+SETTLED = 0.3  # seconds without a newer request after which a slider counts as released
+UNSEEN = 2.0  # most seconds, beyond its pace, to wait for a page to draw before computing goes on
+QUICK = 0.1  # seconds in which a page should be able to draw a draft
+FEWEST_DRAFTED = 5_000  # splats of a draft at least, however slowly a page draws
+TRIES = 3  # most results made for a PSNR or a size, each nearer to it
+NEAR = 0.3  # dB by which a PSNR may exceed the goal; the command's search has the same tolerance
+NEAR_SIZE = 0.03  # relative tolerance below a file size
 
 
 class Telling(Protocol):
-    """How a job speaks."""
+    """Interface by which a job sends events to its page and notices that it is cancelled."""
 
     @property
     def page(self) -> str:
-        """Whose page it is."""
+        """Name of the page that the job is for."""
 
     @property
     def id(self) -> int:
-        """Of the job."""
+        """ID of the job."""
 
     def __call__(self, event: Event, shown: Shown | None = None) -> None:
         """Send an event to the page of the job, with a model that it names."""
 
     def progress(self, kind: str) -> Progress:
-        """A function that takes the steps of something, and raises where it is cancelled."""
+        """Return a progress callback that sends the steps, and raises if the job is cancelled."""
 
     @property
     def pace(self) -> float | None:
-        """Seconds that a splat takes the page to draw, if it has said so."""
+        """Seconds that the page takes to draw one splat, if it has reported it."""
 
     def rest(self, model: str, least: float, most: float) -> None:
-        """Wait for the page to draw a model, so many seconds; a newer request ends the job."""
+        """Wait `least` to `most` seconds for the page to draw a model; raise if cancelled."""
 
     def shielded(self, useful: Callable[[Choice], bool]) -> AbstractContextManager[None]:
-        """Go on in the block although a newer request came, if it is useful to that too."""
+        """Ignore a newer request in the context if `useful` says that the work serves it too."""
 
 
 class Answers:
-    """Answers to the requests of pages, for a scene that is open.
+    """Answers the requests of pages, for a scene that is open.
 
-    One thread uses the forest at a time. While a result is measured, which takes no forest, another
-    may make the draft of a newer request (`sooner`).
+    A lock lets one thread use the forest at a time. While a result is measured, which needs no
+    forest, another thread may make the draft of a newer request (`sooner`).
     """
 
     def __init__(self, held: Held, start: "Opening") -> None:
-        """Take what opening the scene has found.
+        """Begin with nothing sent yet.
 
         Args:
-            held: The scene.
-            start: Where the page begins.
+            held: The open scene.
+            start: The first camera of the page.
         """
         self._held, self._start = held, start
         self._forest = Lock()
-        self._drafted = (0, "")  # the latest request with a draft, and the draft's model
-        self._shown: dict[str, ModelKey] = {}  # by page, the scene as it was sent last
-        self._told: dict[str, Curve] = {}  # by page, the one whose points it was told
+        self._drafted = (0, "")  # ID of the latest request with a draft, and of the draft's model
+        self._shown: dict[str, ModelKey] = {}  # by page, the filtered scene sent last
+        self._told: dict[str, Curve] = {}  # by page, the curve whose points were sent
 
     def ask(self, choice: Choice, tell: Telling) -> None:
-        """Answer a request: `filtered` where filters changed, `draft`, `made`, `point`, `measured`.
+        """Answer a request with events: `draft`, `made`, `point`, `measured`.
+
+        If the filters have changed, `filtered` comes first.
 
         Raises:
-            NanogsError: It cannot be had.
+            NanogsError: The request cannot be met.
         """
         with self._forest:
             self._ask(choice, tell)
@@ -110,10 +112,10 @@ class Answers:
         tell({"type": "measured", "seconds": seconds} | event, replace(shown, models={}))
 
     def explore(self, choice: Choice, tell: Telling) -> None:
-        """Measure plain cuts of several counts, for the plot.
+        """Measure plain cuts of several counts, for the plot; nothing if the forest is not held.
 
         Raises:
-            NanogsError: It cannot be done.
+            NanogsError: They cannot be measured.
         """
         with self._forest:
             if self._held.is_grown(choice):
@@ -132,10 +134,10 @@ class Answers:
             tell(_point(curve.points[count, True], choice))
 
     def preview(self, choice: Choice, tell: Telling) -> None:
-        """Show what the filters of a choice would take, and take nothing.
+        """Show which splats the filters of a choice would remove, without removing them.
 
         Raises:
-            NanogsError: They leave nothing.
+            NanogsError: No splat would be left.
         """
         with self._forest:
             self._begin_filters(tell)
@@ -145,10 +147,10 @@ class Answers:
             tell(_filtered(found, preview=True), shown)
 
     def sooner(self, choice: Choice, tell: Telling) -> None:
-        """Make the draft of a request whose turn it is not yet, if the forest of its model is here.
+        """Make the draft of a waiting request early, if the forest of its model is in memory.
 
         Raises:
-            NanogsError: It cannot be had.
+            NanogsError: The draft cannot be made.
         """
         with self._forest:
             grown = self._held.here(choice)
@@ -158,7 +160,7 @@ class Answers:
 
     @contextmanager
     def _lent(self) -> Iterator[None]:
-        """Let others use the forest in the block."""
+        """Release the lock of the forest in the context."""
         self._forest.release()
         try:
             yield
@@ -170,7 +172,7 @@ class Answers:
         Tracker(tell.progress("filters"), [Stage("sift", 1.0)]).begin("sift")
 
     def _filter(self, choice: Choice, tell: Telling) -> None:
-        """Leave out splats; a page that shows another model than this one as the scene gets it."""
+        """Filter the scene, and send the filtered one if the page shows another as its scene."""
         key, opened = model_key(choice), (self._held.manner.render_mode, Sifting())
         if self._shown.get(tell.page, opened) == key:
             return
@@ -189,7 +191,7 @@ class Answers:
             return self._held.fully(choice, tell.progress("draft"))
 
     def _curve(self, choice: Choice, grown: "Grown", tell: Telling) -> Curve:
-        """The curve of a choice; where it is another than before, its points are told again."""
+        """Return the curve of a choice; all its points are sent if the page had another curve."""
         curve = self._held.curve(choice, grown)
         if self._told.get(tell.page) is not curve:
             self._told[tell.page] = curve
@@ -211,13 +213,17 @@ class Answers:
     def _made(
         self, grown: "Grown", curve: Curve, count: int, choice: Choice, tell: Telling
     ) -> tuple[Event, Shown, Point]:
-        """A result as it is delivered, which is seen first, and what is measured of it."""
+        """Make a full result, show it, then measure it.
+
+        Returns:
+            The event with its figures, the model that is shown, and the point on the curve.
+        """
         splats, report = grown.simplify(count, progress=tell.progress("draft"))
         shown = show(self._drawable(grown, splats), self._start, len(splats))
         tell(_estimated("made", grown, curve, len(splats)), shown)
         told = tell.progress("measure")
         with self._lent():
-            # The browser may draw on the processors that measure.
+            # Wait first: the browser may be drawing on the same processors that measure.
             tell.rest(shown.entry["id"], 0.0, UNSEEN + len(splats) * (tell.pace or 0.0))
             measured = grown.measure(splats, format=choice.format, progress=told)
         judged = measured.judged
@@ -235,12 +241,12 @@ class Answers:
 
 
 def _drawn_at_once(pace: float | None) -> int:
-    """Splats that a page draws at once: all, but where the processor has to draw them."""
+    """Return the number of splats that a page draws in `QUICK` seconds, by its pace if known."""
     return MOST_SHOWN if pace is None else max(FEWEST_DRAFTED, int(QUICK / pace))
 
 
 def _estimated(kind: str, grown: "Grown", curve: Curve, count: int) -> Event:
-    """An event about a model that was not measured."""
+    """Make the event for a model that is not measured, with estimates from the curve."""
     return {
         "type": kind, "splats": count, "bytes": curve.bytes_of(count),
         "psnr": curve.psnr_of(count), "about": True, "available": grown.available,
@@ -255,7 +261,7 @@ def _filtered(found: Sifted, *, preview: bool) -> Event:
 
 
 def _near(goal: Goal, point: Point) -> bool:
-    """Whether a result is as near to a wish as a search of the command comes."""
+    """Return whether a result meets the goal within the tolerance."""
     if goal.psnr is not None:
         return 0 <= point.psnr - goal.psnr <= NEAR
     if goal.size is not None:
@@ -264,7 +270,7 @@ def _near(goal: Goal, point: Point) -> bool:
 
 
 def _miss(goal: Goal, point: Point) -> tuple[bool, float]:
-    """How far a result is from a wish: less for a better one, and what keeps to it comes first."""
+    """Return a sort key for the distance from the goal: results that meet it sort first."""
     if goal.psnr is not None:
         return point.psnr < goal.psnr, abs(point.psnr - goal.psnr)
     if goal.size is not None:

@@ -1,4 +1,4 @@
-"""Choices made on a page, checked before anything is done. No NumPy here."""
+"""Choices made on a page, parsed from JSON and checked. This module does not import NumPy."""
 
 import math
 from collections.abc import Mapping
@@ -8,20 +8,20 @@ from typing import Any
 from nanogs.errors import OptionError, did_you_mean
 from nanogs.pipeline.target import Goal
 
-PRESETS = ("fast", "default", "best")  # which grow a forest, so that any count is a moment away
+PRESETS = ("fast", "default", "best")  # these grow a forest, so that any count is made quickly
 UPS = ("+x", "-x", "+y", "-y", "+z", "-z")
 MODES = ("default", "mip")
-_WISHES = {"splats": "count", "bytes": "size", "psnr": "psnr"}  # and what `Goal` calls them
+_WISHES = {"splats": "count", "bytes": "size", "psnr": "psnr"}  # JSON name: field of `Goal`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sifting:
-    """Which splats are left out first.
+    """Filters that remove splats before the model is simplified.
 
     Attributes:
         box: x, y, z of the lowest corner and of the highest, scene units; None for no box.
-        min_opacity: The lowest alpha that stays, in [0, 1], or None.
-        floaters: Whether floaters are left out.
+        min_opacity: The lowest alpha that is kept, in [0, 1], or None.
+        floaters: Whether floaters are removed.
     """
 
     box: tuple[float, ...] | None = None
@@ -34,13 +34,13 @@ class Choice:
     """A smaller model, as a page asks for it.
 
     Attributes:
-        goal: Splats, bytes or PSNR.
+        goal: Number of splats, bytes or PSNR.
         format: Suffix of the file, or of a layout of levels.
         preset: One of `PRESETS`.
         sh_degree: Highest degree of harmonics, or None for all.
-        filters: What is left out first.
-        render_mode: What the model is drawn as, or None for what its file says.
-        up: Which way is up, one of `UPS`, or None for what is found.
+        filters: Filters that remove splats first.
+        render_mode: Render mode of the model, or None for the one that its file states.
+        up: Up axis, one of `UPS`, or None to find it.
         levels: Ratios of levels of detail, or None for one model.
     """
 
@@ -55,10 +55,10 @@ class Choice:
 
 
 def choice_of(data: object) -> Choice:
-    """The choice that JSON describes.
+    """Parse a choice from JSON data.
 
     Args:
-        data: What `json.loads` gives: an object of the names of `Choice`, with `wish` for its goal.
+        data: Result of `json.loads`: an object with the fields of `Choice`, `wish` for its goal.
 
     Raises:
         OptionError: Something is unknown, of another type, or out of range.
@@ -77,10 +77,10 @@ def choice_of(data: object) -> Choice:
 
 
 def _entries(data: object, what: str, known: tuple[str, ...]) -> Mapping[str, Any]:
-    """The entries of a JSON object.
+    """Check that data is a JSON object with known entries only, and return it.
 
     Raises:
-        OptionError: It is none, or has one that is not known.
+        OptionError: It is not an object, or has an unknown entry.
     """
     if not isinstance(data, dict):
         raise OptionError(f"The {what} must be an object of names and values.")
@@ -140,10 +140,10 @@ def _degree(data: object) -> int | None:
 
 
 def _text(given: Mapping[str, Any], name: str, known: tuple[str, ...] | None, usual: str) -> str:
-    """A text of the choice; None stands for the usual one.
+    """Return a string entry of the choice, or the default `usual` if it is missing or null.
 
     Raises:
-        OptionError: It is no text, or none of those that are known.
+        OptionError: It is not a string, or not one of `known`.
     """
     value = given.get(name)
     if value is None:
@@ -155,10 +155,10 @@ def _text(given: Mapping[str, Any], name: str, known: tuple[str, ...] | None, us
 
 
 def _number(value: object, name: str) -> float:
-    """A finite number.
+    """Check that a value is a finite number, and return it as a float.
 
     Raises:
-        OptionError: It is none.
+        OptionError: It is not.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise OptionError(f"{name} must be a number, not {value!r}.")

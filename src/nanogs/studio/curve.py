@@ -1,4 +1,4 @@
-"""Size and PSNR over the count, from what was measured: which count a wish comes to, about."""
+"""Curves of file size and PSNR over the count, from measured results, to estimate counts."""
 
 import math
 from bisect import bisect_left
@@ -9,22 +9,22 @@ import numpy as np
 
 from nanogs.pipeline.target import Goal
 
-RATIOS = (0.05, 0.01, 0.2, 0.5, 0.1, 0.02)  # which are measured while nobody asks, in this order
-_GUESS = 0.1  # of the splats, for a PSNR of which nothing is known
-# dB for e times the splats: what real scenes have, and the least and most that is gone on with
-# beyond what was measured, where two results that lie close would say anything.
+RATIOS = (0.05, 0.01, 0.2, 0.5, 0.1, 0.02)  # measured in this order while there are no requests
+_GUESS = 0.1  # share of the splats to begin with for a PSNR, if nothing was measured
+# Slope of the PSNR, in dB for e times the splats: a typical value of real scenes, and the limits
+# for extrapolation, because two results with nearly equal counts could give any slope.
 _SLOPE, _FLATTEST, _STEEPEST = 3.5, 1.0, 8.0
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A result that was measured.
+    """A measured result.
 
     Attributes:
-        count: Splats.
-        bytes: Of the file.
-        psnr: As `nanogs compare` says it, dB; infinite where it equals the model.
-        coarse: Whether it is a plain cut, which looks a little worse than what is delivered.
+        count: Number of splats.
+        bytes: Bytes of the file.
+        psnr: PSNR in dB as `nanogs compare` reports it; infinite if it equals the model.
+        coarse: Whether it is a plain cut, which looks a little worse than a full result.
     """
 
     count: int
@@ -35,14 +35,14 @@ class Point:
 
 @dataclass(slots=True)
 class Curve:
-    """Sizes and scores known of the results of one model, preset and format.
+    """The measured sizes and scores of the results of one model, preset and format.
 
     Attributes:
-        available: Splats of the model.
-        fewest: The least count that can be had.
-        each: Bytes of a file of so many splats, about or exactly.
+        available: Number of splats of the model.
+        fewest: The smallest count that can be delivered.
+        each: Computes the bytes of a file from its count, exactly or approximately.
         exact: Whether `each` is exact.
-        points: What was measured, by count and whether it is coarse.
+        points: Measured results, keyed by count and whether they are coarse.
     """
 
     available: int
@@ -52,11 +52,11 @@ class Curve:
     points: dict[tuple[int, bool], Point] = field(default_factory=dict)
 
     def add(self, point: Point) -> None:
-        """Learn of a result."""
+        """Add a measured result."""
         self.points[point.count, point.coarse] = point
 
     def missing(self) -> int | None:
-        """The next count to measure while nobody asks; None where all are."""
+        """Return the next count to measure while there are no requests; None if all are."""
         for ratio in RATIOS:
             count = max(math.ceil(ratio * self.available), self.fewest)
             if (count, True) not in self.points:
@@ -64,7 +64,7 @@ class Curve:
         return None
 
     def count_for(self, goal: Goal) -> int:
-        """The count that a wish comes to, as far as is known."""
+        """Estimate the count that meets a goal."""
         if goal.count is not None:
             return goal.count
         if goal.size is not None:
@@ -76,7 +76,7 @@ class Curve:
         return self._last(lambda count: (self.psnr_of(count) or 0.0) <= wanted)
 
     def bytes_of(self, count: int) -> int:
-        """Bytes of a file of so many splats, about; never fewer for more."""
+        """Estimate the bytes of a file from its count; they should grow with the count."""
         known = {point.count: point.bytes for point in list(self.points.values())}
         if self.exact or not known:
             return self.each(count)
@@ -85,10 +85,10 @@ class Curve:
         return round(self.each(count) * _between(count, counts, factors))
 
     def psnr_of(self, count: int) -> float | None:
-        """PSNR of a result of so many splats, about, dB; None where nothing is known.
+        """Estimate the PSNR in dB of a result from its count; None if nothing was measured.
 
-        Plain cuts give the shape; what was measured of delivered results lifts it. A result that
-        equals the model, as that of all its splats does, says nothing of smaller ones.
+        Plain cuts give the shape of the curve, and measured full results an offset. Infinite PSNRs,
+        such as that of all splats, are ignored: they give no information about smaller results.
         """
         finite = [point for point in list(self.points.values()) if math.isfinite(point.psnr)]
         coarse = {point.count: point.psnr for point in finite if point.coarse}
@@ -106,7 +106,7 @@ class Curve:
         return about + _between(count, known, gains)
 
     def _last(self, holds: Callable[[int], bool]) -> int:
-        """The largest count of which something holds that stops to hold somewhere."""
+        """Find by bisection the largest count for which a monotonic condition still holds."""
         count = bisect_left(range(1, self.available + 1), True, key=lambda n: not holds(n))
         return self._within(count)
 
@@ -117,13 +117,13 @@ class Curve:
 def _between(
     count: int, counts: Sequence[int], values: Sequence[float], *, beyond: bool = False
 ) -> float:
-    """The value at a count: in between linear in its logarithm, else that of the nearest.
+    """Interpolate linearly over the logarithm of the count; outside, the nearest value is taken.
 
     Args:
-        count: Where.
-        counts: Where values are known, ascending.
-        values: These.
-        beyond: Go on about as steeply as between the two values at that end.
+        count: The count to evaluate at.
+        counts: Counts of the known values, ascending.
+        values: The known values.
+        beyond: Extrapolate instead, with the slope at that end, within limits.
     """
     at, known = math.log(count), [math.log(each) for each in counts]
     if not beyond or known[0] <= at <= known[-1]:

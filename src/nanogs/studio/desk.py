@@ -1,4 +1,4 @@
-"""The work of the worker for each kind of job."""
+"""Dispatch of each kind of job in the worker."""
 
 from typing import Any
 
@@ -14,20 +14,20 @@ from nanogs.studio.scene import Manner, Scene
 
 
 class Desk:
-    """A scene, opened by the first job, and what is known of it."""
+    """Handles the jobs of a scene, which the first job opens."""
 
     def __init__(self, scene: Scene, manner: Manner) -> None:
-        """Open nothing yet.
+        """Prepare; the scene is not opened yet.
 
         Args:
-            scene: The file.
-            manner: How work is done.
+            scene: The scene to open.
+            manner: Settings of the studio.
         """
         self._held = Held(scene, manner)
         self._answers: Answers | None = None
 
     def do(self, job: Job, tell: Telling) -> None:
-        """Do a job.
+        """Do a job, and send its events.
 
         Raises:
             NanogsError: It cannot be done.
@@ -44,16 +44,16 @@ class Desk:
             self._answers.explore(job.work, tell)
 
     def sooner(self, job: Job, tell: Telling) -> None:
-        """Make the draft of a request whose turn it is not yet, in a thread of its own.
+        """Make the draft of a waiting request early; called in another thread than `do`.
 
         Raises:
-            NanogsError: It cannot be had.
+            NanogsError: The draft cannot be made.
         """
         if self._answers is not None:
             self._answers.sooner(job.work, tell)
 
     def _open(self, tell: Telling) -> None:
-        """Read the scene, and show it."""
+        """Read the scene and send it to all pages."""
         if nothing_compiled():
             compile_ahead(DEFAULT_PRESET)
         else:

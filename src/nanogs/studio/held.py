@@ -1,4 +1,4 @@
-"""The state of the worker: the scene as read, what filters leave of it, and its forest."""
+"""The state that the worker keeps: the scene as read, the filtered scene, and its forest."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,32 +21,32 @@ if TYPE_CHECKING:
     from nanogs.pipeline.grown import Grown
     from nanogs.raster.camera import Camera
 
-_SAMPLE = 4096  # splats, of which a file is written to see how large one is
-QUICKEST = "fast"  # the preset whose forest is there first
-_CURVES = 32  # that are kept
+_SAMPLE = 4096  # splats of the sample file that is written to estimate bytes per splat
+QUICKEST = "fast"  # the preset whose forest is grown the quickest
+_CURVES = 32  # most curves that are kept
 
 ModelKey: TypeAlias = tuple[str | None, Sifting]
 GrownKey: TypeAlias = tuple[ModelKey, str, int | None, str | None]
 
 
 def model_key(choice: Choice) -> ModelKey:
-    """Key of a model: how it is drawn, and the filters."""
+    """Return the cache key of a filtered model: its render mode and filters."""
     return choice.render_mode, choice.filters
 
 
 def grown_key(choice: Choice) -> GrownKey:
-    """Key of a forest: its model, preset, degree of harmonics and up direction."""
+    """Return the cache key of a forest: its model, preset, degree of harmonics and up direction."""
     return model_key(choice), choice.preset, choice.sh_degree, choice.up
 
 
 @dataclass(frozen=True, slots=True)
 class Sifted:
-    """The model that filters leave of the scene.
+    """The scene after filtering.
 
     Attributes:
-        splats: The model.
-        stays: (N,) of the scene's splats, which stay.
-        reports: What each filter took.
+        splats: The remaining splats.
+        stays: (N,) which of the scene's splats remain.
+        reports: Number of splats that each filter removed.
     """
 
     splats: Splats
@@ -55,14 +55,14 @@ class Sifted:
 
 
 class Held:
-    """One scene, one forest, and curves of those that were asked for lately."""
+    """A cache of one scene, one filtered scene, one forest, and the latest curves."""
 
     def __init__(self, scene: Scene, manner: Manner) -> None:
-        """Hold nothing yet.
+        """Begin with an empty cache.
 
         Args:
-            scene: The file.
-            manner: How work is done.
+            scene: The scene to read.
+            manner: Settings of the studio.
         """
         self.scene, self.manner = scene, manner
         self._whole: tuple[str | None, Splats] | None = None
@@ -71,17 +71,17 @@ class Held:
         self._curves: dict[tuple[GrownKey, str], Curve] = {}
 
     def whole(self, render_mode: str | None) -> Splats:
-        """The scene, read again where it is to be drawn in another way."""
+        """Return the unfiltered scene; it is read again if another render mode is asked for."""
         if self._whole is None or self._whole[0] != render_mode:
             self.forget()
             self._whole = render_mode, load(self.scene.path, render_mode=render_mode)
         return self._whole[1]
 
     def sifted(self, choice: Choice) -> Sifted:
-        """Filter the scene as a choice says, and make the result the present model.
+        """Return the scene filtered by a choice, and keep it; the forest of another is dropped.
 
         Raises:
-            ModelError: Nothing.
+            ModelError: No splat is left.
         """
         key = model_key(choice)
         if self._sifted is None or self._sifted[0] != key:
@@ -91,27 +91,29 @@ class Held:
         return self._sifted[1]
 
     def previewed(self, choice: Choice) -> Sifted:
-        """Filter the scene as a choice says, while the present model stays the present one.
+        """Return the scene filtered by a choice, without keeping it in the cache.
 
         Raises:
-            ModelError: Nothing.
+            ModelError: No splat is left.
         """
         if self.is_shown(choice):
             return self.sifted(choice)
         return Sifted(*sift(self.whole(choice.render_mode), filters_of(choice.filters)))
 
     def is_shown(self, choice: Choice) -> bool:
-        """Whether the model of a choice is the present one."""
+        """Return whether the filtered scene of a choice is the one in the cache."""
         return self._sifted is not None and self._sifted[0] == model_key(choice)
 
     def here(self, choice: Choice) -> "Grown | None":
-        """The forest that is there, if it is of the same model; of another preset perhaps."""
+        """Return the forest in the cache if it is of the same model, of whatever preset."""
         if self.grown is None or self.grown[0][0] != model_key(choice):
             return None
         return self.grown[1]
 
     def roughly(self, choice: Choice, progress: Progress) -> "Grown":
-        """A forest for drafts: one of the same model that is there, else one that looks at nothing.
+        """Return a forest for drafts: the one in the cache if its model is the same, else `fast`'s.
+
+        The preset `fast` renders nothing.
 
         Raises:
             NanogsError: It cannot be grown.
@@ -120,10 +122,10 @@ class Held:
         return grown or self.fully(replace(choice, preset=QUICKEST), progress)
 
     def fully(self, choice: Choice, progress: Progress) -> "Grown":
-        """The forest of a choice, grown if it is not there.
+        """Return the forest of a choice, which is grown if it is not in the cache.
 
         Raises:
-            NanogsError: It cannot be.
+            NanogsError: It cannot be grown.
         """
         from nanogs.pipeline.grown import grow
 
@@ -139,7 +141,7 @@ class Held:
         return self.grown[1]
 
     def curve(self, choice: Choice, grown: "Grown") -> Curve:
-        """The curve of a choice, with all that is known of its results."""
+        """Return the curve of a choice, with all results measured so far."""
         key = grown_key(choice), choice.format
         if key not in self._curves:
             for oldest in list(self._curves)[: 1 - _CURVES]:
@@ -160,16 +162,16 @@ class Held:
         return Curve(grown.available, grown.fewest, lambda n: round(share * n), exact=False)
 
     def is_grown(self, choice: Choice) -> bool:
-        """Whether the forest of a choice is there."""
+        """Return whether the forest in the cache is that of a choice."""
         return self.grown is not None and self.grown[0] == grown_key(choice)
 
     def forget(self) -> None:
-        """Let go of everything; it is read and grown again when it is needed."""
+        """Free the scene and the forest, which are read and grown again when needed."""
         self._whole = self._sifted = self.grown = None
 
 
 def _cameras(splats: Splats, choice: Choice) -> "list[Camera] | None":
-    """The views that a choice of what is up leads to; None where the preset finds its own."""
+    """Return the views for the chosen up axis; None if the preset finds its own or renders none."""
     chosen = PRESETS[choice.preset]
     if choice.up is None or not renders(chosen):
         return None

@@ -1,4 +1,4 @@
-"""Which request is next: one at a time, the newest of a kind, and pages in turn."""
+"""The queue of requests: one runs at a time, a newer one replaces an older, pages take turns."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,15 +11,16 @@ _numbers = count(1)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """Work for the worker.
+    """A job for the worker.
 
     Attributes:
-        kind: What is to be done: "open" reads the scene, "filter" shows what filters take, "curve"
-            measures while nobody asks.
-        page: Whose it is; empty for nobody's.
+        kind: What is to be done: "open" reads the scene, "ask" makes and measures a result,
+            "filter" shows which splats filters remove, "save" writes a file, "curve" measures while
+            there are no requests.
+        page: Name of the page that asked; empty for none.
         number: The page's own number of its request, or None.
-        work: What is asked: a `Choice` or an `Order`.
-        id: Different for each.
+        work: The request: a `Choice` or an `Order`.
+        id: Unique number of the job, ascending.
     """
 
     kind: Kind
@@ -31,27 +32,26 @@ class Job:
 
 @dataclass(slots=True)
 class Queue:
-    """Requests that wait, and the one that is being answered.
+    """The waiting jobs, and the one that is running.
 
     Attributes:
-        running: The job at hand, or None.
-        dropped: Whether nobody waits for the running one any more.
+        running: The running job, or None.
+        dropped: Whether the running job has been cancelled or replaced.
     """
 
     running: Job | None = None
     dropped: bool = False
     _waiting: list[Job] = field(default_factory=list)
-    _turns: list[str] = field(default_factory=list)  # pages, the one that was last served last
+    _turns: list[str] = field(default_factory=list)  # pages, the most recently served one last
 
     def put(self, job: Job) -> list[Job]:
-        """Add a request; what it replaces leaves the queue.
+        """Add a job and remove those that it replaces.
 
-        A newer one of a page and kind takes the place of the one that waits and, but for saves, of
-        a running one. What was measured while nobody asked gives way to everything.
+        A job replaces the waiting job of the same page and kind, and also the running one unless
+        that is a save. Jobs of the kind "curve" are replaced by every job.
 
         Returns:
-            The jobs that nobody waits for any more: those that leave, and the running one if it is
-            among them.
+            The replaced jobs: those that were waiting, and the running one if it is replaced.
         """
         replaced = [each for each in self._waiting if _replaces(job, each)]
         self._waiting = [each for each in self._waiting if each not in replaced] + [job]
@@ -63,7 +63,7 @@ class Queue:
         return replaced
 
     def cancel(self, page: str, kinds: tuple[Kind, ...] = ("ask", "filter", "save")) -> list[Job]:
-        """Drop all that a page waits for; the jobs, the running one among them."""
+        """Drop the jobs of a page and return them, including the running one."""
         gone = [each for each in self._waiting if each.page == page and each.kind in kinds]
         self._waiting = [each for each in self._waiting if each not in gone]
         now = self.running
@@ -73,10 +73,9 @@ class Queue:
         return gone
 
     def next(self) -> Job | None:
-        """Begin with the next job, if there is one and none is running.
+        """Start the next job and return it, if there is one and none is running.
 
-        Of several pages the one comes next that has not been served for the longest time, and of
-        its requests the oldest.
+        The least recently served page is next, with its oldest request; "open" precedes all others.
         """
         if self.running is not None or not self._waiting:
             return None
@@ -87,18 +86,18 @@ class Queue:
         return job
 
     def done(self) -> None:
-        """The running job has ended."""
+        """Mark the running job as ended."""
         self.running, self.dropped = None, False
 
     def __iter__(self) -> Iterator[Job]:
-        """All jobs that somebody waits for."""
+        """Iterate over the running job, unless it was dropped, and the waiting ones."""
         if self.running is not None and not self.dropped:
             yield self.running
         yield from self._waiting
 
     @property
     def idle(self) -> bool:
-        """Whether there is nothing to do."""
+        """Whether no job is running or waiting."""
         return self.running is None and not self._waiting
 
     def _since(self, job: Job) -> tuple[int, int, int]:

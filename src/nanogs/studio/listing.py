@@ -1,4 +1,4 @@
-"""The folder that a studio was started in: no path leads out of it."""
+"""Access to the folder that a studio was started in, and to nothing outside it."""
 
 import os
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from nanogs.io import registry
 
 @dataclass(frozen=True, slots=True)
 class Folder:
-    """A folder of which files are named by paths relative to it.
+    """A folder whose files are named by paths relative to it; no path may lead out of it.
 
     Attributes:
         root: The folder, links resolved.
@@ -20,13 +20,13 @@ class Folder:
     root: Path
 
     def inside(self, text: object) -> Path:
-        """The path of a name, links resolved; it need not exist.
+        """Resolve a relative path and its symbolic links; it need not exist.
 
         Args:
             text: A relative path with slashes; empty for the folder itself.
 
         Raises:
-            OptionError: It leads out of the folder, or is no path.
+            OptionError: It leads out of the folder, or is not a path.
         """
         if not isinstance(text, str) or "\0" in text or "\\" in text:
             raise OptionError("A file is named by a path relative to the folder of the studio.")
@@ -40,10 +40,10 @@ class Folder:
         return found
 
     def listed(self, text: object) -> dict[str, Any]:
-        """Entries of a folder in it, for a dialogue; without hidden files and links that lead out.
+        """List a subfolder for a file dialogue, without hidden files and links that lead out.
 
         Raises:
-            OptionError: It leads out, or is no folder that can be read.
+            OptionError: It leads out, or is not a folder that can be read.
         """
         folder = self.inside(text)
         try:
@@ -58,7 +58,7 @@ class Folder:
         return {"folder": _text(relative), "parent": above, "entries": shown}
 
     def _entry(self, path: Path) -> dict[str, Any] | None:
-        """One line of the dialogue; None of what leads out, or is neither file nor folder."""
+        """Describe an entry; None if it leads out, or is neither a file nor a folder."""
         real = Path(os.path.realpath(path))
         if not real.is_relative_to(self.root):
             return None

@@ -1,4 +1,4 @@
-"""The scene as a page begins with it: a model to draw, a camera, and what can be chosen."""
+"""The state a studio page starts from: the model to draw, the camera, and the available options."""
 
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,11 @@ from nanogs.studio.turning import direction_of, up_of
 from nanogs.view.pack import DISTANCE, camera_in_page
 from nanogs.views.opening import Opening, opening_for
 
-_CORE = 1.0  # per cent of the splats on either side that `core` leaves out
+_CORE = 1.0  # percentage of the splats that `core` leaves out on each side of each axis
 
 
 def opened(scene: Scene, manner: Manner, whole: Splats) -> tuple[dict[str, Any], Opening, Shown]:
-    """The event that describes a scene, where the page begins, and the model that it shows.
+    """Return the event that describes a scene, the first camera, and the model to show.
 
     Raises:
         ModelError: No splat is visible.
@@ -49,12 +49,15 @@ def opened(scene: Scene, manner: Manner, whole: Splats) -> tuple[dict[str, Any],
 
 
 def writable_formats() -> list[str]:
-    """Suffixes of the formats that one model is written in."""
+    """Return the suffixes of the formats that a single model can be written in."""
     return [known.suffix for known in registry.formats() if known.writable]
 
 
 def _bounds(splats: Splats) -> tuple[list[float], ...]:
-    """The lowest and the highest corner of all finite centres, and of nearly all of them."""
+    """Return the corners of the bounding box of all finite centres, and those without outliers.
+
+    Both are lowest and highest corner; the second leaves out `_CORE` per cent on each side.
+    """
     means = splats.means[np.isfinite(splats.means).all(axis=1)]
     inner = np.percentile(means, [_CORE, 100 - _CORE], axis=0)
     corners = [means.min(axis=0), means.max(axis=0), *inner]

@@ -1,4 +1,4 @@
-"""A choice as the arguments of a function of the library, and as the command that does the same."""
+"""A choice translated to arguments of a library function, and to the equivalent command line."""
 
 import shlex
 from dataclasses import dataclass
@@ -29,17 +29,17 @@ LAYOUTS = {
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """A file to write: a choice of a scene.
+    """A request to write a file, or levels of detail, for a choice.
 
     Attributes:
-        scene: What it is made of.
-        manner: How.
-        choice: What was chosen.
-        path: The file, or what describes levels, as it would be typed.
-        overwrite: Whether what exists may be replaced.
+        scene: The scene.
+        manner: Settings of the studio.
+        choice: The user's choice.
+        path: The output file, or the file that describes levels, as the user would type it.
+        overwrite: Whether an existing output may be replaced.
 
     Raises:
-        OptionError: The parts of the choice do not go together, or do not suit the scene or path.
+        OptionError: Parts of the choice contradict each other, the scene or the path.
     """
 
     scene: Scene
@@ -49,7 +49,7 @@ class Order:
     overwrite: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what the command would."""
+        """Raise for combinations that the command would refuse, too."""
         refuse_unfit(self.scene, self.choice)
         known = self.choice.format.lower()
         if not self.path.name.lower().endswith(known):
@@ -60,16 +60,19 @@ class Order:
         if self.choice.levels is None:
             registry.writable(self.path)
         else:
-            self.output  # noqa: B018 - which refuses names that are of no levels
+            self.output  # noqa: B018 - raises if the name is not one of a layout of levels
 
     @property
     def output(self) -> Output:
-        """Where levels go."""
+        """Folder and layout of the levels, as the path names them."""
         return output_of(self.path)
 
     @property
     def frames(self) -> tuple[str, str] | None:
-        """Frames from and to which the file is turned, the second empty where it has its own."""
+        """Source and target frame to turn the file from and to; None to leave it unturned.
+
+        The target is empty if the format has a frame of its own.
+        """
         choice = self.choice
         if choice.up is None or choice.up == self.scene.up:
             return None
@@ -80,7 +83,7 @@ class Order:
         return renders(PRESETS[self.choice.preset])
 
     def check_target(self) -> None:
-        """Refuse a target that cannot be written, before anything is computed.
+        """Raise, before anything is computed, if the output cannot be written.
 
         Raises:
             OutputError: It exists and may not be replaced, or it cannot be written.
@@ -96,7 +99,7 @@ class Order:
         sink_of(request, suffix=output.suffix, layout=output.layout).check()
 
     def arguments(self) -> dict[str, Any]:
-        """Arguments by name for `simplify_blocks`, or for `write_levels`."""
+        """Return the keyword arguments for `simplify_blocks`, or for `write_levels`."""
         choice, manner, direction = self.choice, self.manner, None
         if choice.up is not None and self._looks:
             direction = direction_of(choice.up)
@@ -117,7 +120,7 @@ class Order:
         }  # fmt: skip
 
     def words(self) -> list[str]:
-        """The command that writes the same file, word by word."""
+        """Return the words of the command line that writes the same output."""
         choice, goal = self.choice, self.choice.goal
         levels = choice.levels
         wish: dict[str, object] = {"count": goal.count, "size": goal.size, "psnr": goal.psnr}
@@ -142,15 +145,15 @@ class Order:
         return ["nanogs", command, *paths, *options]
 
     def command(self) -> str:
-        """The same in one line, as a shell takes it."""
+        """Return the same command as one line, quoted for a shell."""
         return shlex.join(self.words())
 
 
 def refuse_unfit(scene: Scene, choice: Choice) -> None:
-    """Refuse a choice that cannot be had of a scene, as far as its header tells.
+    """Raise if a choice is not possible for a scene, as far as can be seen from its header.
 
     Raises:
-        OptionError: It cannot.
+        OptionError: It is not possible.
     """
     goal, count = choice.goal, choice.goal.count
     if choice.levels is None and choice.format in LAYOUTS and choice.format != ".rad":
@@ -177,25 +180,25 @@ def refuse_unfit(scene: Scene, choice: Choice) -> None:
 
 
 def filters_of(chosen: Sifting) -> list[filters.Filter]:
-    """The filters of a choice, in the order in which the command applies them."""
+    """Return the filters of a choice, in the order in which the command applies them."""
     regions = [] if chosen.box is None else [filters.box(chosen.box[:3], chosen.box[3:])]
     return filters.in_order(regions, chosen.min_opacity, floaters=chosen.floaters)
 
 
 def number(value: float) -> str:
-    """A number in the fewest digits that are read as the same one."""
+    """Format a number with the fewest digits that parse to the same value."""
     text = repr(value)
     return text.removesuffix(".0")
 
 
 def typed(path: Path) -> str:
-    """A path that no shell or command takes for an option."""
+    """Format a path so that a command does not take it for an option."""
     text = str(path)
     return f"./{text}" if text.startswith("-") else text
 
 
 def option(name: str, value: object) -> list[str]:
-    """The words of an option; none where it has no value, one where it is only there or not."""
+    """Return the words of an option: none without a value, one for a flag, else name and value."""
     if value is None or value is False or value == "":
         return []
     if value is True:
@@ -204,7 +207,7 @@ def option(name: str, value: object) -> list[str]:
 
 
 def shown_path(scene: Scene, choice: Choice) -> Path:
-    """The name of a result that has none yet, for the command that is shown."""
+    """Return a placeholder output path, for showing the command before the user names a file."""
     if choice.levels is not None:
         return Path(LAYOUTS[choice.format][1].format(stem=f"{scene.stem}-levels"))
     folder = choice.format == "meta.json"

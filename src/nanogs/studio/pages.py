@@ -1,4 +1,4 @@
-"""The pages that look at a studio: a line of events for each, and the models that these name."""
+"""The open pages of a studio: an event stream for each, and the models that the events name."""
 
 import asyncio
 import json
@@ -12,10 +12,10 @@ from typing import Any
 from nanogs.errors import OptionError
 from nanogs.formatting import plain
 
-KEPT = {"filtered": 2, "draft": 4, "made": 4}  # models of a page, of each kind of event
-MOST = 16  # pages
-BEAT = 10.0  # seconds between signs of life
-_MOST_EVENTS = 2000  # that wait for a page whose line is broken
+KEPT = {"filtered": 2, "draft": 4, "made": 4}  # models kept for a page, by kind of event
+MOST = 16  # most pages at a time
+BEAT = 10.0  # seconds between heartbeats on an idle stream
+_MOST_EVENTS = 2000  # most events queued for a page whose stream is interrupted
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 Event = dict[str, Any]
@@ -24,13 +24,14 @@ Say = Callable[[str], Awaitable[None]]
 
 @dataclass(slots=True, eq=False)
 class Page:
-    """One page of a browser.
+    """One page in a browser.
 
     Attributes:
-        events: Texts that wait to be sent.
-        lines: Open lines; a second one takes the place of the first.
-        models: By kind of event, the latest: ID and bytes.
-        left: When the last line was closed, by `time.monotonic`; None while one is open.
+        events: Events queued to be sent, as text.
+        news: Set when there is something to send, or when a newer stream replaces this one.
+        lines: Number of streams opened so far; each one replaces the one before.
+        models: The latest models by kind of event: ID and bytes.
+        left: Time when the last stream was closed, by `time.monotonic`; None while one is open.
     """
 
     events: deque[str] = field(default_factory=lambda: deque(maxlen=_MOST_EVENTS))
@@ -41,19 +42,19 @@ class Page:
 
 
 class Pages:
-    """All pages; events for all are kept for those that come later."""
+    """All pages of a studio; the scene is kept for pages that are opened later."""
 
     def __init__(self) -> None:
         self._pages: dict[str, Page] = {}
         self._shared: dict[str, bytes] = {}
         self.scene: Event | None = None
-        self.last_left: float | None = None  # when a page was closed, by `time.monotonic`
+        self.last_left: float | None = None  # time when a page was last closed, `time.monotonic`
 
     def get(self, name: object) -> Page:
-        """The page of a name, which is new perhaps.
+        """Return the page of a name, which is made if it is new.
 
         Raises:
-            OptionError: The name is none, or there are too many pages.
+            OptionError: The name is invalid, or there are too many pages.
         """
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise OptionError("A page has a name of 1 to 64 letters, digits, - and _.")
@@ -65,18 +66,18 @@ class Pages:
         return self._pages[name]
 
     def _forget(self) -> None:
-        """Forget the page that was left first, where there is no room for another."""
+        """If there is no room for another page, remove the one that was closed the longest ago."""
         left = [(page.left, name) for name, page in self._pages.items() if page.left is not None]
         if left and len(self._pages) >= MOST:
             del self._pages[min(left)[1]]
 
     def deliver(self, name: str, event: Event, models: dict[str, bytes]) -> None:
-        """Take an event for a page, or for all.
+        """Queue an event for a page, or for all pages.
 
         Args:
-            name: Of the page; empty for all.
-            event: What has happened.
-            models: Bytes of models that the event names, by ID.
+            name: Name of the page; empty for all.
+            event: The event.
+            models: Bytes of the models that the event names, by ID.
         """
         if event["type"] == "scene":
             self.scene = event
@@ -94,22 +95,22 @@ class Pages:
             page.news.set()
 
     def model(self, name: str) -> bytes | None:
-        """The bytes of a model by its ID; None of one that is not kept."""
+        """Return the bytes of a model by its ID; None if it is not kept any more."""
         if name in self._shared:
             return self._shared[name]
         kept = (each for page in self._pages.values() for each in page.models.values())
         return next((data for models in kept for each, data in models if each == name), None)
 
     async def stream(self, page: Page, say: Say) -> None:
-        """Send a page its events, as server-sent ones, until it has another line or is cancelled.
+        """Send a page its server-sent events, until a newer stream is opened or it is cancelled.
 
         Args:
             page: The page.
-            say: Sends a text.
+            say: Sends a text to the page.
         """
         page.lines += 1
         mine, page.left = page.lines, None
-        page.news.set()  # so that an older line ends
+        page.news.set()  # wakes an older stream, which then ends
         try:
             await say(": here\n\n" if self.scene is None else _text(self.scene))
             while page.lines == mine:
@@ -130,7 +131,7 @@ class Pages:
         return any(page.left is None for page in self._pages.values())
 
     def gone(self, seconds: float) -> list[str]:
-        """Names of pages that were left longer ago than that."""
+        """Return the names of pages that were closed more than `seconds` ago."""
         now = time.monotonic()
         return [
             name

@@ -1,4 +1,4 @@
-"""The process of the worker: started, asked, ended; a thread of this one reads what it says."""
+"""Handle of the worker process: starting it, sending messages, receiving them, ending it."""
 
 import multiprocessing
 import signal
@@ -18,15 +18,15 @@ _GRACE = 2.0  # seconds to clean up after SIGTERM
 
 
 class Process:
-    """A worker, started when it is made."""
+    """The worker process, which is started by the constructor."""
 
     def __init__(self, scene: Scene, manner: Manner, told: Callable[[Any], None]) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
-            scene: What it is to read.
-            manner: How it works.
-            told: Called, in a thread, with each message, and with None once it has ended.
+            scene: The scene that it opens.
+            manner: Settings of the studio.
+            told: Called in a thread with each message of the worker, and with None when it ends.
         """
         from nanogs.studio.worker import work
 
@@ -42,12 +42,12 @@ class Process:
         threading.Thread(target=_read, args=(self._line, told), daemon=True).start()
 
     def send(self, message: tuple[str, Any]) -> None:
-        """Say something to it; one that has ended does not hear it."""
+        """Send a message to the worker; nothing happens if it has ended."""
         with suppress(OSError):
             self._line.send(message)
 
     def end(self) -> None:
-        """End it: it takes away its temporary files first, if it still can."""
+        """End the worker, which has `_GRACE` seconds to remove its temporary files."""
         with suppress(OSError, ValueError, AttributeError):
             self._process.terminate()
             self._process.join(_GRACE)
@@ -57,7 +57,7 @@ class Process:
 
     @property
     def ended_by(self) -> str:
-        """How it ended, to end a sentence."""
+        """Signal or exit code with which it ended, as the end of a sentence."""
         code = self._process.exitcode
         if code is not None and code < 0:
             name = signal.Signals(-code).name
@@ -66,7 +66,7 @@ class Process:
 
 
 def _read(line: Connection, told: Callable[[Any], None]) -> None:
-    """Pass on what comes until nothing will."""
+    """Pass on messages until the connection is closed, then None."""
     with suppress(EOFError, OSError):
         while True:
             told(line.recv())

@@ -1,8 +1,8 @@
-"""Which requests a studio answers: those of its own page, in a browser of this machine.
+"""Access control: a studio answers only its own page, in a browser on this machine.
 
-Another page that the same browser shows may send requests to any port of this machine. It does not
-know the token; it cannot read answers, or send JSON, without Cross-Origin rules that are never
-granted; and a name of its own that it has point to this machine is in `Host`.
+A foreign page in the same browser may send requests to any port of this machine. It does not know
+the token; it cannot read responses or send JSON across origins, because no CORS headers are ever
+sent; and DNS rebinding, a host name of its own that resolves to this machine, shows in `Host`.
 """
 
 from hmac import compare_digest
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from starlette.datastructures import Headers
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-MOST_BYTES = 1 << 16  # of what a page sends
+MOST_BYTES = 1 << 16  # of a request body
 HEADERS = {
     "content-security-policy": "default-src 'none'; script-src 'self' 'wasm-unsafe-eval' blob:;"
     " worker-src blob:; connect-src 'self' data: blob:; img-src 'self' data: blob:;"
@@ -27,22 +27,22 @@ HEADERS = {
 
 
 class Guard:
-    """An ASGI application around another, which lets through what is safe."""
+    """ASGI middleware that passes only requests of the studio's own page to an application."""
 
     def __init__(self, inner: "ASGIApp", token: str, port: int) -> None:
-        """Guard an application.
+        """Wrap an application.
 
         Args:
             inner: The application.
-            token: What all paths begin with.
-            port: That it listens on.
+            token: Secret first segment of all paths.
+            port: Port of the server.
         """
         self._inner, self._token = inner, token
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
 
     async def __call__(self, scope: "Scope", receive: "Receive", send: "Send") -> None:
-        """Answer, or have the application answer."""
-        if scope["type"] == "lifespan":  # the server's own, of its start and end
+        """Refuse a request, or pass it to the application and add the security headers."""
+        if scope["type"] == "lifespan":  # start and end of the server itself
             await self._inner(scope, receive, send)
         if scope["type"] != "http":
             return
@@ -62,7 +62,7 @@ class Guard:
             await PlainTextResponse(text, status)(scope, receive, sent)
 
     def _refused(self, scope: "Scope", headers: "Headers") -> tuple[int, str] | None:
-        """The status and the text of a refusal; None of what may pass."""
+        """Return status and text of the refusal of a request; None if it may pass."""
         host = headers.get("host", "")
         if host not in self._hosts or len(headers.getlist("host")) != 1:
             return 421, "This address is not the studio's."

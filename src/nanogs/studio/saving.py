@@ -1,4 +1,4 @@
-"""A file as the shown command writes it."""
+"""Saving: writing the output that the shown command would write."""
 
 import os
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ Event = dict[str, Any]
 
 
 def save(order: Order, held: Held, progress: Progress) -> Event:
-    """Write what is ordered; the event that says so.
+    """Write the output of an order, and return the event that reports it.
 
     Raises:
         NanogsError: It cannot be written.
@@ -45,7 +45,7 @@ def save(order: Order, held: Held, progress: Progress) -> Event:
 
 
 def _lines(report: SimplifyReport) -> Iterator[tuple[str, str]]:
-    """Yield the lines that tell of a result: what each is about, and its text."""
+    """Yield the lines of a summary of a result, each as label and text."""
     yield "splats", f"{report.achieved_count:,} of {report.read_count or report.input_count:,}"
     for each in report.filters:
         yield each.name, f"took {counted(each.removed, 'splat')}"
@@ -57,13 +57,16 @@ def _lines(report: SimplifyReport) -> Iterator[tuple[str, str]]:
 
 
 def _all_bytes(path: Path) -> int:
-    """Bytes of a file, or of all files of a folder."""
+    """Return the bytes of a file, or of all files of a folder."""
     files = [path] if path.is_file() else [each for each in path.rglob("*") if each.is_file()]
     return sum(each.stat().st_size for each in files)
 
 
 def _make_room(order: Order, held: Held) -> None:
-    """Let go of the forest where there is too little memory for it beside what saving takes."""
+    """Free the scene and its forest if saving needs the memory.
+
+    They are freed if a limit is set, or if the model would otherwise be simplified in blocks.
+    """
     manner, goal = held.manner, order.choice.goal
     levels = order.choice.levels
     request = Request(

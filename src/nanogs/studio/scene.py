@@ -1,4 +1,4 @@
-"""The file that a studio is of, and how the studio was started. Only the header is read."""
+"""The scene of a studio, as its file header describes it, and the settings of the studio."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +17,13 @@ class Scene:
     """The scene as the header of its file describes it.
 
     Attributes:
-        path: The file, as it was named.
-        splats: How many it holds.
-        sh_degree: Of their harmonics.
-        file_bytes: Its size.
-        render_mode: What it says it is to be drawn as.
-        up: The axis that it says is up, such as "-y", or None.
-        states_frame: Whether it states its frame, so that nobody may say another.
+        path: The file, as the user named it.
+        splats: Number of splats.
+        sh_degree: Degree of their harmonics.
+        file_bytes: Size of the file.
+        render_mode: Render mode that the file states.
+        up: Up axis that the file or its format states, such as "-y", or None.
+        states_frame: Whether the file itself states its frame, which then cannot be changed.
     """
 
     path: Path
@@ -36,21 +36,21 @@ class Scene:
 
     @property
     def stem(self) -> str:
-        """Its name without the suffix."""
+        """File name without the suffix."""
         return registry.stem_of(self.path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manner:
-    """How all work of a studio is done, and what its page begins with.
+    """Settings of a studio: the initial options of its page, and the resources to use.
 
     Attributes:
-        preset: The one that the page begins with.
-        render_mode: What the model is drawn as at first, or None for what its file says.
-        up: The axis that is up at first, or None for what is found.
-        threads: To use; None for all.
+        preset: Initial preset.
+        render_mode: Initial render mode, or None for the one that the file states.
+        up: Initial up axis, or None to find it.
+        threads: Number of threads; None for all.
         max_memory: Bytes that the process may take; None for what is free.
-        device: Where pictures are made.
+        device: Device on which views are rendered.
     """
 
     preset: str = DEFAULT_PRESET
@@ -61,7 +61,7 @@ class Manner:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        """Refuse a preset that answers no count in a moment."""
+        """Raise for a preset that cannot make any count quickly, because it grows no forest."""
         if self.preset not in PRESETS:
             raise OptionError(
                 f"The studio has the presets {', '.join(PRESETS)}, not {self.preset!r}; choose one"
@@ -74,7 +74,7 @@ def scene_of(path: Path) -> Scene:
 
     Raises:
         FormatError: It cannot be read.
-        OptionError: It is a URL, or without splats.
+        OptionError: It is a URL, or holds no splats.
     """
     refuse_address(path, "download it first and name the file")
     with open_model(path) as source:

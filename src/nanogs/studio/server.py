@@ -1,4 +1,4 @@
-"""The server of a studio: what a page asks, over HTTP on this machine alone."""
+"""The HTTP server of a studio, which listens on the loopback address only."""
 
 import asyncio
 import json
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.types import ASGIApp
 
-LEFT = 10.0  # seconds after which what a page that was closed has asked for is dropped
+LEFT = 10.0  # seconds after which the requests of a closed page are dropped
 _TICK = 0.5
 _TYPES = {
     ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".png": "image/png",
@@ -40,7 +40,7 @@ Endpoint = Callable[["Request"], Awaitable["Response"]]
 
 
 class Studio:
-    """A studio that listens, once it is made; `run` answers."""
+    """The server of a studio: the constructor opens the port, `run` answers requests."""
 
     def __init__(
         self, scene: Scene, manner: Manner, *, folder: Path, port: int = 0, idle: float = 60.0
@@ -48,11 +48,11 @@ class Studio:
         """Listen on a port of this machine.
 
         Args:
-            scene: The model.
-            manner: How work is done.
-            folder: Which files the page may name: those below it.
-            port: 0 for any that is free.
-            idle: Seconds after the last page was closed in which the studio ends; 0 for never.
+            scene: The scene to open.
+            manner: Settings of the studio.
+            folder: The only folder whose files the page may name.
+            port: Port number; 0 for any free one.
+            idle: Seconds after which the studio ends once all pages are closed; 0 for never.
 
         Raises:
             OptionError: starlette or uvicorn is missing, or the port is taken.
@@ -69,17 +69,17 @@ class Studio:
 
     @property
     def url(self) -> str:
-        """The address of the page."""
+        """URL of the page, with the secret token."""
         return f"http://127.0.0.1:{self._port}/{self._token}/"
 
     def run(self) -> None:
-        """Answer until nobody has looked for a while."""
+        """Answer requests until all pages have been closed for `idle` seconds."""
         import uvicorn
 
         class Server(uvicorn.Server):
             @contextmanager
             def capture_signals(self) -> Iterator[None]:
-                yield  # whoever runs the studio has said what signals do
+                yield  # the caller has set the signal handlers
 
         config = uvicorn.Config(
             self._application(), log_config=None, access_log=False, lifespan="on",
@@ -121,14 +121,14 @@ class Studio:
 
     @asynccontextmanager
     async def _living(self, _application: object) -> AsyncIterator[None]:
-        """Have the scene read, and look after pages that were left."""
+        """Open the scene when the server starts, and watch for closed pages while it runs."""
         self._workshop.open()
         watching = asyncio.create_task(self._watch())
         yield
         watching.cancel()
 
     async def _watch(self) -> None:
-        """Drop what pages that were left have asked for, and end when all were."""
+        """Drop the requests of closed pages, and stop the server when all pages are closed."""
         while True:
             await asyncio.sleep(_TICK)
             for name in self._pages.gone(LEFT):
@@ -161,14 +161,14 @@ class Studio:
 
         page = self._pages.get(request.query_params.get("page"))
         if self._pages.scene is None and self._workshop.queue.idle:
-            self._workshop.open()  # which has failed before
+            self._workshop.open()  # an earlier attempt has failed
         return EventStream(partial(self._pages.stream, page))
 
     async def _model(self, request: "Request") -> "Response":
         from starlette.responses import Response
 
         data = self._pages.model(request.path_params["name"])
-        if data is None:  # nothing wrong: a slow page asks for what newer models have replaced
+        if data is None:  # not an error: newer models have replaced the one a slow page asks for
             return Response(status_code=204)
         return Response(data, media_type="application/octet-stream")
 
@@ -197,7 +197,10 @@ class Studio:
         return _json({"command": order.command()})
 
     async def _command(self, request: "Request") -> "Response":
-        """The line that writes a file, or why none can: a name that is half typed is no fault."""
+        """Answer with the command that writes a file, or with a message why it cannot be written.
+
+        Neither is an HTTP error, because the user may still be typing the name.
+        """
         data, _ = await self._asked(request, "choice", "path")
         command, message, exists = None, None, False
         try:
@@ -214,10 +217,10 @@ class Studio:
         return _json({"command": command, "message": message, "exists": exists})
 
     def _order(self, data: dict[str, Any]) -> Order:
-        """The order to save what a page chose, its path relative to the folder.
+        """Make the order to save the choice of a page, with a path relative to the folder.
 
         Raises:
-            OptionError: It makes no sense, or would replace the scene itself.
+            OptionError: It is invalid, or would replace the scene itself.
         """
         target = self._folder.inside(data.get("path"))
         if target == self._folder.root:
@@ -229,7 +232,7 @@ class Studio:
         return Order(self._scene, self._manner, self._chosen(data), path, overwrite)
 
     def _unnamed(self, data: dict[str, Any]) -> Order:
-        """The order for a page's choice, under a placeholder name; raises as `_order` does."""
+        """Make the order for the choice of a page with a placeholder path; see `_order`."""
         choice = self._chosen(data)
         return Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
 
@@ -246,7 +249,7 @@ class Studio:
         return Response(status_code=204)
 
     async def _seen(self, request: "Request") -> "Response":
-        """A page has drawn a model, and says how long a splat takes it."""
+        """Note that a page has drawn a model, and the seconds that a splat took."""
         from starlette.responses import Response
 
         data, _ = await self._asked(request, "model", "pace")
@@ -256,10 +259,10 @@ class Studio:
         return Response(status_code=204)
 
     async def _asked(self, request: "Request", *names: str) -> tuple[dict[str, Any], int | None]:
-        """The entries of a request and its number.
+        """Parse a request: its entries, which may be only the named ones, and its number.
 
         Raises:
-            OptionError: It is no such request.
+            OptionError: It is invalid.
         """
         try:
             data = json.loads(await request.body())
@@ -276,7 +279,7 @@ class Studio:
 
 
 def _told(answer: Endpoint) -> Endpoint:
-    """An answer whose errors of the user's become a sentence for the page."""
+    """Wrap an endpoint so that errors become a response with a message for the page."""
 
     async def answered(request: "Request") -> "Response":
         try:
@@ -290,10 +293,10 @@ def _told(answer: Endpoint) -> Endpoint:
 
 
 def _pace(said: object) -> float | None:
-    """Seconds that a splat takes a page to draw, if it knows.
+    """Check the seconds that a page takes to draw one splat; None if it does not know.
 
     Raises:
-        OptionError: It is no number above 0.
+        OptionError: It is not a number above 0.
     """
     if said is None:
         return None
@@ -305,13 +308,13 @@ def _pace(said: object) -> float | None:
 def _json(data: object, status: int = 200) -> "Response":
     from starlette.responses import Response
 
-    # In ASCII, which holds any name of a file.
+    # As ASCII with escapes, which can represent any file name.
     text = json.dumps(data, allow_nan=False)
     return Response(text, status, media_type="application/json")
 
 
 def _file(package: str, path: str, name: str) -> "Response":
-    """A file of the package as it is; 404 of one that is not there."""
+    """Respond with a file of a package, or 404 if there is no such file."""
     from starlette.responses import PlainTextResponse, Response
 
     kind = _TYPES.get(Path(name).suffix)
@@ -327,10 +330,10 @@ def _package(package: str, path: str) -> bytes | None:
 
 
 def _listening(port: int) -> socket.socket:
-    """A socket that listens on this machine alone.
+    """Open a socket that listens on the loopback address only.
 
     Raises:
-        OptionError: The port is taken, or not for this user.
+        OptionError: The port is taken, or not permitted to this user.
     """
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
@@ -345,10 +348,10 @@ def _listening(port: int) -> socket.socket:
 
 
 def _check_installed() -> None:
-    """Fail before anything is begun where what serves pages is missing.
+    """Raise, before anything is begun, if the packages of the web server are missing.
 
     Raises:
-        OptionError: It is.
+        OptionError: They are missing.
     """
     try:
         import starlette  # noqa: F401

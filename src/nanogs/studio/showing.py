@@ -1,4 +1,4 @@
-"""Models as the page gets them: few enough splats for a browser to draw, packed in no time."""
+"""Packing models for the page: reduced to a number of splats that a browser can draw, quickly."""
 
 from dataclasses import dataclass, replace
 from secrets import token_hex
@@ -14,17 +14,17 @@ from nanogs.view.pack import pack
 from nanogs.views.opening import Opening
 from nanogs.views.stand_in import stand_in
 
-MOST_SHOWN = 500_000  # splats
+MOST_SHOWN = 500_000  # most splats of a model that is sent to a page
 _MAGENTA = (1.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A model for the page.
+    """A model packed for the page.
 
     Attributes:
-        entry: What an event says of it.
-        models: Its bytes by its ID.
+        entry: Description of it in an event.
+        models: Its bytes, keyed by its ID.
     """
 
     entry: dict[str, Any]
@@ -32,12 +32,12 @@ class Shown:
 
 
 def show(splats: Splats, start: Opening, of: int) -> Shown:
-    """Pack a model; a note says where it stands for one of more splats.
+    """Pack a model for the page, with a note if it replaces a model with more splats.
 
     Args:
-        splats: The model, of at most `MOST_SHOWN` splats.
-        start: Where the page begins.
-        of: Splats of what it stands for.
+        splats: The model, with at most `MOST_SHOWN` splats.
+        start: The first camera of the page.
+        of: Number of splats of the model that it replaces.
     """
     packed, name = pack(splats, start, quick=True), token_hex(8)
     notes = list(packed.notes)
@@ -54,16 +54,16 @@ def show(splats: Splats, start: Opening, of: int) -> Shown:
 
 
 def few(splats: Splats) -> Splats:
-    """The model, or one that stands for it and that a browser draws."""
+    """Reduce a model to `MOST_SHOWN` splats if it has more."""
     return splats if len(splats) <= MOST_SHOWN else stand_in(splats, MOST_SHOWN)
 
 
 def marked(splats: Splats, stays: Bool) -> Splats:
-    """A model as `few` gives it, with what does not stay in magenta.
+    """Reduce a model as `few` does, and colour the splats that would be removed magenta.
 
     Args:
         splats: The whole model.
-        stays: (N,) which of its splats stay.
+        stays: (N,) which of its splats remain.
     """
     shown = few(splats)
     every = -(-len(splats) // MOST_SHOWN)

@@ -1,4 +1,4 @@
-"""A response that goes on until the page is closed, which it notices at once."""
+"""A streaming response for server-sent events that ends at once when the page is closed."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -8,21 +8,22 @@ from starlette.types import Receive, Scope, Send
 
 
 class EventStream(Response):
-    """Server-sent events, as long as something says them and somebody listens."""
+    """A response of server-sent events, until their source ends or the client disconnects."""
 
     media_type = "text/event-stream"
 
     def __init__(self, talk: Callable[[Callable[[str], Awaitable[None]]], Awaitable[None]]) -> None:
-        """Prepare to send.
+        """Prepare the response.
 
         Args:
-            talk: Is given what sends a text, and is cancelled when the page is closed.
+            talk: Coroutine function that gets a function to send texts; it is cancelled when the
+                page is closed.
         """
         super().__init__()
         self._talk = talk
 
     async def __call__(self, _scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the head, and what is said."""
+        """Send the headers, then the events."""
         head = [(b"content-type", b"text/event-stream; charset=utf-8")]
         await send({"type": "http.response.start", "status": 200, "headers": head})
 

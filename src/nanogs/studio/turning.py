@@ -1,4 +1,4 @@
-"""Which way is up: the frame that a model is in by that, and the one that its file is to be in."""
+"""Up axes and frames: the frame of a model by its up axis, and the frame of the file to write."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,23 +13,23 @@ FRAMES = {"-y": "rdf", "+y": "rub", "+z": "rfu", "-z": "rbd", "+x": "ubr", "-x":
 
 
 def direction_of(up: str) -> tuple[float, float, float]:
-    """The unit vector of an axis with its sign, such as "-y"."""
+    """Return the unit vector of a signed axis, such as "-y"."""
     sign = -1.0 if up[0] == "-" else 1.0
     x, y, z = (sign if axis == up[1] else 0.0 for axis in "xyz")
     return x, y, z
 
 
 def up_of(direction: Sequence[float]) -> str:
-    """The axis with its sign that is nearest to a direction."""
+    """Return the signed axis that is nearest to a direction."""
     axis = max(range(3), key=lambda each: abs(direction[each]))
     return ("-" if direction[axis] < 0 else "+") + "xyz"[axis]
 
 
 def axis_of(direction: Sequence[float]) -> str:
-    """The axis with its sign along which a direction is.
+    """Return the signed axis to which a direction is parallel.
 
     Raises:
-        OptionError: It is along none.
+        OptionError: It is not parallel to an axis.
     """
     if sum(value != 0 for value in direction) != 1:
         raise OptionError(
@@ -39,11 +39,11 @@ def axis_of(direction: Sequence[float]) -> str:
 
 
 def stated_up(source: FileSource, path: Path) -> str | None:
-    """The axis that a file says, or its format, is up; None where neither does.
+    """Return the up axis that a file or its format states; None if neither does.
 
     Args:
-        source: The file, open.
-        path: Its name.
+        source: The open file.
+        path: Its path.
     """
     known = registry.reader(path)
     frame = known.axes or source.frame
@@ -51,35 +51,35 @@ def stated_up(source: FileSource, path: Path) -> str | None:
 
 
 def states_frame(source: FileSource, path: Path) -> bool:
-    """Whether a file itself states its frame, so that nobody can say another."""
+    """Return whether a file itself states its frame, which then cannot be changed."""
     known = registry.reader(path)
     return known.turns or (known.axes is None and bool(source.frame))
 
 
 def frames_to(up: str, target: Path) -> tuple[str, str]:
-    """The frames from and to which a model is turned that is upright with an axis up.
+    """Return the source and target frame for writing a model whose up axis is given.
 
     Args:
-        up: That axis.
-        target: What is to be written, or a model of it; only its suffix counts.
+        up: Up axis of the model.
+        target: The output file, or a model file of levels; only its suffix counts.
 
     Returns:
-        Names of frames, the second empty where the format has a frame of its own.
+        Names of the frames; the second is empty if the format has a frame of its own.
 
     Raises:
-        OptionError: The format is not written.
+        OptionError: The format cannot be written.
     """
     known = registry.writable(target)
     return FRAMES[up], "" if known.turns else known.axes or Y_UP
 
 
 def turned(frames: tuple[str, str] | None) -> tuple[str, str] | None:
-    """Frames as the library takes them, of which none is empty."""
+    """Replace an empty target frame by the one that the library expects."""
     return frames and (frames[0], frames[1] or TRAINED)
 
 
 def refuse_stated(name: str) -> OptionError:
-    """The error of a model whose file says which way is up, where another one is chosen."""
+    """Make the error for choosing another up axis than the model's file states."""
     return OptionError(
         f"{name} states its frame, so that another way up would contradict it; save it without, or"
         " convert it to .ply first and open that."

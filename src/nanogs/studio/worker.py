@@ -1,4 +1,4 @@
-"""The process that holds the scene and calls the library, one job after the other."""
+"""The worker process, which holds the scene and calls the library, one job at a time."""
 
 import os
 import queue
@@ -24,18 +24,18 @@ from nanogs.studio.showing import Shown
 if TYPE_CHECKING:
     from nanogs.studio.desk import Desk
 
-EVERY = 0.1  # seconds between two events about the same stage
+EVERY = 0.1  # least seconds between two progress events of the same stage
 
 
 class Cancelled(BaseException):
-    """Nobody waits for this job any more; no error, so that nothing takes it for one."""
+    """The job has been cancelled; not an `Exception`, so that no handler catches it as an error."""
 
 
 class Line:
-    """To and from the server, for any thread."""
+    """The connection to the server, with a lock so that any thread can send."""
 
     def __init__(self, line: Connection) -> None:
-        """Take over a connection."""
+        """Wrap a connection."""
         self._line, self._lock = line, threading.Lock()
         self.recv = line.recv
 
@@ -46,42 +46,42 @@ class Line:
 
 
 class Inbox:
-    """Messages of the server, read by a thread of its own."""
+    """Messages of the server, read by a separate thread."""
 
     def __init__(self, line: Line) -> None:
-        """Begin to read.
+        """Start the reading thread.
 
         Args:
-            line: From the server; where it ends, so does this process.
+            line: Connection to the server; this process exits when it is closed.
         """
         self.jobs: queue.Queue[Job] = queue.Queue()
-        self.successors: queue.Queue[Job] = queue.Queue()  # which wait for a job to stop
+        self.successors: queue.Queue[Job] = queue.Queue()  # requests that replace the running job
         self._line = line
         self._dropped: dict[int, Job | None] = {}
-        self._seen: dict[str, str] = {}  # by page, the model that it has drawn last
+        self._seen: dict[str, str] = {}  # by page, ID of the model that it has drawn last
         self._paces: dict[str, float] = {}
-        self._news = threading.Condition()  # of what was dropped or seen
+        self._news = threading.Condition()  # notified of changes to `_dropped` and `_seen`
         threading.Thread(target=self._read, daemon=True).start()
 
     def dropped(self, job: Job) -> bool:
-        """Whether nobody waits for a job any more."""
+        """Return whether a job has been cancelled or replaced."""
         return job.id in self._dropped
 
     def successor(self, job: Job) -> Job | None:
-        """The newer request because of which a job was dropped."""
+        """Return the newer request that replaced a job, or None."""
         return self._dropped.get(job.id)
 
     def pace(self, page: str) -> float | None:
-        """Seconds that a splat takes a page to draw, if it has said so."""
+        """Return the seconds that a page takes to draw one splat, if it has reported it."""
         return self._paces.get(page)
 
     def begin(self, job: Job) -> None:
-        """Forget the jobs before this one."""
+        """Remove the records of cancelled jobs before this one."""
         for each in [each for each in self._dropped if each < job.id]:
             del self._dropped[each]
 
     def rest(self, job: Job, model: str, least: float, most: float) -> None:
-        """Wait until a job's model was seen, `least` to `most` seconds, or until it is dropped."""
+        """Wait `least` to `most` seconds for a job's model to be drawn, or until it is dropped."""
         begun = time.monotonic()
         with self._news:
             self._news.wait_for(lambda: self.dropped(job), least)
@@ -116,14 +116,14 @@ class Inbox:
 
 
 class Teller:
-    """How a job speaks to the server."""
+    """Sends the events of a job to the server; see `Telling`."""
 
     def __init__(self, line: Line, inbox: Inbox, job: Job) -> None:
-        """Speak for a job.
+        """Prepare to send events of a job.
 
         Args:
-            line: To the server.
-            inbox: Which says whether it is still wanted.
+            line: Connection to the server.
+            inbox: Messages of the server, among them that the job is cancelled.
             job: The job.
         """
         self._line, self._inbox, self._job = line, inbox, job
@@ -140,10 +140,10 @@ class Teller:
         self._line.send(("event", self.page, event, shown.models if shown else {}))
 
     def check(self) -> None:
-        """Stop here if nobody waits any more.
+        """Raise if the job has been cancelled, unless it is shielded.
 
         Raises:
-            Cancelled: So it is.
+            Cancelled: It has been.
         """
         if not self._inbox.dropped(self._job):
             return
@@ -153,7 +153,7 @@ class Teller:
         raise Cancelled
 
     def progress(self, kind: str) -> Progress:
-        """A function that takes steps and tells them; it raises `Cancelled`."""
+        """Return a progress callback that sends events; it raises `Cancelled` if the job is."""
         stage, since, number = "", 0.0, self._job.number
 
         def told(step: Step) -> None:
@@ -173,17 +173,17 @@ class Teller:
 
     @property
     def pace(self) -> float | None:
-        """Seconds that a splat takes the page to draw, if it has said so."""
+        """Seconds that the page takes to draw one splat, if it has reported it."""
         return self._inbox.pace(self.page)
 
     def rest(self, model: str, least: float, most: float) -> None:
-        """Wait until the page has drawn a model; a newer request ends the job."""
+        """Wait `least` to `most` seconds for the page to draw a model; raise if cancelled."""
         self._inbox.rest(self._job, model, least, most)
         self.check()
 
     @contextmanager
     def shielded(self, useful: Callable[[Choice], bool]) -> Iterator[None]:
-        """Go on in the block although a newer request came, if it is useful to that too."""
+        """Ignore a newer request in the context if `useful` says that the work serves it too."""
         self._useful = useful
         try:
             yield
@@ -193,18 +193,18 @@ class Teller:
 
 
 def work(connection: Connection, scene: Scene, manner: Manner) -> None:
-    """Do jobs until the server ends; the first opens the scene.
+    """Run the worker process: do jobs until the server ends; the first opens the scene.
 
     Args:
-        connection: To and from the server.
-        scene: The file.
-        manner: How work is done.
+        connection: Connection to the server.
+        scene: The scene to open.
+        manner: Settings of the studio.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _stop)
     line = Line(connection)
     inbox = Inbox(line)
-    from nanogs.studio.desk import Desk  # which brings Numba
+    from nanogs.studio.desk import Desk  # imported here because it imports Numba
 
     keep_freed_memory()
     desk = Desk(scene, manner)
@@ -216,9 +216,10 @@ def work(connection: Connection, scene: Scene, manner: Manner) -> None:
 
 
 def _draft_sooner(desk: "Desk", line: Line, inbox: Inbox) -> None:
-    """Make drafts of newer requests while the job that they replace is still about to stop.
+    """Make drafts of newer requests while the job that they replace is still stopping.
 
-    Of several, only the latest. What cannot be had is said when its turn comes.
+    Of several requests only the latest gets a draft. Errors are ignored here: they are raised again
+    and reported when the request's turn comes.
     """
     while True:
         job = inbox.successors.get()
@@ -229,7 +230,7 @@ def _draft_sooner(desk: "Desk", line: Line, inbox: Inbox) -> None:
 
 
 def _outcome(desk: "Desk", job: Job, tell: Teller) -> tuple[str, dict[str, Any] | None]:
-    """Do a job; how it ended, and the event that says so if another one does not."""
+    """Do a job, and return how it ended and, unless it succeeded, the event that reports it."""
     try:
         tell.check()
         desk.do(job, tell)

@@ -1,4 +1,4 @@
-"""From requests of pages to a worker and back: the queue, the process, and what becomes of both."""
+"""Passing requests of pages to the worker process and events back, and restarting the worker."""
 
 import asyncio
 from collections.abc import Callable
@@ -16,57 +16,57 @@ Event = dict[str, Any]
 Deliver = Callable[[str, Event, dict[str, bytes]], None]
 """Takes an event for a page, or for all where its name is empty, with models that it names."""
 
-PATIENCE = 5.0  # seconds that a job has to give up in when it is cancelled
-PATIENCE_REPLACED = 30.0  # the same, without a sign of life, where a newer request waits
+PATIENCE = 5.0  # seconds that a cancelled job has to stop, before the worker is killed
+PATIENCE_REPLACED = 30.0  # the same for a job replaced by a newer one, counted from its last event
 
 
 class Workshop:
-    """One worker and its queue; all methods are called in the thread of the event loop."""
+    """The worker and its job queue; all methods are called in the thread of the event loop."""
 
     def __init__(self, scene: Scene, manner: Manner, deliver: Deliver) -> None:
         """Prepare; `open` starts the worker.
 
         Args:
-            scene: What the worker reads.
-            manner: How it works.
-            deliver: Takes the events.
+            scene: The scene that the worker opens.
+            manner: Settings of the studio.
+            deliver: Called with each event for a page.
         """
         self._scene, self._manner, self._deliver = scene, manner, deliver
         self.queue = Queue()
         self._process: Process | None = None
         self._timer: asyncio.TimerHandle | None = None
-        self._task: asyncio.Task[None] | None = None  # which ends a worker
-        self._replaced = False  # whether the running job gives way to a newer one
-        self._curve: Job | None = None  # what is measured while nobody asks
+        self._task: asyncio.Task[None] | None = None  # the task that ends a worker
+        self._replaced = False  # whether the running job is replaced by a newer one
+        self._curve: Job | None = None  # the request whose curve is measured while there are none
 
     def open(self) -> None:
-        """Have the scene read."""
+        """Queue the job that reads the scene."""
         self.put(Job("open"))
 
     def put(self, job: Job) -> None:
-        """Take on a request."""
+        """Queue a job, and cancel those that it replaces."""
         if self._process is None and job.kind != "open":
             self.queue.put(Job("open"))
         replaced = self.queue.put(job)
         now = self.queue.running
         if now is not None and self.queue.dropped and (now.kind, now.page) == (job.kind, job.page):
-            self._send(("cancel", (now.id, job)))  # what it may be useful to is this one now
+            self._send(("cancel", (now.id, job)))  # the successor that it may serve is now this job
         self._give_up(replaced, PATIENCE_REPLACED, successor=job)
         self._go_on()
 
     def cancel(self, page: str, *kinds: Kind) -> None:
-        """Drop what a page waits for."""
+        """Cancel the jobs of a page, of some kinds or all."""
         if self._curve is not None and self._curve.page == page:
             self._curve = None
         kinds = kinds or ("ask", "filter", "save", "curve")
         self._give_up(self.queue.cancel(page, kinds), PATIENCE)
         now = self.queue.running
         if now is not None and self.queue.dropped and now.page == page and self._replaced:
-            self._send(("cancel", (now.id, None)))  # it is useful to nobody any more
+            self._send(("cancel", (now.id, None)))  # there is no successor that it may serve
             self._await(PATIENCE)
 
     def seen(self, page: str, model: str, pace: float | None) -> None:
-        """Say that a page has drawn a model, and how many seconds a splat takes there."""
+        """Tell the worker that a page has drawn a model, and the seconds that a splat takes."""
         self._send(("seen", (page, model, pace)))
 
     def end(self) -> None:
@@ -78,7 +78,7 @@ class Workshop:
             self._sweep()
 
     def _give_up(self, jobs: list[Job], patience: float, successor: Job | None = None) -> None:
-        """Say of jobs that nobody waits for them, and have the running one stop."""
+        """Tell pages that jobs are cancelled, and ask the worker to stop the running one."""
         for job in jobs:
             if job is self.queue.running:
                 self._send(("cancel", (job.id, successor)))
@@ -87,12 +87,12 @@ class Workshop:
                 self._tell(job, {"type": "cancelled"})
 
     def _tell(self, job: Job, event: Event) -> None:
-        """Tell a page about its job."""
+        """Send an event about a job to its page."""
         if job.kind != "curve":
             self._deliver(job.page, event | {"number": job.number, "kind": job.kind}, {})
 
     def _go_on(self) -> None:
-        """Begin with the next job, if it is time for one."""
+        """Start the next job if none is running, and the worker if there is none."""
         job = self.queue.next()
         if job is None and self.queue.idle and self._curve is not None:
             self.queue.put(Job("curve", self._curve.page, None, self._curve.work))
@@ -114,9 +114,9 @@ class Workshop:
             self._process.send(message)
 
     def _hear(self, process: Process, said: Any) -> None:  # noqa: ANN401 - a message, or None
-        """Take what a worker says."""
+        """Handle a message of a worker; None means that it has ended."""
         if process is not self._process:
-            return  # of one that was ended
+            return  # a message of a worker that was ended before
         if said is None:
             self._lost(process)
         elif said[0] == "event":
@@ -128,7 +128,7 @@ class Workshop:
             self._ended(*said[1:])
 
     def _ended(self, outcome: str, event: Event | None) -> None:
-        """A job has ended: as it should, cancelled, or failed with a sentence."""
+        """Handle the end of a job, which was done or cancelled or has failed."""
         self._stop_timer()
         job = self.queue.running
         self.queue.done()
@@ -145,7 +145,7 @@ class Workshop:
         self._go_on()
 
     def _end_unopened(self) -> None:
-        """Without a scene nothing can be answered; the next request tries again."""
+        """Cancel all jobs and end the worker after opening has failed; the next request retries."""
         waiting = []
         while (job := self.queue.next()) is not None:
             waiting.append(job)
@@ -155,7 +155,7 @@ class Workshop:
             self._tell(job, {"type": "cancelled"})
 
     def _await(self, seconds: float) -> None:
-        """End the worker if its job has not given up by then."""
+        """Start the timer that ends the worker if its job has not stopped after some seconds."""
         self._stop_timer()
         self._replaced = seconds == PATIENCE_REPLACED
         self._timer = asyncio.get_running_loop().call_later(seconds, self._replace)
@@ -166,21 +166,21 @@ class Workshop:
             self._timer = None
 
     def _replace(self) -> None:
-        """End a worker whose job does not give up; the next request starts another."""
+        """End a worker whose job does not stop; the next request starts another."""
         self._timer = None
         if self._process is not None:
             self._task = asyncio.create_task(self._lose(self._process))
 
     def _lost(self, process: Process) -> None:
-        """A worker has ended by itself."""
+        """Handle a worker that has ended by itself."""
         self._stop_timer()
         self._task = asyncio.create_task(self._lose(process))
 
     async def _lose(self, process: Process) -> None:
-        """End a worker, say what became of its job, and start another for what waits."""
+        """End a worker, report the end of its job, and start another if jobs are waiting."""
         await asyncio.to_thread(process.end)
         if process is not self._process:
-            return  # another call was first
+            return  # another call has handled it already
         self._process = None
         self._sweep()
         job, dropped = self.queue.running, self.queue.dropped
@@ -194,16 +194,16 @@ class Workshop:
             )
             self._tell(job, {"type": "failed", "message": message})
         if job is not None and job.kind == "curve":
-            self._curve = None  # or it would end the same way
+            self._curve = None  # trying it again would end the same way
         self._start_again()
 
     def _start_again(self) -> None:
-        """Read the scene again where requests wait."""
+        """Read the scene again if jobs are waiting."""
         if not self.queue.idle:
             self.open()
 
     def _sweep(self) -> None:
-        """Take away what a save that was ended in its middle has left beside its file."""
+        """Remove the temporary files of a save that was interrupted."""
         job = self.queue.running
         if job is not None and isinstance(job.work, Order):
             target = job.work.path if job.work.choice.levels is None else job.work.output.folder
