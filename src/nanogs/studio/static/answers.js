@@ -1,4 +1,4 @@
-// What the server finds for the latest choice, as the page shows it: model, numbers, plot.
+// Shows the server's answers to the latest choice: model, numbers, plot.
 
 import { byId } from "./dom.js";
 import * as numbers from "./numbers.js";
@@ -8,10 +8,10 @@ import { sameGround } from "./state.js";
 const WORDS = { asked: "…", draft: "estimated", made: "estimated", measured: "measured" };
 
 export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture, status, tellSeen }) {
-  let seen = 0; // the number of the model that is seen
+  let seen = 0; // number of the request whose model is shown
   let newest = null; // the latest event for the latest choice
-  let shown = scene.model.id; // what is in the picture as soon as that is drawn, the scene alone at first
-  let told = null; // the latest of these that the server knows of
+  let shown = scene.model.id; // ID of the model given to the picture last, at first the scene
+  let told = null; // ID of the model that was last reported to the server as drawn
   const failed = (error) => status.complain(error.message);
   const shareOf = ({ splats }) => numbers.percent(splats / scene.splats);
   const rest = () => status.say(isMeasured() ? "Ready" : "");
@@ -25,12 +25,12 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
     seen = event.number;
     const first = `${numbers.splats(event.splats)} (${shareOf(event)})`;
     const facts = [first, numbers.size(event.bytes), ...quality];
-    const drawn = event.model.splats; // fewer where a draft has to be quick, or the browser draws no more
+    const drawn = event.model.splats; // fewer for a quick draft, or above the browser's limit
     if (drawn < event.splats) facts.push(`drawn with ${numbers.count(drawn)}`);
     return picture.result(event.model, facts);
   }
 
-  // A slider moves faster than it is answered: what comes late is seen, and changes nothing else.
+  // A slider moves faster than requests are answered: of a late answer only the model is drawn.
   function passing(event) {
     const choice = asks.choiceOf(event.number);
     if (!choice || event.number <= seen || !sameGround(choice, state.choice)) return;
@@ -68,7 +68,7 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
 
   return {
     rest,
-    // A new choice is on its way; `before` is the one that was answered last, if there is one.
+    // Called when a new choice is sent; `before` is the choice sent before it, if there is one.
     await(choice, before) {
       if (before && !sameGround(before, choice)) curve.clear();
       else if (before && before.format !== choice.format) curve.forgetBytes();
@@ -92,7 +92,8 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
       else if (asks.choiceOf(number)) return; // a later choice has replaced it
       status.say(kind === "curve" ? "" : "Cancelled");
     },
-    // The server computes once the page has drawn, and sends what this page draws at once.
+    // Reports that the model is drawn: the server waits for this before it computes, and limits
+    // drafts to the splats that the page draws at once.
     drawn(pace) {
       if (told === shown) return;
       told = shown;

@@ -1,15 +1,15 @@
-// Choices on their way to the server: one at a time is sent, and of those that come meanwhile the last.
+// Sends choices to the server, one at a time; of those made meanwhile, only the last is sent.
 
 import { same, sameScene } from "./state.js";
 
-const PAUSE = 40; // milliseconds between two asks at least
-const KEPT = 200; // numbers back that an ask is remembered
+const PAUSE = 40; // least milliseconds between two requests
+const KEPT = 200; // number of latest requests whose choices are kept
 
 export function makeAsks(connection, state, { onSend, onCommand, onRefuse }) {
-  const choices = new Map(); // by number
+  const choices = new Map(); // by request number
   let asked = null;
   let latest = 0;
-  let since = 0; // the first with the filters and the render mode as they are: the scene comes once for all
+  let since = 0; // first request with the present filters and render mode
   let waiting = false;
 
   async function send() {
@@ -39,7 +39,7 @@ export function makeAsks(connection, state, { onSend, onCommand, onRefuse }) {
     },
     choiceOf: (number) => choices.get(number),
     send,
-    // The server may have forgotten the page: after the connection was lost.
+    // Called after the connection was lost, because the server may have forgotten the page.
     again() {
       asked = null;
       send();

@@ -1,4 +1,4 @@
-// What goes to the server and comes from it. Addresses are relative: all begin with the page's token.
+// Requests to the server and events from it. URLs are relative: the page's own URL has the token.
 
 const PAGE = crypto.randomUUID();
 
@@ -42,7 +42,7 @@ export function connect() {
     on(type, listener) {
       listeners.set(type, [...(listeners.get(type) ?? []), listener]);
     },
-    // Sends what makes work; its events bear the number that comes back, which the server needs not wait for.
+    // Starts a job. Its events have the number that is returned, without waiting for the response.
     start(path, body) {
       number += 1;
       return { number, answer: post(path, { number, ...body }) };
@@ -64,7 +64,7 @@ export function connect() {
   };
 }
 
-// What the server says no to, in a sentence.
+// The server has refused a request; the message is for the user.
 export class Refused extends Error {
   constructor(message, status) {
     super(message);

@@ -1,15 +1,15 @@
-// Points of size and quality that the server has told, and a line through them. The line serves to
-// move two sliders while the third is dragged, and to draw; every number that stays is the server's.
+// Points of size and quality that the server has sent, and interpolation between them. It moves two
+// sliders while the third is dragged, and is plotted; all final numbers are those of the server.
 
 export function makeCurve() {
   let points = []; // by splats, ascending
-  let now = null; // the model that is seen
+  let now = null; // the point of the model that is shown
 
   const through = (key, across, value) => {
     const line = lineOf(key);
     return line.length ? between(line, across, value) : null;
   };
-  // The coarse points, as measured ones lie above them; and these where there are no others.
+  // Uses only the coarse points if there are two, because measured ones are above them.
   function lineOf(key) {
     const known = points.filter((point) => point[key] !== null && Number.isFinite(point[key]));
     const coarse = known.filter((point) => point.kind === "coarse");
@@ -20,7 +20,7 @@ export function makeCurve() {
       value: key === "psnr" ? point.psnr : Math.log(point[key]),
     }));
   }
-  // How much higher than the line the present model lies.
+  // Returns how much the shown model is above the line.
   function lift(key) {
     if (!now || now[key] === null || !Number.isFinite(now[key])) return 0;
     const value = key === "psnr" ? now.psnr : Math.log(now[key]);
@@ -51,7 +51,7 @@ export function makeCurve() {
     put(point) {
       now = point;
     },
-    // null where nothing is known yet
+    // Returns null while there are no points.
     bytesOf(splats) {
       const value = through("bytes", "splats", Math.log(splats));
       return value === null ? null : Math.exp(value + lift("bytes"));
@@ -70,11 +70,12 @@ export function makeCurve() {
   };
 }
 
-// Straight between neighbours and straight on at both ends; `across` is "splats" or "value".
+// Interpolates linearly between points, and extrapolates at both ends; `across`, the axis of `at`,
+// is "splats" or "value".
 function between(line, across, at) {
   const along = across === "splats" ? "value" : "splats";
   if (line.length === 1) {
-    // One point: bytes grow as splats do.
+    // With a single point, bytes are taken to be proportional to splats.
     return line[0][along] + (at - line[0][across]);
   }
   let after = line.findIndex((point) => point[across] > at);

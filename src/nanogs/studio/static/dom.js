@@ -1,4 +1,4 @@
-// A few words for what every module does with the document.
+// DOM helpers that all modules use.
 
 export const byId = (id) => document.getElementById(id);
 
@@ -15,7 +15,7 @@ export function drawn(name, attributes = {}, ...children) {
   return made;
 }
 
-// Buttons of which one is pressed. `choices` is a list of [value, words, title].
+// Makes a group of buttons of which one is pressed. `choices` is a list of [value, words, title].
 export function segments(host, choices, choose) {
   const buttons = choices.map(([value, words, title = ""]) => {
     const button = make("button", { type: "button", textContent: words, title });
@@ -30,7 +30,7 @@ export function segments(host, choices, choose) {
   };
 }
 
-// Ends an action of the keyboard in a field: Enter is for what was typed, and sends no form.
+// Calls `commit` when a field has changed or Enter is pressed, which does not submit the form.
 export function onCommit(field, commit) {
   field.addEventListener("change", commit);
   field.addEventListener("keydown", (event) => {

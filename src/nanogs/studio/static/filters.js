@@ -1,4 +1,4 @@
-// What is to be taken away: chosen here, shown in magenta, and only then taken.
+// Filters: the user chooses which splats to remove, sees these in magenta, and then applies it.
 
 import { byId, onCommit } from "./dom.js";
 import * as numbers from "./numbers.js";
@@ -6,7 +6,7 @@ import { same } from "./state.js";
 
 const STEPS = 1000;
 const AXES = ["x", "y", "z"];
-const PAUSE = 120; // milliseconds without a change, until what would go is looked for
+const PAUSE = 120; // milliseconds without a change before a preview is requested
 export const NONE = { box: null, min_opacity: null, floaters: false };
 
 export function makeFilters(scene, state, { ask, draw, restore, complain }) {
@@ -22,14 +22,14 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
       range: byId(`${name}-${end}-range`),
     })),
   }));
-  let pending = state.choice.filters; // as the controls say
-  // Kept while it is switched off.
+  let pending = state.choice.filters; // the filters that the controls show
+  // The corners of the box, which are kept while the box is switched off.
   let box = ["low", "high"].flatMap((end) =>
     axes.map(({ scale }, axis) => scale.round(core[end][axis])),
   );
   if (pending.box) box = pending.box;
   let timer = 0;
-  let marked = false; // whether the left side is in magenta
+  let marked = false; // whether the left side shows splats in magenta
   let taking = false;
 
   const isNew = () => !same(pending, state.choice.filters);
@@ -71,7 +71,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
   function moveFace(axis, end, value, at) {
     const next = [...box];
     next[axis + 3 * end] = value;
-    // The ends of an axis push each other, as the lower one is never above the other.
+    // The lower end is never above the upper one: each pushes the other along.
     if (next[axis] > next[axis + 3]) next[axis + 3 * (1 - end)] = value;
     change({ box: next }, at);
   }
@@ -124,7 +124,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
       });
       const [low, high] = ends.map(({ range }) => Number(range.value));
       fill(ends[0].range.parentElement, low, high);
-      // Both at the upper end: the lower one has to be the one that is reached.
+      // If both handles are at the upper end, the lower one must be on top: only it can move.
       ends[0].range.style.zIndex = low > STEPS / 2 ? 2 : 1;
       ends[1].range.style.zIndex = low > STEPS / 2 ? 1 : 2;
     });
@@ -136,21 +136,21 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
 
   render();
   return {
-    // A face is dragged in the picture, to a place in the scene's units.
+    // Called when a face of the box is dragged in the picture; `value` is in scene units.
     drag: (axis, end, value) => moveFace(axis, end, axes[axis].scale.round(value)),
-    // The choice has become another one, by undo or by taking.
+    // Called when the choice has changed, by undo or by applying the filters.
     follow(choice, before) {
       if (same(choice.filters, before.filters)) return;
       pending = choice.filters;
       if (pending.box) box = pending.box;
-      // What was taken stays in magenta until the scene without it is there.
+      // After applying, the removed splats stay magenta until the filtered scene arrives.
       if (taking) clearTimeout(timer);
       else forget();
       document.body.dataset.preview = "none";
       say("");
       render();
     },
-    // What the server found for `pending`.
+    // Shows the server's answer to the preview of `pending`.
     preview(event) {
       document.body.dataset.preview = "shown";
       marked = true;
@@ -182,7 +182,7 @@ function outcome(event) {
   return `${numbers.splats(lost)} of ${numbers.count(lost + event.left)} ${lost === 1 ? "goes" : "go"}${each}, ${numbers.count(event.left)} stay.`;
 }
 
-// Along the part that holds nearly all; its ends stand for all there is.
+// A scale over the range that holds nearly all splats, whose two ends mean the full range.
 function within(low, high, lowest, highest) {
   const middle = numbers.linear(low, high);
   const digits = Math.max(0, 3 - Math.floor(Math.log10(high - low || 1)));

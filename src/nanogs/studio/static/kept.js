@@ -1,12 +1,12 @@
-// The choice outlives a reload, in its tab and as long as the studio runs; steps to undo do not.
+// Keeps the choice over a reload, in this tab and while the studio runs; undo steps are not kept.
 
-const NAME = `choice of ${location.pathname}`; // which has the token of the studio
+const NAME = `choice of ${location.pathname}`; // the path has the token of this studio
 
 export function keep(choice) {
   try {
     sessionStorage.setItem(NAME, JSON.stringify(choice));
   } catch {
-    // The browser keeps nothing for pages: a reload begins anew.
+    // Storage is switched off in this browser: the choice is lost on reload.
   }
 }
 

@@ -1,4 +1,4 @@
-// Keys of the whole page; those that move the camera are the viewer's.
+// Keyboard shortcuts of the page; the viewer handles those that move the camera.
 
 import { byId } from "./dom.js";
 
@@ -18,7 +18,7 @@ export function bindKeys({ state, picture, stop }) {
     const typing = event.target.matches("input[type=text]");
     const action = event.ctrlKey || event.metaKey ? withControl[event.key] : null;
     if (action) {
-      // In a field that is being typed in, undo is the field's.
+      // While the user types in a field, undo belongs to that field.
       if (
         typing &&
         event.key.toLowerCase() === "z" &&

@@ -1,4 +1,4 @@
-// Format, preset and harmonics; and what is corrected of the scene: how it is drawn, and what is up.
+// Controls for format, preset and harmonics, and for the scene's render mode and up axis.
 
 import { byId, make, segments } from "./dom.js";
 
@@ -35,7 +35,7 @@ export function makeMethod(scene, state) {
   const presets = scene.presets.map((name) => [name, name, PRESETS[name] ?? ""]);
   const pressPreset = segments(byId("preset"), presets, (preset) => state.set({ preset }));
 
-  // null stands for what the file says, so that nothing is said twice on the command line.
+  // null means the value that the file states, so that the command line does not repeat it.
   const modes = Object.entries(MODES).map(([name, title]) => [name, name, title]);
   const pressMode = segments(byId("mode"), modes, (mode) =>
     state.set({ render_mode: mode === scene.render_mode ? null : mode }),

@@ -1,4 +1,4 @@
-// Numbers as people read and write them, and scales of sliders.
+// Formatting and parsing numbers for people, and the scales of sliders.
 
 const DASH = "–";
 const MEGA = 1e6; // bytes
@@ -10,7 +10,7 @@ export const decibels = (value) => (value === null || value === undefined ? DASH
 export const megabytes = (bytes) => significant(bytes / MEGA);
 export const bytesOf = (megas) => Math.round(megas * MEGA);
 
-// As nanogs says them on the terminal.
+// Formats bytes as the command does in the terminal.
 export function size(bytes) {
   if (bytes === null || bytes === undefined) return DASH;
   let value = bytes;
@@ -31,7 +31,7 @@ export function duration(seconds) {
   return seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
 }
 
-// Four digits, as many as a slider of a thousand steps tells apart.
+// Formats with four digits, enough for a slider of a thousand steps.
 export function significant(value) {
   if (!value) return "0";
   const digits = Math.max(0, 3 - Math.floor(Math.log10(Math.abs(value))));
@@ -43,13 +43,13 @@ function text(value, digits) {
   return Number.isFinite(value) ? value.toLocaleString("en-US", options) : "∞";
 }
 
-// What was typed: "50,000", "50k", "1.2 M"; NaN where it is no number.
+// Parses typed text such as "50,000", "50k" or "1.2 M"; NaN if it is not a number.
 export function parsed(words) {
   const found = /^([-+]?[\d.]+(?:e[-+]?\d+)?)([kmg]?)$/i.exec(words.replace(/[\s,_]/g, ""));
   return found ? Number(found[1]) * (UNITS[found[2].toLowerCase()] ?? 1) : NaN;
 }
 
-// From the place along a slider, 0 to 1, to a value and back.
+// Maps the position on a slider, 0 to 1, to a value (`at`) and back (`place`).
 export function logarithmic(low, high) {
   const span = Math.log(high / low) || 1;
   return {
@@ -70,7 +70,7 @@ export function linear(low, high) {
   };
 }
 
-// Fine at its lower end, where most of what opacity tells apart lies.
+// A scale that is finer at its lower end, where small differences of opacity matter most.
 export function squared(high) {
   return {
     low: 0,

@@ -1,11 +1,11 @@
-// How far the page is, where styles and tests find it: `data-state` and `data-number` of the body, and
-// `data-seen`, the kind of the model that is in the picture.
+// The state of the page for styles and tests: `data-state` and `data-number` (of the request) of
+// the body, and `data-seen`, the event type of the model in the picture.
 
 const data = document.body.dataset;
 
 export const isMeasured = () => data.state === "measured";
 
-// What has become of the request of a number. While a save runs, that waits until it has ended.
+// Sets the state that a request has reached; during a save it takes effect when the save has ended.
 export function settle(name, number, seen = "") {
   data.number = String(number);
   data.seen = seen;

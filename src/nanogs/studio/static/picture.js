@@ -1,4 +1,4 @@
-// The two models: what is on which side, and what is said of it there.
+// The picture with two models side by side, and their labels.
 
 import { byId, make } from "./dom.js";
 
@@ -12,18 +12,18 @@ export function makePicture(scene, fetchModel, { complain, onStill, onBox }) {
     onStill,
     onBox,
   });
-  const asked = [0, 0]; // the latest model of each side
+  const asked = [0, 0]; // number of models asked for on each side
   let result = null; // the latest model of the right side: { id, shown }
-  let base = null; // the scene as it is compared with: { fetched, mip, name, facts }
+  let base = null; // the scene that results are compared with: { fetched, mip, name, facts }
 
-  // Whether it is what the side shows now, and not overtaken by a later one.
+  // Shows a model on a side; returns false if a later one was asked for meanwhile.
   async function show(side, { fetched, mip, name, facts }) {
     const turn = (asked[side] += 1);
     let bytes;
     try {
       bytes = await fetched;
     } catch (error) {
-      if (turn !== asked[side]) return false; // the server keeps the latest models alone
+      if (turn !== asked[side]) return false; // expected: the server keeps only the latest models
       throw error;
     }
     if (turn !== asked[side]) return false;
@@ -40,13 +40,13 @@ export function makePicture(scene, fetchModel, { complain, onStill, onBox }) {
     key: viewer.key,
     label: viewer.label,
     base(model, name, facts) {
-      base = entry(model, name, facts); // kept: the server forgets it
+      base = entry(model, name, facts); // kept here, because the server does not keep it
       return show(0, base);
     },
-    // What is there for the moment, until `back`.
+    // Shows another model in place of the scene, until `back`.
     instead: (model, name, facts) => show(0, entry(model, name, facts)),
     back: () => show(0, base),
-    // What was made is seen first, and measured then: the same model with other words.
+    // Shows a result; called when it is made, and again with another label when it is measured.
     async result(model, facts) {
       if (result?.id === model.id) {
         const there = await result.shown;

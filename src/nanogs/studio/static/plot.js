@@ -1,4 +1,4 @@
-// PSNR over the size of the file: points that are known, and the present one.
+// The plot of PSNR over file size: all known points, and that of the shown model.
 
 import { byId, drawn, make } from "./dom.js";
 import * as numbers from "./numbers.js";
@@ -6,14 +6,14 @@ import * as numbers from "./numbers.js";
 const HEIGHT = 156;
 const EDGE = { left: 42, right: 12, top: 8, bottom: 20 };
 const MEGA = 1e6;
-const STEPS = [1, 2, 5, 10, 20]; // dB between lines
-const LINES = 5; // at most
+const STEPS = [1, 2, 5, 10, 20]; // possible distances of grid lines in dB
+const LINES = 5; // most grid lines
 
-// `fewest` says from how many splats on points are drawn, as one far away would squeeze the others.
+// `fewest` returns the least splats of points to draw: one far away would squeeze the others.
 export function makePlot(curve, fewest, choose) {
   const host = byId("plot");
   const tip = make("p", { className: "facts tip" });
-  tip.setAttribute("aria-hidden", "true"); // the points themselves say it
+  tip.setAttribute("aria-hidden", "true"); // the labels of the points have the same text
   let width = 0;
 
   function render() {
@@ -56,7 +56,7 @@ export function makePlot(curve, fewest, choose) {
     const x = (megas) => EDGE.left + inner.width * across.place(megas);
     const y = (decibels) => EDGE.top + inner.height * (1 - up.place(decibels));
     const at = (point) => [x(point.bytes / MEGA), y(point.psnr)];
-    // The last of each axis has the unit.
+    // Only the last tick of each axis has the unit.
     const named = (ticks, unit) =>
       ticks.map((value, index) => [value, index === ticks.length - 1 ? ` ${unit}` : ""]);
     for (const [value, unit] of named(linearTicks(up), "dB")) {
@@ -148,7 +148,7 @@ function label(value, x, y, anchor) {
   return made;
 }
 
-// A scale with some room at both ends.
+// Makes a scale over the values with a margin at both ends.
 function padded(scale, values) {
   const [low, high] = [Math.min(...values), Math.max(...values)];
   if (scale === numbers.linear)

@@ -1,10 +1,10 @@
-// Filters before they are applied: the server is asked what would go, and the left side shows it.
+// Preview of filters: the server computes which splats they would remove, the left side shows them.
 
 import { makeFilters } from "./filters.js";
 import * as numbers from "./numbers.js";
 
 export function makePreview(scene, state, facts, { connection, asks, picture, status, rest }) {
-  let asked = 0; // the number of the preview that is waited for or seen
+  let asked = 0; // request number of the preview that is awaited or shown; 0 for none
   const failed = (error) => status.complain(error.message);
   const { centre, scale } = scene.page;
   const inPage = (corner) => corner && corner.map((value, axis) => (value - centre[axis]) * scale);
@@ -43,10 +43,10 @@ export function makePreview(scene, state, facts, { connection, asks, picture, st
 
   return {
     follow: filters.follow,
-    // A face of the box was moved in the picture, to a place in units of the page.
+    // Called when a face of the box is dragged in the picture; `value` is in units of the page.
     drag: (axis, end, value) => filters.drag(axis, end, value / scale + centre[axis]),
     filtered: (event) => (event.preview ? look(event) : taken(event)),
-    // Whether a request that ended otherwise was the preview that is waited for.
+    // Handles a request that has failed; returns whether it was the awaited preview.
     refused(number, message) {
       if (!number || number !== asked) return false;
       filters.refused(message);

@@ -1,10 +1,10 @@
-// The dialogue that writes a file: where, as what, and the command that does the same.
+// The dialogue for saving: folder, name and format, and the command that does the same.
 
 import { byId, copyButton, make } from "./dom.js";
 import * as numbers from "./numbers.js";
 import { showFraction } from "./status.js";
 
-const PAUSE = 150; // milliseconds
+const PAUSE = 150; // milliseconds without typing before the name is checked
 
 export function makeSave(scene, state, connection, { onStart, onEnd }) {
   const dialog = byId("save");
@@ -13,11 +13,11 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   let folder = "";
   let stem = `${scene.stem}-small`;
   let overwrite = false;
-  let exists = false; // what has that name
-  let running = 0; // the number of a save
+  let exists = false; // whether a file of that name exists
+  let running = 0; // request number of the running save; 0 for none
   let timer = 0;
   let checked = 0;
-  let opening = Promise.resolve(); // the folder that was chosen last
+  let opening = Promise.resolve(); // settles when the folder chosen last has been listed
 
   format.append(
     group(
@@ -49,7 +49,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
     said.classList.toggle("wrong", wrong);
   }
 
-  // The name for another format, with what was typed before its end.
+  // Changes the suffix of the name to that of the format, and keeps the typed stem.
   function rename() {
     const found = layout();
     name.value = found ? found.example.replaceAll(scene.stem, stem) : `${stem}${suffix()}`;
@@ -59,14 +59,14 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
 
   function changed(pause = PAUSE) {
     if (running) return;
-    overwrite = exists = false; // until it is asked; what saves asks too
+    overwrite = exists = false; // until `check` has asked the server; saving checks again
     go.textContent = "Save";
     byId("save-lines").replaceChildren();
     clearTimeout(timer);
     timer = setTimeout(check, pause);
   }
 
-  // What the command would be; where there is none, why.
+  // Asks the server for the command, or for the reason why the choice cannot be saved.
   async function check() {
     const turn = (checked += 1);
     const wish = { choice: choice(), path: path() };
@@ -131,14 +131,14 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
 
   async function save() {
     go.disabled = true;
-    await opening; // else it would be saved where the folder was chosen from
+    await opening; // otherwise the file would go to the folder that was open before
     go.disabled = false;
     if (exists && !overwrite) {
       askFirst(`${path()} exists. Replace it?`);
       return;
     }
     clearTimeout(timer);
-    checked += 1; // what is still on its way is of before
+    checked += 1; // so that a pending check is ignored
     say("Saving …");
     busy(true);
     const { number, answer } = connection.start("save", { choice: choice(), path: path(), overwrite });
@@ -146,7 +146,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
     onStart(number);
     try {
       const { command } = await answer;
-      if (running === number) byId("save-command").textContent = command; // or it has ended already
+      if (running === number) byId("save-command").textContent = command; // unless it has ended
     } catch (error) {
       running = 0;
       busy(false);

@@ -1,11 +1,11 @@
-// Splats, bytes and PSNR: whichever is moved is the wish, and the other two follow it.
+// The sliders for splats, bytes and PSNR: the one that is moved sets the goal, the others follow.
 
 import { byId, onCommit } from "./dom.js";
 import * as numbers from "./numbers.js";
 
 const STEPS = 1000;
-const DECIBELS = 5; // the ends of that slider are multiples of it
-const USUAL = [20, 45]; // dB, while nothing is known
+const DECIBELS = 5; // the ends of the PSNR slider are multiples of this
+const USUAL = [20, 45]; // ends of the PSNR slider in dB, until points are known
 
 const KINDS = {
   splats: {
@@ -74,7 +74,7 @@ export function makeSliders(scene, state, curve, complain) {
     return `There are ${numbers.splats(limits.most)}; choose that many or fewer.`;
   }
 
-  // Where the sliders begin; fewer can be typed.
+  // Least splats of the slider; smaller counts can be typed.
   const lowest = () => Math.max(limits.fewest ?? 1, Math.min(100, limits.most / 1000));
 
   function scaleOf(key) {
@@ -93,7 +93,7 @@ export function makeSliders(scene, state, curve, complain) {
     );
   }
 
-  // What the three are: as answered, or as the line through the points has them until then.
+  // Returns the three values: as answered, or until then as interpolated by the curve.
   function values(answer) {
     const [[key, value]] = Object.entries(state.choice.wish);
     if (answer) return { ...answer };
@@ -125,7 +125,7 @@ export function makeSliders(scene, state, curve, complain) {
   }
 
   return {
-    // `found` is what the server answered for the present choice, or null as long as it has not.
+    // `found` has the server's answer to the present choice, or is null until it has answered.
     show(found) {
       answer = found;
       render();

@@ -1,13 +1,13 @@
-// The choice as it is, what it was before, and what was undone. A choice is never changed, but replaced.
+// The present choice, with undo and redo. Choices are immutable: a change makes a new one.
 
-const MOST = 200; // steps that can be undone
+const MOST = 200; // most steps that can be undone
 
 export function makeState(first) {
   const past = [];
   const future = [];
   const listeners = [];
   let present = first;
-  let lasting = first; // what undoing comes back to: not each place a slider passes
+  let lasting = first; // the choice that undo returns to, without the positions a slider passes
 
   function become(choice) {
     const before = present;
@@ -28,7 +28,7 @@ export function makeState(first) {
     listen(listener) {
       listeners.push(listener);
     },
-    // Passing changes are seen and asked for, and become one step with the lasting one that ends them.
+    // Passing changes are shown and sent, and make one undo step with the lasting one that follows.
     set(change, passing = false) {
       const choice = { ...present, ...change };
       if (!passing && !same(choice, lasting)) {
@@ -59,7 +59,7 @@ export function makeState(first) {
 
 export const same = (one, other) => JSON.stringify(one) === JSON.stringify(other);
 
-// Whether two choices have the same curve of PSNR over splats.
+// Returns whether two choices have the same curve of PSNR over splats.
 export function sameGround(one, other) {
   const ground = ({ filters, preset, sh_degree, render_mode, up }) => [
     [filters.box, filters.min_opacity, filters.floaters],
@@ -71,6 +71,6 @@ export function sameGround(one, other) {
   return same(ground(one), ground(other));
 }
 
-// Whether they have the same scene on the left: what is left out of it, and how it is drawn.
+// Returns whether two choices have the same scene on the left: the same filters and render mode.
 export const sameScene = (one, other) =>
   same(one.filters, other.filters) && one.render_mode === other.render_mode;

@@ -1,4 +1,4 @@
-// What is being done, how far it is, and what went wrong; all in one place of the page.
+// The status line: the running job, its progress, and error messages.
 
 import { byId } from "./dom.js";
 
@@ -40,7 +40,7 @@ export function makeStatus(cancel) {
       if (said.textContent !== words) said.textContent = words;
       showFraction(bar, fraction);
       bar.classList.toggle("quiet", kind === "curve");
-      button.hidden = number === null; // what nobody asked for gives way to what one asks for
+      button.hidden = number === null; // background work needs no button: any request replaces it
     },
   };
 }

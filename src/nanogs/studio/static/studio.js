@@ -1,4 +1,4 @@
-// The page of `nanogs studio`: it shows and asks; what is computed is computed by the server.
+// The page of `nanogs studio`: it sends requests and shows the answers; the server computes.
 
 import { makeAnswers } from "./answers.js";
 import { makeAsks } from "./asks.js";
@@ -19,8 +19,8 @@ import { makeSliders } from "./sliders.js";
 import { makeState, same } from "./state.js";
 import { makeStatus } from "./status.js";
 
-const SHARE = 0.1; // of the splats, which the page begins with
-const LIKED = ".sog"; // the format that it begins with, where it can be written
+const SHARE = 0.1; // share of the splats that the page starts with
+const LIKED = ".sog"; // format that the page starts with, if it can be written
 
 const connection = connect();
 const status = makeStatus(stop);
