@@ -43,7 +43,7 @@ def simplify(
     size: int | str | None = None,
     psnr: float | None = None,
     draw_cost: float | None = None,
-    format: str = ".ply",  # noqa: A002 - what it is called everywhere
+    format: str = ".ply",  # noqa: A002 - the usual name
     format_options: FormatOptions | None = None,
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,

@@ -96,7 +96,7 @@ def _together(work: "Work", block: int, level: int) -> list[int]:
 
 
 def joined_up(counts: Sequence[int], fewest: int) -> list[range]:
-    """Group consecutive blocks until each group has `fewest` splats, if there are so many in all.
+    """Group consecutive blocks until each group has `fewest` splats, if there are that many.
 
     Args:
         counts: Number of splats of each block.
