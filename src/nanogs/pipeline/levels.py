@@ -38,7 +38,7 @@ def levels(
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
-    """Yield levels of detail, each the same model as `simplify` returns for its ratio.
+    """Return an iterator over levels of detail, each the result of `simplify` for its ratio.
 
     The stages that all ratios share run once, when the first level is asked for; their seconds are
     in its report. A level is made when it is asked for, so only those the caller keeps take memory.
