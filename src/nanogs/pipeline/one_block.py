@@ -1,4 +1,4 @@
-"""A model in memory on its way through the stages: one block, of which nothing is copied."""
+"""A model in memory as it passes through the stages: one block, of which nothing is copied."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -42,9 +42,10 @@ from nanogs.views.stand_in import AFAR, stand_in
 
 
 class _Placed(NamedTuple):
-    """The usable rows in Morton order, the origin (3,), and what depends on where splats are.
+    """The usable rows in Morton order, the origin (3,), and what depends on positions.
 
-    That is what rasterisers add to them, and where viewers stand, as the model or cameras tell.
+    That is the dilation that rasterisers add to splats, and where viewers are assumed to stand: at
+    the user's cameras if there are any, else as the model suggests.
     """
 
     rows: I32
@@ -55,24 +56,24 @@ class _Placed(NamedTuple):
 
 @dataclass(eq=False)
 class OneBlock(Scene):
-    """A model in memory, and what its stages have found.
+    """A model in memory, and the results of its stages so far; see `Scene`.
 
     Attributes:
         splats: The model.
         usable: (M,) int32, its usable rows, ascending.
-        settings: What is done to it.
-        threads: Threads in use.
+        settings: Settings of the simplification.
+        threads: Number of threads in use.
         cameras: The user's views, or `FoundCameras` of a kind that the user chose, or None for
             automatic ones.
-        tell: Told of the parts of the present task.
-        targets: Splats asked for of each result.
+        tell: Progress callback for the parts of the current task.
+        targets: Number of splats asked for, for each result.
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
-            which it lies; 1 for one that lies in none. None where nothing was looked at.
+            which it lies; 1 for one that lies in none. None if nothing was rendered.
         missed: (N,) bool, the splats that lie in no view.
-        discovery: How much of the model the views leave out.
-        fitting: The original as views show it that are fitted to, as far as these are kept; none
-            of those that decide.
-        groups: Views that results are chosen by and a fit is judged by, in groups.
+        discovery: Estimate of how much of the model the views leave out.
+        fitting: Renders of the original that are fitted to, as far as they are kept; without the
+            deciding ones.
+        groups: The deciding views, in groups: results are chosen and fits are judged by them.
     """
 
     splats: Splats
@@ -94,7 +95,7 @@ class OneBlock(Scene):
     discovery: Discovery = field(default_factory=Discovery)
     _forest: Forest | None = None
     _leaves: Nodes | None = None
-    # Of the results that are being made: labels by cut, the latest groups by labels, and splats.
+    # Results in progress: labels by level and cut, the latest groups with their labels, splats.
     _labels: dict[tuple[int, str], I32] = field(default_factory=dict)
     _stored: list[tuple[I32, Groups]] = field(default_factory=list)
     _parts: dict[int, Splats] = field(default_factory=dict)
@@ -103,23 +104,23 @@ class OneBlock(Scene):
     # What is known.
 
     def record(self, task: Task) -> Record:
-        """As `Scene` says."""
+        """Return the record of a task; see `Scene.record`."""
         return self._records[task.name]
 
     def write(self, name: str, columns: Mapping[str, Array], facts: Mapping[str, Any]) -> Record:
-        """As `Scene` says; columns are kept apart, so that there are none."""
-        assert not columns  # noqa: S101 - they are attributes
+        """Keep the facts of a task; its columns are kept as attributes, so none are given."""
+        assert not columns  # noqa: S101 - columns are attributes here
         self._records[name] = Record(name, {}, facts)
         return self._records[name]
 
     @property
     def partition(self) -> Partition:
-        """One block."""
+        """The partition into one block."""
         return Partition(((0, len(self.usable)),))
 
     @property
     def views(self) -> Views:
-        """As `Scene` says."""
+        """The views of the scene."""
         assert self._views is not None  # noqa: S101 - an earlier stage
         return self._views
 
@@ -130,21 +131,21 @@ class OneBlock(Scene):
 
     @property
     def forest(self) -> Forest:
-        """The merges."""
+        """The merge forest."""
         assert self._forest is not None  # noqa: S101 - an earlier stage
         return self._forest
 
     def target(self, level: int) -> int:
-        """As `Scene` says: what is asked for, or the fewest that there can be."""
+        """Return the number of splats asked for, or the forest's fewest if that is more."""
         return max(self.targets[level], self.forest.fewest)
 
     def merges(self, level: int) -> bool:
-        """As `Scene` says."""
+        """Whether a result has fewer splats than the model."""
         return self.target(level) < len(self.usable)
 
     @property
     def shown(self) -> float | None:
-        """As `Scene` says; None where none was rendered."""
+        """Share of the prominence of all splats that the views show; see `Scene.shown`."""
         if self.visible is None or self.missed is None or self._leaves is None:
             return None
         leaves, rows = self._leaves, self._leaves.rows
@@ -154,7 +155,7 @@ class OneBlock(Scene):
     # Looking.
 
     def survey(self, name: str) -> Record:
-        """As `Scene` says."""
+        """Find Morton order, origin, dilation and viewers, and keep them as `_placed`."""
         splats, usable = self.splats, self.usable
         stored = splats.means if len(usable) == len(splats) else pick(splats.means, usable)
         origin, opacities = scene_origin(stored), np.empty(len(usable))
@@ -174,51 +175,51 @@ class OneBlock(Scene):
         return self.write(name, {}, {})
 
     def sample(self) -> Splats:
-        """All of them."""
+        """Return the whole model."""
         return self.splats
 
     def from_afar(self) -> Splats:
-        """The model; where it has many splats, some of them."""
+        """Return the model, or evenly spread splats of it if it is large."""
         return stand_in(self.splats, AFAR)
 
     def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
-        """As `Scene` says."""
+        """Return the cameras that the user asks for; None for automatic ones."""
         return self.cameras
 
     def keep_views(self, name: str, views: Views) -> Record:
-        """As `Scene` says."""
+        """Keep the views that were chosen."""
         self._views = views
         return self.write(name, {}, {})
 
     def bare(self, block: int) -> Block:
-        """As they are: views are kept, too, in colour."""
+        """Return the block with its colours: views are kept as images here."""
         return self.open(block)
 
     def hiding(self, block: int) -> None:
-        """Nothing else."""
+        """Return None: there are no other blocks."""
 
     def surroundings(self, block: int) -> None:
-        """Nothing else."""
+        """Return None: there are no other blocks."""
 
     def closer_views(self, own: Block) -> Sequence[Camera]:
-        """None: it is the scene."""
+        """Return no views: the block is the whole scene."""
         return ()
 
     def draw(self, drawn: PreparedSplats, camera: Camera) -> Rendering:
-        """As `Scene` says; the view is kept to choose by and to fit to."""
-        # Distances tell near views from far ones where the user gave both; automatic ones differ
-        # little in theirs.
+        """Render a view, and keep it for choosing results and for the fit."""
+        # With depth, the user's views can be divided into near and far ones; automatic views differ
+        # little in their distances.
         view = render(drawn, camera, contributions=True, depth=bool(self.cameras))
         self._shots.append(as_target(view, camera))
         return view
 
     @property
     def pictured(self) -> Sequence[Camera]:
-        """As `Scene` says; drawn before the forest is grown, so that the fit holds less."""
+        """Cameras only for the fit; rendered before growing, so that the fit holds less."""
         return self.views.further if self.settings.parameters.pictured else ()
 
     def picture(self, drawn: PreparedSplats, camera: Camera) -> None:
-        """As `Scene` says; of a fit that follows half of a view, that half."""
+        """Keep the original on a view, or half of it where the fit uses half of the pixels."""
         halves = self.settings.parameters.halves
         wanted = FIELDS[len(self._pictures) % 2] if halves else ALL_BLOCKS
         self._pictures.append(make_target(drawn, camera, depth=False, wanted=wanted))
@@ -226,7 +227,7 @@ class OneBlock(Scene):
     def keep_look(
         self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
     ) -> Record:
-        """As `Scene` says."""
+        """Keep the visibility, and divide the views into fitted and deciding ones."""
         self.visible, self.missed, self.discovery = own.visible, missed, discovery
         looked, self.groups = split(self._shots, max(1, len(self._shots) // DECIDING))
         self.fitting = (*looked, *self._pictures)
@@ -236,14 +237,14 @@ class OneBlock(Scene):
     # Growing and cutting.
 
     def grow(self, name: str, block: int) -> Record:
-        """As `Scene` says."""
+        """Grow the merge forest, and keep it with its leaves."""
         start = time.perf_counter()
         bare = [self._activated()]
         coverages = bare[0].coverages
         bare[0] = without_coverages(bare[0])
         activating = time.perf_counter() - start
-        # Made again for what follows: the passes are the most that is held, and they have no use
-        # for the leaves after the first. The coverages, an eleventh of them, are kept.
+        # Memory peaks in the merge passes, which need no leaves after the first one. So the leaves
+        # are freed there and computed again below; the coverages, an eleventh of them, are kept.
         self._forest = grow_forest(bare.pop(), self.settings.parameters, self.threads, self.tell)
         start = time.perf_counter()
         self._leaves = self._activated(coverages)
@@ -264,21 +265,21 @@ class OneBlock(Scene):
         return replace(nodes, weights=normalised(weights))
 
     def open(self, block: int) -> Block:
-        """As `Scene` says."""
+        """Return the splats of the model."""
         return Block(self.splats, self._placed.rows, self.visible)
 
     def cut(self, block: int, level: int, balance: int) -> I32:
-        """As `Scene` says; made once."""
+        """Return the group of each leaf, computed once per cut; see `Scene.cut`."""
         key = level, f"cut {balance}"
         if key not in self._labels:
             self._labels[key] = cut(self.forest, self.target(level), self.balances[balance])
         return self._labels[key]
 
     def settle(self, name: str, block: int, level: int) -> Record:
-        """As `Scene` says."""
+        """Reassign the splats after the chosen cut; see `Scene.settle`."""
         assert self._leaves is not None  # noqa: S101 - an earlier stage
         labels = self.cut(block, level, self.balance(level))
-        # Only what was chosen is used again.
+        # Only the chosen cut is used from here on: free the other candidates.
         self._labels = {(level, f"cut {self.balance(level)}"): labels}
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
@@ -287,14 +288,14 @@ class OneBlock(Scene):
         return self.write(name, {}, {ROUNDS: done})
 
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
-        """As `Scene` says."""
+        """Return the splats and groups of the chosen cut, or after reassignment."""
         own = self.open(block)
         chosen = self.cut(block, level, self.balance(level))
         labels = self._labels[level, "settled"] if reassigned else chosen
         return Members(own.splats, own.rows, own.visible, labels)
 
     def stored(self, members: Members) -> Groups:
-        """As `Scene` says; the latest two are kept."""
+        """Merge each group into one splat; the latest two results are cached."""
         for labels, groups in self._stored:
             if labels is members.labels:
                 return groups
@@ -312,15 +313,15 @@ class OneBlock(Scene):
 
     @property
     def deciding(self) -> Sequence[Camera]:
-        """As `Scene` says."""
+        """The cameras of the views that results are chosen by."""
         return [target.camera for group in self.groups for target in group.targets]
 
     def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
-        """As `Scene` says."""
+        """Return the original on each of the deciding views."""
         return [target for group in self.groups for target in group.targets]
 
     def fit_views(self, block: int, level: int) -> FitViews | None:
-        """As `Scene` says."""
+        """Return the views to fit a result to; None if there are none."""
         drawn = self.settings.looks and not self.settings.parameters.pictured
         further = self.views.further if drawn else ()
         original = prepare(self.splats).in_turn() if further else None
@@ -328,42 +329,42 @@ class OneBlock(Scene):
         return FitViews(fitting, self.groups, len(self.splats)) if len(fitting) else None
 
     def part(self, block: int, level: int) -> Splats:
-        """As `Scene` says."""
+        """Return the splats of a result, before the fit."""
         return self._parts[level]
 
     def keep_part(self, name: str, level: int, small: Splats) -> Record:
-        """As `Scene` says; what it was made of is not needed any more."""
+        """Keep the splats of a result, and free the groups they were made from."""
         self._labels, self._stored, self._parts[level] = {}, [], small
         return self.write(name, {}, {})
 
     def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
-        """As `Scene` says."""
+        """Keep the splats of a result after the fit, and the report of the fit."""
         self._parts[level], self._fits[level] = fitted, report
         return self.write(name, {}, {})
 
     @property
     def passes(self) -> tuple[PassReport, ...]:
-        """As `Scene` says."""
+        """Reports of the merge passes."""
         return self.forest.passes
 
     def fit_report(self, level: int) -> RefitReport | None:
-        """As `Scene` says."""
+        """Return the report of a result's fit; None if it could not be fitted."""
         return self._fits[level]
 
     def notes_on_fits(self, level: int) -> Sequence[str]:
-        """As `Scene` says."""
+        """Return a note if a result could not be fitted; see `Scene.notes_on_fits`."""
         if self._fits[level] is not None:
             return ()
         return ("The result was not fitted: one view cannot tell what helps.",)
 
     def taken(self, level: int) -> Splats:
-        """A result, of which nothing is kept."""
+        """Remove a result from the scene and return it."""
         self._fits.pop(level, None)
         return self._parts.pop(level)
 
 
 def whole_settings(splats: Splats, parameters: ForestParameters) -> Settings:
-    """The settings of a model in memory."""
+    """Return the settings for a model in memory."""
     count = len(splats)
     return Settings(
         inputs=(InputFile("", 0, 0, count, Access.WHOLE),),

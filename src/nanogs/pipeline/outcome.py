@@ -1,4 +1,4 @@
-"""Findings of the stages, as reports have them."""
+"""The results of the stages, in the form that reports need."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,7 @@ UNSEEN = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """A smaller model and what its report needs; see `SimplifyReport` for the fields."""
+    """A smaller model and the data for its report; see `SimplifyReport` for the fields."""
 
     splats: Splats
     passes: tuple[PassReport, ...]
@@ -54,20 +54,20 @@ class Outcome:
 
 
 def outcome_of(scene: "OneBlock", level: int) -> Outcome:
-    """A result of a model in memory, whose stages are done; the scene keeps nothing of it."""
+    """Remove the result of a model in memory from the scene, and return it with report data."""
     entries, reached = entries_of(scene, level), scene.target(level) == scene.targets[level]
     stop = StopReason.TARGET if reached else scene.forest.stop
     return Outcome(splats=scene.taken(level), stop=stop, **entries)
 
 
 def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
-    """The entries of a report that stages fill in, by name.
+    """Return the report fields that the stages determine, by name.
 
     Args:
         scene: A model in memory, or a scene in blocks; all of its stages are done.
         level: Of the result.
     """
-    from nanogs.pipeline.trials import reports_of  # which brings Numba
+    from nanogs.pipeline.trials import reports_of  # imported late: it imports Numba
 
     looked = scene.views.notes if scene.settings.looks else ()
     shown = scene.shown if scene.merges(level) and scene.looks else None
@@ -84,7 +84,7 @@ def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
 
 
 def _unseen(scene: "Scene", shown: float) -> tuple[str, ...]:
-    """A note where views show nothing of the model, all of them or some."""
+    """Return a note if some or all of the views show nothing of the model."""
     if shown == 0:
         return (UNSEEN,)
     blind, views = scene.blind, len(scene.views.kept)

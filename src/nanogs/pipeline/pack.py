@@ -1,4 +1,4 @@
-"""Choice of a packing for a size: each one tried is written, read back and measured on views."""
+"""Choice of a packing for a file size: each candidate is written, read back and rendered."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
@@ -17,20 +17,20 @@ from nanogs.splats import Splats
 
 T = TypeVar("T")
 BLIND = "Nothing of the model is visible, so how the file is packed was not chosen by looking."
-CUTS = 0.5, 0.8  # of the count that fills a size: two plain cuts, from which the slope is measured
+CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
 
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """How results are packed, chosen by looking.
+    """The packing of results that was chosen, by rendering where possible.
 
     Attributes:
-        packing: The best.
-        count: Splats that about fill the size with it.
-        packings: What was tried.
+        packing: The best packing.
+        count: Number of splats that about fills the size with it.
+        packings: Reports of the packings that were tried.
         highest: The highest degree of harmonics that could be written.
-        tight: Whether nothing but the smallest packing fits.
-        blind: Whether views were to tell which is best, but show nothing of the model.
+        tight: Whether only the smallest packing fits.
+        blind: Whether views were to decide which packing is best, but show nothing of the model.
     """
 
     packing: Packing
@@ -41,12 +41,12 @@ class Packed:
     blind: bool = False
 
     def entries(self, count: int) -> dict[str, Any]:
-        """Fields of the report that say how a result of so many splats is packed."""
+        """Return the report fields on how a result of `count` splats is packed."""
         return {"packings": self.packings, "format_options": self.packing.options(count)}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on what a user might not expect, a sentence each."""
+        """Notes on a choice that the user might not expect, a sentence each."""
         if self.blind:
             return (BLIND,)
         kept = self.packing.sh_degree
@@ -57,15 +57,15 @@ class Packed:
 
 @dataclass(eq=False)
 class Packer(Generic[T]):
-    """Chooses how results of a model are packed, by making some and measuring their files.
+    """Chooses the packing of a model's results, by making some and measuring their files.
 
     Attributes:
-        results: Of the model.
+        results: Makes results of the model.
         wish: What is asked of the file.
         sample: Some usable splats of the model.
-        files: Writes results.
-        progress: Told of each stage.
-        tried: Results that were made to choose by.
+        files: Writes and measures results.
+        progress: Notified of each stage.
+        tried: Number of results that were made to choose by.
     """
 
     results: Results[T]
@@ -77,7 +77,7 @@ class Packer(Generic[T]):
     _guesses: dict[Packing, int] = field(default_factory=dict, init=False)
 
     def pack(self) -> Packed:
-        """Choose how results are packed."""
+        """Choose the packing."""
         choices = self.wish.choices(self.sample.sh_degree)
         self.progress.begin("guess")
         looks = self.results.looks and choices.any
@@ -90,13 +90,16 @@ class Packer(Generic[T]):
         return Packed(*choose_packing(choices, self.wish.size, slope, *given), choices.degrees[-1])
 
     def _unseen(self, choices: Choices) -> Packing:
-        """The packing where nothing is rendered; without choices where a PSNR is to be reached."""
+        """Return the packing if nothing is rendered.
+
+        If a PSNR is to be reached, that is all harmonics and the format's own defaults.
+        """
         if choices.by_psnr:
             return Packing(choices.degrees[-1])
         return unseen_packing(choices, self.guess, self.results.available)
 
     def guess(self, packing: Packing) -> int:
-        """About how many of the model's own splats fill the size with a packing."""
+        """Estimate how many of the model's own splats fill the size with a packing."""
         if packing not in self._guesses:
             self._guesses[packing] = self._guess(packing)
         return self._guesses[packing]
@@ -114,15 +117,18 @@ class Packer(Generic[T]):
         return guess_count(some, available, self.wish.size, encode, self.wish.known.around())
 
     def made(self, packing: Packing) -> Results[T]:
-        """Results that are made for a packing."""
+        """Return a maker of results that suit a packing."""
         return self.results.packed(packing.sh_degree, self.wish.sharing(packing))
 
     def within(self, count: int) -> int:
-        """The nearest count that can be delivered."""
+        """Return the deliverable count nearest to a count."""
         return min(max(count, self.results.fewest), self.results.available)
 
     def _slope(self, choices: Choices) -> float:
-        """Quality that more splats bring, from two plain cuts that no palette blurs."""
+        """Measure how much quality more splats bring, from two plain cuts.
+
+        They are packed without a choice of palette, whose loss would blur the difference.
+        """
         packing, plain = replace(choices.first, share=None), self.results.plain(rounds=0)
         count = self.guess(choices.first)
 
@@ -135,7 +141,7 @@ class Packer(Generic[T]):
         return slope_of(choices, *map(shown, CUTS))
 
     def _attempt(self, packing: Packing, count: int, look: Look) -> list[PackingReport]:
-        """Make a result and look at files of it; see `packing.Try`."""
+        """Make a result of `count` splats and measure files of it; see `packing.Try`."""
         count = self.within(count)
         some = self.made(packing)
         brief = some.brief()
@@ -157,15 +163,15 @@ class Packer(Generic[T]):
 
 @dataclass(eq=False)
 class PackNear(Generic[T]):
-    """Chooses how results that reach a PSNR are packed, once it is known about how large they are.
+    """Chooses the packing of results that must reach a PSNR, once their size is about known.
 
     Attributes:
-        results: Of the model.
-        wish: What is asked of the file; its size does not count.
-        sample: Some usable splats of the model.
-        files: Writes results.
-        progress: Told of each stage.
-        packed: What was chosen; None until then, and where results stay as they are.
+        results: Makes results of the model.
+        wish: What is asked of the file; its `size` is ignored.
+        sample: Returns some usable splats of the model.
+        files: Writes and measures results.
+        progress: Notified of each stage.
+        packed: The choice; None before it is made, and if no packing was tried.
     """
 
     results: Results[T]
@@ -176,15 +182,15 @@ class PackNear(Generic[T]):
     packed: Packed | None = None
 
     def __call__(self, count: int) -> tuple[Results[T], int]:
-        """Results that are packed best in files about as large as a plain cut of a count has.
+        """Choose the packing for files about as large as that of a plain cut.
 
         Args:
             count: Splats of the plain cut.
 
         Returns:
-            The results, and a count of about the same size.
+            A maker of results that suit the packing, and a count whose file has about the same size.
         """
-        if self.wish.known.file_bytes is not None:  # only the count decides it: nothing to choose
+        if self.wish.known.file_bytes is not None:  # the size depends on the count alone: nothing to choose
             return self.results, count
         self.progress.begin("guess")
         plain = self.results.plain(rounds=0)
@@ -197,14 +203,14 @@ class PackNear(Generic[T]):
         return packer.made(packed.packing), packed.count
 
     def options(self, result: T) -> dict[str, Any]:
-        """Options of the format that a result is packed with."""
+        """Return the format options that a result is packed with."""
         return self.packed.packing.options(self.files.count(result)) if self.packed else {}
 
     def entries(self, result: T) -> dict[str, Any]:
-        """Fields of the report that say how a result is packed; none where it was not."""
+        """Return the report fields on how a result is packed; empty if nothing was chosen."""
         return self.packed.entries(self.files.count(result)) if self.packed else {}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """As `Packed` has them."""
+        """Notes on the choice; see `Packed.notes`."""
         return self.packed.notes if self.packed else ()

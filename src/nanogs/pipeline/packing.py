@@ -1,10 +1,10 @@
-"""Choice of harmonics, palette and bits for a file of a given size.
+"""Choice of SH degree, palette size and bits for a file of a given size.
 
 A megabyte holds many splats of one colour each, or fewer whose colour depends on the view; only
-renders tell which looks better. Each way of packing is tried at a count that about fills the size:
-a result is made for it, packed, unpacked and compared with the original on views. The bits are
-chosen among files of the first result, since they hardly change what else is best. Lower degrees
-are measured on the first result as well; only one that is not far behind gets a result of its own.
+renders show which looks better. Each packing is tried at a count that about fills the size: a
+result is made for it, packed, unpacked and compared with the original on views. The bits are chosen
+among files of the first result, since they hardly depend on the other choices. Lower degrees are
+measured on the first result as well; only one that is not far behind gets a result of its own.
 """
 
 import math
@@ -18,35 +18,36 @@ from nanogs.pipeline.fit_size import AIM
 from nanogs.pipeline.settings import Sharing
 from nanogs.report import PackingReport
 
-PALETTE = "palette"  # the option of a format
-# Splats for an entry of the palette: what is tried first, and larger and smaller palettes.
+PALETTE = "palette"  # name of the format's option
+# Splats for each entry of the palette: the first try, then larger and smaller palettes.
 FIRST_SHARE = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
 # Limits of a measured slope, dB of quality for e times the bytes.
 SLOPES = 2.0, 40.0
-SAVED = 1.2  # the first count over the guess: coarser bits, mostly the best, make room for it
-# |log(bytes / size)| up to which a result need not be made again: for a packing, and for the bits
-# that are found best with it, whose files compare as they are when they are that near.
+SAVED = 1.2  # first count over the guess: there is room, because coarser bits are mostly the best
+# |log(bytes / size)| up to which a result is not made again with another count: for a packing, and
+# for the bits that are best with it; files that near the size are compared directly.
 NEAR, NEAR_BITS = 0.12, 0.03
-# dB by which a degree or a palette that nothing is fitted for may be behind and still be tried.
+# dB by which a degree or palette may be behind, on a result not fitted for it, and still be tried.
 BEHIND = 1.5
-FINE = 0.25  # dB by which a larger palette may be behind and still be looked at with other bits
-# Share of all splats that fit by the guess, which is 10 to 20 % low: from there on finer bits show
-# more than further splats.
+FINE = 0.25  # dB by which a packing may be behind the best and still be tried with other bits
+# Share of all splats that fit by the guess, which is 10 to 20 % low: beyond it, finer bits gain more
+# than further splats.
 ENOUGH_SPLATS = 0.75
 
 
 @dataclass(frozen=True, slots=True)
 class Packing:
-    """How results are packed.
+    """The options that results are packed with.
 
     Attributes:
-        sh_degree: Of the harmonics that are written.
-        share: Splats for an entry of the palette of the higher ones, or None without a choice.
-        bits: Options of the format that say how fine it is, by name.
-        entries: Most that a palette of the format has.
-        settled: Other options of the format that followed from a result, and which one of about the
-            same count keeps: otherwise its file might be of another size altogether.
+        sh_degree: Degree of the harmonics that are written.
+        share: Number of splats for each entry of the palette of the higher harmonics, or None if
+            there is no choice.
+        bits: The format's options that set its precision, as (name, value).
+        entries: Largest number of entries that a palette of the format has.
+        settled: Other options of the format that were derived from one result and are reused for
+            another of about the same count: otherwise its file might be of another size altogether.
     """
 
     sh_degree: int
@@ -63,7 +64,7 @@ class Packing:
         return Sharing(self.share, self.entries)
 
     def options(self, count: int) -> dict[str, Any]:
-        """Options of the format for a result of so many splats."""
+        """Return the format's options for a result of `count` splats."""
         palette = {PALETTE: self.sharing.entries(count)} if self.sharing else {}
         return dict(self.bits) | dict(self.settled) | palette
 
@@ -78,12 +79,12 @@ Try = Callable[[Packing, int, Look], list[PackingReport]]
 
 @dataclass(frozen=True, slots=True)
 class Bits:
-    """Values of an option that says how fine a format is.
+    """Values of an option that sets the precision of a format.
 
     Attributes:
         begin: The value that is tried first, mostly near the best.
-        values: All, ascending.
-        unseen: The least where nothing is rendered.
+        values: All values, ascending.
+        unseen: The lowest value to use if nothing is rendered.
     """
 
     begin: int
@@ -91,11 +92,11 @@ class Bits:
     unseen: int
 
     def ways(self, present: int, *, finer: bool = False) -> tuple[list[int], list[int]]:
-        """The other values, from the present one to fewer and to more.
+        """Return the other values in both directions, each list ordered away from `present`.
 
         Args:
-            present: From where.
-            finer: Whether more come first.
+            present: The value to start from.
+            finer: Whether the higher values are the first list.
         """
         fewer = [value for value in self.values if value < present][::-1]
         more = [value for value in self.values if value > present]
@@ -107,11 +108,11 @@ class Choices:
     """The degrees, palettes and bits that may be chosen.
 
     Attributes:
-        degrees: Of the harmonics that may be written, ascending, at least one.
+        degrees: Degrees of harmonics that may be written, ascending, at least one.
         palettes: Whether the size of a palette is to be chosen.
-        bits: The options of the format that say how fine it is, by name.
-        by_psnr: Whether the PSNR alone decides, and not the SSIM beside it.
-        entries: Most that a palette of the format has.
+        bits: The format's options that set its precision, by name.
+        by_psnr: Whether the PSNR alone decides, without the SSIM.
+        entries: Largest number of entries that a palette of the format has.
     """
 
     degrees: Sequence[int]
@@ -122,18 +123,18 @@ class Choices:
 
     @property
     def first(self) -> Packing:
-        """The packing tried first: all harmonics, and a size of palette that is seldom far off."""
+        """The packing tried first: all harmonics, and a palette size that is seldom far off."""
         palette = FIRST_SHARE if self.palettes and self.degrees[-1] else None
         bits = tuple((name, each.begin) for name, each in self.bits.items())
         return Packing(self.degrees[-1], palette, bits, self.entries)
 
     def quality(self, found: PackingReport) -> float:
-        """Quality of a file, dB."""
+        """Return the quality of a file, dB."""
         return found.psnr if self.by_psnr else quality(found.psnr, found.ssim)
 
     @property
     def any(self) -> bool:
-        """Whether there is a choice."""
+        """Whether there is anything to choose."""
         return len(self.degrees) > 1 or self.first.share is not None or bool(self.bits)
 
 
@@ -145,14 +146,14 @@ def choose_packing(
     attempt: Try,
     available: int,
 ) -> tuple[Packing, int, tuple[PackingReport, ...]]:
-    """Look for the packing whose file of a size shows most.
+    """Search for the packing whose file of a given size looks best.
 
     Args:
         choices: What may be chosen.
         size: Bytes that the file may have.
-        slope: What more splats bring, dB of quality for e times the bytes.
-        guess: The count of the model's own splats that fill the size with a packing, about.
-        attempt: Makes results.
+        slope: Quality gained by more splats, dB for e times the bytes.
+        guess: Estimates how many of the model's own splats fill the size with a packing.
+        attempt: Makes a result and measures files of it.
         available: Splats of the whole model.
 
     Returns:
@@ -167,21 +168,21 @@ def choose_packing(
         best = search.climb(first, [replace(first, share=share) for share in LARGER])
     lower = [replace(best, sh_degree=degree) for degree in search.promising]
     best = search.climb(best, lower)
-    if best.share is not None:  # otherwise the bits of the first result were compared at once
+    if best.share is not None:  # without a palette, `begin` has compared the bits
         best = search.compare_bits(best)
     return search.again(best), search.filling(best), tuple(search.probes)
 
 
 def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available: int) -> Packing:
-    """The packing where nobody looks: about what a search begins with, or finer.
+    """Return the packing if nothing is rendered: about the first of a search, or finer.
 
-    Coarse bits and a small palette leave room for splats, which a small part of a model lacks most.
-    Where all splats fit, a palette loses more than anything else; without one, precision shows more
-    than the last quarter of the splats.
+    Coarse bits and a small palette leave room for more splats, which matter most in a result that keeps
+    a small part of the model. If all splats fit, a palette loses more than anything else; without one,
+    precision gains more than the last quarter of the splats.
 
     Args:
         choices: What may be chosen.
-        guess: The count of the model's own splats that fill the size with a packing, about.
+        guess: Estimates how many of the model's own splats fill the size with a packing.
         available: Splats of the whole model.
     """
     bits = tuple((name, each.unseen) for name, each in choices.bits.items())
@@ -199,7 +200,10 @@ def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available:
 
 
 def slope_of(choices: Choices, less: PackingReport, more: PackingReport) -> float:
-    """Quality that more splats bring, dB for e times the bytes, from two files packed alike."""
+    """Compute the quality gained by more splats, dB for e times the bytes.
+
+    It is measured from two files that are packed alike.
+    """
     wider = math.log(more.bytes / less.bytes)
     rise = choices.quality(more) - choices.quality(less)
     if wider <= 0 or not math.isfinite(rise):
@@ -216,11 +220,11 @@ def _plain(packing: Packing) -> Packing:
 
 @dataclass(slots=True)
 class _Search:
-    """A search for the best packing, with the files that it has seen.
+    """A search for the best packing, with the files that it has measured.
 
     Attributes:
-        found: Files of each degree and share of a palette that was tried, by their bits.
-        promising: Lower degrees that are not far behind without a fit of their own.
+        found: Files by packing without bits (degree and share of a palette), then by their bits.
+        promising: Lower degrees that are not far behind although no result was fitted for them.
         smaller: Whether a smaller palette is not far behind either, so that it is tried.
     """
 
@@ -252,11 +256,11 @@ class _Search:
         return self._make(self.again(best), self._filling(found)) if self._is_far(found) else best
 
     def compare_bits(self, best: Packing) -> Packing:
-        """The best bits, where several were seen, of which a result was made that fills the size.
+        """Find the best bits, making results that fill the size while they may change it.
 
-        How much splats bring is hardly known well enough to tell bits apart by one result: they
-        bring more where nearly all of them fit, and hardly any where bits are coarse. So bits get a
-        result as long as what is hoped of them is more than what others were seen to show.
+        One result does not show how much splats gain with each choice of bits: they gain more if nearly all
+        of them fit, and hardly anything if bits are coarse. So bits get a result of their own as long as
+        the quality hoped for is above that measured for others. If only one choice was seen, it stays.
         """
         files = self.found[_plain(best)]
         if len(files) == 1:
@@ -267,7 +271,7 @@ class _Search:
             before = files[best.bits]
             if best.bits in made or not self._is_far(before, NEAR_BITS):
                 return best
-            # A result with a palette takes long: the one at hand is enough where it leaves room.
+            # A result with a palette takes long: the first one is good enough if it leaves room.
             if best.share is not None and not made and before.bytes < self.size:
                 return best
             made.add(best.bits)
@@ -278,15 +282,15 @@ class _Search:
                 self.slope = max(self.slope, slope_of(self.choices, less, more))
 
     def _hope(self, packing: Packing, made: set[_Values], bits: _Values) -> float:
-        """Quality, dB, that may be hoped for from a result that fills the size with some bits."""
+        """Estimate the best quality, dB, of a result that fills the size with these bits."""
         file = self.found[_plain(packing)][bits]
         over, slope = self._over(file), self.slope
         if over > 0 and bits not in made and packing.share is None:
-            slope = SLOPES[0]  # what fewer splats lose is not known yet
+            slope = SLOPES[0]  # the loss from fewer splats is not measured yet
         return self.choices.quality(file) - slope * over
 
     def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
-        """The best of a packing and others in a row, as far as each is better than the last."""
+        """Try packings in order while each is better than the last, and return the best."""
         for other in others:
             given = replace(other, bits=best.bits)
             if self._value(given) <= self._value(best):
@@ -295,25 +299,28 @@ class _Search:
         return best
 
     def again(self, packing: Packing) -> Packing:
-        """A packing that was tried, for a result of about the same count."""
+        """Return a tried packing for another result of about the same count.
+
+        The options that were derived from its result are fixed in it.
+        """
         file, chosen = self._file(packing), {PALETTE, *self.choices.bits}
         settled = [item for item in file.options.items() if item[0] not in chosen]
         return replace(packing, settled=tuple(settled))
 
     def filling(self, packing: Packing) -> int:
-        """A count that about fills the size with a packing that was tried."""
+        """Return a count that about fills the size with a packing that was tried."""
         return self._filling(self._file(packing))
 
     def _file(self, packing: Packing) -> PackingReport:
         return self.found[_plain(packing)][packing.bits]
 
     def _value(self, packing: Packing) -> float:
-        """Worth of a degree and a share, its bits as they are or others."""
+        """Return the worth of a degree and share; results are made if it was not tried yet."""
         if _plain(packing) not in self.found:
             best = self._make(packing, self._expected(packing), near=True)
             if self._is_far(found := self._best_file(packing)):
                 count = self._filling(found)
-                if len(self.found[_plain(packing)]) > 1:  # bits that were compared stay
+                if len(self.found[_plain(packing)]) > 1:  # bits were compared: keep the choice
                     self._keep(best, self._alone(best, count))
                 else:
                     self._make(self.again(best), count)
@@ -324,7 +331,7 @@ class _Search:
         return self._keep(packing, self._tried(packing, count, look))
 
     def _is_far(self, found: PackingReport, near: float = NEAR) -> bool:
-        """Whether a file is too far from the size to tell what one of the size would show."""
+        """Whether a file's size is too far off to show how good one of the right size is."""
         far = abs(math.log(found.bytes / self.size)) > near
         return far and self._filling(found) != found.count
 
@@ -333,14 +340,14 @@ class _Search:
         return self._best(packing)
 
     def _best(self, packing: Packing) -> Packing:
-        """A packing that was tried, with the best of the bits."""
+        """Return a packing that was tried, with its best bits."""
         return replace(packing, bits=self._bits_of(self._best_file(packing)), settled=())
 
     def _best_file(self, packing: Packing) -> PackingReport:
         return max(self.found[_plain(packing)].values(), key=self._worth)
 
     def _is_packed(self, probe: PackingReport, packing: Packing) -> bool:
-        """Whether a file has the degree and the palette of a packing, and any bits."""
+        """Whether a file has the degree and palette size of a packing, with any bits."""
         palette = packing.options(probe.count).get(PALETTE)
         return probe.sh_degree == packing.sh_degree and probe.options.get(PALETTE) == palette
 
@@ -351,17 +358,17 @@ class _Search:
     def _look(
         self, packing: Packing, seen: Seen, *, lower: bool = False, near: bool = False
     ) -> list[PackingReport]:
-        """Files of a result: of the first with any bits, a smaller palette, and lower degrees.
+        """Measure files of a result; of the first one also with other bits, palette and degrees.
 
-        What a small palette loses hides what bits do, so that with a larger one bits are looked for
-        again.
+        A small palette loses so much that it hides the effect of bits, so other bits are tried again with a
+        larger one.
 
         Args:
             packing: How the result is packed.
-            seen: Packs the result.
-            lower: Whether it is the first.
-            near: Whether bits matter only if the file is near the size, since else another result
-                is made, and not far behind others.
+            seen: Packs the result and measures the file.
+            lower: Whether it is the first result.
+            near: Whether other bits are tried only if the file is near the size, since otherwise another
+                result is made, and not far behind the best.
         """
         chosen = dict(packing.bits)
         larger = packing.share is not None and packing.share < FIRST_SHARE
@@ -394,16 +401,16 @@ class _Search:
 
     @property
     def _most(self) -> float:
-        """Worth of the best that was made so far."""
+        """Worth of the best file so far."""
         return max(self._worth(found) for files in self.found.values() for found in files.values())
 
     def _worth(self, found: PackingReport) -> float:
         return self.choices.quality(found) - self.slope * self._over(found)
 
     def _over(self, found: PackingReport) -> float:
-        """The logarithm of a file's bytes over the size."""
+        """Return log(bytes / size) of a file, at least 0 if it holds the whole model."""
         over = math.log(found.bytes / self.size)
-        # What is left of the size would be filled, unless that was the whole model.
+        # More splats would fill the room that is left, unless these are all.
         return over if found.count < self.available else max(over, 0)
 
     def _tried(self, packing: Packing, count: int, look: Look) -> list[PackingReport]:
@@ -412,12 +419,12 @@ class _Search:
         return probes
 
     def _alone(self, packing: Packing, count: int) -> list[PackingReport]:
-        """Another count of a packing that was tried, and no other file of it."""
+        """Make a result of another count for a packing that was tried, and measure one file."""
         packing = self.again(packing)
         return self._tried(packing, count, lambda seen: [seen(packing)])
 
     def _expected(self, packing: Packing) -> int:
-        """The count that should fill the size, by what the model's own splats take."""
+        """Estimate the count that fills the size, from those for the model's own splats."""
         before = self._best([*self.found][-1])
         share = self.guess(packing) / max(self.guess(before), 1)
         return min(max(int(self.filling(before) * share), 1), self.available)

@@ -1,8 +1,8 @@
-"""Blocks: Morton ranges of about equal counts, from the digests of sorted segments.
+"""Division into blocks: Morton ranges of about equal counts, from digests of sorted segments.
 
 Source: Shi and Schaeffer, "Parallel sorting by regular sampling", 1992: splitters from every d-th
-key of sorted runs divide all keys evenly, to d keys a run, whatever their distribution. No
-histogram has to be refined where splats are dense.
+key of sorted runs divide all keys evenly, to d keys a run, for any distribution. No histogram has
+to be refined where splats are dense.
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,10 @@ from nanogs.store.tables import Record, Table
 
 @dataclass(frozen=True, slots=True)
 class Partition:
-    """Which rows of which segment make each block.
+    """The rows of each segment that make each block.
 
     Attributes:
-        bounds: For each segment, where its rows of each block begin, and their number.
+        bounds: For each segment, the first row of each block, and then its number of rows.
     """
 
     bounds: tuple[tuple[int, ...], ...]
@@ -50,17 +50,17 @@ class Partition:
         return sum(each[-1] for each in self.bounds)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return plain data for JSON."""
         return {"bounds": self.bounds}
 
 
 def partition_of(data: Any) -> Partition:  # noqa: ANN401 - a record's facts
-    """A partition from what `to_dict` made of it, by way of JSON."""
+    """Rebuild a partition from the data of `to_dict` after a round trip through JSON."""
     return Partition(tuple(tuple(each) for each in data["bounds"]))
 
 
 def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) -> Partition:
-    """Divide all splats into as few blocks as the largest allowed makes, of about equal counts.
+    """Divide all splats into as few blocks as the largest size allows, of about equal counts.
 
     Args:
         scratch: Where the segments are.
@@ -69,13 +69,13 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
 
     Raises:
         ModelError: No splat is usable.
-        CrowdedError: More splats than a block may have are in one place; who knows what limits
-            blocks adds the remedy.
+        CrowdedError: More splats than a block may have are at one position; the caller, who knows
+            what limits the block size, adds the remedy.
     """
     splats = sum(int(record.facts["splats"]) for record in segments)
     if splats == 0:
         raise ModelError(NONE_USABLE)
-    slack = 2 * settings.every * len(segments)  # half of it at either end of a range
+    slack = 2 * settings.every * len(segments)  # a range may be off by half of it at either end
     room = max(settings.block - slack, 1)
     splitters = _splitters(scratch, segments, settings.every, -(-splats // room))
     bounds = []
@@ -99,7 +99,7 @@ def len_of(record: Record) -> int:
 
 
 def _splitters(scratch: Scratch, segments: Sequence[Record], every: int, blocks: int) -> U64:
-    """(blocks - 1,) codes; a block ends before the next one's."""
+    """Return (blocks - 1,) Morton codes: the first code of each block but the first."""
     codes, weights = [], []
     for record in segments:
         with Table(scratch, record) as table:
@@ -116,7 +116,7 @@ def _splitters(scratch: Scratch, segments: Sequence[Record], every: int, blocks:
 
 
 def _without_empty(bounds: I64) -> Partition:
-    """Splats in one place can leave a range without any."""
+    """Remove empty ranges, which arise where many splats are at one position."""
     full = [i for i, (a, b) in enumerate(pairwise(bounds.T)) if (b > a).any()]
     kept = np.concatenate([bounds[:, :1], bounds[:, [i + 1 for i in full]]], axis=1)
     return Partition(tuple(tuple(map(int, each)) for each in kept))

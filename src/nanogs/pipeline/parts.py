@@ -1,4 +1,4 @@
-"""The splats that blocks are left with, level by level: what results are put together from."""
+"""The splats that are left of each block, by level: the parts that results are assembled from."""
 
 from dataclasses import asdict
 from itertools import accumulate, pairwise
@@ -30,17 +30,17 @@ BOUNDS = "bounds"
 
 
 def read_part(scratch: Scratch, layout: Layout, record: Record) -> Splats:
-    """All splats of a table of them."""
+    """Read all splats of a table."""
     return _rows(scratch, layout, record, slice(0, count_of(record)))
 
 
 class LevelSource(Source):
-    """The splats of a level, block after block; one table is open at a time.
+    """A source of the splats of a level, block after block; one table is open at a time.
 
     Args:
         work: The job, all its tasks done.
         level: Of the result.
-        block: The only one, by its number; by default all.
+        block: Number of the only block to read; by default all are read.
     """
 
     def __init__(self, work: "Work", level: int, block: int | None = None) -> None:
@@ -52,7 +52,7 @@ class LevelSource(Source):
         self._table: Table | None = None
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source.read`."""
         columns = empty_columns(self.columns, stop - start)
         for record, (first, end) in zip(self._records, pairwise(self._ends), strict=True):
             low, high = max(start, first), min(stop, end)
@@ -75,19 +75,19 @@ class LevelSource(Source):
 
 
 def simplify_further(small: Splats, target: int, settings: Settings, threads: int) -> Splats:
-    """The model of a count below what blocks can be cut to, which are few splats by then."""
+    """Simplify a model in memory to a count below what blocks can be cut to."""
     given = asdict(settings.parameters) | {"measure": False, "steps": 0}
     return simplify(small, count=target, preset="fast", threads=threads, **given)[0]
 
 
 def write_rest(work: "Work", name: str, level: int) -> Record:
-    """Do the rest in memory where blocks could not go as far as asked, and divide the outcome.
+    """Simplify a level in memory if blocks could not be cut far enough, and divide the result.
 
-    Splats go to the block that they lie in; where a finer level left one empty, to the one before.
+    Each splat belongs to the block it lies in; if a finer level left that one empty, to the one before.
 
     Args:
         work: The job, all parts of the level done.
-        name: Of the table, which is empty where nothing was left to do.
+        name: Of the table, which has no columns if nothing was left to do.
         level: Of the result.
     """
     records, target = work.delivered(level), work.target(level)
@@ -105,9 +105,9 @@ def write_rest(work: "Work", name: str, level: int) -> Record:
 
 
 def part_of_block(work: "Work", block: int, level: int) -> Splats:
-    """The splats of a level that stand for a block; none is missing or twice in all blocks.
+    """Read the splats of a level that belong to a block, in the frame of the results.
 
-    They are in the frame that results are turned to.
+    Each splat of the level belongs to exactly one block.
     """
     splats = _rows(work.scratch, work.settings.result_layout, *_place(work, block, level))
     frame = work.settings.frame
@@ -115,13 +115,13 @@ def part_of_block(work: "Work", block: int, level: int) -> Splats:
 
 
 def count_of_block(work: "Work", block: int, level: int) -> int:
-    """How many these are."""
+    """Return the number of splats of a level that belong to a block."""
     rows = _place(work, block, level)[1]
     return int(rows.stop - rows.start)
 
 
 def means_of_block(work: "Work", block: int, level: int) -> F:
-    """(N, 3) the centres of these splats, scene units."""
+    """Read (N, 3) the centres of a block's splats, scene units, in the frame of the results."""
     record, rows = _place(work, block, level)
     if rows.start == rows.stop:
         return np.empty((0, 3), np.float32)
@@ -132,7 +132,7 @@ def means_of_block(work: "Work", block: int, level: int) -> F:
 
 
 def _place(work: "Work", block: int, level: int) -> tuple[Record, slice]:
-    """The table and the rows of a block's splats."""
+    """Return the table that holds a block's splats of a level, and their rows in it."""
     rest = work.of_job("rest", level)
     bounds = rest.facts[BOUNDS]
     if bounds is None:
@@ -142,7 +142,7 @@ def _place(work: "Work", block: int, level: int) -> tuple[Record, slice]:
 
 
 def _filled(work: "Work", level: int) -> I64:
-    """The blocks that hold anything of the finest level, whose cells the others are put into."""
+    """Return the blocks that splats may go to: those not empty in the finest level."""
     bounds = work.of_job("rest", 0).facts[BOUNDS] if level else None
     if bounds is None:
         return np.arange(work.partition.blocks)
@@ -150,7 +150,7 @@ def _filled(work: "Work", level: int) -> I64:
 
 
 def _first_codes(work: "Work") -> U64:
-    """(B,) the lowest Morton code of each block."""
+    """Return (B,) the lowest Morton code of each block."""
     partition = work.partition
     lowest = np.full(partition.blocks, np.iinfo(np.uint64).max)
     for record, bounds in zip(work.segments(), partition.bounds, strict=True):

@@ -1,4 +1,4 @@
-"""How many blocks a job takes, how much memory and disk, and about how long; computed, not tried.
+"""Estimates of the blocks, memory, disk and time that a job takes, computed without reading rows.
 
 No Numba here: `--dry-run` uses it.
 """
@@ -16,12 +16,12 @@ from nanogs.pipeline.unpack import Cost
 from nanogs.source import Layout
 from nanogs.store.columns import row_bytes
 
-_KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making
-_SEGMENT = 1 << 21  # rows; more make sorting no faster
-_LEAST = 4096  # splats of a block
-_SHARE = 0.95  # of the memory is planned with
-# A splat, of one processor (`docs/scale.md`); for each further level; for looking and choosing; and
-# for each step of a fit.
+_KEYS = 96  # bytes for each row of a segment: codes, order, temporary centres and scales
+_SEGMENT = 1 << 21  # rows at most; more make sorting no faster
+_LEAST = 4096  # splats of a block at least
+_SHARE = 0.95  # of the allowed memory that is planned with
+# Seconds of one processor for each splat (`docs/scale.md`): for the first level; for each further
+# one; and for each level, for rendering and choosing, and for each step of a fit.
 _SECONDS, _LEVEL_SECONDS, _LOOKED, _STEP = 6.5e-6, 2.5e-6, 1.5e-5, 5e-7
 
 
@@ -31,12 +31,12 @@ class ScalePlan:
 
     Attributes:
         splats: Rows of all inputs.
-        block: Most splats of a block.
-        segment: Most rows that are sorted at a time.
-        blocks: About how many blocks.
-        memory: The most that a process takes, bytes, Python and its libraries included.
-        scratch: Intermediate files at the end, bytes, the result among them.
-        seconds: About how long, of one processor like that it was measured on.
+        block: Largest number of splats of a block.
+        segment: Largest number of rows that are sorted at a time.
+        blocks: Number of blocks, about.
+        memory: Peak memory of a process, bytes, Python and its libraries included.
+        scratch: Size of the intermediate files at the end, bytes, the result included.
+        seconds: About how long, on one processor like the one it was measured on.
     """
 
     splats: int
@@ -48,14 +48,14 @@ class ScalePlan:
     seconds: float
 
     def unpacking(self, cost: Cost, max_memory: int | None) -> "ScalePlan":
-        """Add what it takes to unpack the inputs first.
+        """Return the plan with the cost of unpacking the inputs first.
 
         Args:
-            cost: Of that.
-            max_memory: Bytes that a process may take; not needed where blocks are given.
+            cost: Of unpacking.
+            max_memory: Bytes that a process may take; not needed if the block size is given.
 
         Raises:
-            OptionError: That is too little.
+            OptionError: `max_memory` is too little.
         """
         if max_memory is not None and cost.memory > _room(max_memory):
             raise OptionError(
@@ -76,16 +76,16 @@ def plan_blocks(
     chunks: Chunked | Linked | None = None,
     beside: int = 0,
 ) -> ScalePlan:
-    """Blocks as large as the memory allows.
+    """Plan blocks as large as the memory allows.
 
     Args:
         splats: Rows of all inputs.
         layout: Of their columns.
         parameters: Of the method.
-        shares: What the results keep of the splats.
-        max_memory: Bytes that a process may take; not needed where `block` is given.
+        shares: Share of the splats that each result keeps.
+        max_memory: Bytes that a process may take; not needed if `block` is given.
         block: Splats of a block, in place of what memory allows.
-        chunks: How results are divided or linked, or None where each is one file.
+        chunks: How results are divided or linked, or None if each is one file.
         beside: Bytes that the process holds besides its task.
 
     Raises:
@@ -121,18 +121,18 @@ def plan_blocks(
 
 
 def _seconds(parameters: ForestParameters, levels: int) -> float:
-    """Of one processor, for a splat."""
+    """Return the seconds of one processor for each splat."""
     looked = _LOOKED * renders(parameters) + _STEP * parameters.steps
     return _SECONDS + levels * looked + (levels - 1) * _LEVEL_SECONDS
 
 
 def _room(max_memory: int) -> float:
-    """Bytes that are there for splats, of those that a process may take."""
+    """Return the bytes available for splats, of those that a process may take."""
     return _SHARE * max_memory - LIBRARIES
 
 
 def _must_be(least: float, allowed: int) -> str:
-    """The beginning of a sentence about a limit, which the user or the system has set."""
+    """Return the beginning of a message on a memory limit, set by the user or the system."""
     return (
         f"`max_memory`, or without it what is free, is {allowed / 1e6:,.0f} MB and must be at least"
         f" {ceil(least / 1e6):,} MB"
@@ -140,22 +140,22 @@ def _must_be(least: float, allowed: int) -> str:
 
 
 def _least(held: float) -> float:
-    """Bytes that a process must be allowed to take for so many of splats."""
+    """Return the memory limit, bytes, under which a process can hold `held` bytes of splats."""
     return (LIBRARIES + held) / _SHARE
 
 
 def held_bytes(
     block: int, splats: int, layout: Layout, parameters: ForestParameters, share: float
 ) -> int:
-    """Most bytes that any task of a block holds, the libraries apart; see `block_stages`."""
+    """Return the peak bytes of any task of a block, without the libraries; see `block_stages`."""
     return max(block_stages(block, splats, layout, parameters, share).values())
 
 
 def _largest_block(
     room: float, splats: int, layout: Layout, parameters: ForestParameters, share: float
 ) -> int:
-    """Splats of the largest block whose tasks have room, 0 for none."""
-    low, high = 0, 2 * splats  # blocks of more than all splats: one
+    """Return the number of splats of the largest block whose tasks fit `room`, 0 for none."""
+    low, high = 0, 2 * splats  # above the number of splats: one block
     while low < high:
         middle = (low + high + 1) // 2
         fits = held_bytes(middle, splats, layout, parameters, share) <= room

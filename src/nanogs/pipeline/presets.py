@@ -17,7 +17,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
         "fast": ForestParameters(rounds=1, measure=False, steps=0),
-        # It looks from anywhere, and so is surer of what is hidden.
+        # Roaming views find hidden splats more reliably, so that these may weigh less.
         "best": ForestParameters(
             hidden=0.01, steps=224, views=24, further=204, halves=False, roaming=24, view_size=768
         ),
@@ -35,7 +35,7 @@ DEFAULT_PRESET = "default"
 
 
 def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
-    """The preset's parameters with some of them replaced.
+    """Return the preset's parameters with some of them replaced.
 
     Args:
         preset: A name in `PRESETS`.
@@ -61,11 +61,11 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
 
 
 def refuse_search(preset: str, wish: str) -> None:
-    """Only a forest answers many counts for the price of one.
+    """Refuse a search for a preset without a merge forest, since each try would be a full run.
 
     Args:
         preset: Its name.
-        wish: What is asked for and has to be searched, for the message.
+        wish: What is asked for and needs a search, for the message.
 
     Raises:
         OptionError: The preset grows none.
@@ -78,9 +78,9 @@ def refuse_search(preset: str, wish: str) -> None:
 
 
 def effective(chosen: Parameters) -> dict[str, Any]:
-    """The parameters that have an effect, by name: without views, none that is about views.
+    """Return the parameters that have an effect, by name: without views, none about views.
 
-    Where several balances are tried, that is the text "0.5 or 1".
+    If several balances are tried, the value is the text "0.5 or 1".
     """
     unused: set[str] = set()
     values = dataclasses.asdict(chosen)
@@ -97,5 +97,5 @@ def effective(chosen: Parameters) -> dict[str, Any]:
 
 
 def renders(chosen: Parameters) -> bool:
-    """Whether a method looks at views of the original."""
+    """Whether a method renders views of the original."""
     return isinstance(chosen, ForestParameters) and (chosen.measure or chosen.steps > 0)

@@ -1,4 +1,4 @@
-"""The preset `paper`: prune, then merge pass by pass (arXiv 2603.16103), between two edges."""
+"""The preset `paper` (arXiv 2603.16103): prune, activate, merge pass by pass, store."""
 
 from nanogs._types import I32
 from nanogs.clock import StageClock
@@ -20,7 +20,7 @@ def simplify_as_published(
     clock: StageClock,
     progress: Tracker,
 ) -> Outcome:
-    """Prune, activate, merge to the count, store.
+    """Simplify a model as published: prune, activate, merge to the count, store.
 
     Args:
         splats: The model.
@@ -29,14 +29,14 @@ def simplify_as_published(
         parameters: Of the method.
         threads: Threads for the nearest-neighbour query.
         clock: Gets the seconds of each stage.
-        progress: Told of each stage.
+        progress: Notified of each stage.
     """
     progress.begin("prune")
     with clock.time("prune"):
         pruning = prune(splats.opacities()[rows], parameters.tau, target)
         kept = rows[pruning.keep]
         pruned, threshold, limited = len(rows) - len(kept), pruning.threshold, pruning.limited
-        del pruning  # and its rows: what follows is the most that is held
+        del pruning  # frees its rows before memory peaks below
     progress.begin("activate")
     with clock.time("activate"):
         origin = scene_origin(splats.means[kept])

@@ -1,6 +1,6 @@
-"""A scene on its way through the stages: its blocks, and what the stages before have found.
+"""The state of a scene as it passes through the stages: its blocks, and the results so far.
 
-Stages are written once, for a block of a scene. `one_block.OneBlock` is a model in memory;
+Each stage is written once, for a block of a scene. `one_block.OneBlock` is a model in memory;
 `work.Work` is a scene in blocks, of which only files are kept.
 """
 
@@ -27,17 +27,17 @@ from nanogs.report import PassReport
 from nanogs.splats import Splats
 from nanogs.store.tables import Record
 
-LIGHT = "light"  # a fact of looking: how much of a block each view shows
-ROUNDS = "rounds"  # a fact of reassignment: in how many of its rounds splats moved
+LIGHT = "light"  # fact of stage `look`: how much of a block each view shows
+ROUNDS = "rounds"  # fact of reassignment: number of rounds in which splats moved
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One of the tasks of a job.
+    """One task of a job: a stage, for one block, segment or file, and one level.
 
     Attributes:
-        stage: What is done.
-        number: Of the segment or block.
+        stage: Name of the stage.
+        number: Of the segment, block or unpacked file.
         level: Of the result.
     """
 
@@ -47,7 +47,7 @@ class Task:
 
     @property
     def name(self) -> str:
-        """Name of the table that it writes."""
+        """Name of the table that the task writes."""
         return f"{self.stage}-{self.level}-{self.number:05d}"
 
 
@@ -58,7 +58,7 @@ class Block:
     Attributes:
         splats: N of them.
         rows: (M,) integers, the usable rows in Morton order.
-        visible: (N,) float64, how visible each splat is, or None where nothing is looked at.
+        visible: (N,) float64, the visibility of each splat, or None where nothing is rendered.
     """
 
     splats: Splats
@@ -68,11 +68,12 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Members(Block):
-    """The splats of a block's groups, of which some may come from other blocks.
+    """The splats of a block's groups, some of which may come from other blocks.
 
     Attributes:
-        labels: (M,) int32, the group of each row, in that order.
-        others: Groups of other blocks that may cover these, where that is asked for.
+        labels: (M,) int32, the group of each row, in the order of `rows`.
+        others: Groups of other blocks that may cover the sides of these, for growth; empty if
+            growth does not depend on them.
     """
 
     labels: I32
@@ -84,9 +85,9 @@ class FitViews:
     """The views to fit a block to.
 
     Attributes:
-        fitting: Views of the original, kept or to be drawn.
-        deciding: Others, which decide what is kept.
-        count: Splats of the original.
+        fitting: Views of the original that are fitted to, kept as images or rendered when needed.
+        deciding: Other views, which decide how much of the fit is kept.
+        count: Number of splats of the original.
     """
 
     fitting: Fitting
@@ -95,7 +96,7 @@ class FitViews:
 
 
 class Lit(NamedTuple):
-    """A view, and how much of a block it shows, pixels of alpha 1."""
+    """A view, and how much of it a block fills: the sum of contributions, in pixels of alpha 1."""
 
     camera: Camera
     light: float
@@ -103,19 +104,19 @@ class Lit(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The choice for a level: whether splats stay reassigned, and how much they may grow."""
+    """The choice for a level: whether reassignment is kept, and how much splats may grow."""
 
     reassigned: bool
     growth: float
 
 
 class Scene(ABC):
-    """A scene as a stage sees it.
+    """A scene as a stage sees it: the interface between stages and data.
 
     Attributes:
-        settings: What is done to it.
-        threads: Threads in use.
-        tell: Told of the parts of the present task.
+        settings: Settings of the job.
+        threads: Number of threads in use.
+        tell: Progress callback for the parts of the current task.
     """
 
     settings: Settings
@@ -124,11 +125,11 @@ class Scene(ABC):
 
     @abstractmethod
     def record(self, task: Task) -> Record:
-        """The record of what a task wrote."""
+        """Return the record that a task wrote."""
 
     @abstractmethod
     def write(self, name: str, columns: Mapping[str, Array], facts: Mapping[str, Any]) -> Record:
-        """Keep what a task has found, under its name."""
+        """Keep the columns and facts that a task has found, under the name of its table."""
 
     @property
     @abstractmethod
@@ -142,7 +143,7 @@ class Scene(ABC):
 
     @abstractmethod
     def target(self, level: int) -> int:
-        """Splats that a result is to have."""
+        """Return the number of splats that a result is to have."""
 
     @abstractmethod
     def merges(self, level: int) -> bool:
@@ -150,19 +151,19 @@ class Scene(ABC):
 
     @abstractmethod
     def survey(self, name: str) -> Record:
-        """Find the units that all blocks share."""
+        """Compute and keep the units (origin, scales, Morton box) that all blocks share."""
 
     @abstractmethod
     def sample(self) -> Splats:
-        """Splats that cameras are placed by, spread over the scene."""
+        """Return splats spread over the scene, for placing cameras."""
 
     @abstractmethod
     def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
-        """The views that the user asks for; None for automatic ones."""
+        """Return the cameras that the user asks for; None for automatic ones."""
 
     @abstractmethod
     def from_afar(self) -> Splats:
-        """The scene, or a coarse level of it, to find roaming views in."""
+        """Return the scene, or a coarse level of it, for finding roaming views."""
 
     @abstractmethod
     def keep_views(self, name: str, views: Views) -> Record:
@@ -170,37 +171,37 @@ class Scene(ABC):
 
     @abstractmethod
     def bare(self, block: int) -> Block:
-        """The splats of a block for views that only say what hides what."""
+        """Return the splats of a block for rendering visibility, which needs no colours."""
 
     @abstractmethod
     def hiding(self, block: int) -> PreparedSplats | None:
-        """Splats of other blocks that may hide a block; None where there are none."""
+        """Return splats of other blocks that may occlude a block; None if there are none."""
 
     @abstractmethod
     def closer_views(self, own: Block) -> Sequence[Camera]:
-        """Views of a block alone, where it is small in all those of the scene."""
+        """Return additional views of a block that is small in every view of the scene."""
 
     @abstractmethod
     def draw(self, drawn: PreparedSplats, camera: Camera) -> Rendering:
-        """A view that is looked from, with the contribution of each splat."""
+        """Render one of the views that visibility is measured on, with splat contributions."""
 
     @property
     def pictured(self) -> Sequence[Camera]:
-        """Views that are fitted to and not looked at, where their pictures are few enough to keep.
+        """Cameras only for the fit, if they are few enough that all their renders are kept.
 
-        Others are drawn when their turn comes.
+        The renders of others are made when the fit needs them.
         """
         return ()
 
     def picture(self, drawn: PreparedSplats, camera: Camera) -> None:
-        """Keep the picture of one of these."""
+        """Render the original from one of the `pictured` cameras and keep the image."""
         raise NotImplementedError
 
     @abstractmethod
     def keep_look(
         self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
     ) -> Record:
-        """Keep how visible a block's splats are, what views show of it, and what they leave out."""
+        """Keep a block's visibility, its share of each view, and how much the views miss."""
 
     @abstractmethod
     def grow(self, name: str, block: int) -> Record:
@@ -216,19 +217,28 @@ class Scene(ABC):
 
     @abstractmethod
     def cut(self, block: int, level: int, balance: int) -> I32:
-        """(M,) the group of each leaf of a block in the cut of a balance, by its number."""
+        """Return (M,) int32: the group of each leaf of a block in a cut.
+
+        Args:
+            block: Number of the block.
+            level: Of the result.
+            balance: Index into `balances`.
+        """
 
     @abstractmethod
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
-        """The splats of a block's groups: of the chosen cut, or after reassignment."""
+        """Return the splats and groups of a block: of the chosen cut, or after reassignment."""
 
     @abstractmethod
     def stored(self, members: Members) -> Groups:
-        """The groups of a block as splats."""
+        """Merge each group of a block into one splat."""
 
     @abstractmethod
     def surroundings(self, block: int) -> PreparedSplats | None:
-        """Splats drawn with a block and not changed; None where there are no other blocks."""
+        """Return splats of other blocks, drawn with a block but never changed.
+
+        None if there are no other blocks.
+        """
 
     @property
     @abstractmethod
@@ -237,15 +247,18 @@ class Scene(ABC):
 
     @abstractmethod
     def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
-        """The original on each of these views, or the part that shows a block; None without it."""
+        """Return the original on each deciding view, or the part of it that shows a block.
+
+        An entry is None if its view does not show the block.
+        """
 
     @abstractmethod
     def fit_views(self, block: int, level: int) -> FitViews | None:
-        """The views to fit a block to; None where too few show it."""
+        """Return the views to fit a block to; None if too few show it."""
 
     @abstractmethod
     def part(self, block: int, level: int) -> Splats:
-        """The splats of a block in a result, before the fit."""
+        """Return the splats of a block in a result, before the fit."""
 
     @abstractmethod
     def keep_part(self, name: str, level: int, small: Splats) -> Record:
@@ -253,70 +266,73 @@ class Scene(ABC):
 
     @abstractmethod
     def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
-        """Keep the splats of a block in a result after the fit; no report where none was made."""
+        """Keep the splats of a block in a result after the fit; `report` is None without a fit."""
 
     @property
     @abstractmethod
     def passes(self) -> tuple[PassReport, ...]:
-        """Reports of the passes of growing the forest; of blocks, summed and without seconds."""
+        """Reports of the merge passes; for several blocks summed, and without seconds."""
 
     @property
     @abstractmethod
     def shown(self) -> float | None:
-        """Share of the prominence of all splats, in [0, 1], that the views show."""
+        """Share of the prominence of all splats, in [0, 1], that the views show.
+
+        None if nothing was rendered.
+        """
 
     @abstractmethod
     def fit_report(self, level: int) -> RefitReport | None:
-        """How a result was fitted; None where it could not be."""
+        """Return the report of a result's fit; None if it could not be fitted."""
 
     @abstractmethod
     def notes_on_fits(self, level: int) -> Sequence[str]:
-        """A sentence on what could not be fitted; none where all was."""
+        """Return a sentence on blocks that could not be fitted; empty if all were."""
 
     def of_job(self, stage: str, level: int = 0) -> Record:
-        """The record of what a stage of one task wrote."""
+        """Return the record of a stage that has a single task."""
         return self.record(Task(stage, 0, level))
 
     def of_block(self, stage: str, block: int, level: int = 0) -> Record:
-        """The record of what a stage wrote for a block."""
+        """Return the record that a stage wrote for a block."""
         return self.record(Task(stage, block, level))
 
     def of_blocks(self, stage: str, level: int = 0) -> list[Record]:
-        """The records of what a stage wrote, one a block."""
+        """Return the records that a stage wrote, one for each block."""
         return [self.record(Task(stage, b, level)) for b in range(self.partition.blocks)]
 
     @property
     def blind(self) -> int:
-        """How many of the kept views show nothing of the scene, which was looked at."""
+        """Number of kept views that show nothing of the scene; stage `look` must be done."""
         lights = zip(*(record.facts[LIGHT] for record in self.of_blocks("look")), strict=False)
         return sum(not any(each) for each in islice(lights, len(self.views.kept)))
 
     @property
     def looks(self) -> bool:
-        """Whether anything is looked at: not in a scene that shows nothing."""
+        """Whether views are rendered; False if no views could be found for the scene."""
         return self.settings.looks and bool(self.views.kept)
 
     @property
     def measures(self) -> bool:
-        """Whether results are chosen by how they look."""
+        """Whether candidates are rendered and the one that looks best is chosen."""
         return self.settings.measures and self.looks
 
     @property
     def balances(self) -> tuple[float, ...]:
-        """The balances of the cuts that are tried; the usual one where none can be measured."""
+        """Balances of the cuts to try; only the parameter `balance` if nothing is measured."""
         given = self.settings.parameters
         return given.balances if self.measures else (given.balance,)
 
     def balance(self, level: int) -> int:
-        """Number of the balance that was chosen."""
+        """Return the index of the balance chosen for a level; 0 if none was tried."""
         return int(self.of_job("pick", level).facts["balance"]) if self.tries(level) else 0
 
     def tries(self, level: int) -> bool:
-        """Whether candidates of a result are tried."""
+        """Whether several candidates of a result are made and compared."""
         return self.measures and self.merges(level)
 
     def chosen(self, level: int) -> Chosen:
-        """How the groups of a level become splats."""
+        """Return the choice of reassignment and growth for a level."""
         parameters = self.settings.parameters
         if not self.tries(level):
             return Chosen(parameters.rounds > 0, parameters.growth)
@@ -324,11 +340,14 @@ class Scene(ABC):
         return Chosen(bool(facts["reassigned"]), float(facts["growth"]))
 
     def reassign_rounds(self, level: int) -> int | None:
-        """Rounds of reassignment in which splats moved, the most of any block; None without any."""
+        """Return the number of reassignment rounds in which splats moved.
+
+        It is the largest of any block; None if nothing is reassigned.
+        """
         if not self.settings.parameters.rounds or not self.merges(level):
             return None
         return max(int(record.facts[ROUNDS]) for record in self.of_blocks("settle", level))
 
     def fits(self, level: int) -> bool:
-        """Whether a result is fitted to what views show."""
+        """Whether a result is fitted to renders of the original."""
         return self.settings.fits and self.merges(level)
