@@ -188,9 +188,10 @@ class PackNear(Generic[T]):
             count: Splats of the plain cut.
 
         Returns:
-            A maker of results that suit the packing, and a count whose file has about the same size.
+            A maker of results that suit the packing, and a count whose file has about the same
+            size.
         """
-        if self.wish.known.file_bytes is not None:  # the size depends on the count alone: nothing to choose
+        if self.wish.known.file_bytes is not None:  # only the count decides it: nothing to choose
             return self.results, count
         self.progress.begin("guess")
         plain = self.results.plain(rounds=0)

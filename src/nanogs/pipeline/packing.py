@@ -28,11 +28,11 @@ SAVED = 1.2  # first count over the guess: there is room, because coarser bits a
 # |log(bytes / size)| up to which a result is not made again with another count: for a packing, and
 # for the bits that are best with it; files that near the size are compared directly.
 NEAR, NEAR_BITS = 0.12, 0.03
-# dB by which a degree or palette may be behind, on a result not fitted for it, and still be tried.
+# dB by which a degree or palette may be behind, unfitted, and still be tried.
 BEHIND = 1.5
 FINE = 0.25  # dB by which a packing may be behind the best and still be tried with other bits
-# Share of all splats that fit by the guess, which is 10 to 20 % low: beyond it, finer bits gain more
-# than further splats.
+# Share of all splats that fit by the guess, which is 10 to 20 % low: beyond it, finer bits gain
+# more than further splats.
 ENOUGH_SPLATS = 0.75
 
 
@@ -176,9 +176,9 @@ def choose_packing(
 def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available: int) -> Packing:
     """Return the packing if nothing is rendered: about the first of a search, or finer.
 
-    Coarse bits and a small palette leave room for more splats, which matter most in a result that keeps
-    a small part of the model. If all splats fit, a palette loses more than anything else; without one,
-    precision gains more than the last quarter of the splats.
+    Coarse bits and a small palette leave room for more splats, which matter most in a result that
+    keeps a small part of the model. If all splats fit, a palette loses more than anything else;
+    without one, precision gains more than the last quarter of the splats.
 
     Args:
         choices: What may be chosen.
@@ -258,9 +258,10 @@ class _Search:
     def compare_bits(self, best: Packing) -> Packing:
         """Find the best bits, making results that fill the size while they may change it.
 
-        One result does not show how much splats gain with each choice of bits: they gain more if nearly all
-        of them fit, and hardly anything if bits are coarse. So bits get a result of their own as long as
-        the quality hoped for is above that measured for others. If only one choice was seen, it stays.
+        One result does not show how much splats gain with each choice of bits: they gain more if
+        nearly all of them fit, and hardly anything if bits are coarse. So bits get a result of
+        their own as long as the quality hoped for is above that measured for others. If only one
+        choice was seen, it stays.
         """
         files = self.found[_plain(best)]
         if len(files) == 1:
@@ -360,15 +361,15 @@ class _Search:
     ) -> list[PackingReport]:
         """Measure files of a result; of the first one also with other bits, palette and degrees.
 
-        A small palette loses so much that it hides the effect of bits, so other bits are tried again with a
-        larger one.
+        A small palette loses so much that it hides the effect of bits, so other bits are tried
+        again with a larger one.
 
         Args:
             packing: How the result is packed.
             seen: Packs the result and measures the file.
             lower: Whether it is the first result.
-            near: Whether other bits are tried only if the file is near the size, since otherwise another
-                result is made, and not far behind the best.
+            near: Whether other bits are tried only if the file is near the size, since otherwise
+                another result is made, and not far behind the best.
         """
         chosen = dict(packing.bits)
         larger = packing.share is not None and packing.share < FIRST_SHARE

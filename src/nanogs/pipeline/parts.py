@@ -83,7 +83,8 @@ def simplify_further(small: Splats, target: int, settings: Settings, threads: in
 def write_rest(work: "Work", name: str, level: int) -> Record:
     """Simplify a level in memory if blocks could not be cut far enough, and divide the result.
 
-    Each splat belongs to the block it lies in; if a finer level left that one empty, to the one before.
+    Each splat belongs to the block it lies in; if a finer level left that one empty, to the one
+    before.
 
     Args:
         work: The job, all parts of the level done.

@@ -1,7 +1,7 @@
-"""The smallest count that reaches a PSNR as `nanogs compare` measures it.
+"""Search for the smallest count that reaches a PSNR, as `nanogs compare` measures it.
 
 Two searches of one kind: quick results, plain cuts of the forest, lead near the count; then results
-are made and judged as they are delivered, until one lies within `SPAN` above what is asked.
+are made and measured as they are delivered, until one is within `SPAN` above the PSNR asked for.
 """
 
 import math
@@ -16,24 +16,24 @@ from nanogs.report import ProbeReport, StopReason
 
 SPAN = 0.3  # dB above what is asked within which a result is near enough
 MOST_PROBES = 24
-GUESS = 0.1  # share of the splats to begin with
-# Counts that differ by no larger share are neighbours; and the share of splats that must be saved.
+GUESS = 0.1  # share of the splats in the first probe
+# Counts that differ by at most this share are neighbours; also the share of splats to be saved.
 TOLERANCE = 0.01
-STEPS = 6  # counts that are tried below a step of the PSNR
+STEPS = 6  # number of counts tried below a step of the PSNR
 STRIDE = 0.05  # distance between these, as a share of the count of the step
-PATIENCE = 6  # probes, after which every second one halves the range that is left
+PATIENCE = 6  # number of probes after which every second one halves the range that is left
 USUAL_SLOPE = 3.0  # dB for e times the splats; trained scenes: 2 to 5
 SLOPES = 1.0, 10.0  # dB, limits of a measured slope: beyond them, small unevennesses mislead
-LEAP = 3.0  # most that the logarithm of the count changes at once, while one side is unknown
+LEAP = 3.0  # largest change of the log of the count at once, while one side is unknown
 FAR = 0.7  # share of the largest count, beyond which the largest is tried at once
-HOPELESS = 6.0  # dB that a quick result may lack for the delivered one to be worth a probe
+HOPELESS = 6.0  # dB that a quick result may lack and delivered results still be tried
 
 _Probe = ProbeReport | None
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The count that a search ends with, what it tried, and why it ended."""
+    """The result of a search: its count, the counts tried, and why it ended."""
 
     count: int
     probes: tuple[ProbeReport, ...]
@@ -41,7 +41,7 @@ class Found:
 
     @property
     def slope(self) -> float:
-        """Slope of the PSNR over the logarithm of the count, by the two latest counts, dB."""
+        """Slope of the PSNR over the logarithm of the count, from the two latest probes, dB."""
         return _slope(self.probes)
 
 
@@ -55,13 +55,14 @@ def search_count(
     *,
     quick: bool = False,
 ) -> Found:
-    """Look for a count whose PSNR is at least what is asked and at most `SPAN` above it.
+    """Search for a count whose PSNR is at least `asked` and at most `SPAN` above it.
 
-    PSNR grows with the count but for small unevennesses, and nearly in a line over its logarithm.
-    That line is followed to both sides of what is asked, and then between them; where it does not
-    help, what is between is halved. Where the PSNR steps over the whole span, as another candidate
-    is chosen, some counts below the step are tried. A PSNR that takes more than 99 % of the splats
-    is out of reach: with all but a few, any can be had.
+    PSNR grows with the count but for small unevennesses, and nearly linearly in its logarithm. The
+    search extrapolates along that line until one count misses and one reaches `asked`, then
+    interpolates between them; where that does not help, it halves the range. If the PSNR steps over
+    the whole span, because another candidate is chosen, some counts below the step are tried. A
+    PSNR that takes more than 99 % of the splats is out of reach: with all but a few, any can be
+    had.
 
     Args:
         psnr_of: Measures the result of a count, dB.
@@ -69,7 +70,7 @@ def search_count(
         fewest: Smallest count that can be delivered, at least 1.
         available: Splats of the whole model.
         guess: Count to begin with.
-        slope: dB for e times the splats, where it is known.
+        slope: dB for e times the splats, if it is known.
         quick: Mark the probes so, and end within `SPAN` on either side.
     """
     probes: list[ProbeReport] = []
@@ -101,7 +102,10 @@ def search_count(
 def _below_step(
     psnr_of: Callable[[int], float], found: Found, asked: float, fewest: int, *, quick: bool
 ) -> Found:
-    """A count below a step whose PSNR lies within the span after all, or the least that reaches."""
+    """After a search that ended at a step, try counts below it.
+
+    The count found is one within the span after all, or the smallest that reaches `asked`.
+    """
     if found.stop is not StopReason.STEP:
         return found
     step = found.count
@@ -119,7 +123,7 @@ def _below_step(
 
 
 def _is_step(misses: ProbeReport, reaches: ProbeReport, asked: float) -> bool:
-    """Whether the PSNR rises over the whole span between counts that are next to each other."""
+    """Whether the PSNR rises over the whole span between neighbouring counts."""
     near = reaches.count <= max((1 + TOLERANCE) * misses.count, misses.count + 1)
     return near and reaches.psnr > asked + SPAN
 
@@ -127,7 +131,7 @@ def _is_step(misses: ProbeReport, reaches: ProbeReport, asked: float) -> bool:
 def _ending(
     misses: _Probe, reaches: _Probe, asked: float, fewest: int, most: int, tried: int
 ) -> StopReason | None:
-    """Why the search ends, or None while it goes on."""
+    """Return why the search ends, or None if it continues."""
     if reaches and reaches.psnr <= asked + SPAN:
         return StopReason.TARGET
     if reaches and (reaches.count == fewest or (misses and _is_step(misses, reaches, asked))):
@@ -140,7 +144,10 @@ def _ending(
 
 
 def _between(misses: ProbeReport, reaches: ProbeReport, asked: float, tried: int) -> int:
-    """A count between two: on the line through both; later, each second time, halfway."""
+    """Return a count between two, interpolated in the logarithm.
+
+    From `PATIENCE` probes on, every second count is halfway.
+    """
     low, high = math.log(misses.count), math.log(reaches.count)
     share = 0.5
     if math.isfinite(reaches.psnr) and (tried < PATIENCE or tried % 2):
@@ -149,7 +156,7 @@ def _between(misses: ProbeReport, reaches: ProbeReport, asked: float, tried: int
 
 
 def _beyond(probes: list[ProbeReport], asked: float, most: int, slope: float | None) -> int:
-    """A count along the line from the latest one; the largest where that leads far up."""
+    """Extrapolate a count from the latest one; the largest if that is far up."""
     latest = probes[-1]
     if len(probes) > 1 or slope is None:
         slope = _slope(probes)
@@ -178,17 +185,17 @@ def reach_psnr(
     progress: Tracker,
     pack: Callable[[int], tuple[Results[T], int]],
 ) -> tuple[T, Found]:
-    """The smallest result of a model that is found to reach a PSNR on the views held out.
+    """Find the smallest result of a model that reaches a PSNR on held-out views.
 
-    What is measured is what is delivered: the result of a count is the same each time.
+    The result that is measured is delivered: the result of a count is the same each time.
 
     Args:
-        results: Of the model.
+        results: Makes results of the model.
         asked: dB.
-        psnr_of: Measures a result on views that nothing is learnt from, dB.
-        progress: Told of each stage.
-        pack: Told the count that quick results lead to, it chooses how those that are delivered are
-            packed, and gives them and a count to begin with.
+        psnr_of: Measures a result on views that are not used for fitting or choosing, dB.
+        progress: Notified of each stage.
+        pack: Takes the count that quick results lead to, and chooses the packing of the delivered
+            ones; returns a maker of these and a count to begin with.
 
     Returns:
         The result, and what was tried.
@@ -222,13 +229,13 @@ def _measuring(_count: int) -> Stage:
 
 
 def _hopeless(near: Found, asked: float) -> bool:
-    """Whether not even 99 % of the model, quickly made, come near what is asked."""
+    """Whether a quick result of even 99 % of the model is far below what is asked."""
     return near.stop is StopReason.UNREACHED and (
         not near.probes or near.probes[-1].psnr < asked - HOPELESS
     )
 
 
 def _whole(results: Results[T], found: Found, progress: Tracker) -> tuple[T, Found]:
-    """The whole model, as no smaller one reaches what is asked."""
+    """Return the whole model, because no smaller one reaches what is asked."""
     result = results.make(results.available, progress)
     return result, replace(found, count=results.available, stop=StopReason.UNREACHED)

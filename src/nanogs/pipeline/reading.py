@@ -1,4 +1,4 @@
-"""Reading a model to be simplified: parts are joined, splats and bands left out."""
+"""Reading a model to be simplified: its parts are joined, unwanted splats and bands left out."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,12 +16,12 @@ from nanogs.splats import Splats
 
 
 class Prepared(NamedTuple):
-    """A model as it is simplified.
+    """A model that is ready to be simplified.
 
     Attributes:
         splats: The model.
-        took: What each filter took.
-        notes: What else the user should know, one sentence each.
+        took: Report of each filter.
+        notes: Other notes for the user, one sentence each.
     """
 
     splats: Splats
@@ -30,7 +30,7 @@ class Prepared(NamedTuple):
 
 
 def reading_stages(changes: Changes, splats: int) -> list[Stage]:
-    """The stages of `read_changed`."""
+    """Return the stages of `read_changed`."""
     read = [Stage("read", read_weight(splats))]
     return [*read, Stage("filter", read_weight(splats))] if changes.filters else read
 
@@ -42,8 +42,8 @@ def read_changed(
 
     Args:
         paths: The files, parts of one scene.
-        changes: As `prepare` takes them.
-        progress: Told of the stages.
+        changes: Changes to the model; see `prepare`.
+        progress: Notified of the stages.
         clock: Gets their seconds.
 
     Raises:
@@ -60,7 +60,9 @@ def read_changed(
 
 
 def prepare(splats: Splats, changes: Changes) -> Prepared:
-    """Leave out splats and harmonics that are not wanted; results are turned, and not the model.
+    """Apply the filters, and leave out the harmonics that are not wanted.
+
+    The frame is not changed here: results are turned, and not the model.
 
     Raises:
         ModelError: A filter leaves nothing.
@@ -77,7 +79,9 @@ def prepare(splats: Splats, changes: Changes) -> Prepared:
 
 
 def inspect_parts(paths: Sequence[Path]) -> FileInfo:
-    """The first file's description, with the splats and bytes of all.
+    """Describe the files of a model: as the first file, with the splats and bytes of all.
+
+    The SH degree is the highest of any file.
 
     Raises:
         FormatError: A file cannot be read.
@@ -92,7 +96,7 @@ def inspect_parts(paths: Sequence[Path]) -> FileInfo:
 
 
 def read_parts(paths: Sequence[Path], render_mode: str | None = None) -> Splats:
-    """The model of one file, or of several that are its parts.
+    """Read the model of one file, or of several that are its parts.
 
     Args:
         paths: The files.

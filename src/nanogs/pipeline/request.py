@@ -1,4 +1,4 @@
-"""A request for smaller files, and whether it is met in memory or in blocks."""
+"""A request for smaller files, and the decision between a model in memory and blocks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -43,16 +43,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Request:
-    """A smaller file, as it is asked for; the fields are the arguments of `simplify_blocks`.
+    """A request for a smaller file; the fields are the arguments of `simplify_blocks`.
 
     Attributes:
-        goal: What is asked.
+        goal: The target: a ratio, count, size, PSNR or draw cost.
         overrides: Parameters of the preset to replace, by name.
-        measured: Whether the result is held against the input as `nanogs compare` does it; None
-            for where the preset renders anyway and the model is in memory.
-        ratios: Of levels, the finest first, which the goal is; none for one file.
+        measured: Whether the result is compared with the input as `nanogs compare` does it; None
+            to do so if the preset renders anyway and the model is in memory.
+        ratios: Of levels, the finest first, which is also the ratio of `goal`; empty for one file.
         chunks: How levels are divided or linked, or None.
-        environment: What is beside levels, in words that tell one from another; empty for nothing.
+        environment: Text that identifies the environment written beside levels; empty for none.
     """
 
     goal: Goal
@@ -84,7 +84,7 @@ class Request:
     environment: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse what says nothing, before anything is read."""
+        """Refuse values that are not valid, before anything is read."""
         object.__setattr__(self, "filters", listed(self.filters))
         object.__setattr__(self, "frame", checked_frames(self.frame))
         check_nan(self.nan)
@@ -98,19 +98,19 @@ class Request:
             )
         if not is_number(self.patience) or not self.patience >= 0:
             raise OptionError(f"`patience` must be seconds, 0 or more, not {self.patience!r}.")
-        # A job keeps them as JSON, which has no numbers of NumPy's.
+        # A job is stored as JSON, which has no NumPy integers.
         for name in ("block", "sh_degree"):
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, int(value))
 
     @property
     def goals(self) -> tuple[Goal, ...]:
-        """Of each result, the finest first."""
+        """The goal of each result, the finest first."""
         return tuple(Goal(ratio=ratio) for ratio in self.ratios) or (self.goal,)
 
     @property
     def parameters(self) -> Parameters:
-        """Of the method.
+        """Parameters of the method.
 
         Raises:
             OptionError: There is no such preset or parameter.
@@ -121,7 +121,8 @@ class Request:
     def edits(self) -> Changes:
         """Changes to the model: splats and harmonics left out, render mode, frame of results.
 
-        Harmonics are left out of results where these are fitted to all that views show.
+        If results are fitted, `sh_degree` applies to them and not to the model, so that they are
+        fitted to all that views show.
         """
         fitted, mode = renders(self.parameters), checked_mode(self.render_mode)
         degree = None if fitted else self.sh_degree
@@ -129,29 +130,29 @@ class Request:
 
     @property
     def changes(self) -> Changes:
-        """The same with the views that are asked for; a file of cameras is read each time."""
+        """The edits with the views that are asked for; a camera file is read at each access."""
         return replace(self.edits, asked=asked_views(self.cameras, self.up))
 
     @property
     def suffix(self) -> str:
-        """Of the output's format."""
+        """Suffix of the output's format."""
         known = registry.find(self.output)
         return known.suffix if known else self.output.suffix
 
     @property
     def sizer(self) -> Sizer | None:
-        """Bytes of the output's format for a count; None where only writing a file tells."""
+        """Computes the size of the output for a count; None if a file must be written for it."""
         return None if self.ratios else registry.writable(self.output).file_bytes
 
     def searches(self, degree: int) -> bool:
-        """Whether only trying tells the count of a result of a model of a degree of harmonics."""
+        """Whether the count of a result, of a model of an SH degree, is found only by trying."""
         free = degree if self.sh_degree is None else 0
         known, looks = registry.writable(self.output), renders(self.parameters)
         return is_searched(self.goal, known, degree=free, looks=looks)
 
     @property
     def folder(self) -> Path:
-        """Of the job, if it becomes one."""
+        """Folder of the job, if the request becomes one."""
         return job_folder(self.output, self.job)
 
     @property
@@ -160,7 +161,7 @@ class Request:
         return self.resume and (self.folder / MANIFEST).exists()
 
     def check(self) -> None:
-        """Refuse, before anything is read, what cannot be had together.
+        """Refuse combinations that are not possible, before anything is read.
 
         Raises:
             OptionError: A search is asked of a preset that has none, or there is no such device or
@@ -171,10 +172,10 @@ class Request:
         self.refuse_unused_views()
 
     def refuse_unused_views(self) -> None:
-        """Refuse certain views for a preset that renders nothing.
+        """Refuse `cameras` and `up` for a preset that renders nothing.
 
         Raises:
-            OptionError: They are asked for.
+            OptionError: One of them is given.
         """
         given = self.cameras not in (None, AUTO) or self.up is not None
         refuse_unused_views(self.preset, self.parameters, given=given)
@@ -199,10 +200,10 @@ class Request:
         refuse_small(wish, some, HeldFiles(self.output, given, some, StageClock(), self.frame))
 
     def refuse_device_in_blocks(self) -> None:
-        """Refuse another device than the CPU, for what is made in blocks.
+        """Refuse any device but the CPU for a model in blocks.
 
         Raises:
-            OptionError: There is one; "auto" is none where there is no card.
+            OptionError: Another device is asked for; "auto" is the CPU if there is no card.
         """
         with use_device(self.device) as used:
             if used == CPU:
@@ -213,7 +214,7 @@ class Request:
             )
 
     def check_addresses(self) -> None:
-        """Refuse URLs of models in jobs that have to find them again, later or elsewhere.
+        """Refuse URLs of models in jobs that read them again, later or on other machines.
 
         Raises:
             OptionError: There is one.
@@ -224,10 +225,10 @@ class Request:
                 refuse_address(path, f"leave `{name}` out, or name a file that stays in its place")
 
     def goes_on(self) -> bool:
-        """Whether there is a job to continue, which sees to its output itself.
+        """Whether there is a job to continue, which checks its output itself.
 
         Raises:
-            OutputError: There is none to continue, but an output.
+            OutputError: There is no job to continue, but the output exists.
         """
         if self.resume and not self.overwrite:
             refuse_finished(self.folder, self.output)
@@ -236,14 +237,14 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a request is going to be met.
+    """The way in which a request is going to be met.
 
     Attributes:
-        splats: Of the inputs.
+        splats: Number of splats of the inputs.
         sh_degree: Of their harmonics.
-        memory: What it takes in memory.
-        allowed: What it may take.
-        divided: Whether it is made in blocks.
+        memory: Memory that the request takes with the model in memory.
+        allowed: Memory that it may take.
+        divided: Whether it is met in blocks.
     """
 
     splats: int
@@ -256,8 +257,8 @@ class Plan:
 def plan_files(request: Request) -> Plan:
     """Decide between a model in memory and blocks, for every caller; no row is read.
 
-    In memory it is where that is enough, unless what only jobs have is asked for: blocks of a size,
-    a job or scratch folder, workers elsewhere, or that it can be continued.
+    The model is held in memory if it fits, unless the request has something that only jobs have: a
+    block size, a job or scratch folder, an executor, or that it can be resumed.
 
     Raises:
         NanogsError: An input cannot be read, or there is no such preset or parameter.
@@ -273,14 +274,14 @@ def plan_files(request: Request) -> Plan:
 
 
 def _most(goal: Goal, splats: int) -> int:
-    """Splats of the largest result that there may be."""
+    """Return the largest number of splats that a result can have."""
     if goal.size is not None or goal.is_measured or (goal.count or 0) > splats:
         return splats
     return target_count(splats, goal.ratio, goal.count)
 
 
 def memory_of(request: Request, splats: int, degree: int, extra: int, target: int) -> MemoryPlan:
-    """Memory that a request takes with the model in memory.
+    """Compute the memory that a request takes with the model in memory.
 
     Args:
         request: What is asked for.
@@ -289,7 +290,7 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
         extra: Bytes of extra columns for each splat.
         target: Splats of the largest result.
     """
-    # Where the preset looks, it has taken as much before as measuring one result does.
+    # A preset that renders takes as much memory before as measuring one result does.
     measured = is_measured(request) and (bool(request.ratios) or not renders(request.parameters))
     judged = measured or (not request.ratios and request.searches(degree))
     plan = plan_memory(splats, degree, extra, request.parameters, target, judged=judged)
@@ -302,5 +303,5 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
 
 
 def is_measured(request: Request) -> bool:
-    """Whether a model in memory is measured."""
+    """Whether the result of a model in memory is compared with the input."""
     return renders(request.parameters) if request.measured is None else request.measured

@@ -1,4 +1,7 @@
-"""Results of any count, as the searches ask for them, of a model in memory; see `job_results`."""
+"""The interface that makes results of any count for the searches, and that of a model in memory.
+
+The one of a scene in blocks is in `job_results`.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -17,7 +20,7 @@ M = TypeVar("M")
 
 
 class Results(Protocol[T]):
-    """Makes results of any count of a scene that has been looked at, one after the other."""
+    """Makes results of any count, one at a time, of a scene whose forest has been grown."""
 
     @property
     def available(self) -> int:
@@ -25,41 +28,44 @@ class Results(Protocol[T]):
 
     @property
     def fewest(self) -> int:
-        """The smallest count that can be had."""
+        """The smallest count that can be delivered."""
 
     @property
     def looks(self) -> bool:
-        """Whether a result takes rendering and so a long time: quick ones then lead the search."""
+        """Whether making a result includes rendering, which takes long.
+
+        Quick results then lead the search.
+        """
 
     def plain(self, rounds: int | None = None) -> Self:
-        """Results that are cut without looking; see `run.plain`."""
+        """Return a maker of results that are cut without rendering; see `run.plain`."""
 
     def brief(self) -> Self:
-        """Results that are fitted in few steps; see `run.brief`."""
+        """Return a maker of results that are fitted in few steps; see `run.brief`."""
 
     def packed(self, sh_degree: int, sharing: Sharing | None) -> Self:
-        """Results with harmonics of a degree at most, fitted in sets as a palette holds them.
+        """Return a maker of results for a packing: of an SH degree, with shared harmonics.
 
         Args:
-            sh_degree: Of the harmonics, as far as the scene's are.
-            sharing: How many sets of higher harmonics there are, or None where each splat has its
-                own.
+            sh_degree: Highest degree of the harmonics, as far as the scene has them.
+            sharing: Number of sets of higher harmonics, as entries of a palette, that the fit keeps
+                to; None if each splat has its own.
         """
 
     def stages(self, count: int) -> list[Stage]:
-        """The stages of one result."""
+        """Return the stages of making one result."""
 
     def make(self, count: int, progress: Tracker) -> T:
-        """The result of a count."""
+        """Make the result of a count."""
 
     def marked(self, count: int, mark: Callable[[T], M], progress: Tracker) -> tuple[T, M]:
         """Make the result of a count, and measure it.
 
         Args:
-            count: Splats.
-            mark: Measures the result. It depends on nothing else and returns values that JSON
-                holds, so that a resumed run takes them from its files.
-            progress: Told of each stage.
+            count: Number of splats.
+            mark: Measures the result. It must depend on the result alone and return values that
+                JSON can hold, because a resumed run reads them from its files.
+            progress: Notified of each stage.
         """
 
     def keep(self, result: T) -> None:
@@ -70,17 +76,17 @@ class Results(Protocol[T]):
 class Attempts(Generic[T, M]):
     """Makes the results of the counts that a search tries, measures each, and keeps the best.
 
-    The latest that meets what is asked is the best: searches come nearer and nearer. One is held at
-    a time.
+    The best is the latest that meets what is asked, since searches come nearer and nearer. One
+    result is held at a time.
 
     Attributes:
-        results: Of the model.
+        results: Makes results of the model.
         mark: Measures a result.
-        meets: Whether a result of such a mark is what is asked.
-        measuring: The stage of measuring, by the count.
-        expected: How many results the search makes, about.
-        progress: Told of each stage.
-        best: The latest that is what is asked, or None.
+        meets: Whether a result with this measurement meets what is asked.
+        measuring: Returns the stage of measuring for a count.
+        expected: Number of results that the search makes, about.
+        progress: Notified of each stage.
+        best: The latest result that meets what is asked, or None.
     """
 
     results: Results[T]
@@ -110,7 +116,7 @@ class Attempts(Generic[T, M]):
         return found
 
     def found(self) -> T:
-        """The best, of a search that has ended with a count that it tried."""
+        """Return the best result of a search that has ended with a count that it tried."""
         assert self.best is not None, "the count that was found is one that meets the wish"  # noqa: S101
         return self.best
 
@@ -120,7 +126,7 @@ class HeldResults:
     """Results of a model in memory; see `Results`.
 
     Attributes:
-        scene: The model, looked at, and its forest.
+        scene: The model, rendered if its preset does so, and its forest.
         clock: Gets the seconds of each stage.
     """
 
@@ -129,45 +135,45 @@ class HeldResults:
 
     @property
     def available(self) -> int:
-        """As `Results` says."""
+        """Splats of the whole model that are usable."""
         return self.scene.forest.splats
 
     @property
     def fewest(self) -> int:
-        """As `Results` says."""
+        """The smallest count that can be delivered."""
         return self.scene.forest.fewest
 
     @property
     def looks(self) -> bool:
-        """As `Results` says."""
+        """Whether making a result includes rendering; see `Results.looks`."""
         return self.scene.looks
 
     def plain(self, rounds: int | None = None) -> "HeldResults":
-        """As `Results` says."""
+        """Return a maker of results that are cut without rendering."""
         scene = self.scene
         return replace(self, scene=replace(scene, settings=plain(scene.settings, rounds)))
 
     def brief(self) -> "HeldResults":
-        """As `Results` says."""
+        """Return a maker of results that are fitted in few steps."""
         return replace(self, scene=replace(self.scene, settings=brief(self.scene.settings)))
 
     def packed(self, sh_degree: int, sharing: Sharing | None) -> "HeldResults":
-        """As `Results` says."""
+        """Return a maker of results for a packing; see `Results.packed`."""
         settings = replace(self.scene.settings, sh_degree=sh_degree, sharing=sharing)
         return replace(self, scene=replace(self.scene, settings=settings))
 
     def stages(self, count: int) -> list[Stage]:
-        """As `Results` says."""
+        """Return the stages of making one result."""
         return delivery_stages(self.scene.settings.parameters, len(self.scene.usable), count)
 
     def make(self, count: int, progress: Tracker) -> Outcome:
-        """As `Results` says."""
+        """Make the result of a count."""
         return deliver(self.scene, count, self.clock, progress)
 
     def marked(
         self, count: int, mark: Callable[[Outcome], M], progress: Tracker
     ) -> tuple[Outcome, M]:
-        """As `Results` says."""
+        """Make the result of a count, and measure it; see `Results.marked`."""
         outcome = self.make(count, progress)
         return outcome, mark(outcome)
 

@@ -1,4 +1,4 @@
-"""The model of a job: its input files as parts of one scene, filtered, and read by segments."""
+"""The model of a job: its input files joined as one scene, filtered, and read by segments."""
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,7 @@ from nanogs.pipeline.unpack import Unpacked
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
 from nanogs.splats import RenderMode, Splats, concatenate
 
-SPAN, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for all
+SPAN, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # rows of a run; most and fewest runs
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +28,11 @@ class Changes:
     """Changes to a model besides making it smaller.
 
     Attributes:
-        filters: What leaves out splats first, such as `nanogs.filters.box(low, high)`.
-        sh_degree: The highest that stays, or None for all.
-        frame: From and to which results are turned, or None.
+        filters: Filters applied first, such as `nanogs.filters.box(low, high)`.
+        sh_degree: Highest degree of harmonics to keep, or None for all.
+        frame: Frames from and to which results are turned, or None.
         asked: The views that were asked for.
-        render_mode: What it is drawn as, in place of what its files say, or None.
+        render_mode: Render mode in place of the one in the files, or None.
     """
 
     filters: Sequence[Filter] = ()
@@ -42,7 +42,7 @@ class Changes:
     render_mode: RenderMode | None = None
 
     def check(self) -> None:
-        """Refuse what cannot be done in blocks.
+        """Refuse filters that are not possible in blocks.
 
         Raises:
             OptionError: A filter has to see the whole model, or is of a kind that no job records.
@@ -58,7 +58,7 @@ NOTHING = Changes()
 
 
 def check_nan(nan: str) -> None:
-    """Refuse what says nothing of splats with NaN or infinite values.
+    """Refuse invalid values of `nan`, the treatment of splats with NaN or infinite values.
 
     Raises:
         OptionError: It is neither "drop" nor "error".
@@ -70,13 +70,13 @@ def check_nan(nan: str) -> None:
 def look_at(
     paths: Sequence[Path], changes: Changes = NOTHING
 ) -> tuple[tuple[InputFile, ...], Layout]:
-    """The files, and the columns of their splats; no row is read.
+    """Describe the input files, and the columns of their splats; no row is read.
 
     Raises:
         FormatError: One of them cannot be read.
         ModelError: They do not make one scene.
     """
-    # What is asked for in place of a tag goes into the columns, which decide when rows are read.
+    # A render mode that is asked for is part of the layout, which overrides the files' when read.
     sources = open_parts(paths, changes.render_mode)
     layout = joined_layout(sources)
     if remarks := dict.fromkeys(remark for source in sources for remark in source.remarks):
@@ -88,7 +88,7 @@ def look_at(
 
 
 def open_parts(paths: Sequence[Path], render_mode: str | None) -> list[FileSource]:
-    """The files of a model, drawn in one way where that is asked for.
+    """Open the files of a model, all with the given render mode if there is one.
 
     Args:
         paths: The files.
@@ -102,7 +102,7 @@ def open_parts(paths: Sequence[Path], render_mode: str | None) -> list[FileSourc
 
 
 def sift(files: Sequence[InputFile], layout: Layout, filters: Sequence[Filter]) -> Sieve | None:
-    """Apply filters to all rows of files and count what is left; None without filters.
+    """Apply filters to all rows of files and count the rows left; None without filters.
 
     Raises:
         FormatError: One of the files cannot be read.
@@ -117,7 +117,7 @@ def sift(files: Sequence[InputFile], layout: Layout, filters: Sequence[Filter]) 
 
 
 def refuse_large_whole(files: Sequence[InputFile], rows: int) -> None:
-    """Refuse files that cannot be read in parts and have more rows than a segment may have.
+    """Refuse files that must be read whole and have more rows than a segment may have.
 
     Raises:
         OptionError: There is one.
@@ -132,7 +132,7 @@ def refuse_large_whole(files: Sequence[InputFile], rows: int) -> None:
 
 
 def segments_of(count: int, rows: int) -> tuple[Segment, ...]:
-    """So many rows in segments of about equal size, of at most `rows`."""
+    """Divide `count` rows into segments of about equal size, of at most `rows`."""
     parts = -(-count // rows)
     bounds = [count * part // parts for part in range(parts + 1)]
     return tuple(Segment(*pair) for pair in pairwise(bounds))
@@ -140,7 +140,7 @@ def segments_of(count: int, rows: int) -> tuple[Segment, ...]:
 
 @contextmanager
 def opened(settings: Settings, unpacked: Unpacked | None = None) -> Iterator[Source]:
-    """The model of a job; its files must be the same before and after.
+    """Open the model of a job, and check before and after that its files are unchanged.
 
     Args:
         settings: The job.
@@ -159,11 +159,11 @@ def opened(settings: Settings, unpacked: Unpacked | None = None) -> Iterator[Sou
 
 
 def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None = None) -> Splats:
-    """The splats of a segment, usable ones only, with the columns of the job.
+    """Read the usable splats of a segment, with the columns of the job.
 
     Args:
         settings: The job.
-        segment: Which.
+        segment: The rows to read.
         unpacked: The files that have been unpacked, if any.
 
     Raises:
@@ -184,7 +184,7 @@ def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None
 
 
 def _place(settings: Settings, row: int) -> str:
-    """A row of the model, to begin a sentence."""
+    """Name a row of the model, to begin a sentence."""
     if settings.filters is not None:
         return f"Row {row} of those that filters leave"
     ends = [0, *accumulate(file.splats for file in settings.inputs)]
@@ -200,18 +200,18 @@ def sample(
     span: int = SPAN,
     bare: bool = True,
 ) -> Splats:
-    """Evenly spread stretches of the usable rows of all inputs.
+    """Read usable rows of all inputs in evenly spread runs.
 
     Args:
         settings: The job.
         unpacked: The files that have been unpacked, if any.
-        rows: How many in all, about; by default some 260,000, and no more than a block, so that
-            memory for a block is enough.
-        span: Rows of a stretch.
-        bare: Whether without higher harmonics and extra columns.
+        rows: Number of rows in all, about; by default some 260,000, and no more than a block, so
+            that memory for a block is enough.
+        span: Rows of each run.
+        bare: Whether to leave out higher harmonics and extra columns.
 
     Raises:
-        FormatError: As for `read_segment`.
+        FormatError: A file cannot be read, or has changed since the job began.
     """
     parts = []
     layout = settings.layout.bare() if bare else settings.layout

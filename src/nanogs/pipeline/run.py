@@ -1,4 +1,4 @@
-"""The stages of a scene in turn: of a model in memory, or as tasks of a job."""
+"""Running the stages of a scene in order: of a model in memory, or as tasks of a job."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,18 +16,18 @@ from nanogs.progress import Tracker, untold
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import verified, write_table
 
-BRIEF = 28  # steps at most of the fit of results that are only held against each other
+BRIEF = 28  # most steps of the fit of results that are only compared with each other
 
 
 class Executor(Protocol):
-    """Does tasks that need nothing of each other."""
+    """Does tasks that do not depend on each other."""
 
     def run(self, work: Work, tasks: Sequence[Task]) -> Iterator[Task]:
         """Do tasks, in any order, and yield each when it is done."""
 
 
 class Here:
-    """One task after the other, in this process, each on all threads."""
+    """Does tasks in this process, one at a time, each on all threads."""
 
     def run(self, work: Scene, tasks: Sequence[Task]) -> Iterator[Task]:
         """Do tasks in their order, and yield each when it is done."""
@@ -41,11 +41,11 @@ class Done:
     """A job whose tasks are done.
 
     Attributes:
-        work: The job, all records in it.
-        kept: Tasks that a run before had done.
-        levels: Of the results that are delivered.
-        entries: Of the reports, by name: what a search has found.
-        notes: What else it has to say, one sentence each.
+        work: The job, with all records cached.
+        kept: Number of tasks that an earlier run had done.
+        levels: Levels of the results that are delivered.
+        entries: Report fields that a search has found, by name.
+        notes: Other notes, one sentence each.
     """
 
     work: Work
@@ -60,10 +60,11 @@ class Run:
     """Does the tasks of a job that are not done yet.
 
     Attributes:
-        executor: Where they are done.
+        executor: Does the tasks.
         clock: Gets the seconds of each stage.
-        resumed: Whether to look for what a run before has done; its files are then checked.
-        kept: Tasks that it had done.
+        resumed: Whether to look for tasks that an earlier run has done; their files are then
+            checked.
+        kept: Number of these tasks.
     """
 
     executor: Executor
@@ -72,12 +73,12 @@ class Run:
     kept: int = 0
 
     def do(self, work: Work, stages: Iterable[tuple[JobStage, int]], progress: Tracker) -> None:
-        """Do the tasks of some stages, one stage after the other.
+        """Do the tasks of some stages, stage by stage.
 
         Args:
             work: The job.
             stages: Each with its level.
-            progress: Told of each stage.
+            progress: Notified of each stage.
 
         Raises:
             NanogsError: A task could not be done.
@@ -89,10 +90,10 @@ class Run:
                 self.kept += len(tasks) - len(left)
                 progress.begin(stage.name)
                 progress.part(len(tasks) - len(left), len(tasks))
-                # The units are found here, while workers of this machine start.
+                # Units are computed in this process, while workers of this machine start.
                 doing = Here() if stage.name == "frame" else self.executor
                 for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
-                    work.record(task)  # kept: the report is made when the scratch is gone
+                    work.record(task)  # cached for the report, which is made after the scratch
                     progress.part(done, len(tasks))
 
 
@@ -115,13 +116,13 @@ def run_tasks(
 
     Args:
         scratch: Its files; prepared.
-        settings: What it is about.
-        executor: Where tasks are done.
+        settings: Of the job.
+        executor: Does the tasks.
         threads: Threads of this process.
         clock: Gets the seconds of each stage.
-        progress: Told of each stage.
-        resumed: As `Run` has it.
-        search: Finds the result, where its count is not known beforehand.
+        progress: Notified of each stage.
+        resumed: Whether an earlier run has begun the job; see `Run`.
+        search: Finds the result, if its count is not known beforehand.
 
     Raises:
         NanogsError: A task could not be done.
@@ -135,12 +136,12 @@ def run_tasks(
 
 
 def tasks_of(scene: Scene, stage: JobStage, level: int) -> list[Task]:
-    """The tasks of a stage, those before it being done."""
+    """Return the tasks of a stage; the stages before it must be done."""
     return [Task(stage.name, number, level) for number in range(stage.count(scene, level))]
 
 
 def is_done(work: Work, task: Task) -> bool:
-    """Whether a run before has done a task, of which the record is then known."""
+    """Whether an earlier run has done a task; if so, its record is cached."""
     record = verified(work.scratch, task.name)
     if record is not None:
         work.known[task.name] = record
@@ -148,12 +149,12 @@ def is_done(work: Work, task: Task) -> bool:
 
 
 def build(scene: OneBlock, clock: StageClock, progress: Tracker) -> None:
-    """Do once what every count needs: look at the model, and grow its forest.
+    """Do the stages that all counts share, once: render the model, and grow its forest.
 
     Args:
         scene: The model.
         clock: Gets the seconds of each stage.
-        progress: Told of each stage.
+        progress: Notified of each stage.
     """
     _do_here(scene, held_stages(scene.settings, results=False), 0, clock, progress)
 
@@ -162,10 +163,10 @@ def deliver(scene: OneBlock, count: int, clock: StageClock, progress: Tracker) -
     """Make the model of a count, or of the fewest splats that the forest has.
 
     Args:
-        scene: The model, which `build` has seen.
+        scene: The model, after `build`.
         count: Splats to deliver.
         clock: Gets the seconds of each stage.
-        progress: Told of each stage.
+        progress: Notified of each stage.
     """
     level = len(scene.targets)
     scene.targets.append(count)
@@ -174,11 +175,11 @@ def deliver(scene: OneBlock, count: int, clock: StageClock, progress: Tracker) -
 
 
 def plain(settings: Settings, rounds: int | None = None) -> Settings:
-    """Settings by which results are cut without looking.
+    """Return the settings for results that are cut without rendering.
 
     Args:
-        settings: Others.
-        rounds: Of reassignment; by default as before.
+        settings: The usual settings.
+        rounds: Rounds of reassignment; by default unchanged.
     """
     given = settings.parameters
     parameters = replace(
@@ -188,10 +189,10 @@ def plain(settings: Settings, rounds: int | None = None) -> Settings:
 
 
 def brief(settings: Settings) -> Settings:
-    """Settings by which results are fitted in a third of the steps or fewer, to be compared.
+    """Return the settings for results that are only compared: a third of the fit's steps or fewer.
 
     Args:
-        settings: Others.
+        settings: The usual settings.
     """
     given = settings.parameters
     return replace(settings, parameters=replace(given, steps=min(-(-given.steps // 3), BRIEF)))
@@ -204,7 +205,10 @@ def _do_here(
     clock: StageClock,
     progress: Tracker,
 ) -> None:
-    """Do stages of a model in memory; those that time their steps themselves say so."""
+    """Do stages of a model in memory, and add up their seconds.
+
+    A stage that times its steps itself has the seconds in its record.
+    """
     for stage in stages:
         for task in tasks_of(scene, stage, level):
             progress.begin(stage.name)

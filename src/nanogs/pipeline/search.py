@@ -1,4 +1,4 @@
-"""The search for the count of a job in blocks, by the files that its results make."""
+"""The search for the count of a job in blocks: results are made, written and measured."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -32,11 +32,11 @@ from nanogs.source import Reduced, Source, Turned
 from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
 
-TRIED = ".nanogs-tried"  # a file that is written to be measured; the job takes it away
+TRIED = ".nanogs-tried"  # a file that is written to be measured; the job deletes it
 
 
 class _Found(NamedTuple):
-    """A result, the entries of its report, and what else there is to say."""
+    """A result, the entries of its report, and notes."""
 
     result: Result
     entries: Mapping[str, Any]
@@ -45,12 +45,12 @@ class _Found(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """Looks for the count of a result in blocks; see `Sought`.
+    """Searches for the count of a result in blocks that meets a target; see `Sought`.
 
     Attributes:
-        output: What is going to be written.
+        output: Path of the file to be written.
         options: Of its format.
-        folder: Of the job, where files are written to be measured.
+        folder: Folder of the job, where files are written to be measured.
         max_memory: Bytes that this process may take; by default what is free.
     """
 
@@ -60,20 +60,20 @@ class Search:
     max_memory: int | None
 
     def find(self, work: Work, run: Run, progress: Tracker) -> Done:
-        """The result that meets what is sought.
+        """Find the result that meets the target.
 
         Args:
-            work: The job; what is done once is done.
+            work: The job; the stages before the results are done.
             run: Does its tasks.
-            progress: Told of each stage.
+            progress: Notified of each stage.
 
         Raises:
-            TooSmallError: No result is as small as is asked.
+            TooSmallError: No result is as small as asked.
             OptionError: A result is too large to be written.
-            ModelError: A PSNR or a draw cost is sought of a model that shows nothing.
+            ModelError: A PSNR or a draw cost is asked of a model that shows nothing.
         """
         results, sought = JobResults.of(work, run), work.settings.search
-        assert sought is not None  # noqa: S101 - or there is no search
+        assert sought is not None  # noqa: S101 - a search has a target
         if sought.psnr is not None:
             found = self._reach(results, sought.psnr, run.clock, progress)
         elif sought.draw_cost is not None:
@@ -99,7 +99,7 @@ class Search:
         wish = self._wish(work, 0)
         pack = PackNear(results, wish, partial(_sample, work), files, progress)
         result, found = reach_psnr(results, psnr, psnr_of, progress, pack)
-        if found.stop is StopReason.UNREACHED:  # and so the whole model is written, as it is
+        if found.stop is StopReason.UNREACHED:  # the whole model is written, without the packing
             pack.packed = None
         results.verify(result, progress)
         with clock.time("measure"), self._stored(result, pack.options(result)) as small:
@@ -157,7 +157,7 @@ class Search:
 
     @contextmanager
     def _stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
-        """A result as its file gives it back, in the frame of the inputs."""
+        """Open a result as its file holds it, in the frame of the inputs."""
         known = registry.writable(self.output)
         with result_of(result.work, result.level) as source:
             if known.suffix == ".ply" or not known.readable:
@@ -168,7 +168,7 @@ class Search:
 
     @contextmanager
     def written(self, source: Source, options: Mapping[str, Any]) -> Iterator[Path]:
-        """A file of a result, with more options of the format; it is taken away afterwards."""
+        """Write a file of a result, with further options of the format; delete it afterwards."""
         row, given = row_bytes(source.columns), {**(self.options or {}), **options}
         refuse_large(self.output, source.count, row, self.max_memory, given)
         path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
@@ -182,14 +182,14 @@ def _sample(work: Work) -> Splats:
 
 
 def turned_back(source: Source, result: Result) -> Source:
-    """A result, or its file, in the frame of the inputs."""
+    """Return a result, or its file, in the frame of the inputs."""
     frame = result.work.settings.frame
     return Turned(source, frame[1], frame[0]) if frame else source
 
 
 @dataclass(eq=False)
 class _Files:
-    """Writes results of a job; see `wish.Files`."""
+    """Writes and measures results of a job; see `wish.Files`."""
 
     search: Search
     work: Work
@@ -197,24 +197,24 @@ class _Files:
 
     @cached_property
     def views(self) -> ToChooseBy:
-        """The original on views from which much is learnt, so that others can judge the result."""
+        """The original on the views to choose by, which are not those that judge the result."""
         sought, most = self.work.settings.search, self.search.max_memory
         by_psnr = sought is not None and sought.psnr is not None
         with opened(self.work.settings, self.work.unpacked()) as original:
             return to_choose_by(original, most, automatic=by_psnr)
 
     def count(self, result: Result) -> int:
-        """As `Files` says."""
+        """Return the number of splats of a result."""
         return result.work.target(result.level)
 
     def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
-        """As `Files` says."""
+        """Return the size of a file of some splats, bytes."""
         given = {**(self.search.options or {}), **options}
         with self.clock.time("encode"):
             return encoded_bytes(some, self.search.output, given)
 
     def bytes_of(self, result: Result, options: Mapping[str, Any]) -> int:
-        """As `Files` says."""
+        """Return the size of a result's file, bytes."""
         with (
             self.clock.time("encode"),
             result_of(result.work, result.level) as source,
@@ -223,12 +223,12 @@ class _Files:
             return bytes_on_disk(path)
 
     def shows(self) -> bool:
-        """As `Files` says."""
+        """Whether the views to choose by show the original."""
         with self.clock.time("measure"):
             return bool(self.views.kinds)
 
     def seen(self, result: Result, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
-        """As `Files` says."""
+        """Write a result to a file and measure it; see `Files.seen`."""
         with self.clock.time("encode"), result_of(result.work, result.level) as source:
             bare = Reduced(source, sh_degree)
             options = {**options, **self._settled(bare, options)}

@@ -1,4 +1,4 @@
-"""Visibility of the splats of each block, of a scene that is kept in files."""
+"""Visibility of the splats of each block, for a scene that is kept in files."""
 
 from collections.abc import Sequence
 from dataclasses import astuple
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
 VISIBLE = "visible"
-DISTANT = 0.2  # share of a view's pixels: a block that is smaller in every view gets its own
+DISTANT = 0.2  # share of a view's pixels: a block smaller than this in every view gets its own
 
 
 def write_look(
@@ -32,17 +32,17 @@ def write_look(
     lights: Sequence[Lit],
     discovery: Discovery,
 ) -> Record:
-    """Write how visible each of a block's splats is, and how much of the block each view shows.
+    """Write the visibility of a block's splats, and how much of the block each view shows.
 
     Args:
         work: The job.
         name: Of the table.
-        own: The block, and how visible its splats are.
-        missed: (N,) which of them lie in no view.
+        own: The block, with the visibility of its splats.
+        missed: (N,) bool, the splats that lie in no view.
         lights: The views.
-        discovery: How much of the block they leave out.
+        discovery: Estimate of how much of the block the views leave out.
     """
-    assert own.visible is not None  # noqa: S101 - it was looked at
+    assert own.visible is not None  # noqa: S101 - it was computed
     leaves, visible = leaves_of(own.splats, own.rows, work.units), own.visible[own.rows]
     prominences = prominence(leaves.coverages, leaves.means, work.units.viewers())
     facts = {
@@ -57,14 +57,14 @@ def write_look(
 
 
 def looks_at(work: "Work", block: int) -> list[Lit]:
-    """The views that a block was looked at from, and how much of it each shows."""
+    """Return the views that a block was rendered from, and how much of it each shows."""
     facts = work.of_block("look", block).facts
     cameras = map(camera_of, facts["cameras"])
     return list(map(Lit, cameras, map(float, facts[LIGHT])))
 
 
 def closer_views(work: "Work", own: Splats) -> list[Camera]:
-    """Views of a block alone, where it is small in all views of the scene, such as of a city.
+    """Choose views of a block alone, if it is small in all views of the scene, as of a city.
 
     Args:
         work: The job, its views chosen.
@@ -83,11 +83,11 @@ def closer_views(work: "Work", own: Splats) -> list[Camera]:
 
 
 def typical_weight(work: "Work", hidden: float) -> float:
-    """Mean weight of all splats, the unit of the weights of nodes; 1 where all are 0.
+    """Compute the mean weight of all splats, the unit of node weights; 1 if all are 0.
 
     Args:
-        work: The job, all blocks looked at.
-        hidden: What `hidden_weight` says.
+        work: The job, the visibility of all blocks known.
+        hidden: Relative weight of a splat that no view shows; see `hidden_weight`.
     """
     facts = [record.facts for record in work.of_blocks("look")]
     every, visible = (
@@ -98,20 +98,20 @@ def typical_weight(work: "Work", hidden: float) -> float:
 
 
 def hidden_weight(work: "Work") -> float:
-    """Weight of a splat that no view shows, over that of one in full sight."""
+    """Compute the weight of a splat that no view shows, over that of one in full sight."""
     blocks = [Discovery(*record.facts["discovery"]) for record in work.of_blocks("look")]
     return sum(blocks, Discovery()).hidden(work.settings.parameters.hidden)
 
 
 def shown_share(work: "Work") -> float:
-    """Share of the prominence of all splats, in [0, 1], that views show."""
+    """Compute the share of the prominence of all splats, in [0, 1], that views show."""
     facts = [record.facts for record in work.of_blocks("look")]
     total = sum(float(each["prominence"]) for each in facts)
     return sum(float(each["shown"]) for each in facts) / total if total > 0 else 0.0
 
 
 def read_visible(work: "Work", block: int) -> F64:
-    """(N,) how visible the block's splats are."""
+    """Read (N,) the visibility of a block's splats."""
     with work.table("look", block) as table:
         visible: F64 = table.read(VISIBLE)
     return visible

@@ -1,4 +1,4 @@
-"""A job as plain data: all that decides the bytes of its result."""
+"""The settings of a job as plain data: everything that decides the bytes of its results."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -13,13 +13,13 @@ from nanogs.pipeline.asked import AUTOMATIC, Asked
 from nanogs.pipeline.presets import renders
 from nanogs.source import Layout
 
-# Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
+# Most splats of a block's halo, as a share of its own, to bound memory; the nearest are kept.
 MOST_SEEN = 0.1
-VERSION = 13  # of the job folder; one of another version is not continued
+VERSION = 13  # of the job folder's format; a folder of another version is not continued
 
 _WISH = "what is asked for (ratio, count, size, PSNR, draw cost)"
 _SIZE = "the memory for blocks, or their size"
-# Fields of `Settings` in the words of who gave them; what follows from others comes last.
+# Fields of `Settings` in the user's terms; then those that are derived from others.
 _GIVEN = {
     "version": "the version of nanogs",
     "inputs": "the input files",
@@ -45,21 +45,21 @@ _FOLLOWING = {
 
 
 class Access(StrEnum):
-    """How the rows of a file are come by."""
+    """How the rows of an input file are read: by random access, after unpacking, or all at once."""
 
-    ROWS = "rows"  # any of them without the others
-    PACKED = "packed"  # once the columns are unpacked, which a file of few rows is not
+    ROWS = "rows"  # any of them can be read without the others
+    PACKED = "packed"  # as ROWS, once the columns are unpacked; files of few rows are not
     WHOLE = "whole"  # all of them at once
 
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """A file as it was when the job began.
+    """An input file, and its identity when the job began.
 
     Attributes:
         path: Absolute.
-        bytes: Its size; with those of the files that it names, where it is a description.
-        modified: Nanoseconds since 1970; of the last of them.
+        bytes: Its size; with those of the files that it names, if it is a description of others.
+        modified: Time of the last modification of any of them, nanoseconds since 1970.
         splats: Rows in it.
         access: How they are read.
     """
@@ -73,7 +73,7 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Consecutive rows of what filters leave of all inputs: what is sorted at a time."""
+    """Consecutive rows of the filtered inputs that are sorted together."""
 
     start: int
     stop: int
@@ -81,12 +81,12 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class Sieve:
-    """The rows that filters leave of the inputs.
+    """The filters of a job, and the number of rows that they leave.
 
     Attributes:
-        plain: Kind and numbers of each, as `filters.Filter.plain` has them.
-        left: Splats after each.
-        kept: Splats of each page of `source.base.PAGE_ROWS` rows after all.
+        plain: Kind and numbers of each filter, as in `filters.Filter.plain`.
+        left: Number of splats after each filter.
+        kept: Splats of each page of `source.base.PAGE_ROWS` rows after all filters.
     """
 
     plain: tuple[Plain, ...]
@@ -100,7 +100,7 @@ class Sought:
 
     Attributes:
         size: Bytes that the file may have, or None.
-        psnr: What it must reach on views of the original, dB, or None.
+        psnr: PSNR that it must reach on views of the original, dB, or None.
         suffix: Of the format.
         options: Of the format, as text.
         draw_cost: Most that it may take to draw, as a share of what the original takes, or None.
@@ -114,23 +114,26 @@ class Sought:
 
     @property
     def is_measured(self) -> bool:
-        """Whether results are held against the original on views."""
+        """Whether results are rendered and compared with the original."""
         return self.psnr is not None or self.draw_cost is not None
 
 
 class Sharing(NamedTuple):
-    """How many sets of higher harmonics a result has, as a palette has entries.
+    """The number of sets of higher harmonics that a result has, as a palette has entries.
 
     Attributes:
-        share: Splats for each set.
-        most: Sets that the whole result has at most.
+        share: Number of splats for each set.
+        most: Most sets of the whole result.
     """
 
     share: float
     most: int
 
     def entries(self, count: int, whole: int = 0) -> int:
-        """Sets of so many splats, which are all of a result, or a part of a larger whole."""
+        """Return the number of sets for `count` splats.
+
+        These are all splats of a result, or a part of one of `whole` splats.
+        """
         part = count / max(whole, count, 1)
         return max(int(min(count / self.share, self.most * part)), 1)
 
@@ -142,21 +145,20 @@ class Settings:
     Attributes:
         inputs: The files, parts of one scene.
         layout: The columns of their splats.
-        segments: All rows of all files.
-        ratios: Of the results, finest first; empty where counts are asked for.
-        counts: Splats of the results, or empty; those that a search has tried so far.
+        segments: All rows that filters leave of all files, in parts that are sorted together.
+        ratios: Of the results, finest first; empty if counts are asked for.
+        counts: Splats of the results, or empty; in a search, the counts tried so far.
         nan: "drop" or "error".
-        block: Most splats of a block.
+        block: Largest number of splats of a block.
         parameters: Of the forest.
-        chunks: How results are divided or linked, or None where each is one file.
-        filters: What they leave of the files; None without any.
-        frame: From and to which results are turned, or None.
+        chunks: How results are divided or linked, or None if each is one file.
+        filters: The filters, and the number of rows they leave; None without any.
+        frame: Frames from and to which results are turned, or None.
         asked: The views that were asked for.
-        sh_degree: The highest of the results' harmonics, or None for all.
-        sharing: How many sets of higher harmonics results have, or None where each splat has its
-            own.
-        search: What a count is searched for, or None where it is known beforehand.
-        environment: The environment beside levels, in words; no task hangs on it.
+        sh_degree: Highest degree of the results' harmonics, or None for all.
+        sharing: Number of sets of higher harmonics of results, or None if each splat has its own.
+        search: Target of the search for a count, or None if it is known beforehand.
+        environment: The environment beside levels, in words; no task depends on it.
     """
 
     inputs: tuple[InputFile, ...]
@@ -187,14 +189,14 @@ class Settings:
         return self.layout.reduced(self.sh_degree)
 
     def entries(self, count: int, whole: int) -> int | None:
-        """Sets of higher harmonics that so many splats of a result share.
+        """Return the number of sets of higher harmonics that splats of a result share.
 
         Args:
-            count: The splats.
-            whole: Splats of the result.
+            count: Number of these splats.
+            whole: Splats of the whole result.
 
         Returns:
-            Their number, or None where each splat has its own.
+            The number of sets, or None if each splat has its own.
         """
         if self.sharing is None or self.result_layout.sh_degree == 0:
             return None
@@ -207,15 +209,16 @@ class Settings:
 
     @property
     def every(self) -> int:
-        """Rows of a sorted segment that one code of its digest stands for.
+        """Number of rows of a sorted segment for each code of its digest.
 
-        Two of every segment are what a block's count can be off by: a sixteenth of a block at most.
+        A block's count can be off by two of these for every segment: a sixteenth of a block at
+        most.
         """
         return max(min(256, self.block // (32 * len(self.segments))), 1)
 
     @property
     def unpacked(self) -> tuple[int, ...]:
-        """Numbers of the files that are unpacked: packed ones of more rows than a segment."""
+        """Indices of the files to unpack: packed ones of more rows than a segment."""
         longest = max(segment.stop - segment.start for segment in self.segments)
         return tuple(
             number
@@ -225,49 +228,49 @@ class Settings:
 
     @property
     def looks(self) -> bool:
-        """Whether the scene is looked at."""
+        """Whether the scene is rendered."""
         return renders(self.parameters)
 
     @property
     def measures(self) -> bool:
-        """Whether results are chosen by how they look."""
+        """Whether candidates are rendered and the one that looks best is chosen."""
         return self.parameters.measure
 
     @property
     def fits(self) -> bool:
-        """Whether results are fitted to what views show."""
+        """Whether results are fitted to renders of the original."""
         return self.parameters.steps > 0
 
     @property
     def levels(self) -> int:
-        """How many results there are."""
+        """Number of results."""
         return len(self.ratios) or len(self.counts)
 
     @property
     def chunked(self) -> Chunked:
-        """The chunks of results that have them."""
+        """How results are divided into chunks, in jobs that do so."""
         assert isinstance(self.chunks, Chunked), "this is asked in jobs with chunks"  # noqa: S101
         return self.chunks
 
     @property
     def linked(self) -> Linked:
-        """How results are linked that become a tree."""
+        """How results are linked to a tree, in jobs that do so."""
         assert isinstance(self.chunks, Linked), "this is asked in jobs of trees"  # noqa: S101
         return self.chunks
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, as `json.dumps` takes it."""
+        """Return plain data, as `json.dumps` takes it."""
         return {"version": VERSION, **asdict(self)}
 
 
 def differences(before: Mapping[str, Any], now: Settings) -> list[str]:
-    """Names of what differs between two jobs, the first as JSON holds it."""
+    """Return the names of the settings in which two jobs differ, the first as read from JSON."""
     plain = json.loads(json.dumps(now.to_dict()))
     return [name for name, value in plain.items() if before.get(name) != value]
 
 
 def in_words(names: Sequence[str]) -> str:
-    """Differences of two jobs as who asked for them knows them: options and files.
+    """Describe the differences of two jobs in the user's terms: options and files.
 
     Args:
         names: As `differences` gives them, or "scratch".

@@ -1,8 +1,9 @@
-"""Reassignment across borders: a block's splats move between its groups and those near it.
+"""Reassignment across borders: a block's splats move between its groups and others nearby.
 
 Each block does the rounds for its own splats and for those of its halo, which see the same groups
-wherever the halo is deep enough; what counts of the outcome are its own splats. So every splat is
-counted once, whatever the neighbours found. One that ends in another block's group is handed over.
+if the halo is deep enough; only the outcome for its own splats counts. So every splat is counted
+once, regardless of what the neighbours found. One that ends in another block's group is handed
+over.
 """
 
 from collections.abc import Sequence
@@ -30,14 +31,14 @@ COVER = {name: f"cover_{name}" for name in ("means", "covariances", "alphas")}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A block and its halo: its own splats and groups first, those of the halo after them.
+    """A block and its halo: the block's splats and groups first, then those of the halo.
 
     Attributes:
         leaves: A node for each splat.
         labels: (V,) int32, the group of each leaf.
         own: Splats of the block itself.
         groups: Groups of the block itself.
-        halo: The others.
+        halo: Splats and groups of other blocks.
     """
 
     leaves: Nodes
@@ -48,13 +49,13 @@ class View:
 
 
 class Settled(NamedTuple):
-    """How the splats of a view are reassigned.
+    """The result of reassigning the splats of a view.
 
     Attributes:
         after: (N,) int32, the group of each of the block's own rows, of which every group of the
             block keeps one.
-        labels: (V,) int32, the group of each leaf of the view, the same for these.
-        rounds: In which splats moved.
+        labels: (V,) int32, the group of each leaf of the view, with `after` for the block's own.
+        rounds: Number of rounds in which splats moved.
     """
 
     after: I32
@@ -66,8 +67,8 @@ def settled(view: View, rounds: int, threads: int) -> Settled:
     """Reassign, and find the group in which each of the block's splats ends.
 
     Args:
-        view: What the block sees.
-        rounds: Of reassignment, at most.
+        view: The block and its halo.
+        rounds: Rounds of reassignment, at most.
         threads: Threads for the nearest-neighbour query.
     """
     own = view.leaves.rows < view.own
@@ -84,10 +85,10 @@ def settled(view: View, rounds: int, threads: int) -> Settled:
 
 
 def settled_cover(view: View, labels: I32, dilation: Dilation) -> Cover:
-    """The groups of a block, after reassignment, as what may cover those of others.
+    """Return a block's groups after reassignment, as covers of other blocks' groups.
 
     Args:
-        view: What the block sees.
+        view: The block and its halo.
         labels: (V,) the group of each leaf.
         dilation: As `activate_nodes` takes it.
     """
@@ -96,24 +97,24 @@ def settled_cover(view: View, labels: I32, dilation: Dilation) -> Cover:
 
 
 def read_cover(table: Table, groups: I64) -> Cover:
-    """Some groups of the cover that `write_settled` was given."""
+    """Read some groups of the cover that `write_settled` was given."""
     return Cover(**{name: table.read(column)[groups] for name, column in COVER.items()})
 
 
 def keep_every_group(after: I32, before: I32, weights: F64, groups: int) -> None:
     """Refill empty groups in place: each takes back its heaviest former member that can be spared.
 
-    Only what is not the last one of its new group can be; where no former member can, the heaviest
-    of all others is taken.
+    A splat can be spared unless it is the last one of its new group. If no former member can, the
+    heaviest of all others that can is taken.
 
     Args:
         after: (N,) the group of each splat; those from `groups` on are other blocks'.
-        before: (N,) what they were, all below `groups`, and none of these empty.
+        before: (N,) the groups before, all below `groups`, and none of these empty.
         weights: (N,) of each splat.
         groups: Groups of the block.
     """
     sizes = np.bincount(after, minlength=groups)
-    sizes[groups:] = len(after) + 1  # other blocks see to their own
+    sizes[groups:] = len(after) + 1  # other blocks refill their own
     for group in np.flatnonzero(sizes[:groups] == 0):
         rows = np.flatnonzero((before == group) & (sizes[after] > 1))
         if len(rows) == 0:  # N is at least the number of groups, so one can be spared
@@ -135,12 +136,12 @@ def write_settled(
     """Write the labels of a block's rows, and the rows that it hands over, block by block.
 
     Args:
-        scratch: Where to.
+        scratch: Where to write.
         name: Of the table.
-        found: How splats are reassigned.
-        view: What the block sees.
+        found: The result of reassignment.
+        view: The block and its halo.
         columns: Of the view's splats, codes among them.
-        cover: The groups as what may cover those of others, where that is asked for.
+        cover: The groups as covers of other blocks' groups, if growth depends on them.
     """
     after, start = found.after, view.groups
     rows: list[I64] = [np.empty(0, np.int64)]
@@ -166,14 +167,14 @@ def write_settled(
 
 
 def view_of(leaves: Nodes, labels: I32, own: int, groups: int, halo: Sequence[Halo]) -> View:
-    """A view from labels by row.
+    """Make a view from labels by row.
 
     Args:
-        leaves: A node for each splat; rows are own ones first, then those of each halo.
+        leaves: A node for each splat; rows are the block's own first, then those of each halo.
         labels: (N,) the group of each of the block's own rows.
         own: N.
         groups: Groups of the block.
-        halo: What it sees of others.
+        halo: Splats and groups of other blocks.
     """
     by_row, start = [labels], groups
     for each in halo:

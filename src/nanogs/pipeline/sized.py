@@ -1,4 +1,4 @@
-"""The result that fills a size: how it is packed, then how many splats it has."""
+"""The result that fills a size: its packing is chosen first, then its count."""
 
 from dataclasses import replace
 from functools import partial
@@ -11,17 +11,17 @@ from nanogs.pipeline.packing import Packing
 from nanogs.pipeline.target import count_for_size
 
 T = TypeVar("T")
-# Where so many times the fewest splats fit by the guess, the fewest fit surely, and their file is
-# not made to see.
+# If this many times the fewest splats fit by the guess, the fewest certainly fit, and no file is
+# made to check it.
 FEW = 8
 
 
 class Filled(NamedTuple):
-    """The search for a result that fills a size.
+    """The outcome of a search for a result that fills a size.
 
     Attributes:
         fitted: The counts that were tried.
-        packed: As it is packed.
+        packed: The packing.
     """
 
     fitted: Fitted
@@ -29,7 +29,7 @@ class Filled(NamedTuple):
 
 
 def fill_size(packer: Packer[T]) -> tuple[T, Filled]:
-    """The result of a model that is packed best and fills a size.
+    """Make the result of a model that is packed best and fills a size.
 
     Args:
         packer: Of the model's results, with what is asked.
@@ -50,12 +50,13 @@ def fill_size(packer: Packer[T]) -> tuple[T, Filled]:
 
 
 def _smallest(packer: Packer[T]) -> Packing:
-    """The packing of the smallest files, of which the smallest of all is made if it may matter.
+    """Return the packing of the smallest files, after checking that the fewest splats fit.
 
-    So the same size is the least that can be had, whatever is asked for.
+    Unless the guess leaves ample room, a file of the fewest splats is made to check it. So the
+    least size that is accepted is the same for every request.
 
     Raises:
-        TooSmallError: That is too large.
+        TooSmallError: Not even that file fits.
     """
     wish, sample, fewest = packer.wish, packer.sample, packer.results.fewest
     packing = wish.smallest(sample.sh_degree)
@@ -75,10 +76,10 @@ def _smallest(packer: Packer[T]) -> Packing:
 
 
 def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
-    """The result that fills a size as it is packed.
+    """Make the result that fills a size in a given packing.
 
     Raises:
-        TooSmallError: Not even the fewest splats fit, so packed.
+        TooSmallError: Not even the fewest splats fit in this packing.
     """
     wish, files, progress, packing = packer.wish, packer.files, packer.progress, packed.packing
     chosen = packer.made(packing)

@@ -1,6 +1,6 @@
-"""First pass over the input: each segment, sorted by Morton code, into a file of its own.
+"""First pass over the input: each segment is sorted by Morton code and written to its own table.
 
-A sorted segment holds the rows of any block in one piece, whatever blocks are chosen afterwards.
+Any block is then one contiguous range of a sorted segment, so blocks can be chosen afterwards.
 """
 
 import numpy as np
@@ -25,10 +25,10 @@ def spill(
     number: int,
     unpacked: Unpacked | None = None,
 ) -> Record:
-    """Sort a segment and write it, with evenly spread ones of its codes apart.
+    """Sort a segment by Morton code and write it, with a digest: evenly spread codes of it.
 
     Args:
-        scratch: Where to.
+        scratch: Where to write.
         name: Of the table.
         settings: The job.
         units: Of its scene.

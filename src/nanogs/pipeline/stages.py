@@ -1,7 +1,7 @@
-"""The stages of a simplification, in their order: each uses what those before it have found.
+"""The stages of a simplification, in order: each uses the results of those before it.
 
-A task of a stage in blocks writes one table, whose bytes depend on nothing but the job's settings,
-so that it can be done anywhere, at any time, and again.
+A task of a stage in blocks writes one table, whose bytes depend only on the job's settings, so that
+it can be done anywhere, at any time, and again.
 """
 
 from collections.abc import Callable, Iterator
@@ -50,7 +50,7 @@ from nanogs.pipeline.work import Work
 from nanogs.store.tables import Record, write_table
 from nanogs.threads import use_threads
 
-FEWEST = 64  # splats of a block's part, on average
+FEWEST = 64  # splats of a block's part, on average, that blocks are cut to at least
 Per = Literal["job", "file", "segment", "block"]
 Seconds = float | Callable[[Load], float]
 
@@ -64,14 +64,15 @@ class JobStage:
     """A stage of a job.
 
     Attributes:
-        name: For progress, clock and tables.
-        per: What it is done for: once, or for each packed file, segment or block.
-        do: Does one task of it.
-        seconds: Of one machine: for a million splats of the scene, or from the load.
-        wanted: Whether a job has it.
-        levels: How many it has; None for one of each result.
-        needed: Whether there is anything to do for a level, those before it being done.
-        held: Whether a model in memory has it, too.
+        name: In progress, clock and tables.
+        per: Whether there is one task for the job, or one for each packed file, segment or block.
+        do: Does one task.
+        seconds: Seconds on one machine: for a million splats of the scene, or computed from the
+            load.
+        wanted: Whether a job has the stage, from its settings.
+        levels: Number of levels that it is done for; None for each result.
+        needed: Whether there is anything to do for a level, once the stages before it are done.
+        held: Whether a model in memory has the stage, too.
     """
 
     name: str
@@ -84,7 +85,7 @@ class JobStage:
     held: bool = False
 
     def count(self, scene: Scene, level: int) -> int:
-        """How many tasks it has, those before it being done."""
+        """Return the number of tasks for a level; the stages before it must be done."""
         if not self.needed(scene, level):
             return 0
         if self.per == "job":
@@ -96,7 +97,7 @@ class JobStage:
         return scene.partition.blocks
 
     def weight(self, load: Load) -> float:
-        """About how many seconds it takes of one machine."""
+        """Estimate the seconds it takes on one machine."""
         return self.seconds(load) if callable(self.seconds) else self.seconds * load.splats
 
 
@@ -104,14 +105,14 @@ def do(scene: Scene, task: Task) -> Record:
     """Do a task.
 
     Raises:
-        NanogsError: The input cannot be read, or the scratch not be written.
+        NanogsError: The input cannot be read, or the scratch cannot be written.
     """
     with use_threads(scene.threads):
         return STAGES[task.stage].do(scene, task)
 
 
 def stages_of(settings: Settings) -> Iterator[tuple[JobStage, int]]:
-    """The stages of a job in blocks in their order, and the level of each."""
+    """Yield the stages of a job in blocks in order, each with its level."""
     wanted = [stage for stage in STAGES.values() if stage.wanted(settings)]
     before = wanted[: next(i for i, stage in enumerate(wanted) if stage.levels is None)]
     yield from ((stage, level) for stage in before for level in range(stage.levels or 0))
@@ -124,14 +125,14 @@ def stages_of(settings: Settings) -> Iterator[tuple[JobStage, int]]:
 
 
 def level_stages(settings: Settings, level: int) -> Iterator[tuple[JobStage, int]]:
-    """The stages of one result of a job in blocks, and its level, but for those after all."""
+    """Yield the stages of one result of a job in blocks; those after all results are left out."""
     for stage in STAGES.values():
         if stage.levels is None and stage.name not in _AFTER and stage.wanted(settings):
             yield stage, level
 
 
 def held_stages(settings: Settings, *, results: bool) -> list[JobStage]:
-    """The stages of a model in memory: those of each result, or those done once before."""
+    """Return the stages of a model in memory: those of each result, or those done once before."""
     stages = (stage for stage in STAGES.values() if stage.held and stage.wanted(settings))
     return [stage for stage in stages if (stage.levels is None) == results]
 
@@ -193,7 +194,8 @@ def _budget(work: Work, task: Task) -> Record:
         target = target_count(work.partition.splats, None, counts[task.level])
     else:
         target = target_count(work.partition.splats, work.settings.ratios[task.level], None)
-    # Blocks cannot be cut to less than a splat each, nor well to a few: the rest is done in memory.
+    # Blocks cannot be cut to less than a splat each, nor well to a few: the stage `rest` goes further
+    # in memory.
     cut_to = max(target, min(FEWEST * work.partition.blocks, work.partition.splats))
     forests = work.of_blocks("grow")
     groups = [budget(work.scratch, forests, cut_to, number) for number in range(len(work.balances))]
@@ -209,7 +211,7 @@ def _pick(scene: Scene, task: Task) -> Record:
 
 
 def _cut(work: Work, task: Task) -> Record:
-    # Colours have no part in it.
+    # The centres and reaches of groups need no colours.
     splats, rows = work.block(task.number, work.settings.layout.bare())
     leaves = leaves_of(splats, rows, work.units, work.weighing(work.visible(task.number)))
     labels, groups = work.labels(task.number, task.level), work.groups(task.number, task.level)
@@ -339,7 +341,7 @@ def _judging(load: Load) -> float:
 
 
 def _growing(step: int) -> JobStage:
-    """The stage that tries a growth; those after the first are seldom needed."""
+    """Return the stage that tries a growth; those after the first are seldom needed."""
     return JobStage(
         growth_stage(step), "block", partial(_growth, step),
         _judging if step == 0 else lambda load: 0.1 * _judging(load), _measures, None,
@@ -376,4 +378,4 @@ STAGES = {
         JobStage("tree", "block", _tree, 9.0, _in_a_tree, needed=_links),
     )
 }
-_AFTER = ("rest", "cells", "chunk", "tree")  # all results
+_AFTER = ("rest", "cells", "chunk", "tree")  # stages that come after all results are made

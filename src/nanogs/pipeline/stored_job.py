@@ -1,4 +1,4 @@
-"""A job on disk: begun or continued under its lock, brought to an end, and taken away."""
+"""A job on disk: begun or resumed under its lock, brought to an end, and removed."""
 
 import secrets
 from collections.abc import Iterator
@@ -48,12 +48,12 @@ FUTILE = TooSmallError, CrowdedError, ModelError, UnstorableError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Where:
-    """Who does the tasks of a job.
+    """The workers that do the tasks of a job.
 
     Attributes:
         threads: In this process, or in each worker; None takes all.
         executor: A Dask client or a `concurrent.futures.Executor`; None for this process.
-        patience: Seconds to wait for workers where a cluster has none.
+        patience: Seconds to wait for workers if a cluster has none.
     """
 
     threads: int | None = None
@@ -61,13 +61,13 @@ class Where:
     patience: float = PATIENCE
 
     def runner(self, progress: Tracker) -> Executor:
-        """Who does tasks.
+        """Return the executor of the tasks.
 
         Args:
-            progress: Told where there is no worker.
+            progress: Notified while there is no worker.
 
         Raises:
-            OptionError: `executor` is none.
+            OptionError: `executor` is neither a client nor an executor.
         """
         if self.executor is None:
             return Here()
@@ -80,11 +80,11 @@ class BlockJob:
     """A job to be done, and where its files are until then.
 
     Attributes:
-        settings: What decides the results.
+        settings: Everything that decides the results.
         folder: Of the job.
         scratch: Folder or URL of the intermediate files, or None for one in the job folder.
-        ending: What is made of the tasks' files.
-        search: Finds the result, where its count is not known beforehand.
+        ending: Makes the results from the tasks' files.
+        search: Finds the result, if its count is not known beforehand.
     """
 
     settings: Settings
@@ -99,7 +99,7 @@ class BlockJob:
         """Do what is left of the job.
 
         Args:
-            where: To do its tasks.
+            where: The workers that do its tasks.
             clock: Gets the seconds of each stage.
             told: Called with each step, "wait" in place of a stage while a cluster has no worker.
             resume: Whether a job that was begun is continued.
@@ -141,10 +141,11 @@ class BlockJob:
         return done, written
 
     def _found(self, *, resume: bool) -> str | None:
-        """The scratch of the job that a run before has begun, or None for a new one.
+        """Return the scratch of a job that an earlier run has begun, or None for a new job.
 
         Raises:
-            NanogsError: There is one that is not to be continued, or a new one would end in vain.
+            NanogsError: The job that was begun is not to be continued, or a new one could not be
+                written.
         """
         found = read_manifest(self.folder)
         if found is None:
@@ -167,7 +168,7 @@ class BlockJob:
         return place
 
     def _scratch_parent(self) -> str:
-        """The folder or URL in which the job's own folder of intermediate files is."""
+        """Return the folder or URL that holds the job's own folder of intermediate files."""
         if self.scratch is None:
             return str(self.folder.resolve())
         if is_url(self.scratch):
@@ -175,12 +176,15 @@ class BlockJob:
         return str(Path(self.scratch).absolute())
 
     def _new_place(self) -> str:
-        """One of its own for each job: what others keep beside it is not taken for the job's."""
+        """Return a folder or URL for the scratch that no other job uses.
+
+        So files that others keep beside it are never taken for the job's own.
+        """
         name = SCRATCH if self.scratch is None else f"nanogs-{secrets.token_hex(8)}"
         return f"{self._scratch_parent()}/{name}"
 
     def _begin(self, scratch: Scratch) -> None:
-        """Note the job, last of all, so that nothing is left of what could not be begun."""
+        """Write the manifest, or remove the scratch if that fails, so that nothing is left."""
         try:
             write_manifest(self.folder, self.settings, scratch.place)
         except BaseException:
@@ -188,7 +192,11 @@ class BlockJob:
             raise
 
     def _remove(self, scratch: Scratch) -> None:
-        """Take away everything; the notes of results go last, with which they are known again."""
+        """Delete all files of the job.
+
+        The notes on finished results and then the manifest are last, because a resumed run
+        recognises the results by them.
+        """
         scratch.remove()
         for left in self.folder.glob(".nanogs-*"):
             left.unlink(missing_ok=True)
@@ -197,7 +205,7 @@ class BlockJob:
 
 @contextmanager
 def _telling_of(folder: Path) -> Iterator[None]:
-    """Note on an error of the system, such as too little memory, that a job was kept."""
+    """Add a note that the job is kept to errors of the system, such as too little memory."""
     try:
         yield
     except NanogsError:
@@ -212,5 +220,5 @@ def _telling_of(folder: Path) -> Iterator[None]:
 
 
 def _parent_of(place: str) -> str:
-    """The folder or URL that a folder, or what is under a URL, is in."""
+    """Return the folder or URL that contains a folder or URL."""
     return place.rpartition("/")[0] if is_url(place) else str(Path(place).parent)
