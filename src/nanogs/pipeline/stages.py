@@ -194,8 +194,7 @@ def _budget(work: Work, task: Task) -> Record:
         target = target_count(work.partition.splats, None, counts[task.level])
     else:
         target = target_count(work.partition.splats, work.settings.ratios[task.level], None)
-    # Blocks cannot be cut to less than a splat each, nor well to a few: the stage `rest` goes further
-    # in memory.
+    # Blocks cannot be cut to less than a splat each, nor well to a few: the rest is done in memory.
     cut_to = max(target, min(FEWEST * work.partition.blocks, work.partition.splats))
     forests = work.of_blocks("grow")
     groups = [budget(work.scratch, forests, cut_to, number) for number in range(len(work.balances))]

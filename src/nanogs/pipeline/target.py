@@ -1,4 +1,4 @@
-"""The exact count for what the user asks. No Numba here: `--dry-run` uses it too."""
+"""Conversion of the user's target to an exact count. No Numba here: `--dry-run` uses it too."""
 
 import math
 from collections.abc import Callable
@@ -15,11 +15,11 @@ _KINDS = {"count": int, "size": int, "ratio": float, "psnr": float, "draw_cost":
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """The wish: exactly one of five.
+    """The target of a simplification: exactly one of five.
 
     Attributes:
         ratio: Compaction ratio in (0, 1].
-        count: Splats.
+        count: Number of splats.
         size: Largest size of the file, bytes.
         psnr: What the result must reach on views of the original, dB.
         draw_cost: Most that it may take to draw, as a share of the original's splats a pixel.
@@ -35,7 +35,7 @@ class Goal:
     draw_cost: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse none, several, and values that mean nothing; NumPy's numbers become Python's."""
+        """Refuse none, several, and invalid values; NumPy's numbers become Python's."""
         self._make_plain()
         wishes = self.ratio, self.count, self.size, self.psnr, self.draw_cost
         if sum(wish is not None for wish in wishes) != 1:
@@ -54,10 +54,10 @@ class Goal:
             )
 
     def _make_plain(self) -> None:
-        """Make numbers of NumPy Python's.
+        """Convert NumPy's numbers to Python's.
 
         Raises:
-            OptionError: A wish is no number, or no whole one where it has to be.
+            OptionError: A value is no number, or not a whole one where it has to be.
         """
         for name, kind in _KINDS.items():
             value = getattr(self, name)
@@ -70,14 +70,14 @@ class Goal:
 
     @property
     def is_measured(self) -> bool:
-        """Whether only measuring results tells the count, whatever the format."""
+        """Whether results must be measured to find the count, for any format."""
         return self.psnr is not None or self.draw_cost is not None
 
     def known_count(self, available: int) -> int | None:
-        """Splats to deliver by a ratio or a count; None where a size or a measurement tells.
+        """Return the splats to deliver by a ratio or a count; None if a search has to find it.
 
         Args:
-            available: Splats that can be used.
+            available: Number of usable splats.
 
         Raises:
             OptionError: It is more than the model has.
@@ -88,12 +88,12 @@ class Goal:
 
 
 def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:
-    """Whether only trying tells the count.
+    """Whether the count can be found only by trying.
 
     Args:
         goal: What is asked.
         known: The format of the file.
-        degree: Of the harmonics, as far as they may be chosen; 0 where they may not.
+        degree: Of the harmonics, as far as they may be chosen; 0 if they may not.
         looks: Whether results are made by what views show.
     """
     if goal.size is None:
@@ -103,14 +103,14 @@ def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:
 
 
 def target_count(available: int, ratio: float | None, count: int | None) -> int:
-    """Splats to deliver: the count, or ceil(ratio x available).
+    """Return the number of splats to deliver: the count, or ceil(ratio x available).
 
     The ratio is taken as the decimal that is written, so that 0.07 of 100 is 7 and not 8.
 
     Args:
-        available: Splats that can be used.
+        available: Number of usable splats.
         ratio: Compaction ratio in (0, 1], or None.
-        count: Splats, or None.
+        count: Number of splats, or None.
 
     Raises:
         OptionError: Not exactly one of both is given, or it is out of range.
@@ -127,10 +127,10 @@ def target_count(available: int, ratio: float | None, count: int | None) -> int:
 
 
 def count_for_size(available: int, size: int, file_bytes: Callable[[int], int]) -> int:
-    """The largest count whose file is no larger than asked, at most what is available.
+    """Find the largest count whose file is no larger than asked, at most `available`.
 
     Args:
-        available: Splats that can be used.
+        available: Number of usable splats.
         size: Bytes.
         file_bytes: Size of the file for a count; never smaller for a larger count.
 

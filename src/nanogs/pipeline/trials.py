@@ -1,8 +1,8 @@
-"""Candidates, compared with the original on the views that decide; the best one is chosen.
+"""Comparison of candidates with the original on the deciding views; the best one is chosen.
 
 Cuts of several balances are tried, the best one with its splats reassigned, and the best of these
-grown more. One choice is made for the whole scene: errors are added up over the blocks, each of
-which is measured by itself, with the same surroundings in both pictures.
+with more growth. One choice is made for the whole scene: errors are added up over the blocks. Each
+block is measured by itself, with the same surroundings in both images.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ from nanogs.report import CandidateReport
 from nanogs.splats import Splats
 from nanogs.store.tables import Record
 
-MOST = 100.0  # dB
-Errors = list[tuple[float, float]]  # of each view: squares of a channel, and 1 - SSIM, summed up
+MOST = 100.0  # dB, of a view without any error
+Errors = list[tuple[float, float]]  # of each view, summed up: squared error a channel, 1 - SSIM
 
 
 def try_balances(scene: Scene, name: str, number: int, level: int) -> Record:
@@ -29,7 +29,7 @@ def try_balances(scene: Scene, name: str, number: int, level: int) -> Record:
 
     Args:
         scene: With its forests, and the count of the result.
-        name: Of what is written.
+        name: Of the table.
         number: Of the block.
         level: Of the result.
     """
@@ -46,7 +46,7 @@ def try_balances(scene: Scene, name: str, number: int, level: int) -> Record:
 
 
 def pick_balance(scene: Scene, name: str, level: int) -> Record:
-    """Write which balance is best in the whole scene, the first of equal ones."""
+    """Write the index of the best balance for the whole scene, the first of equal ones."""
     reports = _cuts(scene, level)
     best = max(range(len(reports)), key=lambda number: reports[number].quality)
     return scene.write(name, {}, {"balance": best})
@@ -59,14 +59,14 @@ def try_reassigned(scene: Scene, name: str, number: int, level: int) -> Record:
 
 
 def try_growth(scene: Scene, name: str, number: int, level: int, step: int) -> Record:
-    """Measure the better groups of a block, grown more, and write their errors."""
+    """Measure the better groups of a block with one step more growth, and write their errors."""
     best = candidates(scene, level, step)[1]
     growth = further_growths(scene.settings.parameters.growth)[step]
     return _try(scene, name, number, level, growth, reassigned=best.reassigned)
 
 
 def grows_on(scene: Scene, level: int, step: int) -> bool:
-    """Whether a growth is worth trying: there is one, and each before it helped clearly."""
+    """Whether a growth is worth trying: it exists, and each before it clearly helped."""
     if step >= len(further_growths(scene.settings.parameters.growth)):
         return False
     tried, best = candidates(scene, level, step)
@@ -74,7 +74,7 @@ def grows_on(scene: Scene, level: int, step: int) -> bool:
 
 
 def choose(scene: Scene, name: str, level: int) -> Record:
-    """Write what is chosen: whether splats stay reassigned, and how much may grow."""
+    """Write the choice: whether reassignment is kept, and how much splats may grow."""
     best = candidates(scene, level)[1]
     return scene.write(name, {}, {"reassigned": best.reassigned, "growth": best.growth})
 
@@ -82,14 +82,14 @@ def choose(scene: Scene, name: str, level: int) -> Record:
 def candidates(
     scene: Scene, level: int, steps: int | None = None
 ) -> tuple[list[CandidateReport], CandidateReport]:
-    """Scores of all candidates of a level that were tried, and the best of them.
+    """Return the scores of all candidates of a level that were tried, and the best of them.
 
-    A reassignment that does not help is taken back, and so is a growth that does not help clearly.
+    Reassignment is undone if it does not help, and growth if it does not clearly help.
 
     Args:
         scene: The scene.
         level: Of the result.
-        steps: Growths that may have been tried by now; by default all.
+        steps: Number of growths that may have been tried by now; by default all.
     """
     tried = _cuts(scene, level)
     best = tried[scene.balance(level)]
@@ -105,18 +105,18 @@ def candidates(
 
 
 def reports_of(scene: Scene, level: int) -> tuple[CandidateReport, ...]:
-    """The candidates of a level in the order tried, the chosen one marked."""
+    """Return the candidates of a level in the order tried, with the chosen one marked."""
     tried, best = candidates(scene, level)
     return tuple(replace(each, chosen=each is best) for each in tried)
 
 
 def growth_stage(step: int) -> str:
-    """Name of the stage that tries a growth."""
+    """Return the name of the stage that tries a growth."""
     return f"growth_{step + 1}"
 
 
 def _before(scene: Scene) -> int:
-    """Candidates that are tried before growths are."""
+    """Return the number of candidates that are tried before growths are."""
     return len(scene.balances) + (scene.settings.parameters.rounds > 0)
 
 
@@ -144,7 +144,7 @@ def _try(
 def _errors(
     model: Splats, wanted: Sequence[Target | None], others: PreparedSplats | None
 ) -> Errors:
-    """The errors of a block's candidate on the views that decide."""
+    """Measure the errors of a block's candidate on the deciding views."""
     prepared, errors = together(prepare(model), others), []
     for target in wanted:
         if target is None:
@@ -161,7 +161,7 @@ def _errors(
 def _report(
     scene: Scene, level: int, stage: str, candidate: CandidateReport, number: int = 0
 ) -> CandidateReport:
-    """A candidate with its scores, from the errors that a stage has found in all blocks."""
+    """Score a candidate, from the errors that a stage has found in all blocks."""
     pixels = np.array([camera.width * camera.height for camera in scene.deciding])
     errors = [record.facts["errors"][number] for record in scene.of_blocks(stage, level)]
     sums = np.sum([np.array(each) for each in errors], axis=0)

@@ -1,4 +1,4 @@
-"""Scales and Morton cells that all blocks of a scene share, from evenly spread rows."""
+"""The scale and Morton grid that all blocks of a scene share, from evenly spread rows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -21,17 +21,18 @@ from nanogs.splats import Splats
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """The units in which blocks are comparable.
+    """The units in which the blocks of a scene are comparable.
 
     Attributes:
-        origin: Taken off the centres, scene units.
-        anchors: x, y, z relative to the origin and radius of each of those of `Dilation`.
-        per_radius: As `Dilation` has it.
-        places: Of a user's cameras, relative to the origin, as `Viewers` has them; none without.
-        apart: As `Viewers` has it.
-        thinnest: Axis of any node, scene units.
-        prominence: Of a typical splat, square scene units; weights are over this.
-        corner: Lowest corner of the box of Morton cells, relative to the origin.
+        origin: Subtracted from the centres, scene units.
+        anchors: x, y, z relative to the origin, and radius, of each anchor of `Dilation`.
+        per_radius: As in `Dilation`.
+        places: Positions of a user's cameras, relative to the origin, as in `Viewers`; empty
+            without.
+        apart: As in `Viewers`.
+        thinnest: Thinnest axis of any node, scene units.
+        prominence: Of a typical splat, square scene units; weights are divided by it.
+        corner: Lowest corner of the box of the Morton grid, relative to the origin.
         width: Of that box, scene units.
     """
 
@@ -46,29 +47,29 @@ class Units:
     width: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; floats keep every digit in JSON."""
+        """Return plain data; floats keep every digit in JSON."""
         return asdict(self)
 
     def centre(self) -> F64:
-        """(3,) the origin."""
+        """Return (3,) the origin."""
         return np.array(self.origin)
 
     def dilation(self) -> Dilation:
-        """The dilation that rasterisers add to splats."""
+        """Return the dilation that rasterisers add to splats."""
         rows = np.array(self.anchors)
         return Dilation(np.ascontiguousarray(rows[:, :3]), rows[:, 3].copy(), self.per_radius)
 
     def viewers(self) -> Dilation | Viewers:
-        """Where viewers stand, as a user's cameras or else the model tell."""
+        """Return where viewers stand: at a user's cameras, or as the model suggests."""
         return Viewers(np.array(self.places), self.apart) if self.places else self.dilation()
 
     def codes(self, splats: Splats) -> U64:
-        """(N,) Morton codes of the centres."""
+        """Compute (N,) the Morton codes of the centres."""
         return codes_in(splats.means - self.centre(), np.array(self.corner), self.width)
 
 
 def units_of(data: Mapping[str, Any]) -> Units:
-    """Units from what `to_dict` made of it, by way of JSON."""
+    """Rebuild units from the data of `to_dict` after a round trip through JSON."""
     fixed: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
     for name in ("anchors", "places"):
         fixed[name] = tuple(map(tuple, data[name]))
@@ -76,7 +77,7 @@ def units_of(data: Mapping[str, Any]) -> Units:
 
 
 def survey(settings: Settings, unpacked: Unpacked | None = None) -> Units:
-    """Look at some of the rows of all inputs.
+    """Compute the units from a sample of the rows of all inputs.
 
     Args:
         settings: The job.
@@ -112,11 +113,11 @@ def survey(settings: Settings, unpacked: Unpacked | None = None) -> Units:
 
 
 def viewers_of(cameras: Sequence[Camera], origin: F64, means: F64) -> Viewers:
-    """Viewers where a user's cameras are.
+    """Return viewers at the positions of a user's cameras.
 
     Args:
         cameras: One at least.
-        origin: (3,) what is taken off centres, scene units.
+        origin: (3,) subtracted from centres, scene units.
         means: (N, 3) float64, N >= 1, splats of the model, relative to the origin.
     """
     places = np.array([camera.position for camera in evenly(cameras, MOST_VIEWERS)])

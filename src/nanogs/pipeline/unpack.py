@@ -1,7 +1,7 @@
-"""Unpacking: the columns of a packed file, in the scratch, where any of their rows can be read.
+"""Unpacking: the columns of a packed file are written to the scratch, for random access to rows.
 
-Some formats hold columns that are compressed as a whole, so that a row of theirs cannot be read
-without all before it. What is written is what they hold, not what it stands for: a fifth as much.
+Some formats hold columns that are compressed as a whole, so that a row cannot be read without all
+before it. The columns are written as the file encodes them, not decoded: a fifth as much.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -25,17 +25,17 @@ class Unpacked:
 
     Attributes:
         scratch: Where their columns are.
-        records: By number of the file.
+        records: The records of their tables, by index of the file.
     """
 
     scratch: Scratch
     records: Mapping[int, Record]
 
     def give(self, number: int, source: FileSource) -> None:
-        """Give a file its columns, if it has been unpacked.
+        """Let a file read its columns from the scratch, if it has been unpacked.
 
         Args:
-            number: Of the file.
+            number: Index of the file.
             source: The file.
         """
         if number in self.records:
@@ -60,7 +60,7 @@ class Cost:
 
 
 def cost_of(settings: Settings) -> Cost:
-    """Memory and disk that unpacking will take, from headers.
+    """Estimate the memory and disk that unpacking takes, from headers.
 
     Raises:
         FormatError: A file cannot be read.
@@ -76,10 +76,10 @@ def cost_of(settings: Settings) -> Cost:
 
 
 def unpack(scratch: Scratch, name: str, file: InputFile) -> Record:
-    """Write the columns of a file, which are never held whole.
+    """Write the columns of a file to a table; they are never held whole.
 
     Args:
-        scratch: Where to.
+        scratch: Where to write.
         name: Of the table.
         file: To unpack.
 
@@ -101,11 +101,11 @@ def _packed(file: InputFile) -> Packed:
 def streamed(
     packed: Packed, notes: list[str], at_end: Callable[[], None] = lambda: None
 ) -> dict[str, Streamed]:
-    """The columns of a file, to be written one after the other in this order.
+    """Return the columns of a file as streams, which must be written one by one in this order.
 
     Args:
         packed: The file.
-        notes: Gets what is to be said of it.
+        notes: Gets the notes on the file as a whole.
         at_end: Called when all has been read.
     """
     pieces = _then(packed.unpack(notes), at_end)
@@ -121,7 +121,11 @@ def streamed(
 
 
 def _first(pieces: Iterator[Array], rows: int) -> Iterator[Array]:
-    """So many rows of what comes; the last column takes all, and the checks at its end with it."""
+    """Yield pieces up to so many rows.
+
+    The last column is not limited in this way: it takes all pieces, so that the checks at their end
+    run.
+    """
     while rows:
         piece = next(pieces)
         rows -= len(piece)

@@ -1,4 +1,4 @@
-"""The views of a job in blocks: chosen once, for the whole scene, and cut to what a block shows."""
+"""The views of a job: chosen once for the whole scene, and cropped to where a block is visible."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ from nanogs.pipeline.asked import camera_of, plain_camera
 from nanogs.raster.camera import Camera, evenly
 from nanogs.raster.rendering import PreparedSplats, project
 
-LEAST = 2 * TILE  # pixels along a side of a part of a view
-STRAYS = 0.002  # of a block's splats that may lie beside its part of a view, on each side
+LEAST = 2 * TILE  # fewest pixels along a side of a part of a view
+STRAYS = 0.002  # share of a block's splats that may be outside its part of a view, on each side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,10 +23,10 @@ class Views:
     """The cameras of a job.
 
     Attributes:
-        kept: Those that are looked from, some of which decide and the others are fitted to.
+        kept: Those that visibility is measured on; some of them decide, the others are fitted to.
         further: More to fit to.
-        roaming: Small ones that only say what is hidden.
-        notes: What the user should know, one sentence each.
+        roaming: Small ones, which only show what is hidden.
+        notes: Notes for the user, one sentence each.
     """
 
     kept: tuple[Camera, ...]
@@ -36,11 +36,11 @@ class Views:
 
     @property
     def deciding(self) -> list[Camera]:
-        """Those by which results are chosen."""
+        """The cameras by which results are chosen."""
         return evenly(self.kept, deciding_count(len(self.kept)))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; floats keep every digit in JSON."""
+        """Return plain data; floats keep every digit in JSON."""
         return {
             "kept": [plain_camera(camera) for camera in self.kept],
             "further": [plain_camera(camera) for camera in self.further],
@@ -50,12 +50,12 @@ class Views:
 
 
 def deciding_count(views: int) -> int:
-    """How many of so many views decide."""
+    """Return how many of `views` views are deciding ones."""
     return min(max(1, views // DECIDING), max(1, views // 4))
 
 
 def views_of(data: Mapping[str, Any]) -> Views:
-    """Views from what `to_dict` made of them, by way of JSON."""
+    """Rebuild views from the data of `to_dict` after a round trip through JSON."""
     kept, further, roaming = (
         tuple(camera_of(each) for each in data[kind]) for kind in ("kept", "further", "roaming")
     )
@@ -63,11 +63,11 @@ def views_of(data: Mapping[str, Any]) -> Views:
 
 
 def parts_of(own: PreparedSplats, shown: Bool, cameras: Sequence[Camera]) -> list[Camera | None]:
-    """The part of each view in which splats are drawn; None where they are not.
+    """Crop each view to the part in which splats are drawn; None if there are none in it.
 
     Args:
         own: N splats, of a block.
-        shown: (N,) those that count.
+        shown: (N,) bool, the splats that count.
         cameras: Whole views.
     """
     return [_part(own, shown, camera) for camera in cameras]
@@ -86,7 +86,7 @@ def _part(own: PreparedSplats, shown: Bool, camera: Camera) -> Camera | None:
 
 
 def _between(first: Any, last: Any, size: int) -> tuple[int, int]:  # noqa: ANN401 - arrays
-    """Pixels of the tiles in which nearly all boxes are, at least `LEAST` of them."""
+    """Return the range of pixels, in whole tiles, of nearly all boxes; `LEAST` at least."""
     low = int(np.quantile(first, STRAYS, method="lower")) * TILE
     high = min(int(np.quantile(last, 1 - STRAYS, method="higher")) * TILE, size)
     if high - low < LEAST:

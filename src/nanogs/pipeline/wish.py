@@ -1,4 +1,4 @@
-"""A wish for a file of a given size, and the interface that writes results and measures them."""
+"""A request for a file of a given size, and the interface that writes and measures results."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -11,45 +11,45 @@ from nanogs.splats import Splats
 
 R_contra = TypeVar("R_contra", contravariant=True)
 SH_BITS = "sh_bits"
-LEAST_BYTES = 8  # of a splat in a packed file
+LEAST_BYTES = 8  # fewest bytes of a splat in a packed file
 Options = Mapping[str, Any]
 
 
 class Files(Protocol[R_contra]):
-    """Writes results to see how large their files are, and what these show."""
+    """Writes results to measure how large their files are, and how good they look."""
 
     def count(self, result: R_contra) -> int:
-        """Splats of a result."""
+        """Return the number of splats of a result."""
 
     def sample_bytes(self, some: Splats, options: Options) -> int:
-        """Bytes of a file of some splats, with options of the format."""
+        """Return the size of a file of some splats with options of the format, bytes."""
 
     def bytes_of(self, result: R_contra, options: Options) -> int:
-        """Bytes of a result's file."""
+        """Return the size of a result's file, bytes."""
 
     def shows(self) -> bool:
-        """Whether views by which is chosen show the original, so that files can be looked at."""
+        """Whether the views to choose by show the original, so that files can be compared."""
 
     def seen(self, result: R_contra, sh_degree: int, options: Options) -> PackingReport:
-        """Write a result to a file; measure its bytes, and its quality on the views for choosing.
+        """Write a result to a file; measure its bytes, and its quality on the views to choose by.
 
         Args:
             result: The result.
-            sh_degree: Of the harmonics that are written, as far as it has them.
-            options: Of the format; the report has those that follow from the result too.
+            sh_degree: Degree of the harmonics that are written, as far as the result has them.
+            options: Of the format; the report also has those that are derived from the result.
         """
 
 
 class Wish(NamedTuple):
-    """A wish for a file of a given size, without what can be chosen.
+    """A request for a file of a given size: what is fixed, apart from what can be chosen.
 
     Attributes:
-        size: Bytes that it may have.
+        size: Bytes that the file may have.
         known: Its format.
-        given: Options of it.
+        given: Options of the format that the user gives.
         sh_degree: Of the harmonics that are to be written, or None to choose it.
-        by_psnr: Whether the PSNR alone says what is best.
-        looks: Whether views tell what is best, as presets that render have them.
+        by_psnr: Whether the PSNR alone decides what is best.
+        looks: Whether the choice is made on views, as in presets that render.
         most: Splats that a writer may hold whole; None for any number.
     """
 
@@ -62,7 +62,7 @@ class Wish(NamedTuple):
     most: int | None = None
 
     def choices(self, degree: int) -> Choices:
-        """Choices that it leaves open, of a model with harmonics of a degree."""
+        """Return the choices that are left open for a model of an SH degree."""
         highest = min(degree, self.known.max_degree)
         wanted = highest if self.sh_degree is None else min(self.sh_degree, highest)
         degrees: Sequence[int] = [wanted]
@@ -80,10 +80,10 @@ class Wish(NamedTuple):
         return Choices(degrees, self._has_palettes(), bits, self.by_psnr, self._entries())
 
     def _has_palettes(self) -> bool:
-        """Whether a palette is to be chosen.
+        """Whether the size of a palette is to be chosen.
 
-        Where the format can do without, one has to see the whole result, for which there must be
-        room.
+        If the format can also be written without one, the writer of a palette has to hold the whole
+        result, so there must be memory for it.
         """
         if PALETTE not in self.known.options or PALETTE in self.given:
             return False
@@ -94,13 +94,13 @@ class Wish(NamedTuple):
         return max(option.values) if option else 0
 
     def sharing(self, packing: Packing) -> Sharing | None:
-        """How splats share entries of the palette; None without one."""
+        """Return how splats share entries of the palette; None without one."""
         if PALETTE in self.given and packing.sh_degree:
             return Sharing(1.0, int(self.given[PALETTE]))
         return packing.sharing
 
     def smallest(self, degree: int) -> Packing:
-        """The packing of the smallest files, of a model with harmonics of a degree."""
+        """Return the packing of the smallest files, for a model of an SH degree."""
         choices = self.choices(degree)
         share = SMALLER[-1] if choices.first.share else None
         bits = tuple((name, each.values[0]) for name, each in choices.bits.items())

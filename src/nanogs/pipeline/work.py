@@ -1,7 +1,7 @@
-"""A scene in blocks on its way through the stages: each reads what those before it wrote.
+"""A scene in blocks as it passes through the stages: each reads the tables of those before it.
 
-A task's bytes depend on nothing but the job's settings, so that it can be done anywhere, at any
-time, and again.
+A task's bytes depend only on the job's settings, so that it can be done anywhere, at any time, and
+again.
 """
 
 from collections.abc import Mapping, Sequence
@@ -70,8 +70,8 @@ from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table, read_record, write_table
 
 UNPACK = "unpack"
-BEGUN = Task("job")  # done by the caller: who does not see its record sees other files
-SAMPLE, SPAN = 1 << 18, 32  # rows of the original that cameras are placed by, in stretches
+BEGUN = Task("job")  # written by the caller: a worker that cannot read it sees another folder
+SAMPLE, SPAN = 1 << 18, 32  # rows of the original that cameras are placed by, in runs
 
 
 @dataclass(eq=False)
@@ -80,10 +80,10 @@ class Work(Scene):
 
     Attributes:
         scratch: Its files.
-        settings: What it is about.
-        threads: Threads in use.
-        known: Records that have been read.
-        tell: Told of the parts of the present task.
+        settings: Of the job.
+        threads: Number of threads in use.
+        known: Cache of the records that have been read.
+        tell: Progress callback for the parts of the current task.
     """
 
     scratch: Scratch
@@ -93,7 +93,7 @@ class Work(Scene):
     tell: Parts = untold
 
     def record(self, task: Task) -> Record:
-        """The record of what a task wrote.
+        """Return the record that a task wrote.
 
         Raises:
             OutputError: It is not there.
@@ -120,16 +120,16 @@ class Work(Scene):
         return partition_of(self.record(Task("partition")).facts)
 
     def unpacked(self) -> Unpacked:
-        """The input files that have been unpacked."""
+        """Return the input files that have been unpacked."""
         files = enumerate(self.settings.unpacked)
         return Unpacked(self.scratch, {file: self.record(Task(UNPACK, i)) for i, file in files})
 
     def segments(self) -> list[Record]:
-        """The sorted segments."""
+        """Return the records of the sorted segments."""
         return [self.record(Task("segment", i)) for i in range(len(self.settings.segments))]
 
     def table(self, stage: str, block: int, level: int = 0) -> Table:
-        """The table that a stage wrote for a block, open for reading."""
+        """Open the table that a stage wrote for a block, for reading."""
         return Table(self.scratch, self.of_block(stage, block, level))
 
     @cached_property
@@ -138,21 +138,21 @@ class Work(Scene):
         return views_of(self.of_job("views").facts)
 
     def delivered(self, level: int) -> list[Record]:
-        """The records of a level's splats, one a block, as they are delivered."""
+        """Return the records of a level's splats in their final form, one for each block."""
         return self.of_blocks("fit" if self.fits(level) else "part", level)
 
     def read(
         self, block: int, columns: dict[str, Array], at: int = 0, rows: I64 | None = None
     ) -> int:
-        """Fill columns with splats of a block, as `read_block` does."""
+        """Fill columns with splats of a block; see `read_block`."""
         return read_block(self.scratch, self.segments(), self.partition, block, columns, at, rows)
 
     def block(self, block: int, layout: Layout | None = None) -> tuple[Splats, I64]:
-        """The splats of a block, and their rows in Morton order; all are usable.
+        """Read the splats of a block, all usable, and their rows in Morton order.
 
         Args:
             block: Its number.
-            layout: The columns that are needed; those left out are zeros.
+            layout: The columns that are needed; harmonics that it leaves out are zeros.
         """
         layout = layout or self.settings.layout
         count = self.partition.count(block)
@@ -165,53 +165,53 @@ class Work(Scene):
         return splats_of(columns, layout), morton_rows(columns[CODES])
 
     def open(self, block: int) -> Block:
-        """As `Scene` says."""
+        """Read the splats of a block, and their visibility if it is known."""
         return Block(*self.block(block), self.visible(block))
 
     def bare(self, block: int) -> Block:
-        """As `Scene` says: what hides has no need of colours."""
+        """Read the splats of a block without colours, which occlusion does not need."""
         return Block(*self.block(block, self.settings.layout.bare()), None)
 
     def weighing(self, visible: F64 | None) -> Weighing | None:
-        """How nodes of splats are weighed that are so visible; None where nothing is measured."""
+        """Return how nodes are weighed by visibility; None if nothing is measured."""
         if visible is None or not self.measures:
             return None
         hidden = hidden_weight(self)
         return Weighing(visible, hidden, typical_weight(self, hidden))
 
     def visible(self, block: int) -> F64 | None:
-        """(N,) how visible a block's splats are; None where nothing was looked at."""
+        """Read (N,) the visibility of a block's splats; None if nothing was rendered."""
         return read_visible(self, block) if self.looks else None
 
     def target(self, level: int) -> int:
-        """As `Scene` says."""
+        """Return the number of splats that a result is to have."""
         return int(self.of_job("budget", level).facts["target"])
 
     def merges(self, level: int) -> bool:
-        """As `Scene` says."""
+        """Whether a result has fewer splats than the scene."""
         return self.target(level) < self.partition.splats
 
     def groups(self, block: int, level: int, balance: int | None = None) -> int:
-        """How many groups of a block are left, after the cut of a balance; by default the best."""
+        """Return the groups left of a block by the cut of a balance, by default the chosen one."""
         number = self.balance(level) if balance is None else balance
         return int(self.of_job("budget", level).facts["groups"][number][block])
 
     def cut(self, block: int, level: int, balance: int) -> I32:
-        """As `Scene` says."""
+        """Return the group of each leaf of a block in a cut; see `Scene.cut`."""
         forest = self.of_block("grow", block)
         return cut_block(self.scratch, forest, self.groups(block, level, balance), balance)
 
     def labels(self, block: int, level: int) -> I32:
-        """(N,) the group of each leaf of a block's forest, before reassignment."""
+        """Return (N,) the group of each leaf of a block in the chosen cut, before reassignment."""
         return self.cut(block, level, self.balance(level))
 
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
-        """The splats of a block's groups, of which some may come from other blocks.
+        """Read the splats and groups of a block; some splats may come from other blocks.
 
         Args:
             block: Its number.
             level: Of the result.
-            reassigned: Whether as they are after reassignment.
+            reassigned: Whether to return the groups after reassignment.
         """
         if not reassigned:
             whole = self.open(block)
@@ -234,7 +234,7 @@ class Work(Scene):
                 by_row[at : at + stop - start] = table.read(GROUP, start, stop)
             at += stop - start
         if (gone := by_row == GONE).any():
-            for name in columns:  # one after the other, so that no two copies of all are held
+            for name in columns:  # one by one, so that no two copies of all are held
                 columns[name] = columns[name][~gone]
             by_row = by_row[~gone]
         rows = morton_rows(columns[CODES])
@@ -243,7 +243,7 @@ class Work(Scene):
         return Members(splats, rows, columns.get(VISIBLE), by_row[rows], others)
 
     def stored(self, members: Members) -> Groups:
-        """The groups of a block as splats."""
+        """Merge each group of a block into one splat."""
         leaves = leaves_of(members.splats, members.rows, self.units, self.weighing(members.visible))
         units, growth = self.units, self.settings.parameters.growth
         return store_groups(
@@ -252,62 +252,62 @@ class Work(Scene):
         )  # fmt: skip
 
     def visible_with(self, block: int, halo: Sequence[Halo]) -> F64:
-        """(V,) how visible a block's splats are, and after them those of its halo."""
+        """Read (V,) the visibility of a block's splats, and then of those of its halo."""
         parts = [read_visible(self, block)]
         parts += [read_visible(self, each.block)[each.rows] for each in halo]
         return np.concatenate(parts)
 
     def write(self, name: str, columns: Mapping[str, Array], facts: Mapping[str, Any]) -> Record:
-        """As `Scene` says."""
+        """Write the columns and facts of a task as a table."""
         return write_table(self.scratch, name, columns, facts)
 
     def survey(self, name: str) -> Record:
-        """As `Scene` says."""
+        """Compute the units that all blocks share, and write them."""
         return self.write(name, {}, survey(self.settings, self.unpacked()).to_dict())
 
     def sample(self) -> Splats:
-        """As `Scene` says."""
+        """Read evenly spread splats of the inputs, for placing cameras."""
         return sample(self.settings, self.unpacked(), rows=SAMPLE, span=SPAN)
 
     def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
-        """As `Scene` says."""
+        """Return the cameras that the user asks for; None for automatic ones."""
         asked, parameters = self.settings.asked, self.settings.parameters
         return asked.given() or fit_cameras(
             some, asked.source, asked.up, parameters.views, parameters.view_size
         )
 
     def from_afar(self) -> Splats:
-        """As `Scene` says."""
+        """Read the finer coarse level of the scene, or the block if there is only one."""
         return coarse_scene(self, FINE) or self.block(0)[0]
 
     def keep_views(self, name: str, views: Views) -> Record:
-        """As `Scene` says."""
+        """Write the views that were chosen."""
         return self.write(name, {}, views.to_dict())
 
     def hiding(self, block: int) -> PreparedSplats | None:
-        """As `Scene` says."""
+        """Return the finer coarse level of all other blocks; None if there are none."""
         return surroundings(self, block, FINE)
 
     def surroundings(self, block: int) -> PreparedSplats | None:
-        """As `Scene` says."""
+        """Return the rougher coarse level of all other blocks; None if there are none."""
         return surroundings(self, block, ROUGH)
 
     def closer_views(self, own: Block) -> Sequence[Camera]:
-        """As `Scene` says."""
+        """Return additional views of a block that is small in every view of the scene."""
         return closer_views(self, own.splats)
 
     def draw(self, drawn: PreparedSplats, camera: Camera) -> Rendering:
-        """As `Scene` says; it is drawn again where it is held against a result."""
+        """Render a view without its colours; images to compare results with are rendered later."""
         return render(drawn, camera, contributions=True, sh_degree=0)
 
     def keep_look(
         self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
     ) -> Record:
-        """As `Scene` says."""
+        """Write a block's visibility, its share of each view, and how much the views miss."""
         return write_look(self, name, own, missed, lights, discovery)
 
     def grow(self, name: str, block: int) -> Record:
-        """As `Scene` says."""
+        """Grow the merge forest of a block, and write it."""
         own = self.open(block)
         units, weighing = self.units, self.weighing(own.visible)
         return grow(
@@ -316,7 +316,7 @@ class Work(Scene):
         )  # fmt: skip
 
     def settle(self, name: str, block: int, level: int) -> Record:
-        """As `Scene` says: it sees what lies near of other blocks."""
+        """Reassign the splats of a block and its halo, and write the outcome for the block."""
         cuts, settings = self.of_blocks("cut", level), self.settings
         own = self.partition.count(block)
         halo = find_halo(self.scratch, cuts, block, own, self.threads)
@@ -335,62 +335,62 @@ class Work(Scene):
         leaves = leaves_of(splats, morton_rows(columns[CODES]), self.units, weighing)
         view = view_of(leaves, labels, own, self.groups(block, level), halo)
         found = settled(view, settings.parameters.rounds, self.threads)
-        # Where results are measured, nothing grows by what covers it.
+        # If results are measured, growth does not depend on covers.
         cover = None if self.measures else settled_cover(view, found.labels, self.units.dilation())
         return write_settled(self.scratch, name, found, view, columns, cover)
 
     @property
     def deciding(self) -> Sequence[Camera]:
-        """As `Scene` says."""
+        """The cameras by which results are chosen."""
         return self.views.deciding
 
     def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
-        """As `Scene` says; they are drawn now."""
-        assert own.visible is not None  # noqa: S101 - this job looks
+        """Render the part of each deciding view that shows a block, or None if none does."""
+        assert own.visible is not None  # noqa: S101 - this job renders
         drawn = prepare(own.splats)
         parts = parts_of(drawn, own.visible >= SHOWN, self.deciding)
         whole = together(drawn, self.surroundings(block))
         return [as_target(render(whole, part), part) if part else None for part in parts]
 
     def fit_views(self, block: int, level: int) -> FitViews | None:
-        """As `Scene` says."""
+        """Return the views to fit a block to; None if too few show it."""
         return fit_views(self, block, level)
 
     @property
     def passes(self) -> tuple[PassReport, ...]:
-        """As `Scene` says."""
+        """Reports of the merge passes, summed over the blocks."""
         return passes_of(self.of_blocks("grow"))
 
     @property
     def shown(self) -> float:
-        """As `Scene` says."""
+        """Share of the prominence of all splats, in [0, 1], that the views show."""
         return shown_share(self)
 
     def fit_report(self, level: int) -> RefitReport | None:
-        """As `Scene` says: each block is a group."""
+        """Return the report of a result's fit, in which each block is a group."""
         return fit_report(self, level)
 
     def notes_on_fits(self, level: int) -> Sequence[str]:
-        """As `Scene` says."""
+        """Return a sentence on blocks that could not be fitted; empty if all were."""
         return notes_on_fits(self, level)
 
     def part(self, block: int, level: int) -> Splats:
-        """As `Scene` says."""
+        """Read the splats of a block in a result, before the fit."""
         record = self.of_block("part", block, level)
         return read_part(self.scratch, self.settings.result_layout, record)
 
     def keep_part(self, name: str, level: int, small: Splats) -> Record:
-        """As `Scene` says, in Morton order."""
+        """Write the splats of a block in a result, before the fit, in Morton order."""
         order = morton_rows(self.units.codes(small))
         return write_table(self.scratch, name, sorted_columns(small, order), {})
 
     def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
-        """As `Scene` says."""
+        """Write the splats of a block in a result after the fit, and the PSNR it gained."""
         facts = {"gained": [report.psnr_before, report.psnr_after] if report else None}
         return self.write(name, columns_of(fitted), facts)
 
     def _near_cover(self, block: int, level: int) -> list[Cover]:
-        """The groups of other blocks that may cover those of one, block by block."""
+        """Read the groups of other blocks that may cover those of a block, block by block."""
         near = near_groups(self.scratch, self.of_blocks("cut", level), block, self.threads)
         found = []
         for each in near:
@@ -399,7 +399,7 @@ class Work(Scene):
         return found
 
     def _handed_to(self, block: int, level: int) -> list[tuple[Record, int, int]]:
-        """Rows that other blocks hand over to one, block by block."""
+        """Return the rows that other blocks hand over to a block, as (record, start, stop)."""
         settled = self.of_blocks("settle", level)
         places = [(record, record.facts["handed"].get(str(block))) for record in settled]
         return [(record, *place) for record, place in places if place]

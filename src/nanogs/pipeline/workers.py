@@ -1,7 +1,7 @@
 """Tasks on a Dask client or any `concurrent.futures.Executor`; the bytes are those of one process.
 
 Workers read the inputs and read and write the scratch, which all of them must see under the same
-name. What a task makes is in the scratch: a worker that goes takes nothing with it that was done.
+name. The results of tasks are in the scratch: nothing that was done is lost with a worker.
 """
 
 import socket
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from distributed import Client
 
 KEPT = "the job is kept, `resume=True` continues it"
-_LOOK = 1.0  # seconds between looks at the cluster
-_ANSWER = 10  # seconds for a scheduler to say who its workers are
-_SILENT = 30.0  # seconds after which one that says nothing is lost
-_ONE = threading.Lock()  # a process has memory for one task, and Numba threads for one at a time
+_LOOK = 1.0  # seconds between checks of the cluster
+_ANSWER = 10  # seconds that a scheduler may take to list its workers
+_SILENT = 30.0  # seconds after which a scheduler that does not answer is lost
+_ONE = threading.Lock()  # a process has memory and Numba threads for one task at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,10 +39,10 @@ class Workers:
     """Does tasks on an executor.
 
     Attributes:
-        submit: As that of an executor, whose workers do them.
+        submit: `submit` of an executor, whose workers do the tasks.
         threads: For a task; None takes all of the worker's machine.
-        watch: Called each second without a result, with the time of the last; it raises if there
-            will be none.
+        watch: Called each second without a result, with the time of the last; it raises if no
+            more can be expected.
     """
 
     submit: "Callable[..., futures.Future[None]]"
@@ -76,7 +76,7 @@ class Workers:
                 yield task
         finally:
             for future in left:
-                future.cancel()  # what no worker has begun is not begun any more
+                future.cancel()  # tasks that no worker has begun are not begun any more
 
     def _begin(self, *given: Any) -> "futures.Future[None]":  # noqa: ANN401
         try:
@@ -84,14 +84,14 @@ class Workers:
         except futures.BrokenExecutor:
             raise _ended(1) from None
         except Exception:
-            self.watch(time.monotonic())  # says so, if a cluster is gone
+            self.watch(time.monotonic())  # raises a better error if the cluster is gone
             raise
 
 
 def _submit_to(client: "Client", *given: Any) -> "futures.Future[None]":  # noqa: ANN401
-    """Have a Dask client do something, as an executor does, but fetch no result.
+    """Submit a task to a Dask client, as an executor does, but fetch no result.
 
-    What `Client.get_executor` gives has futures that are never done if it cannot be fetched.
+    The futures of `Client.get_executor` are never done if the result cannot be fetched.
     """
     theirs, ours = client.submit(*given, pure=False), futures.Future[None]()
 
@@ -111,14 +111,14 @@ def _submit_to(client: "Client", *given: Any) -> "futures.Future[None]":  # noqa
 
 @dataclass(slots=True, eq=False)
 class _Watch:
-    """Raises when a Dask cluster will do nothing more, as far as one can tell.
+    """Raises if a Dask cluster can be expected to do nothing more.
 
     Attributes:
         client: Of the cluster.
-        patience: Seconds to wait for a worker where there is none.
-        waiting: Called again and again while there is none.
-        heard: When the scheduler last said something.
-        staffed: When there last was a worker.
+        patience: Seconds to wait for a worker if there is none.
+        waiting: Called repeatedly while there is none.
+        heard: Time of the scheduler's last answer.
+        staffed: Time when there last was a worker.
     """
 
     client: "Client"
@@ -128,10 +128,10 @@ class _Watch:
     staffed: float = 0.0
 
     def __call__(self, since: float) -> None:
-        """Ask who the workers are.
+        """Ask the scheduler for its workers.
 
         Raises:
-            OutputError: Nobody says so, or nobody is there for too long.
+            OutputError: It does not answer, or has had no worker for too long.
         """
         self.heard, self.staffed = max(self.heard, since), max(self.staffed, since)
         found = None if self.client.status == "closed" else _count(self.client)
@@ -157,13 +157,13 @@ def workers_of(
     patience: float,
     waiting: Callable[[], None],
 ) -> Workers:
-    """Who does tasks on a Dask client, or on an executor.
+    """Return the workers of a Dask client, or of an executor.
 
     Args:
         given: The client or executor.
         threads: For a task; None takes all of the worker's machine.
-        patience: Seconds to wait for a worker where a cluster has none.
-        waiting: Called again and again while it has none.
+        patience: Seconds to wait for a worker if a cluster has none.
+        waiting: Called repeatedly while it has none.
 
     Raises:
         OptionError: It is neither.
@@ -179,19 +179,19 @@ def workers_of(
 
 
 def _count(client: "Client") -> int | None:
-    """How many workers there are; None where the scheduler does not say."""
+    """Return the number of workers; None if the scheduler does not answer."""
     try:
         asked = client.scheduler.ncores
         return len(client.sync(asked, callback_timeout=_ANSWER))
-    except Exception:  # whatever Dask raises here: the scheduler does not say
+    except Exception:  # of any kind that Dask raises: the scheduler does not answer
         return None
 
 
 def check(future: "futures.Future[None]", task: Task) -> None:
-    """Raise what a task ended with, if it failed.
+    """Raise the error of a task, if it failed.
 
     Raises:
-        NanogsError: It failed for a reason that can be told.
+        NanogsError: It failed for a known reason.
     """
     error = None if future.cancelled() else future.exception()
     if future.cancelled() or isinstance(error, futures.CancelledError):

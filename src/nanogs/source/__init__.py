@@ -1,8 +1,8 @@
-"""Models of which some rows are read at a time: in memory, in a file, joined, filtered or turned.
+"""Models that are read some rows at a time: in memory, in a file, joined, filtered or turned.
 
-Every reader gives a `Source`; `load` is one whose rows are all read. `Joined`, `Filtered`,
-`Turned`, `Reduced` and `Tagged` change rows when they are read, and hold none. What a format has
-to do with it is in `io`.
+Every reader of a file gives a `Source`; `load` reads all its rows. `Joined`, `Filtered`, `Turned`,
+`Reduced` and `Tagged` are lazy: they change rows when these are read, and hold none. What depends
+on a format is in `io`.
 """
 
 from nanogs.source.base import Layout, Source, joined_rows

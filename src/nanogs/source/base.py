@@ -1,4 +1,4 @@
-"""The interface of a source: a model of which some rows are read at a time."""
+"""The interface of a source: a model that is read some rows at a time."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -13,13 +13,13 @@ from nanogs.errors import OptionError
 from nanogs.findings import join_findings
 from nanogs.splats import ExtraElement, Splats, concatenate
 
-BLOCK_ROWS = 8192  # of a block, unless told otherwise
-PAGE_ROWS = 1 << 13  # rows of which a filter's are counted, and that are read at once to take some
+BLOCK_ROWS = 8192  # rows of a block by default
+PAGE_ROWS = 1 << 13  # rows for each count of a filter, and that `take` reads at a time
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The columns of a model, and what is said of all its splats.
+    """The columns of a model, and its other properties that do not depend on the row.
 
     Attributes:
         sh_degree: Degree of the spherical harmonics, 0 to 4.
@@ -27,7 +27,7 @@ class Layout:
         extras: Name and dtype of the extra columns.
         render_mode: The rasteriser that the model was trained for.
         comments: Comment lines.
-        notes: What is left out of the whole, one sentence each.
+        notes: What is left out of the whole model, one sentence each.
     """
 
     sh_degree: int
@@ -38,26 +38,26 @@ class Layout:
     notes: tuple[str, ...] = ()
 
     def bare(self) -> "Layout":
-        """The same without higher harmonics and extra columns."""
+        """Return the layout without higher harmonics and extra columns."""
         return replace(self, sh_degree=0, extras=())
 
     def reduced(self, sh_degree: int | None) -> "Layout":
-        """The same with harmonics of a degree at most, or None for all."""
+        """Return the layout with harmonics of a degree at most, or None for all."""
         if sh_degree is None or sh_degree >= self.sh_degree:
             return self
         return replace(self, sh_degree=sh_degree)
 
 
 class Source(ABC):
-    """A model of which some rows are read at a time.
+    """A model that is read some rows at a time.
 
-    `read(start, stop)` and `take(rows)` give splats with the columns of `columns`, bit for bit as
-    the whole has them, with notes about those rows; further PLY elements come without their rows,
-    which `read_elements` gives. A source that holds files open or temporary ones is closed by
-    `close`, or at the end of a `with` block.
+    `read(start, stop)` and `take(rows)` return splats with the columns of `columns`, bit for bit as
+    in the whole model, with notes about those rows; further PLY elements have no rows there, which
+    `read_elements` gives. A source that holds files open or temporary ones is closed by `close`, or
+    at the end of a `with` block.
 
     Attributes:
-        name: What it is called in messages.
+        name: Its name in messages.
         elements: Name and number of rows of each further PLY element.
     """
 
@@ -71,11 +71,11 @@ class Source(ABC):
 
     @cached_property
     def columns(self) -> Layout:
-        """The columns; no row is read for them."""
+        """The columns, known without reading any row."""
         raise NotImplementedError
 
     def read(self, start: int, stop: int) -> Splats:
-        """Some rows.
+        """Read rows `start` to `stop`.
 
         Args:
             start: The first row, from 0.
@@ -91,10 +91,10 @@ class Source(ABC):
 
     @abstractmethod
     def _span(self, start: int, stop: int) -> Splats:
-        """As `read`, of rows that there are."""
+        """Read rows as `read` does, after it has checked that they exist."""
 
     def take(self, rows: I64) -> Splats:
-        """Rows by number, in any order; those that lie far apart are read one page at a time.
+        """Read rows by number, in any order; those far apart are read one page at a time.
 
         Args:
             rows: (M,) integers, each from 0 and below `count`.
@@ -113,7 +113,7 @@ class Source(ABC):
         return self._take(rows)
 
     def _take(self, rows: I64) -> Splats:
-        """As `take`, of one row or more that there are."""
+        """Read rows as `take` does, after it has checked that there is one and all exist."""
         order = np.argsort(rows, kind="stable")
         ascending = rows[order]
         breaks = np.flatnonzero(np.diff(ascending // PAGE_ROWS)) + 1
@@ -129,17 +129,17 @@ class Source(ABC):
         return OptionError(f"{self.name} has {what}: its {self.count:,} are counted from 0.")
 
     def blocks(self, rows: int | None = None) -> Iterator[Splats]:
-        """All splats in their order, so many at a time; `BLOCK_ROWS` unless told otherwise.
+        """Yield all splats in order, `rows` at a time, by default `BLOCK_ROWS`.
 
         Raises:
-            FormatError: As for `read`, after some blocks perhaps.
+            FormatError: As for `read`, possibly after some blocks.
         """
         step = rows or BLOCK_ROWS
         for start in range(0, self.count, step):
             yield self.read(start, min(start + step, self.count))
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
-        """The further PLY elements with their rows.
+        """Read the further PLY elements with their rows.
 
         Raises:
             FormatError: They cannot be read.
@@ -147,7 +147,7 @@ class Source(ABC):
         return ()
 
     def load(self) -> Splats:
-        """The whole model.
+        """Read the whole model.
 
         Raises:
             FormatError: As for `read`.
@@ -169,7 +169,7 @@ class Source(ABC):
 
 
 def joined_rows(parts: Sequence[Splats]) -> Splats:
-    """Rows of one model that were read apart, and what was said of them."""
+    """Concatenate rows of one model that were read apart, and merge their notes."""
     if len(parts) == 1:
         return parts[0]
     return replace(concatenate(parts), notes=join_findings(part.notes for part in parts))

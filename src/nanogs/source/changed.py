@@ -1,4 +1,4 @@
-"""Sources whose rows are changed when they are read: filtered, turned, of fewer bands, ..."""
+"""Sources that change the rows of another source when these are read: filtered, turned, ..."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ from nanogs.splats import ExtraElement, RenderMode, Splats, refuse_misaligned
 
 
 class _Changed(Source):
-    """A source whose rows are changed when they are read."""
+    """A source that changes the rows of another when these are read."""
 
     def __init__(self, source: Source) -> None:
         self._source, self.name = source, source.name
@@ -28,32 +28,32 @@ class _Changed(Source):
         return self._source.count
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
-        """The elements of the source; see `Source`."""
+        """Read the elements of the original source; see `Source.read_elements`."""
         return self._source.read_elements()
 
     def close(self) -> None:
-        """Close the source."""
+        """Close the original source."""
         self._source.close()
 
 
 class _Mapped(_Changed):
-    """A source each of whose rows is changed by itself."""
+    """A source that changes each row independently of the others."""
 
     def __init__(self, source: Source, change: Callable[[Splats], Splats]) -> None:
         super().__init__(source)
         self._change = change
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source.read`."""
         return self._change(self._source.read(start, stop))
 
     def load(self) -> Splats:
-        """The whole model."""
+        """Read the whole model."""
         return self._change(self._source.load())
 
 
 class Turned(_Mapped):
-    """A model in another frame; see `nanogs.frames`.
+    """A model turned to another frame; see `nanogs.frames`.
 
     Args:
         source: The model.
@@ -83,11 +83,11 @@ class Reduced(_Mapped):
 
 
 class Tagged(_Mapped):
-    """A model that is to be drawn as another rasteriser does than the one it names.
+    """A model with another render mode than its own.
 
     Args:
         source: The model.
-        mode: The rasteriser.
+        mode: The rasteriser it is to be drawn by.
     """
 
     def __init__(self, source: Source, mode: RenderMode) -> None:
@@ -96,18 +96,18 @@ class Tagged(_Mapped):
 
 
 class Filtered(_Changed):
-    """The splats of a model that several filters leave, each looking at what those before it left.
+    """The splats of a model that pass several filters, each applied to what those before it left.
 
-    What each page of rows keeps is counted in a first pass over the source, made when it is first
-    needed; then pages are read as they are asked for, and filtered again.
+    The rows that are left of each page are counted in a first pass over the source, made when the
+    counts are first needed; then pages are read when they are asked for, and filtered again.
 
     Args:
         source: The model.
-        filters: What leaves out splats, such as `nanogs.filters.box(low, high)`.
-        kept: What each page keeps, if it has been counted.
+        filters: Filters, such as `nanogs.filters.box(low, high)`.
+        kept: Number of rows left of each page, if they have been counted.
 
     Raises:
-        OptionError: A filter has to see the whole model, which `nanogs.filters.apply` gives it.
+        OptionError: A filter has to see the whole model; `nanogs.filters.apply` can be used for it.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class Filtered(_Changed):
 
     @cached_property
     def _passed(self) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
-        """(P, F) rows of each page that are left after each filter.
+        """(P, F) number of rows of each page that are left after each filter.
 
         Raises:
             ModelError: None is left, or an element has one row a splat.
@@ -142,7 +142,7 @@ class Filtered(_Changed):
 
     @property
     def kept(self) -> tuple[int, ...]:
-        """Splats that each page of `PAGE_ROWS` rows keeps.
+        """Number of rows left of each page of `PAGE_ROWS` rows.
 
         Raises:
             ModelError: None is left, or an element has one row a splat.
@@ -153,7 +153,7 @@ class Filtered(_Changed):
 
     @property
     def reports(self) -> tuple[FilterReport, ...]:
-        """How many splats each filter takes."""
+        """Reports of the number of splats that each filter removes."""
         left = [self._source.count, *self._passed.sum(axis=0).tolist()]
         return tuple(
             FilterReport(each.name, each.argument, before - after, after)
@@ -166,11 +166,11 @@ class Filtered(_Changed):
 
     @cached_property
     def count(self) -> int:
-        """Splats that are left."""
+        """Number of splats that are left."""
         return int(self._ends[-1])
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop` of those left; see `Source.read`."""
         first = int(np.searchsorted(self._ends, start, side="right")) - 1
         last = max(int(np.searchsorted(self._ends, stop, side="left")), first + 1)
         pages = [self._page(page) for page in range(first, min(last, len(self._ends) - 1))]
@@ -188,10 +188,10 @@ class Filtered(_Changed):
         return self._last[1]
 
     def close(self) -> None:
-        """Let go of the last page, and close the source."""
+        """Free the cached page, and close the source."""
         self._last = None
         super().close()
 
     def load(self) -> Splats:
-        """The whole model that is left."""
+        """Read all splats that are left."""
         return apply(self._source.load(), self._filters)[0]

@@ -13,14 +13,14 @@ from nanogs.splats import RenderMode, Splats, padded
 
 
 class Joined(Source):
-    """Several models as parts of one scene, one after the other.
+    """Several models as parts of one scene, concatenated.
 
     The columns are those that all have; coefficients that a part lacks are 0.
 
     Args:
         parts: One or more.
-        layout: Columns that the parts are brought to; by default `joined_layout` of theirs. Of a
-            lower SH degree than theirs, it leaves out the bands above.
+        layout: Layout that the parts are converted to; by default `joined_layout` of theirs. If its
+            SH degree is lower than theirs, the bands above are left out.
 
     Raises:
         ModelError: The parts make no one scene.
@@ -34,7 +34,7 @@ class Joined(Source):
         self.name = ", ".join(part.name for part in parts)
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source.read`."""
         found = []
         for part, (first, end) in zip(self._parts, pairwise(self._ends), strict=True):
             low, high = max(start, first), min(stop, end)
@@ -43,7 +43,7 @@ class Joined(Source):
         return joined_rows(found)
 
     def load(self) -> Splats:
-        """The whole model, with the notes of all parts."""
+        """Read the whole model, with the notes of all parts."""
         splats = joined_rows([fitted(part.load(), self.columns) for part in self._parts])
         notes = dict.fromkeys([*self.columns.notes, *splats.notes])
         return replace(splats, notes=tuple(notes))
@@ -55,7 +55,7 @@ class Joined(Source):
 
 
 def joined_layout(parts: Sequence[Source]) -> Layout:
-    """The columns that parts of one scene are brought to.
+    """Return the layout that parts of one scene are converted to.
 
     Raises:
         OptionError: There is no part.
@@ -98,7 +98,7 @@ def joined_layout(parts: Sequence[Source]) -> Layout:
 
 
 def fitted(splats: Splats, layout: Layout) -> Splats:
-    """The splats with the columns and comments of a layout, without elements."""
+    """Convert splats to the columns and comments of a layout, without elements."""
     means = splats.means.astype(np.float64) if layout.double_means else splats.means
     cut = splats.with_sh_degree(layout.sh_degree)
     return Splats(

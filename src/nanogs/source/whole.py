@@ -1,4 +1,4 @@
-"""A model that is held whole, as a source."""
+"""A model in memory, as a source."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from nanogs.splats import ExtraElement, Splats
 
 
 class InMemory(Source):
-    """A model that is held whole, as a source; what is read are views of it."""
+    """A model in memory, as a source; `read` returns views of it."""
 
     def __init__(self, splats: Splats) -> None:
         self._splats, self.count = splats, len(splats)
@@ -25,22 +25,22 @@ class InMemory(Source):
         )
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`. What is said of the whole is in `columns`."""
+        """Read rows `start` to `stop`; notes on the whole model are in `columns`."""
         return replace(self._splats.span(start, stop), notes=())
 
     def _take(self, rows: I64) -> Splats:
-        """Rows by number; see `Source`."""
+        """Read rows by number; see `Source.take`."""
         return replace(self._splats.take(rows), notes=())
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
-        """The elements of the model; see `Source`."""
+        """Return the elements of the model."""
         return tuple(self._splats.elements)
 
     def load(self) -> Splats:
-        """The model itself."""
+        """Return the model itself."""
         return self._splats
 
 
 def source_of(model: Splats | Source) -> Source:
-    """A model in memory as a source; sources as they are."""
+    """Return a model in memory as a source; a source is returned unchanged."""
     return InMemory(model) if isinstance(model, Splats) else model

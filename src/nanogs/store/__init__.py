@@ -1,1 +1,1 @@
-"""Tables of a job: columns of numbers and facts, in a folder or under a URL."""
+"""Tables of a job: columns of numbers, and facts in JSON, in a folder or under a URL."""

@@ -1,4 +1,4 @@
-"""Splats as the columns of a table, and back."""
+"""Conversion of splats to the columns of a table, and back."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,18 +16,18 @@ CODES = "codes"
 
 
 def columns_of(splats: Splats) -> dict[str, Array]:
-    """Every column of the splats by name."""
+    """Return every column of the splats by name."""
     own: dict[str, Array] = {name: getattr(splats, name) for name in _OWN}
     return own | {_EXTRA + name: column for name, column in splats.extras.items()}
 
 
 def sorted_columns(splats: Splats, rows: I64) -> dict[str, Array | Sorted]:
-    """The columns of some rows, in their order, taken when they are written."""
+    """Return the columns of some rows in the given order; rows are gathered when written."""
     return {name: Sorted(column, rows) for name, column in columns_of(splats).items()}
 
 
 def row_bytes(layout: Layout) -> int:
-    """Bytes of a splat in memory and in a table."""
+    """Return the bytes of a splat in memory and in a table."""
     return sum(np.dtype(kind).itemsize * size for kind, size in _kinds(layout).values())
 
 
@@ -44,7 +44,7 @@ def _kinds(layout: Layout) -> dict[str, tuple[str, int]]:
 
 
 def empty_columns(layout: Layout, count: int) -> dict[str, Array]:
-    """Make columns to be filled."""
+    """Allocate columns for `count` splats, uninitialised."""
     coefficients = (layout.sh_degree + 1) ** 2
     shapes: dict[str, tuple[int, ...]] = {
         "means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3)
@@ -56,12 +56,12 @@ def empty_columns(layout: Layout, count: int) -> dict[str, Array]:
 
 
 def no_splats(layout: Layout) -> Splats:
-    """A model without splats that is like those of a layout in all else."""
+    """Return a model without splats that has the columns and properties of a layout."""
     return splats_of(empty_columns(layout, 0), layout)
 
 
 def splats_of(columns: Mapping[str, Array], layout: Layout) -> Splats:
-    """Splats of these columns, which are not copied."""
+    """Make splats of columns, without copying them."""
     own: dict[str, Any] = {name: columns[name] for name in _OWN}
     extras = {name: columns[_EXTRA + name] for name, _ in layout.extras}
     return Splats(
@@ -73,7 +73,7 @@ def splats_of(columns: Mapping[str, Array], layout: Layout) -> Splats:
 
 
 def read_rows(table: Table, columns: Mapping[str, Array], at: int, rows: I64 | slice) -> None:
-    """Fill columns, from row `at` on, with rows of a table: a slice, or ascending ones."""
+    """Fill columns from row `at` on with rows of a table: a slice, or ascending row numbers."""
     for name, column in columns.items():
         if isinstance(rows, slice):
             table.read_into(name, rows.start, column[at : at + rows.stop - rows.start])
@@ -82,5 +82,5 @@ def read_rows(table: Table, columns: Mapping[str, Array], at: int, rows: I64 | s
 
 
 def count_of(record: Record) -> int:
-    """Rows of a table of splats."""
+    """Return the number of rows of a table of splats."""
     return record.columns["means"].shape[0]

@@ -1,4 +1,4 @@
-"""Intermediate files by URL, such as s3://bucket/job, through fsspec."""
+"""Intermediate files under a URL, such as s3://bucket/job, through fsspec."""
 
 import io
 from collections.abc import Iterable, Iterator
@@ -11,17 +11,17 @@ from nanogs._types import Array
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.store.scratch import MADE, SUFFIXES, write_hashed
 
-# Stores of objects by name: they have no folders, and none is to be made or taken away, which for
-# a name without slashes would be a bucket.
+# Object stores: they have no folders, so none is made or removed; for a name without slashes, that
+# would be a bucket.
 _STORES = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss", "oci"})
-_UPLOAD = 1 << 23  # bytes that are uploaded at a time, and held until then
-_RANGE = 1 << 22  # bytes that are asked for at a time, which are held twice
-_AT_ONCE = 8  # requests
+_UPLOAD = 1 << 23  # bytes of a part of an upload, which are buffered until it is sent
+_RANGE = 1 << 22  # most bytes of a request; they are held twice
+_AT_ONCE = 8  # concurrent requests
 _PROBE = "probe.tmp"
 
 
 class UrlScratch:
-    """A folder by URL; a file is there once its record is."""
+    """Intermediate files under a URL; a table is complete once its record is there."""
 
     def __init__(self, url: str) -> None:
         try:
@@ -42,16 +42,16 @@ class UrlScratch:
 
     @property
     def place(self) -> str:
-        """The folder or URL."""
+        """The URL."""
         return self.url
 
     @property
     def at_once(self) -> int:
-        """As `Scratch` says."""
+        """Number of files to read at a time, to hide the latency of requests."""
         return _AT_ONCE
 
     def prepare(self) -> None:
-        """As `Scratch` says; what is not allowed shows here, before anything is computed."""
+        """Make the folder, and try to write, read and delete there before anything is computed."""
         with self._reached(f"{self.url} cannot be written to"):
             if self.has_folders:
                 new = not self.files.exists(self.root.rpartition("/")[0])
@@ -65,41 +65,41 @@ class UrlScratch:
             self.files.rm_file(f"{self.root}/{_PROBE}")
 
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
-        """As `Scratch` says."""
+        """Upload a file, whole or not at all; see `Scratch.write`."""
         with self._reached(f"{self.url}/{name} cannot be written"):
             file = self.files.open(f"{self.root}/{name}", "wb", block_size=_UPLOAD)
             try:
                 written = write_hashed(file, parts)
             except BaseException:
-                with suppress(Exception):  # closed, it would appear as if it were whole
+                with suppress(Exception):  # closing it would publish the part as a whole file
                     file.discard()
                 raise
             file.close()
         return written
 
     def open(self, name: str, size: int | None = None) -> BinaryIO:
-        """As `Scratch` says."""
+        """Open a file to read and seek in; see `Scratch.open`."""
         path = f"{self.root}/{name}"
         if size is None:
             with self._reached(f"{self.url}/{name} cannot be read"):
-                self.files.invalidate_cache()  # others write too
+                self.files.invalidate_cache()  # other processes write too
                 size = int(self.files.size(path))
         return cast("BinaryIO", _Ranges(self, path, size))
 
     def read(self, path: str, start: int, stop: int) -> bytes:
-        """Bytes of a file, one request."""
+        """Read a range of bytes of a file, in one request."""
         with self._reached(f"{path} cannot be read"):
             return bytes(self.files.cat_file(path, start=start, end=stop))
 
     def discard(self, beginnings: tuple[str, ...]) -> None:
-        """As `Scratch` says."""
+        """Delete all files written here whose names begin with one of `beginnings`."""
         with self._reached(f"Nothing can be deleted in {self.url}"):
             for path in self._names(SUFFIXES):
                 if path.rpartition("/")[2].startswith(beginnings):
                     self.files.rm_file(path)
 
     def remove(self) -> None:
-        """As `Scratch` says."""
+        """Delete all files written here, and the folder; see `Scratch.remove`."""
         with self._reached(f"{self.url} cannot be emptied"):
             self._abort()
             paths = self._names(SUFFIXES)
@@ -112,7 +112,7 @@ class UrlScratch:
                         self.files.rmdir(self.root.rpartition("/")[0])
 
     def tidy(self) -> None:
-        """As `Scratch` says."""
+        """Delete temporary files and abort unfinished uploads of killed writers."""
         with self._reached(f"{self.url} cannot be tidied"):
             self._abort()
             for path in self._names((".tmp",)):
@@ -127,12 +127,12 @@ class UrlScratch:
         return [str(path) for path in found if str(path).endswith(suffixes)]
 
     def _abort(self) -> None:
-        """Give up uploads to S3 that were never ended: nobody sees them, and they are paid for."""
+        """Abort unfinished multipart uploads to S3: they are invisible, but cost money."""
         call = getattr(self.files, "call_s3", None)
         if call is None:
             return
         bucket, _, prefix = self.root.partition("/")
-        with suppress(Exception):  # not every store, nor every key, may list them
+        with suppress(Exception):  # not every store supports listing, nor every key permits it
             found = call("list_multipart_uploads", Bucket=bucket, Prefix=f"{prefix}/")
             for each in found.get("Uploads", ()):
                 given = {"Key": each["Key"], "UploadId": each["UploadId"]}
@@ -140,9 +140,10 @@ class UrlScratch:
 
     @contextmanager
     def _reached(self, otherwise: str) -> Iterator[None]:
-        """Say in a sentence what the store answers; that a file is missing goes through.
+        """Turn any error of the store into an `OutputError` with a sentence.
 
-        Stores raise errors of their own besides those of the system.
+        Stores raise errors of their own besides those of the system. A missing file raises
+        `FileNotFoundError` as before if it was to be read.
         """
         try:
             yield
@@ -157,7 +158,7 @@ class UrlScratch:
 
 
 class _Ranges(io.RawIOBase):
-    """A file to read and seek in, of which each read is one request."""
+    """A seekable file object for reading, each of whose reads is one request."""
 
     def __init__(self, scratch: UrlScratch, path: str, size: int) -> None:
         self.scratch, self.path, self.size, self.at = scratch, path, size, 0
@@ -179,7 +180,7 @@ class _Ranges(io.RawIOBase):
         self.at += len(data)
         return data
 
-    def readinto(self, buffer: Any, /) -> int:  # noqa: ANN401 - whatever has bytes
+    def readinto(self, buffer: Any, /) -> int:  # noqa: ANN401 - any buffer
         data = self.read(min(len(buffer), _RANGE))
         buffer[: len(data)] = data
         return len(data)

@@ -1,6 +1,6 @@
-"""Intermediate files of a job: in a folder, or at a URL (`remote`).
+"""Intermediate files of a job: in a folder, or under a URL (`remote`).
 
-Files appear whole or not at all. They are not forced to the disk: after a power cut, a resumed job
+Files appear whole or not at all. They are not synced to the disk: after a power cut, a resumed job
 finds by their checksums which of them never arrived.
 """
 
@@ -17,12 +17,12 @@ from nanogs._types import Array
 from nanogs.io.atomic import output_error
 
 SUFFIXES = (".npy", ".json", ".tmp")
-MADE = "made.json"  # is there where the folder around was made too, and by no user
+MADE = "made.json"  # marks that `prepare` made the parent folder, not the user
 _CHUNK = 1 << 22
 
 
 class Scratch(Protocol):
-    """Files by name."""
+    """Storage of the intermediate files of a job, by name."""
 
     @property
     def place(self) -> str:
@@ -30,7 +30,7 @@ class Scratch(Protocol):
 
     @property
     def at_once(self) -> int:
-        """How many files are read at a time: far ones let each of them wait."""
+        """Number of files to read at a time; more than 1 where each read has a long latency."""
 
     def prepare(self) -> None:
         """Make the folder. Only the caller does: a worker that does not see it must not make one.
@@ -40,54 +40,54 @@ class Scratch(Protocol):
         """
 
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
-        """Write a file, whole or not at all; its bytes and their SHA-256.
+        """Write a file, whole or not at all; return its size in bytes and its SHA-256.
 
         Raises:
             OutputError: It cannot be written.
         """
 
     def open(self, name: str, size: int | None = None) -> BinaryIO:
-        """A file to read and seek in.
+        """Open a file to read and seek in.
 
         Args:
             name: Of the file.
-            size: Its bytes, where they are known.
+            size: Its bytes, if they are known.
 
         Raises:
             OSError: It is not there.
         """
 
     def discard(self, beginnings: tuple[str, ...]) -> None:
-        """Take away all files that `write` made whose names begin so."""
+        """Delete all files of `write` whose names begin with one of `beginnings`."""
 
     def remove(self) -> None:
-        """Take away all files that `write` made, and the folder, and the one around it.
+        """Delete all files of `write`, the folder, and its parent.
 
-        That one only if it is empty and `prepare` made it, of this run or of one before.
+        The parent only if it is empty and `prepare` made it, in this run or an earlier one.
         """
 
     def tidy(self) -> None:
-        """Take away what killed writers left."""
+        """Delete temporary files of writers that were killed."""
 
 
 class FolderScratch:
-    """A folder of this machine, or one that all workers share."""
+    """Intermediate files in a folder of this machine, or in one that all workers share."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     @property
     def place(self) -> str:
-        """The folder or URL."""
+        """The folder."""
         return str(self.folder)
 
     @property
     def at_once(self) -> int:
-        """As `Scratch` says."""
+        """One: files are read one at a time."""
         return 1
 
     def prepare(self) -> None:
-        """As `Scratch` says."""
+        """Make the folder, and mark that its parent was made too; see `Scratch.prepare`."""
         try:
             new = not self.folder.parent.exists()
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -97,7 +97,7 @@ class FolderScratch:
             raise output_error(self.folder, error) from error
 
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
-        """As `Scratch` says."""
+        """Write a file under a temporary name and rename it; see `Scratch.write`."""
         temporary = self.folder / f"{name}.{secrets.token_hex(4)}.tmp"
         try:
             with temporary.open("xb", buffering=0) as file:
@@ -111,17 +111,17 @@ class FolderScratch:
         return written
 
     def open(self, name: str, size: int | None = None) -> BinaryIO:  # noqa: ARG002
-        """As `Scratch` says."""
+        """Open a file to read and seek in; see `Scratch.open`."""
         return cast("BinaryIO", (self.folder / name).open("rb", buffering=0))
 
     def discard(self, beginnings: tuple[str, ...]) -> None:
-        """As `Scratch` says."""
+        """Delete all files written here whose names begin with one of `beginnings`."""
         for path in self._files(SUFFIXES):
             if path.name.startswith(beginnings):
                 path.unlink(missing_ok=True)
 
     def remove(self) -> None:
-        """As `Scratch` says."""
+        """Delete all files written here, and the folder; see `Scratch.remove`."""
         made = (self.folder / MADE).exists()
         for path in self._files(SUFFIXES):
             path.unlink(missing_ok=True)
@@ -131,7 +131,7 @@ class FolderScratch:
                 self.folder.parent.rmdir()
 
     def tidy(self) -> None:
-        """As `Scratch` says."""
+        """Delete temporary files of writers that were killed."""
         for path in self._files((".tmp",)):
             path.unlink(missing_ok=True)
 
@@ -141,10 +141,10 @@ class FolderScratch:
 
 
 def open_scratch(place: str) -> Scratch:
-    """The files at a folder or URL.
+    """Return the storage at a folder or URL.
 
     Raises:
-        OptionError: What reaches that kind of URL is not installed.
+        OptionError: The package for that kind of URL is not installed.
     """
     if not is_url(place):
         return FolderScratch(Path(place))
@@ -154,12 +154,12 @@ def open_scratch(place: str) -> Scratch:
 
 
 def is_url(place: str) -> bool:
-    """Whether a place is one that fsspec reaches."""
+    """Whether a place is a URL for fsspec, and not a folder."""
     return "://" in place
 
 
 def hash_file(file: BinaryIO) -> tuple[int, str]:
-    """Bytes of an open file from here on, and their SHA-256."""
+    """Return the number of bytes of an open file from here on, and their SHA-256."""
     digest, count = hashlib.sha256(), 0
     while chunk := file.read(_CHUNK):
         digest.update(chunk)
@@ -168,7 +168,7 @@ def hash_file(file: BinaryIO) -> tuple[int, str]:
 
 
 def write_hashed(file: BinaryIO, parts: Iterable[Array]) -> tuple[int, str]:
-    """Write parts one after the other; their bytes, and the SHA-256 of these."""
+    """Write arrays one by one; return the number of bytes and their SHA-256."""
     digest, count = hashlib.sha256(), 0
     for part in parts:
         data = part.reshape(-1).view(np.uint8).data

@@ -1,7 +1,7 @@
-"""Columns of numbers in `.npy` files, with a record of what they are; rows are read by ranges.
+"""Tables: columns of numbers in `.npy` files and a record in JSON; rows are read by ranges.
 
-A table is `NAME.0.npy` and so on, a file a column, and `NAME.json`, its record, which is written
-last: where it stands, the task that made it is done. Records are data and hold no code.
+A table is `NAME.0.npy` and so on, one file for each column, and `NAME.json`, its record, which is
+written last: if it exists, the task that made it is done. Records are data and hold no code.
 """
 
 import hashlib
@@ -25,13 +25,13 @@ _WINDOW = 1 << 15  # rows
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column's file, and what it holds.
+    """The file of a column, its type and shape.
 
     Attributes:
         file: Its name.
         dtype: As NumPy writes it.
-        shape: Rows, and the shape of each.
-        bytes: Of the file.
+        shape: Number of rows, and the shape of each.
+        bytes: Size of the file.
         sha256: Of the file.
     """
 
@@ -48,7 +48,7 @@ class Column:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all rows, which are the last of the file."""
+        """Bytes of all rows, which are the end of the file, after its header."""
         return self.shape[0] * self.row_bytes
 
 
@@ -59,7 +59,7 @@ class Record:
     Attributes:
         name: Of the table.
         columns: By name.
-        facts: What else the task found; plain data.
+        facts: Other results of the task, as plain data.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Sorted:
-    """A column whose rows are written in another order, or only some of them."""
+    """Rows of a column to be written in the order of `rows`, all or some of them."""
 
     values: Array
     rows: I64
@@ -77,7 +77,7 @@ class Sorted:
 
 @dataclass(frozen=True, slots=True)
 class Streamed:
-    """A column that comes in pieces of rows, so that it is never held whole."""
+    """A column that is written in pieces of rows, so that it is never held whole."""
 
     dtype: "np.dtype[Any]"
     shape: tuple[int, ...]
@@ -90,13 +90,13 @@ def write_table(
     columns: Mapping[str, Array | Sorted | Streamed] | Iterable[tuple[str, Array]],
     facts: Mapping[str, Any],
 ) -> Record:
-    """Write columns and facts; the record comes last, and has the facts as they then are.
+    """Write columns and facts; the record is written last, with the facts as they are then.
 
     Args:
-        scratch: Where to.
+        scratch: Where to write.
         name: Of the table.
-        columns: By name; or one at a time, as they come.
-        facts: What else was found; looked at when all columns are written.
+        columns: By name; or an iterable, of which one at a time is made and written.
+        facts: Other results; read when all columns are written.
 
     Raises:
         OutputError: They cannot be written.
@@ -118,7 +118,7 @@ def write_table(
 def _parts(
     column: Array | Sorted | Streamed, dtype: "np.dtype[Any]", shape: tuple[int, ...]
 ) -> Iterator[Array]:
-    """A `.npy` file: its header, and rows."""
+    """Yield the parts of a `.npy` file: its header, and then rows."""
     header = io.BytesIO()
     about = {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
     npy.write_array_header_1_0(header, about)
@@ -133,7 +133,7 @@ def _parts(
 
 
 def read_record(scratch: Scratch, name: str) -> Record | None:
-    """The record of a table; None where it is missing or damaged."""
+    """Read the record of a table; None if it is missing or damaged."""
     try:
         with scratch.open(f"{name}.json") as file:
             whole = json.loads(file.read())
@@ -157,7 +157,7 @@ def _sha256(text: str) -> str:
 
 
 def verified(scratch: Scratch, name: str) -> Record | None:
-    """The record of a table whose files are as they were written; None where they are not."""
+    """Read the record of a table whose files match its sizes and hashes; None if one does not."""
     record = read_record(scratch, name)
     if record is None:
         return None
@@ -194,7 +194,7 @@ class Table:
         return next(iter(self.record.columns.values())).shape[0]
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> Array:
-        """Rows of a column; all by default."""
+        """Read rows of a column; all by default."""
         about = self.record.columns[column]
         stop = about.shape[0] if stop is None else stop
         out = np.empty((stop - start, *about.shape[1:]), about.dtype)
@@ -202,7 +202,7 @@ class Table:
         return out
 
     def read_into(self, column: str, start: int, out: Array) -> None:
-        """Fill an array of the column's type, contiguous, with its rows from `start` on.
+        """Fill a contiguous array of the column's type with its rows from `start` on.
 
         Raises:
             FormatError: The file is shorter than its record says.
@@ -220,7 +220,7 @@ class Table:
             left = left[count:]
 
     def take_into(self, column: str, rows: I64, out: Array) -> None:
-        """Fill an array with the given rows, ascending, of a column."""
+        """Fill an array with the given rows of a column, which are ascending."""
         for run in _runs(rows):
             low = int(rows[run.start])
             some = self.read(column, low, int(rows[run.stop - 1]) + 1)
@@ -228,7 +228,7 @@ class Table:
 
 
 def _runs(rows: I64) -> Iterator[slice]:
-    """Ascending rows that lie in the same window of a file: what is read at a time is bounded."""
+    """Split ascending rows by windows of a file, so that the size of a read is bounded."""
     breaks = np.flatnonzero(np.diff(rows // _WINDOW)) + 1
     bounds = [0, *map(int, breaks), len(rows)]
     yield from (slice(*pair) for pair in pairwise(bounds) if pair[0] < pair[1])
