@@ -99,7 +99,7 @@ def len_of(record: Record) -> int:
 
 
 def _splitters(scratch: Scratch, segments: Sequence[Record], every: int, blocks: int) -> U64:
-    """Return (blocks - 1,) Morton codes: the first code of each block but the first."""
+    """Return (blocks - 1,) Morton codes: the lowest that belongs to each block after the first."""
     codes, weights = [], []
     for record in segments:
         with Table(scratch, record) as table:

@@ -50,7 +50,7 @@ class Request:
         overrides: Parameters of the preset to replace, by name.
         measured: Whether the result is compared with the input as `nanogs compare` does it; None
             to do so if the preset renders anyway and the model is in memory.
-        ratios: Of levels, the finest first, which is also the ratio of `goal`; empty for one file.
+        ratios: Ratios of levels, the finest first, which `goal` has too; empty for one file.
         chunks: How levels are divided or linked, or None.
         environment: Text that identifies the environment written beside levels; empty for none.
     """

@@ -93,7 +93,7 @@ class Run:
                 # Units are computed in this process, while workers of this machine start.
                 doing = Here() if stage.name == "frame" else self.executor
                 for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
-                    work.record(task)  # cached for the report, which is made after the scratch
+                    work.record(task)  # cached: the report is made after the scratch is gone
                     progress.part(done, len(tasks))
 
 

@@ -96,7 +96,7 @@ class FitViews:
 
 
 class Lit(NamedTuple):
-    """A view, and how much of it a block fills: the sum of contributions, in pixels of alpha 1."""
+    """A view, and how much of a block it shows: the block's contributions, in pixels of alpha 1."""
 
     camera: Camera
     light: float
@@ -201,7 +201,7 @@ class Scene(ABC):
     def keep_look(
         self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
     ) -> Record:
-        """Keep a block's visibility, its share of each view, and how much the views miss."""
+        """Keep a block's visibility, how much of it each view shows, and what the views miss."""
 
     @abstractmethod
     def grow(self, name: str, block: int) -> Record:
@@ -309,7 +309,7 @@ class Scene(ABC):
 
     @property
     def looks(self) -> bool:
-        """Whether views are rendered; False if no views could be found for the scene."""
+        """Whether views are rendered; False, too, if no views were found for the scene."""
         return self.settings.looks and bool(self.views.kept)
 
     @property

@@ -52,8 +52,8 @@ def fill_size(packer: Packer[T]) -> tuple[T, Filled]:
 def _smallest(packer: Packer[T]) -> Packing:
     """Return the packing of the smallest files, after checking that the fewest splats fit.
 
-    Unless the guess leaves ample room, a file of the fewest splats is made to check it. So the
-    least size that is accepted is the same for every request.
+    The size of their file is computed if the format allows it; if not, the file is made, unless the
+    guess leaves ample room. So the least size that can be had is the same for every request.
 
     Raises:
         TooSmallError: Not even that file fits.

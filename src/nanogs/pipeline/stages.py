@@ -50,7 +50,7 @@ from nanogs.pipeline.work import Work
 from nanogs.store.tables import Record, write_table
 from nanogs.threads import use_threads
 
-FEWEST = 64  # splats of a block's part, on average, that blocks are cut to at least
+FEWEST = 64  # fewest splats of a block's part, on average
 Per = Literal["job", "file", "segment", "block"]
 Seconds = float | Callable[[Load], float]
 

@@ -205,7 +205,7 @@ class BlockJob:
 
 @contextmanager
 def _telling_of(folder: Path) -> Iterator[None]:
-    """Add a note that the job is kept to errors of the system, such as too little memory."""
+    """Add to errors of the system, such as too little memory, a note that the job is kept."""
     try:
         yield
     except NanogsError:

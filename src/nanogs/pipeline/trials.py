@@ -59,7 +59,7 @@ def try_reassigned(scene: Scene, name: str, number: int, level: int) -> Record:
 
 
 def try_growth(scene: Scene, name: str, number: int, level: int, step: int) -> Record:
-    """Measure the better groups of a block with one step more growth, and write their errors."""
+    """Measure the better groups of a block, with a further growth, and write their errors."""
     best = candidates(scene, level, step)[1]
     growth = further_growths(scene.settings.parameters.growth)[step]
     return _try(scene, name, number, level, growth, reassigned=best.reassigned)

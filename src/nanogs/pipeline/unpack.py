@@ -60,7 +60,7 @@ class Cost:
 
 
 def cost_of(settings: Settings) -> Cost:
-    """Estimate the memory and disk that unpacking takes, from headers.
+    """Compute the memory and disk that unpacking will take, from headers.
 
     Raises:
         FormatError: A file cannot be read.
@@ -121,10 +121,9 @@ def streamed(
 
 
 def _first(pieces: Iterator[Array], rows: int) -> Iterator[Array]:
-    """Yield pieces up to so many rows.
+    """Yield the next pieces, `rows` rows in all.
 
-    The last column is not limited in this way: it takes all pieces, so that the checks at their end
-    run.
+    The last column of a file takes all that is left instead, so that the checks at the end are run.
     """
     while rows:
         piece = next(pieces)

@@ -50,7 +50,7 @@ class Views:
 
 
 def deciding_count(views: int) -> int:
-    """Return how many of `views` views are deciding ones."""
+    """Return the number of deciding views among `views` views."""
     return min(max(1, views // DECIDING), max(1, views // 4))
 
 

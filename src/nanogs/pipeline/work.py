@@ -192,7 +192,7 @@ class Work(Scene):
         return self.target(level) < self.partition.splats
 
     def groups(self, block: int, level: int, balance: int | None = None) -> int:
-        """Return the groups left of a block by the cut of a balance, by default the chosen one."""
+        """Return the number of groups of a block in a cut, by default of the chosen balance."""
         number = self.balance(level) if balance is None else balance
         return int(self.of_job("budget", level).facts["groups"][number][block])
 
@@ -277,7 +277,7 @@ class Work(Scene):
         )
 
     def from_afar(self) -> Splats:
-        """Read the finer coarse level of the scene, or the block if there is only one."""
+        """Read the coarse level `FINE` of the scene, or the block if there is only one."""
         return coarse_scene(self, FINE) or self.block(0)[0]
 
     def keep_views(self, name: str, views: Views) -> Record:
@@ -285,11 +285,11 @@ class Work(Scene):
         return self.write(name, {}, views.to_dict())
 
     def hiding(self, block: int) -> PreparedSplats | None:
-        """Return the finer coarse level of all other blocks; None if there are none."""
+        """Return the coarse level `FINE` of all other blocks; None if there are none."""
         return surroundings(self, block, FINE)
 
     def surroundings(self, block: int) -> PreparedSplats | None:
-        """Return the rougher coarse level of all other blocks; None if there are none."""
+        """Return the coarse level `ROUGH` of all other blocks; None if there are none."""
         return surroundings(self, block, ROUGH)
 
     def closer_views(self, own: Block) -> Sequence[Camera]:
@@ -303,7 +303,7 @@ class Work(Scene):
     def keep_look(
         self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
     ) -> Record:
-        """Write a block's visibility, its share of each view, and how much the views miss."""
+        """Write a block's visibility, how much of it each view shows, and what the views miss."""
         return write_look(self, name, own, missed, lights, discovery)
 
     def grow(self, name: str, block: int) -> Record:

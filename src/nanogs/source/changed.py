@@ -48,7 +48,7 @@ class _Mapped(_Changed):
         return self._change(self._source.read(start, stop))
 
     def load(self) -> Splats:
-        """Read the whole model."""
+        """Read the whole model, changed."""
         return self._change(self._source.load())
 
 
