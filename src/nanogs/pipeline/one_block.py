@@ -219,7 +219,7 @@ class OneBlock(Scene):
         return self.views.further if self.settings.parameters.pictured else ()
 
     def picture(self, drawn: PreparedSplats, camera: Camera) -> None:
-        """Keep the original on a view, or half of it where the fit uses half of the pixels."""
+        """Keep the original on a view, or half of it if the fit uses half of the pixels."""
         halves = self.settings.parameters.halves
         wanted = FIELDS[len(self._pictures) % 2] if halves else ALL_BLOCKS
         self._pictures.append(make_target(drawn, camera, depth=False, wanted=wanted))

@@ -58,7 +58,7 @@ class Packing:
 
     @property
     def sharing(self) -> Sharing | None:
-        """How splats share entries of the palette, or None where there is no choice."""
+        """How splats share entries of the palette, or None if there is no choice."""
         if self.share is None or self.sh_degree == 0:
             return None
         return Sharing(self.share, self.entries)

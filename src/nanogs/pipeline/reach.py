@@ -59,7 +59,7 @@ def search_count(
 
     PSNR grows with the count but for small unevennesses, and nearly linearly in its logarithm. The
     search extrapolates along that line until one count misses and one reaches `asked`, then
-    interpolates between them; where that does not help, it halves the range. If the PSNR steps over
+    interpolates between them; if that does not help, it halves the range. If the PSNR steps over
     the whole span, because another candidate is chosen, some counts below the step are tried. A
     PSNR that takes more than 99 % of the splats is out of reach: with all but a few, any can be
     had.

@@ -58,7 +58,7 @@ class Block:
     Attributes:
         splats: N of them.
         rows: (M,) integers, the usable rows in Morton order.
-        visible: (N,) float64, the visibility of each splat, or None where nothing is rendered.
+        visible: (N,) float64, the visibility of each splat, or None if nothing is rendered.
     """
 
     splats: Splats

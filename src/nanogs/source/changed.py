@@ -123,7 +123,7 @@ class Filtered(_Changed):
         """(P, F) number of rows of each page that are left after each filter.
 
         Raises:
-            ModelError: None is left, or an element has one row a splat.
+            ModelError: No splat is left, or an element has one row for each splat.
         """
         pages = []
         for page in self._source.blocks(base.PAGE_ROWS):
@@ -145,7 +145,7 @@ class Filtered(_Changed):
         """Number of rows left of each page of `PAGE_ROWS` rows.
 
         Raises:
-            ModelError: None is left, or an element has one row a splat.
+            ModelError: No splat is left, or an element has one row for each splat.
         """
         if self._given is None:
             self._given = tuple(self._passed[:, -1].tolist())
