@@ -18,6 +18,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import launch
@@ -358,6 +359,23 @@ def test_what_reaches_a_store_is_named_where_it_is_missing():
         pytest.skip("gcsfs is there")
     with pytest.raises(OptionError, match=r"^gs://bucket/job needs a package.*nstall gcsfs"):
         open_scratch("gs://bucket/job")
+
+
+@pytest.mark.parametrize("name", ["job", "threads"])
+def test_what_goes_missing_meanwhile_is_said_whatever_the_url(name, monkeypatch):
+    pytest.importorskip("fsspec")
+    scratch = open_scratch(f"memory://{name}")
+    scratch.prepare()
+    scratch.write("left.tmp", [np.zeros(1, np.uint8)])
+
+    def gone(path):
+        raise FileNotFoundError(path)
+
+    with pytest.raises(FileNotFoundError):  # which callers look for
+        scratch.open("nothing.bin")
+    monkeypatch.setattr(scratch.files, "rm_file", gone)
+    with pytest.raises(OutputError, match=f"^memory://{name} cannot be tidied"):
+        scratch.tidy()
 
 
 def test_files_of_others_in_the_scratch_are_left_alone(tmp_path):

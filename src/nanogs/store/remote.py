@@ -81,14 +81,14 @@ class UrlScratch:
         """Open a file to read and seek in; see `Scratch.open`."""
         path = f"{self.root}/{name}"
         if size is None:
-            with self._reached(f"{self.url}/{name} cannot be read"):
+            with self._reached(f"{self.url}/{name} cannot be read", missing=True):
                 self.files.invalidate_cache()  # other processes write too
                 size = int(self.files.size(path))
         return cast("BinaryIO", _Ranges(self, path, size))
 
     def read(self, path: str, start: int, stop: int) -> bytes:
         """Read a range of bytes of a file, in one request."""
-        with self._reached(f"{path} cannot be read"):
+        with self._reached(f"{path} cannot be read", missing=True):
             return bytes(self.files.cat_file(path, start=start, end=stop))
 
     def discard(self, beginnings: tuple[str, ...]) -> None:
@@ -139,18 +139,21 @@ class UrlScratch:
                 call("abort_multipart_upload", Bucket=bucket, **given)
 
     @contextmanager
-    def _reached(self, otherwise: str) -> Iterator[None]:
+    def _reached(self, otherwise: str, *, missing: bool = False) -> Iterator[None]:
         """Turn any error of the store into an `OutputError` with a sentence.
 
-        Stores raise errors of their own besides those of the system. A missing file raises
-        `FileNotFoundError` as before if it was to be read.
+        Stores raise errors of their own besides those of the system.
+
+        Args:
+            otherwise: What could not be done, as the beginning of the sentence.
+            missing: Let `FileNotFoundError` pass, for callers that handle it.
         """
         try:
             yield
         except (NanogsError, MemoryError):
             raise
         except Exception as error:
-            if isinstance(error, FileNotFoundError) and "read" in otherwise:
+            if missing and isinstance(error, FileNotFoundError):
                 raise
             text = str(error).strip().splitlines()
             reason = text[0].rstrip(".") if text else type(error).__name__
