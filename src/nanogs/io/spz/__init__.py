@@ -11,11 +11,12 @@ _FRAME = (
     "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"
 )
 
-_FIRST_BITS, _FIRST_SH_BITS = 6, 6  # that a search begins with: mostly one off the best at most
+# Where a search for the best values starts: usually at most one away from them.
+_FIRST_BITS, _FIRST_SH_BITS = 6, 6
 
 
 def _version(options: FormatOptions) -> int:
-    """The version that is written with such options, of a model without records."""
+    """Return the file version that these options lead to, for a model without extension records."""
     bits = options.get("bits") or MOST_BITS
     usual = write.usual_version(bits, stating=bool(options.get("frame")))
     return options.get("spz_version") or usual

@@ -1,6 +1,7 @@
-"""Contents of an `.spz` file: columns and extension records, inflated a piece at a time.
+"""Contents of an `.spz` file: columns and extension records, decompressed piece by piece.
 
-The layout is in `header`. No more is ever inflated than the header's count allows.
+The file layout is described in `header`. Never more is decompressed than the header's count of
+splats allows.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,17 +32,17 @@ if TYPE_CHECKING:
 _CHUNK = 1 << 20
 _MAX_EXTENSIONS = 1 << 20
 _MAX_WINDOW = 1 << 27
-_NUMBER = 4  # bytes of a frame's number
-_FRAME_HEADER = 18  # bytes of the largest of zstd
+_NUMBER = 4  # bytes of the number of a coordinate frame
+_FRAME_HEADER = 18  # bytes of the largest possible zstd frame header
 _KNOWN_RECORDS = {CAMERA_RECORD: "limits of the camera"}
 
 
 def body_pieces(header: Header, notes: list[str]) -> Iterator[bytes]:
-    """The columns one after the other, in pieces of whole rows, a megabyte at most.
+    """Yield the decompressed columns in file order, in pieces of whole rows of at most a megabyte.
 
     Args:
-        header: Of the file.
-        notes: Gets what beside the columns was left out.
+        header: The header of the file.
+        notes: List to which notes about left-out extension records are appended.
 
     Raises:
         FormatError: The file cannot be read, or holds more or less than its header counts.
@@ -51,7 +52,9 @@ def body_pieces(header: Header, notes: list[str]) -> Iterator[bytes]:
 
 
 def window_bytes(header: Header) -> int:
-    """Bytes that a decoder of the columns holds, as the first frame of each stream states it.
+    """Return the window size in bytes that decompressing the columns needs.
+
+    For zstd, it is the largest that the first frame of any stream states, within a limit.
 
     Raises:
         FormatError: The file cannot be read, or a stream is damaged.
@@ -70,7 +73,7 @@ def window_bytes(header: Header) -> int:
 
 
 def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
-    """The columns of versions 1 to 3; the extension records come after them."""
+    """Yield the columns of versions 1 to 3, then read the extension records that follow them."""
     inflater = Inflater(header.path, file) if header.gzip else None
     plain = inflater or file
     for piece, size in _plain_pieces(header, plain):
@@ -87,7 +90,10 @@ def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
 
 
 def _plain_pieces(header: Header, plain: "BinaryIO | Inflater") -> Iterator[tuple[bytes, int]]:
-    """The columns of versions 1 to 3 in pieces as they are, and the bytes each should have."""
+    """Yield each piece of the columns of versions 1 to 3, with its expected number of bytes.
+
+    A piece is shorter than expected where the data ends early; the caller checks this.
+    """
     plain.read(LEGACY_HEADER.size)
     for width in header.columns().values():
         for size in _pieces(header, width):
@@ -95,14 +101,14 @@ def _plain_pieces(header: Header, plain: "BinaryIO | Inflater") -> Iterator[tupl
 
 
 def _pieces(header: Header, width: int) -> Iterator[int]:
-    """Bytes of the pieces of a column."""
+    """Yield the size in bytes of each piece of a column with `width` bytes per splat."""
     step = _CHUNK // width
     for start in range(0, header.count, step):
         yield width * min(step, header.count - start)
 
 
 def _streams(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
-    """The columns of version 4; the extension records come before them."""
+    """Yield the columns of version 4, then read the extension records, which precede them."""
     places = _places(header, file)
     for (name, width), (_, at, size) in zip(header.columns().items(), places, strict=True):
         short = damaged(header, f"its {name} do not expand to {width * header.count:,} bytes")
@@ -121,7 +127,7 @@ def _streams(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes
 
 
 def _drain(read: Callable[[int], bytes], size: int) -> bytes:
-    """Up to `size` bytes; fewer only at the end."""
+    """Read `size` bytes, or fewer only at the end of the data."""
     out = bytearray()
     while len(out) < size and (piece := read(size - len(out))):
         out += piece
@@ -129,14 +135,14 @@ def _drain(read: Callable[[int], bytes], size: int) -> bytes:
 
 
 def _places(header: Header, file: BinaryIO) -> list[tuple[str, int, int]]:
-    """Name, offset and compressed size of each stream."""
+    """Return the column name, byte offset and compressed size of each stream."""
     sizes = _contents(header, file)
     ends = accumulate(sizes, initial=header.toc + len(sizes) * TOC_ENTRY.size)
     return list(zip(header.columns(), ends, sizes, strict=False))
 
 
 def _contents(header: Header, file: BinaryIO) -> list[int]:
-    """The compressed size of each stream, everything in the table checked."""
+    """Check the table of contents and return the compressed size of each stream."""
     expected = [width * header.count for width in header.columns().values()]
     end = header.toc + len(expected) * TOC_ENTRY.size
     if header.streams != len(expected) or header.toc < HEADER.size or end > header.file_bytes:
@@ -158,9 +164,10 @@ def _expander(packed: BinaryIO) -> "ZstdDecompressionReader":
 
 
 def read_records(header: Header) -> dict[int, bytes]:
-    """The payload of each extension record by its kind.
+    """Return the payload of each extension record, by its type number.
 
-    Of versions 1 to 3 all columns are unpacked on the way, a piece at a time.
+    In versions 1 to 3 the records follow the columns, so all columns are decompressed first, piece
+    by piece.
 
     Raises:
         FormatError: The file cannot be read, or a record is cut short.
@@ -177,16 +184,16 @@ def read_records(header: Header) -> dict[int, bytes]:
 
 
 def stated_frame(header: Header) -> str:
-    """The frame that a record states, such as "rub"; empty where none does.
+    """Return the coordinate frame stated by an extension record, such as "rub", or "" if none.
 
     Raises:
-        FormatError: As for `read_records`, or there is no such frame.
+        FormatError: As for `read_records`, or the record names no known frame.
     """
     return _frame_in(header, read_records(header))
 
 
 def _frame_in(header: Header, records: dict[int, bytes]) -> str:
-    """The frame that one of the records states; empty where none does."""
+    """Return the coordinate frame stated by one of the records, or "" if none does."""
     payload = records.get(FRAME_RECORD)
     if payload is None:
         return ""
@@ -197,7 +204,7 @@ def _frame_in(header: Header, records: dict[int, bytes]) -> str:
 
 
 def _tail(header: Header, file: BinaryIO) -> bytes:
-    """The extension records of versions 1 to 3, which follow the columns."""
+    """Read the extension records of versions 1 to 3, which follow the columns."""
     plain = Inflater(header.path, file) if header.gzip else file
     for _ in _plain_pieces(header, plain):
         pass
@@ -205,13 +212,13 @@ def _tail(header: Header, file: BinaryIO) -> bytes:
 
 
 def frame_record(frame: str) -> bytes:
-    """The record that states a frame, one of `RECORDED_FRAMES`."""
+    """Encode the extension record that states a frame, one of `RECORDED_FRAMES`."""
     number = RECORDED_FRAMES.index(frame) + 1
     return RECORD.pack(FRAME_RECORD, _NUMBER) + number.to_bytes(_NUMBER, "little")
 
 
 def _records(header: Header, records: bytes) -> dict[int, bytes]:
-    """The payload of each extension record by its kind; of twins the last one counts."""
+    """Parse extension records into payloads by type; of two of the same type, the last counts."""
     found, at = {}, 0
     while at + RECORD.size <= len(records):
         kind, length = RECORD.unpack_from(records, at)
@@ -224,9 +231,12 @@ def _records(header: Header, records: bytes) -> dict[int, bytes]:
 
 
 def _extension_notes(header: Header, records: bytes) -> list[str]:
-    """A note that names the extension records whose payload is not carried: of old versions all."""
+    """Return a note that names the extension records that are dropped.
+
+    Versions 1 to 3 lose all of them except the frame; version 4 loses none.
+    """
     found = _records(header, records)
-    _frame_in(header, found)  # which refuses a record that names none
+    _frame_in(header, found)  # raises if the record of the frame is invalid
     kinds = [kind for kind in found if kind != FRAME_RECORD]
     if not kinds or header.version > LAST_GZIP:
         return []

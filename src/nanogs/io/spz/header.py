@@ -1,23 +1,23 @@
-"""The containers of `.spz` (Niantic): header, columns, and the bytes inside, with bounds on both.
+"""The `.spz` containers (Niantic): reading the header, sizes of columns, bounded decompression.
 
 Layout, from https://github.com/nianticlabs/spz (MIT; README.md, src/cc/load-spz.cc,
 extensions/README.md), little-endian throughout:
 
 - Versions 1 to 3 are one gzip stream: `NGSP`, u32 version, u32 count, u8 SH degree, u8 fraction
-  bits, u8 flags, u8 zero; the columns; extension records if flag 0x2 is set. Some tools leave the
-  gzip away.
+  bits, u8 flags, u8 zero; the columns; extension records if flag 0x2 is set. Some tools write the
+  same without gzip.
 - Version 4 starts with 32 plain bytes: the same up to the flags, u8 number of streams, u32 offset
-  of the table of contents, 12 zeros. Extension records lie between header and table; the table
-  has the compressed and the plain size (u64 each) of every stream; the streams, one zstd column
-  each and none for an empty column, follow it up to the end of the file.
+  of the table of contents, 12 zeros. Extension records are between header and table; the table
+  has the compressed and the uncompressed size (u64 each) of every stream; the streams follow it up
+  to the end of the file, one zstd stream per column and none for an empty column.
 - Columns, each for all splats: positions (3 x float16 in version 1, else 3 x signed 24-bit fixed
   point with the header's fraction bits), alphas u8, colours 3 x u8, log-scales 3 x u8, rotations
   (3 x u8 up to version 2, else u32), SH of degree 1 and up, u8 each, coefficient-major, RGB last.
 - Flags: 0x1 antialiased, 0x2 extension records (u32 type, u32 length, payload). The record
-  0xADBE0003 has a u32, the frame of all that is stored: 0 for the usual one, y up and z backwards,
-  and 1 to 16 for those of `RECORDED_FRAMES` (extensions/cc/coordinate-system-adobe.cc). Spark, a
-  viewer, sets 0x80 for a tree of levels of detail, whose rows overlap and whose opacities mean
-  another thing (https://github.com/sparkjsdev/spark).
+  0xADBE0003 has a u32, the coordinate frame of all stored values: 0 for the usual one, y up and z
+  backwards, and 1 to 16 for those of `RECORDED_FRAMES` (extensions/cc/coordinate-system-adobe.cc).
+  The viewer Spark sets 0x80 for a tree of levels of detail, where splats of different levels
+  overlap and opacities have another meaning (https://github.com/sparkjsdev/spark).
 """
 
 import struct
@@ -39,14 +39,14 @@ HEADER = struct.Struct("<4sIIBBBBI12x")
 TOC_ENTRY = struct.Struct("<QQ")
 FRAME_RECORD, CAMERA_RECORD = 0xADBE0003, 0xADBE0002
 RECORD = struct.Struct("<II")
-# Their numbers are 1 and up; here forwards is away from who looks.
+# Frame names by record number minus 1; "forwards" (f) here means away from the viewer.
 RECORDED_FRAMES = (
     "ldb", "rdb", "lub", "rub", "ldf", "rdf", "luf", "ruf",
     "lfd", "rfd", "lfu", "rfu", "lbd", "rbd", "lbu", "rbu",
 )  # fmt: skip
 ANTIALIASED, EXTENSIONS, LOD_TREE = 0x1, 0x2, 0x80
 MAX_FRACTION_BITS = 24
-LAST_GZIP = 3  # the last version that is one stream
+LAST_GZIP = 3  # the last version that is a single gzip stream
 
 GZIP = b"\x1f\x8b"
 _CHUNK = 1 << 20
@@ -54,15 +54,15 @@ _CHUNK = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The header of an `.spz` file, checked.
+    """The validated header of an `.spz` file.
 
     Attributes:
-        section: Where it lies: mostly all of a file.
+        section: Where the SPZ data is: usually a whole file.
         version: 1 to 4.
-        count: Splats, 1 or more.
+        count: Number of splats, 1 or more.
         degree: SH degree, 0 to 4.
-        fraction_bits: Bits behind the binary point of a coordinate.
-        flags: As above.
+        fraction_bits: Bits after the binary point of a fixed-point coordinate.
+        flags: Bit flags, see the module's docstring.
         streams: Number of zstd streams; 0 before version 4.
         toc: Offset of the table of contents; 0 before version 4.
         gzip: Whether the file is one gzip stream.
@@ -80,21 +80,21 @@ class Header:
 
     @property
     def path(self) -> Path:
-        """The file, for messages."""
+        """Path of the file, for messages."""
         return self.section.path
 
     @property
     def file_bytes(self) -> int:
-        """Bytes of all of it."""
+        """Size in bytes of the SPZ data, header included."""
         return self.section.size
 
     def columns(self) -> dict[str, int]:
-        """Bytes a splat of each column, in the file's order; those of no bytes left out."""
+        """Return the bytes per splat of each column, in file order, without empty columns."""
         return column_widths(self.version, self.degree)
 
 
 def column_widths(version: int, degree: int) -> dict[str, int]:
-    """Bytes a splat of each column, in the file's order."""
+    """Return the bytes per splat of each column, in file order."""
     widths = {
         "positions": 6 if version == 1 else 9,
         "alphas": 1,
@@ -108,7 +108,7 @@ def column_widths(version: int, degree: int) -> dict[str, int]:
 
 
 def read_header(section: Section) -> Header:
-    """The header of a file, or of SPZ data in another one, checked against its size.
+    """Read the header of a file, or of SPZ data inside another one, and check it against the size.
 
     Raises:
         FormatError: The file cannot be read, is no `.spz` file, or its header is damaged.
@@ -132,7 +132,7 @@ def read_header(section: Section) -> Header:
 
 
 def _plain_header(section: Section, data: bytes) -> Header:
-    """The header of version 4, or of an older one without gzip."""
+    """Parse the header of version 4, or of an older version without gzip."""
     fields = _unpack(section.path, LEGACY_HEADER, data[: LEGACY_HEADER.size])
     if 1 <= fields[1] <= LAST_GZIP:
         return Header(section, *fields[1:6])
@@ -141,10 +141,10 @@ def _plain_header(section: Section, data: bytes) -> Header:
 
 @contextmanager
 def opened(section: Section) -> Iterator[BinaryIO]:
-    """The data, with everything that reading and expanding it may raise as a `FormatError`.
+    """Open SPZ data for reading; errors of reading and decompression become `FormatError`.
 
     Raises:
-        FormatError: As said.
+        FormatError: Reading or decompressing inside the `with` block failed.
     """
     from zstandard import ZstdError
 
@@ -166,7 +166,7 @@ def _unpack(path: Path, layout: struct.Struct, data: bytes) -> tuple[int, ...]:
 
 
 def _check(header: Header) -> None:
-    """Refuse values that no such file has, and counts that the file's size contradicts."""
+    """Refuse field values that are not allowed, and counts that the file's size contradicts."""
     if not 1 <= header.version <= (LAST_GZIP if header.gzip else 4):
         kind = "gzip" if header.gzip else "plain"
         raise FormatError(
@@ -191,19 +191,19 @@ def _check(header: Header) -> None:
 
 
 def damaged(header: Header, what: str) -> FormatError:
-    """The error for a file whose contents contradict its header."""
+    """Return the error for a file whose contents contradict its header."""
     return FormatError(f"{header.path} is damaged: {what}; export or download it again.")
 
 
 class Inflater:
-    """The bytes inside a gzip file, never more at a time than asked for."""
+    """A decompressor for a gzip file that never holds more output than was requested."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self.path, self.file = path, file
         self.inflate = zlib.decompressobj(wbits=31)
 
     def read(self, size: int) -> bytes:
-        """The next bytes; fewer than asked for only at the end, whose checksum is then checked.
+        """Return the next `size` bytes, or fewer only at the end, where the checksum is verified.
 
         Raises:
             FormatError: The file ends within the stream.
@@ -218,5 +218,5 @@ class Inflater:
         return bytes(out)
 
     def trailing(self) -> bool:
-        """Whether anything follows the stream, once that has been read to its end."""
+        """Return whether bytes follow the gzip stream, once it has been read to its end."""
         return bool(self.inflate.unused_data or self.file.read(1))

@@ -1,9 +1,9 @@
-"""The columns of an `.spz` file on their way into it: rows in an order that packs well, and gzip.
+"""Compressing the columns of an `.spz` file: sorting rows so that gzip packs them well, and gzip.
 
-What repeats within 32 kB costs gzip little, if it is three bytes long or more. In the order of
-their y, and where that is the same of their x, most splats repeat five of the nine bytes of the
-centre before: those of y and the upper two of x. In Morton order, and in that of an input, files
-are 4 to 10 % larger; along another axis the centres take at most 1 % less.
+Repetitions within 32 kB cost gzip little if they are three bytes long or more. If splats are sorted
+by y, ties by x, most repeat five of the nine bytes of the centre before: those of y and the upper
+two of x. In Morton order, and in the order of the input, files are 4 to 10 % larger; sorting along
+another axis saves at most 1 % of the centres' bytes.
 """
 
 import gzip
@@ -15,34 +15,37 @@ import numpy as np
 from nanogs._types import I64, U8
 from nanogs.io.spz.read import whole_numbers
 
-# Bytes of all columns up to which they are sorted, and packed as a whole, by some 5 % better; what
-# is larger is packed as it comes.
+# Size of all columns in bytes up to which they are sorted and compressed as a whole, which packs
+# some 5 % better; larger ones are compressed as a stream, in the given order.
 WHOLE = 12 << 20
-# Levels: of libdeflate, whose 11 takes up to 1.7 times as long for 0.1 to 0.3 %; and of zlib, whose
-# 9 takes five times as long for 1.4 %.
+# Compression levels: of libdeflate, whose level 11 takes up to 1.7 times as long to save 0.1 to
+# 0.3 %; and of zlib, whose level 9 takes five times as long to save 1.4 %.
 BEST, _STREAMED = 10, 6
 
 
 def is_small(size: int) -> bool:
-    """Whether columns of so many bytes are held, sorted and packed as a whole."""
+    """Return whether columns of `size` bytes are held in memory, sorted and packed as a whole."""
     return size <= WHOLE
 
 
 def packing_bytes(size: int) -> int:
-    """Bytes that packing columns of so many holds: them, room for the file, and what is sorted."""
+    """Return the memory in bytes that packing columns of `size` bytes takes.
+
+    It is that of the columns, their sorted copy and the output buffer, where they are packed whole.
+    """
     return 3 * size if is_small(size) else 0
 
 
 def sorted_columns(
     columns: Iterable[Iterable[bytes]], widths: Sequence[int], count: int, groups: I64 | None = None
 ) -> Iterator[tuple[bytes]]:
-    """The columns with their rows in the order in which centres pack best; ties as they come.
+    """Yield the columns with their rows sorted so that the centres compress best; ties keep order.
 
     Args:
         columns: Each in pieces, the centres first; see `header`.
-        widths: Bytes a row of each.
-        count: N, the rows.
-        groups: (N,) numbers that never decrease; rows of a group stay together.
+        widths: Bytes per row of each column.
+        count: N, the number of rows.
+        groups: (N,) non-decreasing group numbers; rows of one group stay together.
     """
     rows: I64 | None = None
     for column, width in zip(columns, widths, strict=True):
@@ -52,7 +55,7 @@ def sorted_columns(
 
 
 def _order(centres: U8, groups: I64 | None) -> I64:
-    """The rows by group, y, x; centres: (N, 9), as the file has them."""
+    """Return the row order by group, then y, then x; `centres`: (N, 9) bytes as in the file."""
     codes = whole_numbers(centres)
     keys = (codes[:, 0], codes[:, 1])
     return np.lexsort(keys if groups is None else (*keys, groups))
@@ -64,14 +67,15 @@ def write_gzip(
     """Write a header and columns as one gzip stream.
 
     Args:
-        file: To write to.
-        header: What the stream begins with.
+        file: The file to write to.
+        header: The first bytes of the stream.
         columns: Each in pieces.
-        size: Bytes of all columns.
-        level: Of libdeflate, 1 to 12; above `WHOLE` zlib's, no more than its usual one.
+        size: Total bytes of all columns.
+        level: Compression level of libdeflate, 1 to 12; for a size above `WHOLE` that of zlib,
+            limited to zlib's default of 6.
     """
     if is_small(size):
-        import deflate  # here, since few need it
+        import deflate  # imported here because few calls need it
 
         whole, end = bytearray(len(header) + size), len(header)
         whole[:end] = header

@@ -1,14 +1,15 @@
 """Reading `.spz` (Niantic), versions 1 to 4; the containers are in `header`.
 
-How the columns decode, from https://github.com/nianticlabs/spz (MIT; src/cc/load-spz.cc): a
+Decoding of the columns, from https://github.com/nianticlabs/spz (MIT; src/cc/load-spz.cc): a
 log-scale is byte / 16 - 10, a base colour (byte / 255 - 0.5) / 0.15 as SH coefficient, a higher
-coefficient (byte - 128) / 128. A rotation is xyz as byte / 127.5 - 1 with w the positive rest up
-to version 2; from version 3 on, the two top bits of the u32 tell the largest part of xyzw, and the
-others follow in order from the top, a sign bit and 9 bits of magnitude over [0, sqrt(1/2)] each.
+coefficient (byte - 128) / 128. Up to version 2 a rotation is xyz as byte / 127.5 - 1, with w the
+non-negative value that gives unit length. From version 3 on, the two top bits of the u32 are the
+index of the largest component of xyzw; the others follow in order from the top, each a sign bit and
+9 bits of magnitude over [0, sqrt(1/2)].
 
-The specification has y up and z backwards, but few files say so and most converters copy as we do,
-axes as they are. A frame that a file does state is told (`FileSource.frame`). Alpha 0 and 255
-become -inf and +inf, as in every 8-bit format here.
+The specification has y up and z backwards, but few files state it, and most converters copy the
+axes unchanged, as nanogs does. A frame that a file does state is in `FileSource.frame`. Alpha 0 and
+255 become logits of -inf and +inf, as in every 8-bit format here.
 """
 
 from collections.abc import Iterator, Mapping
@@ -33,9 +34,10 @@ from nanogs.stored import logit
 COLOUR_SCALE = 0.15
 SCALE_STEPS, SCALE_LOW = 16, -10.0
 SH_STEPS = 128
-MAGNITUDE = 511  # of 9 bits; stands for sqrt(1/2), which no part but the largest exceeds
+# The largest 9-bit magnitude; it encodes sqrt(1/2), which only the largest component can exceed.
+MAGNITUDE = 511
 
-_PIECES = 8 << 20  # bytes: packed and unpacked ones, and buffers
+_PIECES = 8 << 20  # memory in bytes for compressed and decompressed pieces, and buffers
 _BYTES = np.arange(256)
 _ALPHAS = logit(_BYTES / 255).astype(np.float32)
 _COLOURS = ((_BYTES / 255 - 0.5) / COLOUR_SCALE).astype(np.float32)
@@ -44,7 +46,7 @@ _SH = ((_BYTES - 128) / SH_STEPS).astype(np.float32)
 
 
 def open_spz(path: Path) -> "SpzSource":
-    """An `.spz` file of version 1 to 4, axes as stored.
+    """Open an `.spz` file of version 1 to 4, with axes as stored.
 
     Raises:
         FormatError: The file cannot be read, is damaged, or is no model of splats.
@@ -53,11 +55,13 @@ def open_spz(path: Path) -> "SpzSource":
 
 
 class SpzSource(Packed):
-    """The columns of a file, or of SPZ data in another one, as they are stored, inflated.
+    """The source of an `.spz` file, or of SPZ data inside another file.
+
+    The stored bytes of all columns are decompressed once and decoded when rows are read.
 
     Args:
         path: The file.
-        header: Of the data.
+        header: The header of the SPZ data.
     """
 
     def __init__(self, path: Path, header: Header) -> None:
@@ -65,7 +69,7 @@ class SpzSource(Packed):
         self._header = header
         self._widths = header.columns()
         self.stored = {n: Column("|u1", (header.count, w)) for n, w in self._widths.items()}
-        # Records of older versions follow the columns; those are not unpacked for them.
+        # In older versions the records follow the columns, which would have to be decompressed.
         records = read_records(header) if header.version > LAST_GZIP else {}
         self._elements = elements_of(records, header.count)
         self.elements = tuple((each.name, len(each.rows)) for each in self._elements)
@@ -84,16 +88,16 @@ class SpzSource(Packed):
 
     @cached_property
     def frame(self) -> str:
-        """The frame that a record states; of a gzip stream, all of it is inflated for that."""
+        """The coordinate frame stated by a record, or ""; a gzip stream is decompressed whole."""
         return stated_frame(self._header)
 
     @cached_property
     def memory(self) -> int:
-        """The decoder's window, and some pieces."""
+        """Bytes of memory that decompression takes: the decoder's window, and some pieces."""
         return window_bytes(self._header) + _PIECES
 
     def unpack(self, notes: list[str]) -> Iterator[Array]:
-        """All columns; see `Packed`."""
+        """Yield all columns decompressed, in file order; see `Packed`."""
         pieces = body_pieces(self._header, notes)
         for width in self._widths.values():
             left = self._header.count
@@ -101,20 +105,20 @@ class SpzSource(Packed):
                 piece = np.frombuffer(next(pieces), np.uint8).reshape(-1, width)
                 left -= len(piece)
                 yield piece
-        next(pieces, None)  # what follows the columns is looked at
+        next(pieces, None)  # makes the generator check the data after the columns
 
     def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
-        """Some rows; see `Packed`."""
+        """Decode rows `start` to `stop`; see `Packed`."""
         stored = {name: columns(name, start, stop) for name in self._widths}
         elements = [ExtraElement(each.name, each.rows[:0]) for each in self._elements]
         return replace(_decoded(self._header, stored), elements=elements)
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
-        """Extension records of version 4; see `Source`."""
+        """Return the extension records of version 4; see `Source`."""
         return self._elements
 
     def load(self) -> Splats:
-        """The whole model."""
+        """Read the whole model, with its extension records."""
         return replace(super().load(), elements=self._elements)
 
 
@@ -135,7 +139,7 @@ def _decoded(header: Header, columns: Mapping[str, U8]) -> Splats:
 
 
 def _properties(header: Header) -> tuple[tuple[str, str], ...]:
-    """Name and type of each stored column, as `FileInfo` has them."""
+    """Return the name and the type of each stored column, for `FileInfo`."""
     position = "float16" if header.version == 1 else "int24"
     rotation = "uchar" if header.version <= 2 else "uint"
     types = {"positions": position, "rotations": rotation}
@@ -143,19 +147,19 @@ def _properties(header: Header) -> tuple[tuple[str, str], ...]:
 
 
 def _encoding(header: Header) -> str:
-    """How the columns are packed, as `FileInfo` says it."""
+    """Return the name of the columns' compression, for `FileInfo`."""
     if header.version > LAST_GZIP:
         return "zstd"
     return "gzip" if header.gzip else "binary_little_endian"
 
 
 def _render_mode(header: Header) -> RenderMode:
-    """The model's properties as the flags have them."""
+    """Return the render mode that the header's antialiased flag states."""
     return RenderMode.MIP if header.flags & ANTIALIASED else RenderMode.DEFAULT
 
 
 def _means(stored: U8, header: Header) -> F32 | F64:
-    """(R, 3) scene units."""
+    """Decode the centres of R splats to (R, 3) scene units."""
     if header.version == 1:
         return stored.view("<f2").astype(np.float32)
     result: F64 = np.ldexp(whole_numbers(stored).astype(np.float64), -header.fraction_bits)
@@ -163,8 +167,8 @@ def _means(stored: U8, header: Header) -> F32 | F64:
 
 
 def whole_numbers(stored: U8) -> I32:
-    """(R, 3) of (R, 9): centres as whole numbers of 24 bits."""
-    # The three bytes become the upper ones of an int32; shifting it back extends the sign.
+    """Unpack (R, 9) bytes to the (R, 3) signed 24-bit integers of the centres."""
+    # The three bytes become the upper ones of an int32; shifting it right extends the sign.
     wide = np.zeros((len(stored), 3, 4), np.uint8)
     wide[:, :, 1:] = stored.reshape(-1, 3, 3)
     numbers: I32 = wide.view("<i4")[:, :, 0] >> 8
@@ -172,14 +176,17 @@ def whole_numbers(stored: U8) -> I32:
 
 
 def _xyz_quats(stored: U8) -> F64:
-    """(R, 4) wxyz: w is what is left of unit length."""
+    """Decode the rotations of versions 1 and 2 to (R, 4) wxyz; w follows from unit length."""
     xyz = stored / 127.5 - 1
     w = np.sqrt(np.maximum(0, 1 - (xyz**2).sum(axis=1)))
     return np.column_stack([w, xyz])
 
 
 def _quats(stored: U8) -> F64:
-    """(R, 4) wxyz: the two top bits say which part of xyzw was the largest and is left out."""
+    """Decode the rotations of versions 3 and 4 to (R, 4) wxyz.
+
+    The two top bits are the index in xyzw of the largest component, which is not stored.
+    """
     packed = np.ascontiguousarray(stored).view("<u4")[:, 0]
     parts = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], axis=1)
     small = np.sqrt(0.5) * (parts & MAGNITUDE) / MAGNITUDE

@@ -1,10 +1,10 @@
-"""Extension records of `.spz`, as further elements of a model.
+"""Extension records of `.spz`, represented as extra elements of a model.
 
-A record is a number for its kind and some bytes (https://github.com/nianticlabs/spz,
-extensions/README.md). Of one that nanogs does not know nobody can tell what the bytes are: they are
-kept as they are, one row a byte. Where their count is a multiple of that of the splats they may
-belong to single splats; such a record has one row a splat, so that a model of fewer splats refuses
-to carry it on, as it does with elements of `.ply` files.
+A record is a type number and some bytes (https://github.com/nianticlabs/spz, extensions/README.md).
+The bytes of an unknown type cannot be interpreted: they are kept unchanged, one byte per row. If
+their number is a multiple of the number of splats, they may be data per splat; such a record gets
+one row per splat, so that it is not carried over to a model with fewer splats, as with elements of
+`.ply` files.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,15 +17,15 @@ from nanogs.splats import ExtraElement, Splats
 
 _PREFIX = "spz_record_"
 _BYTE = "byte"
-_MOST_BYTES = 256  # of a record's share of a splat
+_MOST_BYTES = 256  # most bytes per splat for which a record counts as data per splat
 
 
 def elements_of(records: Mapping[int, bytes], count: int) -> tuple[ExtraElement, ...]:
-    """The records as elements, without that of the frame, which is told apart.
+    """Convert records to elements, except that of the coordinate frame, which is read separately.
 
     Args:
-        records: Payload by kind.
-        count: Splats of the file.
+        records: Payloads by type number.
+        count: Number of splats in the file.
     """
     kinds = [kind for kind in records if kind != FRAME_RECORD and records[kind]]
     return tuple(_element(kind, records[kind], count) for kind in kinds)
@@ -40,7 +40,7 @@ def _element(kind: int, payload: bytes, count: int) -> ExtraElement:
 
 
 def is_record(element: ExtraElement) -> bool:
-    """Whether an element is a record, its rows bytes, as `elements_of` makes them."""
+    """Return whether an element is a record as `elements_of` makes it, by its name and fields."""
     digits = element.name.removeprefix(_PREFIX)
     if digits == element.name or len(digits) != 8 or not set(digits) <= set("0123456789ABCDEF"):
         return False
@@ -49,17 +49,17 @@ def is_record(element: ExtraElement) -> bool:
 
 
 def without_records(splats: Splats) -> Splats:
-    """The model without the elements that are records."""
+    """Return the model without the elements that are records."""
     return replace(splats, elements=[each for each in splats.elements if not is_record(each)])
 
 
 def of_splats(elements: Iterable[ExtraElement], count: int) -> bool:
-    """Whether there is a record with a row for each of so many splats, which thus stay in order."""
+    """Return whether any record has one row per splat, so that splats must keep their order."""
     return any(is_record(each) and len(each.rows) == count for each in elements)
 
 
 def packed(elements: Iterable[ExtraElement]) -> bytes:
-    """The records among elements, one after the other as a file has them."""
+    """Encode the elements that are records as the bytes of the file's extension records."""
     parts = []
     for each in elements:
         if is_record(each):

@@ -1,17 +1,18 @@
-"""Writing `.spz` (Niantic), version 2 to 4; `header` and `read` have the layout.
+"""Writing `.spz` (Niantic), version 2 to 4; `header` and `read` describe the layout.
 
-Coefficients of degree 1 keep 5 bits and higher ones 4, as the reference writer has it: the fewer
-values a byte takes, the better it compresses. Unlike there, the fraction bits follow the scene,
-so that a small one keeps its detail and a large one does not wrap around; and centres and
-rotations are no finer than they are worth beside scales, which have steps of a sixteenth.
+SH coefficients of degree 1 keep 5 bits and higher ones 4, as in the reference writer: the fewer
+values a byte takes, the better it compresses. Unlike there, the number of fraction bits depends on
+the scene, so that a small one keeps its detail and a large one does not wrap around; and centres
+and rotations are quantised no finer than is worthwhile beside scales, which have steps of a
+sixteenth.
 
-With fewer bits than 8, splats are turned as little as their axes allow, so that fewer codes are in
-use. Three bytes, as version 2 has them, then hold as much of a rotation as four, and files are of
-that version; and rows go in an order that packs well.
+With fewer bits than 8, the axes of each splat are reordered so that its rotation is as small as
+possible, and fewer codes are in use. The three bytes of version 2 then hold as much of a rotation
+as four, so files are of that version; and rows are sorted so that they compress well.
 
-The higher coefficients are most of a file. Nothing in the format lets splats share them, but what
-repeats within 32 kB costs gzip next to nothing: with a palette, splats that share an entry follow
-each other, and so each entry is packed once.
+The higher SH coefficients are most of a file. The format has no palette, but repetitions within
+32 kB cost gzip next to nothing: with a palette, splats that share an entry are written in a row, so
+that each entry is packed once.
 """
 
 import math
@@ -50,28 +51,30 @@ from nanogs.splats import RenderMode, Splats
 from nanogs.stored import rounded_bytes
 
 SUFFIX = ".spz"
-SH_BITS = 5  # kept of a coefficient of degree 1; of a higher one, one less
-# Versions: the usual one, that of rounded rotations, and the one that can state a frame.
+SH_BITS = 5  # bits kept of an SH coefficient of degree 1; of a higher degree, one less
+# File versions: the default, the one with 3-byte rotations, and the one that can state a frame.
 USUAL, ROUNDED, STATING = 3, 2, 4
 MOST_ENTRIES = 1 << 20  # of a palette
 USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
 _SIGNIFICANT_BITS = 16
-_BYTE, _ZERO = 255, 128  # codes of 1, which is opaque, and of no rotation
-_BLACK = 60  # of the base colour, nearly
+_BYTE, _ZERO = 255, 128  # the codes of 1 (opaque) and of 0 in a component of a rotation
+_BLACK = 60  # the code of a base colour that is almost black
 _ZSTD_LEVEL = 12  # the reference writer's
 
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Codes from one that is used to the next, so that each kind of value costs views as much.
+    """Quantisation steps, in units of the stored codes, for each kind of value.
+
+    They are balanced so that each kind of value costs about the same error in rendered views.
 
     Attributes:
-        scales: Of log-scales.
-        rotations: Of version 2.
-        magnitudes: Of the rotations of later versions.
-        colours: Of base colours, counted from black, which many splats are.
-        alphas: Counted from opaque.
+        scales: Step of log-scales.
+        rotations: Step of the rotations of version 2.
+        magnitudes: Step of the 9-bit magnitudes in the rotations of later versions.
+        colours: Step of base colours, counted from black, which many splats have.
+        alphas: Step of alphas, counted from opaque.
     """
 
     scales: int
@@ -104,31 +107,31 @@ def write(
     frame: str | None = None,
     gzip_level: int = BEST,
 ) -> None:
-    """Write a model, axes as they are; `losses` says what does not go in.
+    """Write a model, with its axes unchanged; `losses` names what the file cannot hold.
 
     Args:
-        model: The model; of a source, no more than a column is held, and that as it is written,
+        model: The model. Of a source, at most one column is held in memory, in its encoded form,
             unless there is a palette, or all columns are so small that they are packed as a whole.
         file: Open for binary writing.
-        tell: Told of the merges that a palette comes of.
-        version: 3 (gzip), which Spark reads; 4 (zstd), as today's reference writer has it; or 2
-            (gzip), which older readers know, with rotations of less precision. By default 3, with
-            fewer bits than 8 2, but 4 for a model with extension records, which were read of such a
-            file, or with a frame.
-        palette_size: Most sets of higher coefficients that splats may have; by default each splat
-            has its own. Splats of one set then follow each other.
-        bits: How fine values are, 4 to 8, see `STEPS`. With fewer than 8, rows of small files go in
-            another order, see `packing`.
-        sh_bits: Of a coefficient of degree 1, 2 to 8; higher ones have one less.
-        spare: Bits that centres do without, 0 to 6; by default they are as fine as splats are
-            small, see `Precision.spare_bits`.
-        frame: The frame of the axes, which the file then states; of version 4 alone, since readers
-            of older ones expect nothing after the columns.
-        gzip_level: Of versions 2 and 3, see `packing.write_gzip`.
+        tell: Progress callback for the merges that build a palette.
+        version: 3 (gzip), which Spark reads; 4 (zstd), as today's reference writer writes; or 2
+            (gzip), which older readers know, with less precise rotations. The default is 3, or 2
+            with fewer bits than 8; but 4 for a frame or for a model with extension records, which
+            come from a file of that version.
+        palette_size: Most distinct sets of higher SH coefficients; by default each splat has its
+            own. Splats that share a set are then written in a row.
+        bits: Precision of values, 4 to 8, see `STEPS`. With fewer than 8, the rows of small files
+            are reordered, see `packing`.
+        sh_bits: Bits of an SH coefficient of degree 1, 2 to 8; higher degrees have one less.
+        spare: Fraction bits dropped from centres, 0 to 6; by default depending on how small the
+            splats are, see `Precision.spare_bits`.
+        frame: The coordinate frame of the axes, which the file then states; for version 4 only,
+            because readers of older ones expect nothing after the columns.
+        gzip_level: Compression level of versions 2 and 3, see `packing.write_gzip`.
 
     Raises:
-        OptionError: A frame or a record is to be in a file of another version, or centres are to do
-            without more bits than they have.
+        OptionError: A frame or extension records are given with another version than 4, or `spare`
+            exceeds the fraction bits that centres have.
         OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
             written then.
         OSError: The system refuses to write.
@@ -169,14 +172,14 @@ def write(
 
 
 def check_states(version: int, what: str) -> None:
-    """Refuse a version after whose columns readers expect nothing.
+    """Refuse a file version that cannot hold extension records.
 
     Args:
-        version: That is to be written.
-        what: What files of `STATING` do beside.
+        version: The version that is to be written.
+        what: The feature that only version `STATING` has, for the message.
 
     Raises:
-        OptionError: It is another one.
+        OptionError: It is not version `STATING`.
     """
     if version != STATING:
         raise OptionError(
@@ -186,11 +189,11 @@ def check_states(version: int, what: str) -> None:
 
 
 def usual_version(bits: int = MOST_BITS, *, stating: bool = False) -> int:
-    """The version that is written unless told otherwise.
+    """Return the default file version.
 
     Args:
-        bits: How fine values are.
-        stating: Whether there are records, a frame perhaps.
+        bits: Precision of values.
+        stating: Whether there are extension records, that of a frame included.
     """
     if stating:
         return STATING
@@ -231,14 +234,14 @@ def losses(splats: Splats, *, records: bool = True) -> tuple[str, ...]:
 
 
 def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
-    """Bits behind the binary point: 12 or more, less those that large splats have no use for.
+    """Return the number of fraction bits for centres: 12 or more, less those that are spared.
 
-    Very large scenes have fewer, and then all of them unless told otherwise.
+    Bits are spared where splats are so large that they do not need them. Very large scenes have
+    fewer than 12 bits, and then none is spared by default.
 
     Raises:
-        OptionError: Centres are to do without more bits than there are.
-        OutputError: A value is NaN or infinite, or a centre is too far out for whole numbers of 24
-            bits.
+        OptionError: `precision.spare` exceeds the number of bits that there are.
+        OutputError: A value is NaN or infinite, or a centre is too far out for 24-bit integers.
     """
     source = source_of(model)
     bits = _possible_bits(source)
@@ -251,7 +254,7 @@ def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
 
 
 def spare_bits(source: Source, bits: int = MOST_BITS) -> int:
-    """Bits that centres do without unless told otherwise, as `write` has it for so many bits.
+    """Return the number of fraction bits that `write` drops from centres by default.
 
     Raises:
         OutputError: As for `fraction_bits`.
@@ -260,7 +263,7 @@ def spare_bits(source: Source, bits: int = MOST_BITS) -> int:
 
 
 def _possible_bits(source: Source) -> int:
-    """Bits behind the binary point that there may be; it raises what `fraction_bits` does."""
+    """Return the most fraction bits that the scene's extent allows; raises as `fraction_bits`."""
     reach = _reach(limits.storable(source, SUFFIX))
     if (bits := _bits(reach)) < 0:
         raise UnstorableError(
@@ -271,7 +274,7 @@ def _possible_bits(source: Source) -> int:
 
 
 def _spare(source: Source, precision: Precision, bits: int) -> int:
-    """Bits that centres do without, of so many behind the point."""
+    """Return the number of fraction bits to drop from centres, out of `bits`."""
     if precision.spare is None and bits < USUAL_FRACTION_BITS:
         return 0
     step = np.full((1, 1), math.ldexp(1.0, -bits))
@@ -279,12 +282,12 @@ def _spare(source: Source, precision: Precision, bits: int) -> int:
 
 
 def _reach(blocks: Iterable[Splats]) -> float:
-    """The largest coordinate of all centres, without its sign; NaN if one of them is."""
+    """Return the largest absolute coordinate of all centres; NaN if one of them is NaN."""
     return float(np.max([np.abs(block.means).max(initial=0) for block in blocks], initial=0))
 
 
 def _bits(reach: float) -> int:
-    """Fraction bits, see `fraction_bits`; negative where a centre is too far out or not finite."""
+    """Return the fraction bits for an extent; negative if it is too large or not finite."""
     if not reach <= _FIXED_MAX:
         return -1
     exponent = math.frexp(reach)[1]  # reach < 2^exponent
@@ -295,10 +298,11 @@ def _bits(reach: float) -> int:
 def _sharing(
     splats: Splats, size: int, tell: Parts, *, movable: bool
 ) -> tuple[InMemory, I64 | None]:
-    """The splats with so many sets of higher coefficients at most, those of one set in a row.
+    """Replace the higher SH coefficients by at most `size` palette entries.
 
     Returns:
-        The splats, and (N,) which set they are of, ascending; None where they may not be moved.
+        The splats, sorted by palette entry, and the (N,) entry of each, ascending. Where they may
+        not be moved, the splats in their order, and None.
     """
     points = splats.sh[:, 1:].reshape(len(splats), -1)
     found = palette(points, size, visibility(splats), tell)
@@ -312,7 +316,7 @@ def _sharing(
 
 
 def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Encoder]:
-    """Functions that encode a block of rows, one for each column of the file."""
+    """Return the functions that encode a block of rows, one for each column of the file."""
     steps = STEPS[bits]
     if version == ROUNDED:
         pack = partial(_xyz_rotations, step=steps.rotations)
@@ -334,39 +338,39 @@ def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Enco
 
 
 def _alphas(block: Splats, step: int) -> U8:
-    """(R,) opacities as codes; what nobody sees stays so, whatever the step."""
+    """Encode (R,) opacities as codes; invisible splats stay invisible, whatever the step."""
     values = block.opacities() * _BYTE
     codes = _stepped(values, step, _BYTE)
-    codes[values < 0.5] = 0  # as with steps of 1
+    codes[values < 0.5] = 0  # the code that a step of 1 gives
     return codes
 
 
 def _colours(block: Splats) -> F64:
-    """(R, 3) base colours as codes, before rounding."""
+    """Return (R, 3) base colours in units of codes, before rounding."""
     codes: F64 = (block.sh[:, 0] * np.float64(COLOUR_SCALE) + 0.5) * _BYTE
     return codes
 
 
 def _as_they_are(block: Splats) -> tuple[F32, F32]:
-    """(R, 4) unit wxyz, and (R, 3) log-scales."""
+    """Return the rotations, (R, 4) unit wxyz, and the (R, 3) log-scales, with axes unchanged."""
     return block.unit_quats(), block.log_scales
 
 
 def _least_turned(block: Splats) -> tuple[F32, F32]:
-    """The same with other axes first, so that rotations are small."""
+    """Return rotations and log-scales with the axes reordered so that rotations are small."""
     quats, log_scales = least_turned(block)
     return quats.astype(np.float32), log_scales
 
 
 def _stepped(values: F32 | F64, step: int, start: int = 0) -> U8:
-    """The nearest of the codes that are so far apart, one of which is `start`."""
+    """Round values to the nearest code of the grid that contains `start` and has this step."""
     if step == 1:
         return rounded_bytes(values)
     return rounded_bytes(start + step * np.rint((values - start) / step))
 
 
 def _compressed(column: Iterable[bytes]) -> bytes:
-    """One column as a zstd frame that states its size and has a checksum."""
+    """Compress one column to a zstd frame that states its size and has a checksum."""
     import zstandard
 
     plain = b"".join(column)
@@ -374,22 +378,23 @@ def _compressed(column: Iterable[bytes]) -> bytes:
 
 
 def _positions(means: F32 | F64, bits: int) -> U8:
-    """(R, 9): three little-endian 24-bit integers."""
+    """Encode (R, 3) centres as (R, 9) bytes: three little-endian 24-bit integers each."""
     fixed = np.rint(np.ldexp(means.astype(np.float64), bits)).astype("<i4")
     wide: U8 = fixed[:, :, None].view(np.uint8)
     return wide[:, :, :3]
 
 
 def _xyz_rotations(quats: F32, step: int) -> U8:
-    """(R, 3) from unit wxyz: x, y and z of the two that turn alike with w positive."""
+    """Encode (R, 4) unit wxyz as (R, 3) codes of xyz, with the sign for which w is positive."""
     xyz = np.where(quats[:, :1] < 0, -quats[:, 1:], quats[:, 1:]).astype(np.float64)
     return _stepped((xyz + 1) * 127.5, step, _ZERO)
 
 
 def _rotations(quats: F32, step: int) -> U8:
-    """(R, 4) from unit wxyz: the largest part's place, then sign and magnitude of the others.
+    """Encode (R, 4) unit wxyz as (R, 4) bytes, the layout of versions 3 and 4.
 
-    Magnitudes are multiples of the step.
+    It is the index of the largest component, then sign and magnitude of each other one; magnitudes
+    are multiples of the step.
     """
     largest, small = split_quats(quats[:, [1, 2, 3, 0]].astype(np.float64))
     exact = np.minimum(np.abs(small) / np.sqrt(0.5), 1) * (MAGNITUDE / step)
@@ -401,12 +406,15 @@ def _rotations(quats: F32, step: int) -> U8:
 
 
 def _buckets(degree: int, sh_bits: int) -> F64:
-    """(K - 1,): the distance of the bytes that each higher coefficient may take."""
+    """Return (K - 1,) quantisation steps of the higher SH coefficients, in units of codes."""
     per_band = [2.0 ** (8 - sh_bits + (band > 1)) for band in range(1, degree + 1)]
     return np.repeat(per_band, [2 * band + 1 for band in range(1, degree + 1)])
 
 
 def _coefficients(sh: F32, buckets: F64) -> U8:
-    """(R, 3 (K - 1)): the nearest multiple of the bucket, which includes 128 for zero."""
+    """Encode higher SH coefficients as (R, 3 (K - 1)) codes, rounded to the bucket's multiples.
+
+    The grid contains 128, the code of zero.
+    """
     nearest = np.rint(sh.astype(np.float64) * SH_STEPS / buckets) * buckets + 128
     return rounded_bytes(nearest).reshape(len(sh), -1)
