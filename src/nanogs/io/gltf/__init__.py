@@ -1,4 +1,4 @@
-"""glTF with KHR_gaussian_splatting, and 3D Tiles, whose contents are glTF."""
+"""glTF with KHR_gaussian_splatting, and 3D Tiles, whose tile contents are glTF files."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Colours that a glTF file states in linear light, as those of a display, which splats hold."""
+"""Conversion of linear-light colours of a glTF file to the display (sRGB) colours of splats."""
 
 import numpy as np
 
@@ -6,24 +6,24 @@ from nanogs._types import F32, F64
 from nanogs.sh import basis
 
 LINEAR = "lin_rec709_display"
-_SIDES = 8  # directions for each coefficient
+_SIDES = 8  # sample directions per SH coefficient
 
 
 def encoded(linear: F64) -> F64:
-    """The sRGB encoding of linear light, of the same shape; nothing is darker than black."""
+    """Encode linear light as sRGB, in the same shape; negative values are clamped to black."""
     light = np.maximum(linear, 0)
     result: F64 = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     return result
 
 
 def to_display(sh: F32) -> F64:
-    """(R, K, 3): coefficients whose colours, from all sides, are nearest to the encoded ones.
+    """Fit (R, K, 3) SH coefficients of sRGB colours to coefficients of linear light.
 
-    Encoding is no linear map, so of a degree above 0 the nearest is not the same; without
-    harmonics of a higher degree nothing is lost.
+    The fit is a least-squares one over directions on the sphere. Because the encoding is not a
+    linear map, it is exact for degree 0 only.
 
     Args:
-        sh: (R, K, 3) float32, coefficients of linear light.
+        sh: (R, K, 3) float32, SH coefficients of linear light.
     """
     degree = int(sh.shape[1] ** 0.5) - 1
     sides = basis(_directions(_SIDES * sh.shape[1]), degree)
@@ -33,7 +33,7 @@ def to_display(sh: F32) -> F64:
 
 
 def _directions(count: int) -> F64:
-    """(count, 3): unit vectors, evenly about the sphere on a spiral."""
+    """Return (count, 3) unit vectors, spread evenly over the sphere on a spiral."""
     turns = np.arange(count) + 0.5
     z = 1 - 2 * turns / count
     angle, ring = np.pi * (1 + 5**0.5) * turns, np.sqrt(1 - z * z)

@@ -1,6 +1,6 @@
-"""A glTF document: its JSON, object by object, and the accessors into its buffers.
+"""A glTF document: checked access to its JSON objects, and to the accessors into its buffers.
 
-https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html. A buffer lies in the file itself, in a
+https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html. A buffer is in the file itself, in a
 `data:` URI, or in a file of the same folder or below it; nothing else is ever read.
 """
 
@@ -19,10 +19,10 @@ from nanogs.io.gltf.rows import Accessor
 from nanogs.io.json_fields import integer, local_path, numbers, refused, rows, table
 from nanogs.io.section import Section
 
-# Python takes up to 25 times a JSON text's size; those of splats have some 10 KB.
+# Parsed JSON takes up to 25 times the memory of its text; that of a splat file has some 10 KB.
 MAX_JSON_BYTES = 4 << 20
 DATA = "data:"
-_LONGEST_HEAD = 256  # of a URI in base64: its media type
+_LONGEST_HEAD = 256  # bytes of a `data:` URI that are searched for its media type and comma
 _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _AGAIN = "export or download it again."
@@ -30,32 +30,38 @@ _AGAIN = "export or download it again."
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """An object in the JSON chunk, and where it stands there, for messages."""
+    """An object of the JSON, with methods that read its fields by type.
+
+    Attributes:
+        path: The file.
+        where: The path of the object within the JSON, for messages.
+        data: The parsed object.
+    """
 
     path: Path
     where: str
     data: dict[str, Any]
 
     def error(self, what: str) -> FormatError:
-        """The error that something about this object is not as it must be."""
+        """Return the error that this object is invalid."""
         return FormatError(f"{self.path}: {self.where} {what}; {_AGAIN}")
 
     def _at(self, key: str) -> str:
         return f"{self.path}: {self.where}.{key}"
 
     def integer(self, key: str, default: int | None = None) -> int:
-        """A number that counts something or is an index.
+        """Return a field that is a count or an index.
 
         Raises:
-            FormatError: It is missing without a default, or no integer from 0 on.
+            FormatError: It is missing without a default, or is not an integer of 0 or more.
         """
         return integer(self.data.get(key, default), self._at(key), 0)
 
     def text(self, key: str, default: str = "") -> str:
-        """A string, or the default where there is none.
+        """Return a field that is a string, or the default if it is missing.
 
         Raises:
-            FormatError: It is no string.
+            FormatError: It is not a string.
         """
         value = self.data.get(key, default)
         if not isinstance(value, str):
@@ -63,35 +69,35 @@ class Part:
         return value
 
     def part(self, key: str) -> "Part":
-        """An object; an empty one where there is none.
+        """Return a field that is an object, or an empty object if it is missing.
 
         Raises:
-            FormatError: It is no object.
+            FormatError: It is not an object.
         """
         value = table(self.data.get(key, {}), self._at(key))
         return Part(self.path, f"{self.where}.{key}", value)
 
     def items(self, key: str) -> list[Any]:
-        """An array; an empty one where there is none.
+        """Return a field that is an array, or an empty array if it is missing.
 
         Raises:
-            FormatError: It is no array.
+            FormatError: It is not an array.
         """
         return rows(self.data.get(key, []), self._at(key))
 
     def indices(self, key: str) -> list[int]:
-        """An array of indices.
+        """Return a field that is an array of indices.
 
         Raises:
-            FormatError: It is no array, or holds something else.
+            FormatError: It is not an array, or holds something else.
         """
         return [integer(value, self._at(key), 0) for value in self.items(key)]
 
     def at(self, key: str, index: int) -> "Part":
-        """The object at an index of an array.
+        """Return the object at an index of an array field.
 
         Raises:
-            FormatError: The array is too short, or holds something else there.
+            FormatError: The array is too short, or its element there is not an object.
         """
         values = self.items(key)
         if index >= len(values) or not isinstance(values[index], dict):
@@ -99,22 +105,22 @@ class Part:
         return Part(self.path, f"{key}[{index}]", values[index])
 
     def numbers(self, key: str, default: tuple[float, ...]) -> F64:
-        """As many finite numbers as the default has.
+        """Return an array of as many finite numbers as the default has.
 
         Raises:
-            FormatError: There are others.
+            FormatError: The field is anything else.
         """
         return numbers(self.data.get(key, list(default)), self._at(key), len(default))
 
 
 @dataclass(frozen=True, slots=True)
 class Lifted:
-    """A `data:` URI that was left where it is.
+    """The location of a `data:` URI that was skipped when the JSON was read.
 
     Attributes:
-        start: Its place in the file.
-        size: Bytes.
-        escaped: Whether a backslash is in it, as some write before a slash.
+        start: Its byte offset in the file.
+        size: Its size in bytes.
+        escaped: Whether it contains a backslash, which some writers put before a slash.
     """
 
     start: int
@@ -124,13 +130,13 @@ class Lifted:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A file's JSON and where its buffers lie.
+    """The JSON of a file, and the locations of its buffers.
 
     Attributes:
         path: The file.
-        root: All of its JSON.
-        body: The buffer in the file itself, which is that of no URI; None in a text file.
-        lifted: The `data:` URIs that are not in the JSON, by what stands there in their place.
+        root: The root object of the JSON.
+        body: The binary chunk of the file, used for the buffer without a URI; None in a text file.
+        lifted: The skipped `data:` URIs, by the placeholder that replaces each in the JSON.
     """
 
     path: Path
@@ -141,22 +147,23 @@ class Document:
 
     @property
     def file_bytes(self) -> int:
-        """Bytes of the file and of those beside it that have been referred to."""
+        """Total size in bytes of the file and of the files of the buffers used so far."""
         return sum(map(input_size, self.paths()))
 
     def paths(self) -> list[Path]:
-        """The file, and those beside it that have been referred to."""
+        """Return the file and the files of the buffers used so far."""
         return [*dict.fromkeys([self.path, *(each.path for each in self._buffers.values())])]
 
     def buffers(self) -> dict[int, Section]:
-        """The buffers that have been referred to, by their index."""
+        """Return the buffers used so far, by their index."""
         return self._buffers
 
     def accessor(self, index: int, components: int) -> Accessor:
-        """An accessor of rows of so many numbers, every count and offset checked.
+        """Return an accessor of `components` numbers per row, after checking counts and offsets.
 
         Raises:
-            FormatError: It has another type, lies elsewhere, or leads outside its buffer.
+            FormatError: It has another type, is sparse or without a buffer view, or leads outside
+                its buffer.
         """
         part = self.root.at("accessors", index)
         kind = _KINDS.get(part.integer("componentType"))
@@ -176,16 +183,16 @@ class Document:
         return Accessor(count, components, kind, normalized, buffer, offset, stride, (start, end))
 
     def view(self, index: int) -> Section:
-        """The bytes of a buffer view.
+        """Return the section of a file that a buffer view covers.
 
         Raises:
-            FormatError: There is none, or it leads outside its buffer.
+            FormatError: There is no such view, or it leads outside its buffer.
         """
         buffer, start, end = self._span(self.root.at("bufferViews", index))
         return self._buffers[buffer].part(start, end - start)
 
     def _span(self, view: Part) -> tuple[int, int, int]:
-        """The buffer of a buffer view, its first byte there, and the one after its last."""
+        """Return the buffer index of a buffer view, and its start and end in bytes there."""
         if packed := [name for name in view.part("extensions").data if "compression" in name]:
             raise view.error(f"is packed with {packed[0]}, which nanogs does not read")
         number = view.integer("buffer")
@@ -198,7 +205,7 @@ class Document:
         return number, start, start + length
 
     def _located(self, buffer: Part, *, first: bool) -> Section:
-        """Find where a buffer lies."""
+        """Return the section of the file that holds a buffer, or its decoded bytes."""
         uri = buffer.text("uri")
         if not uri:
             if self.body is None or not first:
@@ -214,7 +221,7 @@ class Document:
 
 
 def _lying(path: Path, buffer: Part, lifted: Lifted) -> Section:
-    """The bytes of a `data:` URI in the file."""
+    """Return the bytes of a skipped `data:` URI: in the file, decoded later unless escaped."""
     with reading(path) as file:
         file.seek(lifted.start)
         if lifted.escaped:
@@ -230,7 +237,7 @@ def _lying(path: Path, buffer: Part, lifted: Lifted) -> Section:
 
 
 def _head(buffer: Part, uri: bytes) -> bytes:
-    """The head of a `data:` URI, which is before its comma and has to say base64."""
+    """Return the part of a `data:` URI before its comma, which has to end with ";base64"."""
     head, comma, _ = uri.partition(b",")
     if not comma or not head.endswith(b";base64"):
         raise buffer.error("has a data: URI that is not in base64")
@@ -238,7 +245,7 @@ def _head(buffer: Part, uri: bytes) -> bytes:
 
 
 def _decoded(buffer: Part, uri: bytes) -> bytes:
-    """Decode a `data:` URI."""
+    """Decode the payload of a `data:` URI."""
     payload = uri[len(_head(buffer, uri)) + 1 :]
     try:
         return base64.b64decode(payload.replace(b"\\/", b"/"), validate=True)
@@ -247,15 +254,15 @@ def _decoded(buffer: Part, uri: bytes) -> bytes:
 
 
 def damaged(path: Path, what: str) -> FormatError:
-    """The error for a file that contradicts itself."""
+    """Return the error for a damaged file."""
     return FormatError(f"{path}: {what}; {_AGAIN}")
 
 
 def check_length(path: Path, size: int) -> None:
-    """Refuse JSON that is too long to be read.
+    """Refuse JSON of more than `MAX_JSON_BYTES`.
 
     Raises:
-        FormatError: As said.
+        FormatError: It is longer.
     """
     if size > MAX_JSON_BYTES:
         raise FormatError(
@@ -265,10 +272,10 @@ def check_length(path: Path, size: int) -> None:
 
 
 def parsed(path: Path, text: bytes) -> Part:
-    """The JSON of a document.
+    """Parse the JSON of a document and return its root object.
 
     Raises:
-        FormatError: It is none.
+        FormatError: It is not valid JSON, or not an object.
     """
     try:
         data = json.loads(text.decode("utf-8"), parse_constant=_refuse)

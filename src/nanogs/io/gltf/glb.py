@@ -1,9 +1,9 @@
 """The containers of glTF: binary (`.glb`), whose chunks are JSON and a buffer, and text (`.gltf`).
 
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sections 3.6 (binary data) and 4 (GLB).
-The first bytes tell which of the two a file is, whatever it is called. The `data:` URIs of a text
-file, most of its bytes, are passed over when its JSON is read, which has a limit: rows are decoded
-from where they lie.
+Which of the two a file is follows from its first bytes, not from its name. The `data:` URIs of a
+text file, most of its bytes, are skipped when its JSON is read, because the size of JSON is
+limited; rows are later decoded directly from the file.
 """
 
 import re
@@ -21,12 +21,12 @@ JSON_CHUNK, BODY_CHUNK = b"JSON", b"BIN\0"
 _CHUNK = struct.Struct("<I4s")
 _OPENING = b'"data:'
 _KEY = re.compile(rb'"uri"\s*:\s*"$')
-_LONG = 256  # of a URI; shorter ones stay in the JSON
+_LONG = 256  # bytes; URIs up to this length stay in the JSON
 _PIECE = 1 << 20  # bytes
 
 
 def read_document(path: Path) -> Document:
-    """Read the JSON of a file and find its buffers.
+    """Read the JSON of a glTF file and locate its buffers.
 
     Raises:
         FormatError: The file cannot be read, is damaged, or its JSON is too long.
@@ -50,32 +50,35 @@ def _read_text(path: Path, file: BinaryIO) -> Document:
 
 
 def _lift(path: Path, file: BinaryIO) -> tuple[bytes, dict[str, Lifted]]:
-    """The text with a name in the place of every long `data:` URI, and where these lie by name.
+    """Read the text of a file with a placeholder for every long `data:` URI.
+
+    Returns:
+        The text, and the location of each skipped URI by its placeholder.
 
     Raises:
-        FormatError: The rest is too long.
+        FormatError: The text without the URIs is too long.
     """
     rest, lifted = bytearray(), dict[str, Lifted]()
-    held, place = b"", 0  # what was read last, and where it lies in the file
-    begin, escaped = -1, False  # of the URI that is passed over
+    held, place = b"", 0  # bytes read but not processed, and their offset in the file
+    begin, escaped = -1, False  # of the URI being skipped; -1 outside of one
     while piece := file.read(_PIECE):
         held += piece
         at = 0
         while True:
             if begin < 0:
                 found = held.find(_OPENING, at)
-                # What may be the beginning of an opening is looked at again with what follows.
+                # The last bytes may be the start of an opening: they are kept for the next piece.
                 end = max(len(held) - len(_OPENING) + 1, at) if found < 0 else found + 1
                 rest += held[at:end]
                 at = end
                 if found < 0:
                     break
-                if _KEY.search(rest[-_LONG:]) is None:  # a comment, say
+                if _KEY.search(rest[-_LONG:]) is None:  # another string, such as a comment
                     continue
                 begin, escaped = place + at, False
             end = held.find(b'"', at)
             if end < 0 and place + len(held) - begin <= _LONG:
-                break  # all of it is held, and perhaps put into the rest
+                break  # it may turn out short: keep it in `held` until its end is read
             text = held[at : end if end >= 0 else len(held)]
             escaped |= b"\\" in text
             at += len(text)
@@ -125,7 +128,7 @@ def _check_header(path: Path, header: bytes, size: int) -> None:
 
 
 def _chunk(path: Path, header: bytes, at: int, size: int) -> tuple[int, bytes]:
-    """Length and type of a chunk whose contents begin at a byte of the file."""
+    """Return the length and type of a chunk whose contents begin at offset `at` of the file."""
     if len(header) < _CHUNK.size:
         raise damaged(path, "it ends inside the header of a chunk")
     length, kind = _CHUNK.unpack(header)

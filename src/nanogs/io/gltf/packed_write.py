@@ -1,10 +1,10 @@
 """Writing `.glb` whose splats are packed as SPZ: KHR_gaussian_splatting_compression_spz_2.
 
 Specification: https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos, a draft. It is the only
-form of splats that CesiumJS draws (as of 1.145), so where the two disagree this follows CesiumJS:
-the numbers in the SPZ data are those of the mesh as they are, whereas by the draft they would be
-turned by half a turn about y. The attributes are those that the draft names; their accessors have
-no data of their own.
+encoding of splats that CesiumJS draws (as of 1.145), so where the two disagree this follows
+CesiumJS: the SPZ data is in the frame of the mesh, whereas by the draft it would be rotated by half
+a turn about y. The attributes are those that the draft names; their accessors have no data of their
+own.
 """
 
 import io
@@ -19,12 +19,12 @@ from nanogs.io.spz import write as spz_write
 from nanogs.splats import Splats
 
 _FLOAT, _BYTE = 5126, 5121
-# The half turn about z, y down to y up; as a matrix, since CesiumJS reads no other transform here.
+# Half a turn about z, from y down to y up; a matrix because CesiumJS reads no other transform here.
 _HALF_TURN = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
 
 
 def write(splats: Splats, file: BinaryIO) -> None:
-    """Write a model of SH degree up to 3; `losses` says what does not go in.
+    """Write a model with SH degree up to 3; `losses` names what the file cannot hold.
 
     Raises:
         OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
@@ -57,7 +57,7 @@ def _padded(data: bytes, fill: bytes) -> bytes:
 
 
 def _document(splats: Splats, size: int) -> dict[str, Any]:
-    """The JSON of a model that takes `size` bytes as SPZ."""
+    """Return the JSON of a model whose SPZ data has `size` bytes."""
     bounds = {"min": splats.means.min(axis=0).tolist(), "max": splats.means.max(axis=0).tolist()}
     columns: list[tuple[str, int, str, dict[str, Any]]] = [
         ("POSITION", _FLOAT, "VEC3", bounds),

@@ -1,8 +1,8 @@
 """The splats of one glTF primitive: in accessors, or packed as SPZ.
 
-The packed ones follow KHR_gaussian_splatting_compression_spz_2, a draft, as CesiumJS reads it: the
-numbers in the SPZ data are those of the mesh as they are; see `packed_write`. The draft before it
-had another name and the same layout.
+Packed splats follow KHR_gaussian_splatting_compression_spz_2, a draft, as CesiumJS reads it: the
+SPZ data is in the frame of the mesh; see `packed_write`. The draft before it had another name and
+the same layout.
 """
 
 from dataclasses import dataclass
@@ -29,12 +29,12 @@ _TYPE_NAMES = {"i1": "char", "u1": "uchar", "<i2": "short", "<u2": "ushort", "<f
 
 
 def attribute(name: str) -> str:
-    """The name of one of the extension's attributes."""
+    """Return the full name of an attribute of the extension."""
     return f"{EXTENSION}:{name}"
 
 
 def coefficients(degree: int) -> list[str]:
-    """Names of the attributes with the coefficients up to a degree, in the order of `Splats.sh`."""
+    """Return the names of the SH attributes up to a degree, in the order of `Splats.sh`."""
     return [
         attribute(f"SH_DEGREE_{level}_COEF_{n}")
         for level in range(degree + 1)
@@ -44,12 +44,12 @@ def coefficients(degree: int) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A primitive whose splats lie in accessors, by attribute; any rows can be read.
+    """A primitive whose splats are in accessors, one per attribute; rows can be read at random.
 
     Attributes:
-        pose: From the primitive to the frame of `.ply` files.
+        pose: Transform from the primitive to the frame of `.ply` files.
         linear: Whether its colours are linear light.
-        accessors: By attribute.
+        accessors: Accessors by attribute name.
         info: The description of its splats.
     """
 
@@ -59,7 +59,7 @@ class Rows:
     info: FileInfo
 
     def holds_logarithms(self, body: Body) -> bool:
-        """Whether some scale is below 0, which linear ones are not."""
+        """Return whether any scale is negative, so that scales are stored as logarithms."""
         scales = self.accessors[attribute("SCALE")]
         for start in range(0, scales.count, BLOCK_ROWS):
             if (scales.values(body, start, min(start + BLOCK_ROWS, scales.count)) < 0).any():
@@ -67,7 +67,7 @@ class Rows:
         return False
 
     def decode(self, body: Body, out: dict[str, Any], first: int, logarithms: bool) -> None:
-        """Fill arrays with rows from a first one on, block by block."""
+        """Fill the arrays of `out` with the rows from `first` on, block by block."""
         count = len(out["means"])
         for start in range(0, count, BLOCK_ROWS):
             span = slice(start, min(start + BLOCK_ROWS, count))
@@ -91,7 +91,7 @@ class Packed:
     """A primitive whose splats are packed as SPZ; they are read all at once.
 
     Attributes:
-        pose: From the primitive to the frame of `.ply` files.
+        pose: Transform from the primitive to the frame of `.ply` files.
         linear: Whether its colours are linear light.
         source: The SPZ data.
     """
@@ -106,7 +106,7 @@ class Packed:
         return self.source.info
 
     def decode_all(self, out: dict[str, Any]) -> tuple[str, ...]:
-        """Fill arrays with all rows; what is to be said of them."""
+        """Fill the arrays of `out` with all rows and return the notes about them."""
         splats = self.source.load()
         out["sh"][:, : splats.sh.shape[1]] = splats.sh
         out["opacity_logits"][:] = splats.opacity_logits
@@ -125,10 +125,10 @@ Primitive = Rows | Packed
 
 
 def primitive_of(document: Document, placed: Placed, linear: bool) -> Primitive:
-    """Check a primitive of splats against the file.
+    """Make a primitive of splats ready for reading, after checking it against the file.
 
     Raises:
-        FormatError: Something is missing, leads elsewhere, or contradicts something else.
+        FormatError: Something is missing, refers outside of the file, or is contradictory.
     """
     splatting = placed.primitive.part("extensions").part(EXTENSION)
     packed = [name for name in splatting.part("extensions").data if "compression" in name]
@@ -146,7 +146,7 @@ def primitive_of(document: Document, placed: Placed, linear: bool) -> Primitive:
 
 
 def _rows(document: Document, placed: Placed, linear: bool) -> Rows:
-    """Check the attributes of a primitive against each other and against the file."""
+    """Return an unpacked primitive, its attributes checked against each other and the file."""
     attributes = placed.primitive.part("attributes")
     degree = _degree(attributes)
     sizes = {"POSITION": 3, attribute("ROTATION"): 4, attribute("SCALE"): 3}
@@ -171,7 +171,7 @@ def _rows(document: Document, placed: Placed, linear: bool) -> Rows:
 
 
 def _degree(attributes: Part) -> int:
-    """The highest degree of which there is an attribute; that none is missing is checked later."""
+    """Return the highest SH degree with any attribute; that none is missing is checked later."""
     for degree in range(MAX_DEGREE, 0, -1):
         names = set(coefficients(degree)) - set(coefficients(degree - 1))
         if names & set(attributes.data):
@@ -182,7 +182,7 @@ def _degree(attributes: Part) -> int:
 def _place(
     primitive: Primitive, out: dict[str, Any], means: F64, quats: F64, log_scales: F64
 ) -> None:
-    """Fill rows with what is placed; turn and encode the colours in them."""
+    """Fill rows with the transformed geometry; convert and rotate the SH coefficients in place."""
     pose = primitive.pose
     if primitive.linear:
         out["sh"][:] = to_display(out["sh"])

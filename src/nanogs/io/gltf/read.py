@@ -2,10 +2,10 @@
 
 Specification: https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting,
 ratified in 2026; docs/formats.md compares every property with it. Scales are linear and not
-negative there; drafts before it stored logarithms, which files in the wild still hold. A scene is
-turned into the frame of `.ply` files, half a turn about z from glTF's, its node transforms
-applied. The render mode and the comments of a PLY file, for which the extension has no place,
-travel in the primitive's `extras`.
+negative there; earlier drafts stored logarithms, which files in the wild still hold. Node
+transforms are applied, and the scene is turned into the frame of `.ply` files, half a turn about z
+from glTF's. The render mode and the comments of a PLY file, for which the extension has no field,
+are kept in the primitive's `extras`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -45,24 +45,24 @@ COLOUR_SPACE = "srgb_rec709_display"
 MODE_KEY, COMMENTS_KEY = "SplatRenderMode", "comments"
 _UNDERSTOOD = (EXTENSION, *PACKED_NAMES, "KHR_mesh_quantization")
 _IGNORED = "KHR_materials_"  # splats have no material
-_DERIVED = ("COLOR_0", "NORMAL")  # for viewers that know no splats
+_DERIVED = ("COLOR_0", "NORMAL")  # for viewers without support for splats
 _LOGARITHMS = "Scales are negative, so they were read as logarithms, as early drafts had."
-# As drafts called the two; without a name they meant the first.
+# The names of the two colour spaces in drafts; without a name they meant the first.
 _DISPLAYED = (COLOUR_SPACE, "BT.709", "BT.709-srgb", "BT.709-sRGB")
 _LINEAR = (LINEAR, "lin_rec709_scene", "BT.709-linear", "linear")
-# What the extension defines, and where it is left out.
+# The values that the extension defines, which are also the defaults.
 _USUAL = {"kernel": "ellipse", "projection": "perspective", "sortingMethod": "cameraDistance"}
 
 
 @dataclass(slots=True)
 class _Scene:
-    """All primitives of a file, and what is to be said about them."""
+    """All splat primitives of a file, with their comments, render modes and notes."""
 
     document: Document
     primitives: list[Primitive] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
     modes: set[RenderMode] = field(default_factory=set)
-    tag: str = ""  # what states the mode of a primitive
+    tag: str = ""  # the field of the file that states the render mode, for `FileInfo`
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -83,15 +83,16 @@ class _Scene:
 
 
 def open_gltf(path: Path, above: F64 | None = None) -> FileSource:
-    """The splats of a `.glb` or `.gltf` file, one primitive after the other.
+    """Open the splats of a `.glb` or `.gltf` file, in the order of its primitives.
 
     Args:
         path: The file.
-        above: (4, 4) float64: from the file's frame to that of a scene that it is in, both y up.
+        above: (4, 4) float64: transform from the file's frame to that of an enclosing scene, both y
+            up; the identity by default.
 
     Raises:
         FormatError: The file cannot be read, is damaged, holds no splats or only such as are
-            packed in an unknown way, or refers to files elsewhere; or the place mirrors or shears
+            packed in an unknown way, or refers to files elsewhere; or a transform mirrors or shears
             the splats.
     """
     scene = _scene(path, np.eye(4) if above is None else above)
@@ -99,7 +100,7 @@ def open_gltf(path: Path, above: F64 | None = None) -> FileSource:
 
 
 class _Rows(FileSource):
-    """The splats of all primitives, one after the other."""
+    """A source of the splats of all primitives, for files in which none are packed."""
 
     def __init__(self, scene: _Scene) -> None:
         super().__init__(scene.document.path)
@@ -124,7 +125,7 @@ class _Rows(FileSource):
 
     @property
     def files(self) -> Sequence[Path]:
-        """The file, and those beside it that it refers to; see `FileSource`."""
+        """The file, and the files of its buffers; see `FileSource`."""
         path = self.path
         return (path, *(p for p in self._scene.document.paths() if p != path))
 
@@ -135,13 +136,13 @@ class _Rows(FileSource):
             yield body
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows, or, of a file that holds packed ones, all; see `Source`."""
+        """Read rows `start` to `stop`, which must be all if any are packed; see `Source`."""
         scene, n = self._scene, stop - start
         out = empty_arrays(n, scene.degree)
         out["sh"][:] = 0
         notes = list(scene.notes)
         first = 0
-        # Whatever bits there are: NaN, infinity, zero scales.
+        # The file may hold any bits: NaN, infinity, zero scales.
         with self._body() as body, np.errstate(all="ignore"):
             for primitive in scene.primitives:
                 end = first + primitive.info.splats
@@ -163,15 +164,15 @@ class _Rows(FileSource):
 
 
 class _Packed(Whole, _Rows):
-    """The same where some are packed."""
+    """A source of the splats of all primitives, for files in which some are packed as SPZ."""
 
     def load(self) -> Splats:
-        """All splats."""
+        """Read all splats."""
         return super(Whole, self)._span(0, self.count)  # of `_Rows`
 
 
 def _scene(path: Path, above: F64) -> _Scene:
-    """The primitives of a file, every count in it checked against the file's size."""
+    """Read the splat primitives of a file, checking every count against the file's size."""
     document = read_document(path)
     for name in document.root.items("extensionsRequired"):
         if name not in _UNDERSTOOD and not str(name).startswith(_IGNORED):
@@ -195,7 +196,7 @@ def _scene(path: Path, above: F64) -> _Scene:
 
 
 def _check_memory(scene: _Scene) -> None:
-    """Accessors may share their bytes; what comes of it must stay in proportion to the file."""
+    """Refuse a model that is much larger than its file, because accessors may share bytes."""
     size, model = scene.document.file_bytes, scene.count * splat_bytes(scene.degree)
     if scene.packed:
         check_expansion(str(scene.document.path), model, size)
@@ -207,7 +208,7 @@ def _check_memory(scene: _Scene) -> None:
 
 
 def _colour_space(scene: _Scene, primitive: Part) -> bool:
-    """Whether the colours of a primitive are linear light."""
+    """Return whether the colours of a primitive are linear light, and note a conversion."""
     splatting = primitive.part("extensions").part(EXTENSION)
     space = splatting.text("colorSpace", COLOUR_SPACE)
     if space in _LINEAR:
@@ -221,7 +222,13 @@ def _colour_space(scene: _Scene, primitive: Part) -> bool:
 
 
 def _describe(scene: _Scene, primitive: Part, info: FileInfo) -> None:
-    """Note what a primitive says about itself beside its numbers, of which `info` tells."""
+    """Add a primitive's render mode, comments and unsupported properties to the scene.
+
+    Args:
+        scene: Changed in place.
+        primitive: The JSON of the primitive.
+        info: The description of its splats.
+    """
     splatting = primitive.part("extensions").part(EXTENSION)
     for key, usual in _USUAL.items():
         if (value := splatting.text(key, usual)) != usual:
@@ -234,7 +241,7 @@ def _describe(scene: _Scene, primitive: Part, info: FileInfo) -> None:
     if left_out:
         scene.notes.append(f"The attribute {left_out[0][:40]!a} was left out.")
     extras = primitive.data.get("extras")
-    extras = extras if isinstance(extras, dict) else {}  # may be anything, by specification
+    extras = extras if isinstance(extras, dict) else {}  # the specification allows any JSON here
     stated = extras.get(MODE_KEY, info.render_mode)
     known_mode = stated in list(RenderMode)
     if not known_mode:

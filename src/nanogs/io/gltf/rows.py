@@ -1,4 +1,4 @@
-"""Accessors of glTF: rows of numbers in a binary buffer, alone or between those of others."""
+"""Accessors of glTF: rows of numbers in a binary buffer, separate or interleaved with others."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -16,17 +16,17 @@ from nanogs.io.section import Section
 
 @dataclass(frozen=True, slots=True)
 class Accessor:
-    """Rows of equal numbers in a buffer, its place checked against the buffer's size.
+    """Rows of numbers of one type in a buffer, within the buffer's bounds.
 
     Attributes:
-        count: Rows.
-        components: Numbers in each.
-        kind: Their numpy type.
-        normalized: Whether integers stand for -1 to 1, or 0 to 1.
-        buffer: The index of the buffer that they lie in.
-        offset: Of the first row in the buffer, bytes.
-        stride: From one row to the next, bytes.
-        view: Where the bytes that it shares with others begin in the buffer, and where they end.
+        count: Number of rows.
+        components: Numbers per row.
+        kind: Their numpy dtype.
+        normalized: Whether integers encode -1 to 1 (signed) or 0 to 1 (unsigned).
+        buffer: Index of the buffer.
+        offset: Byte offset of the first row in the buffer.
+        stride: Bytes from one row to the next.
+        view: Byte range in the buffer of the buffer view, which other accessors may share.
     """
 
     count: int
@@ -39,13 +39,14 @@ class Accessor:
     view: tuple[int, int]
 
     def values(self, body: "Body", start: int, stop: int) -> Array:
-        """(R, components) stored numbers of some rows.
+        """Read the stored numbers of rows `start` to `stop`, (R, components).
 
         Raises:
             FormatError: The file cannot be read.
         """
         width = np.dtype(self.kind).itemsize
-        before = (self.offset - self.view[0]) % self.stride  # columns beside it are asked for next
+        # Read whole interleaved rows, because their other columns are usually requested next.
+        before = (self.offset - self.view[0]) % self.stride
         first = self.offset + start * self.stride
         end = self.offset + (stop - 1) * self.stride + self.components * width
         whole_rows = first - before + (stop - start) * self.stride
@@ -54,7 +55,7 @@ class Accessor:
         return np.ndarray(shape, self.kind, buffer=data, offset=before, strides=strides)
 
     def decoded(self, stored: Array) -> F64:
-        """Decode stored numbers to float64."""
+        """Convert stored numbers to float64, normalised integers to their range."""
         values = stored.astype(np.float64)
         if self.normalized and stored.dtype.kind in "iu":
             values /= np.iinfo(stored.dtype).max
@@ -63,14 +64,14 @@ class Accessor:
 
 
 class Body:
-    """The bytes of opened buffers, of which those read last are kept."""
+    """The bytes of open buffers, with a cache of the range read last."""
 
     def __init__(self, path: Path, files: Mapping[int, BinaryIO]) -> None:
         self._path, self._files = path, files
         self._start, self._data = (-1, 0), np.empty(0, np.uint8)
 
     def read(self, buffer: int, start: int, stop: int) -> Array:
-        """Some bytes of a buffer.
+        """Read bytes `start` to `stop` of a buffer.
 
         Raises:
             FormatError: They cannot be read.
@@ -84,7 +85,7 @@ class Body:
 
 @contextmanager
 def opened(path: Path, buffers: Mapping[int, Section]) -> Iterator[Body]:
-    """The buffers of a document, open.
+    """Open the buffers of a document, for the length of a `with` block.
 
     Raises:
         FormatError: One cannot be read.

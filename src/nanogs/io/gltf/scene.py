@@ -1,9 +1,9 @@
-"""Node transforms of a glTF scene, and turning splats by them.
+"""Node transforms of a glTF scene, and applying them to splats.
 
-A node's transform has to come apart into translation, rotation and positive scales, as the
-extension asks for, or is refused: others mirror or shear the splats. Scales that differ along the
-axes give splats other axes, those of their stretched covariance. Spherical harmonics turn with the
-rotation.
+A node's transform has to decompose into translation, rotation and positive scales, as the extension
+demands, or it is refused: others mirror or shear the splats. Scales that differ between axes give
+splats new principal axes, those of their stretched covariance. Spherical harmonics are rotated with
+the splats.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,12 +18,12 @@ from nanogs.sh import basis
 from nanogs.stored import quaternions, rotations
 
 EXTENSION = "KHR_gaussian_splatting"
-# glTF is y-up, a 3DGS file y-down by habit: half a turn about z leads from one to the other.
+# glTF is y-up, 3DGS files are y-down by convention: half a turn about z converts between them.
 HALF_TURN = (0.0, 0.0, 1.0, 0.0)  # xyzw
 _TO_PLY = np.diag([-1.0, -1.0, 1.0, 1.0])
 _IDENTITY = tuple(np.eye(4).ravel().tolist())
 _MAX_PRIMITIVES = 4096
-_CLOSE = 1e-4  # of single precision, through a few nodes
+_CLOSE = 1e-4  # tolerance for rounding in single precision, accumulated over a few nodes
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Pose:
 
     Attributes:
         rotation: (3, 3) float64, orthonormal with determinant 1.
-        scale: (3,) float64, above 0; one number three times where all directions are scaled alike.
+        scale: (3,) float64, above 0; three equal numbers if the scaling is uniform.
         shift: (3,) float64, scene units.
     """
 
@@ -41,31 +41,34 @@ class Pose:
     shift: F64
 
     def is_identity(self) -> bool:
-        """Whether it leaves every bit as it is."""
+        """Return whether the transform changes nothing."""
         same = np.array_equal(self.rotation, np.eye(3)) and (self.scale == 1).all()
         return bool(same and not self.shift.any())
 
     def means(self, means: F64) -> F64:
-        """(R, 3) float64: centres, transformed."""
+        """Transform (R, 3) float64 centres."""
         turned: F64 = self.scale * means @ self.rotation.T + self.shift
         return turned
 
     def shapes(self, quats: F64, log_scales: F64) -> tuple[F64, F64]:
-        """Rotations and scales of splats, transformed; where scales differ, of longest axes first.
+        """Transform the rotations and scales of splats.
+
+        If the scaling is not uniform, the axes of the results are sorted, the longest first.
 
         Args:
-            quats: (R, 4) wxyz, perhaps not of unit length.
+            quats: (R, 4) wxyz, not necessarily of unit length.
             log_scales: (R, 3).
 
         Returns:
-            The same of the transformed splats; NaN for those with a NaN or an infinite value.
+            Both for the transformed splats; NaN for splats with a NaN or an infinite value where
+            the scaling is not uniform.
         """
         if (self.scale == self.scale[0]).all():
             return self._turned(quats), log_scales + np.log(self.scale[0])
         unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
         stretched = self.rotation * self.scale @ (rotations(unit) * np.exp(log_scales)[:, None])
         whole = np.isfinite(stretched).all(axis=(1, 2))
-        # Singular vectors and values are the axes and their lengths, without squares in between.
+        # The SVD gives the axes and their lengths without squaring them, as a covariance would.
         turned, lengths, _ = np.linalg.svd(np.where(whole[:, None, None], stretched, np.eye(3)))
         turned[:, :, 2] *= np.linalg.det(turned)[:, None]
         return (
@@ -74,7 +77,7 @@ class Pose:
         )
 
     def _turned(self, quats: F64) -> F64:
-        """(R, 4) float64 wxyz: rotations, followed by this one."""
+        """Apply the rotation to (R, 4) wxyz rotations of splats; the result is float64."""
         w, *v = quaternions(self.rotation[None])[0]
         axis = np.array(v)
         real, imaginary = quats[:, :1], quats[:, 1:]
@@ -87,12 +90,12 @@ class Pose:
         )
 
     def harmonics(self, sh: F32) -> F64:
-        """(R, K, 3): coefficients whose colours are the old ones, seen from the turned side."""
+        """Rotate (R, K, 3) SH coefficients, so that colours turn with the splats."""
         degree = int(sh.shape[1] ** 0.5) - 1
         rng = np.random.default_rng(0)
         directions = rng.normal(size=(8 * sh.shape[1], 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        turned = basis(directions @ self.rotation, degree)  # what the old ones see: R^T d
+        turned = basis(directions @ self.rotation, degree)  # in the splat's old frame: R^T d
         matrix = np.linalg.lstsq(basis(directions, degree), turned, rcond=None)[0].round(12)
         result: F64 = np.einsum("jk,rkc->rjc", matrix, sh.astype(np.float64))
         return result
@@ -100,21 +103,22 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A primitive of splats and the pose that leads from it to the frame of `.ply` files."""
+    """A primitive of splats and its transform to the frame of `.ply` files."""
 
     primitive: Part
     pose: Pose
 
 
 def placed_splats(document: Document, above: F64) -> tuple[list[Placed], int]:
-    """The primitives of splats in the scene, and how many others there are.
+    """Return the splat primitives of the scene, and the number of other primitives.
 
     Args:
         document: The file.
-        above: (4, 4) float64: what is done to the scene, in its own frame, after its nodes.
+        above: (4, 4) float64: transform of the whole scene, applied after its node transforms.
 
     Raises:
-        FormatError: There is none, the nodes are no tree, or a transform mirrors or shears.
+        FormatError: There is no splat primitive, the nodes do not form a tree, or a transform
+            mirrors or shears.
     """
     found, others = [], 0
     for node, matrix in _nodes(document.root, above):
@@ -147,7 +151,7 @@ def _without_splats(document: Document) -> FormatError:
 
 
 def _nodes(root: Part, above: F64) -> Iterator[tuple[Part, F64]]:
-    """The nodes of the scene with their global matrices; parents first."""
+    """Yield the nodes of the scene with their global matrices, parents first."""
     if not root.items("scenes"):
         raise root.error("has no scene")
     scene = root.at("scenes", root.integer("scene", 0))
@@ -159,14 +163,14 @@ def _nodes(root: Part, above: F64) -> Iterator[tuple[Part, F64]]:
         if index in seen:
             raise node.error("has two parents or is its own, and nodes must be a tree")
         seen.add(index)
-        with np.errstate(all="ignore"):  # `_pose` refuses what overflowed
+        with np.errstate(all="ignore"):  # overflow is refused by `pose_of`
             matrix = above @ _local(node)
         yield node, matrix
         waiting += [(child, matrix) for child in reversed(node.indices("children"))]
 
 
 def _local(node: Part) -> F64:
-    """(4, 4) matrix of one node."""
+    """Return the (4, 4) local matrix of a node."""
     if "matrix" in node.data:
         return node.numbers("matrix", _IDENTITY).reshape(4, 4).T
     x, y, z, w = node.numbers("rotation", (0.0, 0.0, 0.0, 1.0))
@@ -182,11 +186,11 @@ def _local(node: Part) -> F64:
 
 
 def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
-    """Decompose a matrix that leads to y up, followed by the turn into the frame of `.ply` files.
+    """Decompose a transform, combined with the turn from y up to the frame of `.ply` files.
 
     Args:
-        matrix: (4, 4) float64.
-        error: Makes the error of what is wrong with it.
+        matrix: (4, 4) float64, a transform to a frame with y up.
+        error: Makes the error to raise from a description of the problem.
 
     Raises:
         FormatError: It mirrors, flattens or shears, or its last row is not 0, 0, 0, 1.
@@ -217,5 +221,5 @@ def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
 
 
 def _skew(rotation: F64) -> float:
-    """How far columns are from being orthonormal."""
+    """Return the largest deviation of the columns from being orthonormal."""
     return float(np.abs(rotation.T @ rotation - np.eye(3)).max())

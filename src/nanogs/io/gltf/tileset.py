@@ -1,14 +1,14 @@
-"""Reading 3D Tiles: a `tileset.json` over glTF files with splats.
+"""Reading 3D Tiles: a `tileset.json` that refers to glTF files with splats.
 
-Specification: https://docs.ogc.org/cs/22-025r4/22-025r4.html. Tiles are a tree. With `REPLACE`, a
-tile's children stand in its place, finer; with `ADD`, they come on top of it. A level is the whole
-scene as a viewer would draw it that goes no deeper than some depth: level 0 goes to the leaves,
-level 1 one step less, and so on up to the first tiles with contents. Where a tile has no content,
-those below it stand for it.
+Specification: https://docs.ogc.org/cs/22-025r4/22-025r4.html. Tiles form a tree. With `REPLACE`, a
+tile's children replace it by finer content; with `ADD`, they are drawn in addition to it. A level
+is the whole scene as drawn by a viewer that descends to a limited depth: level 0 descends to the
+leaves, level 1 one step less, and so on up to the first tiles with contents. A tile without content
+is represented by its descendants.
 
-The tileset's frame is z up. Transforms of tiles are applied, but for one that leads far away: it
-says where on Earth the scene is, where single precision is coarser than a splat. What is read is in
-the frame that the scene has there, and a note says where that is.
+The tileset's frame is z up. Transforms of tiles are applied, except one with a far translation,
+which places the scene on Earth, at coordinates where single precision is coarser than a splat. The
+model is read in the local frame of that place, and a note gives the place.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,24 +29,25 @@ from nanogs.io.sog.levels import common_mode, joined_info, joined_notes
 from nanogs.place import text_of
 from nanogs.splats import Splats, concatenate
 
-MAX_BYTES = 8 << 20  # of a tileset.json; a tile has some 300 bytes for 10 K splats or more
+MAX_BYTES = 8 << 20  # of a tileset.json; a tile takes some 300 bytes for 10 K splats or more
 _MAX_TILESETS = 1000
 _IDENTITY = np.eye(4)
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from glTF's y up
-# Scene units from the origin, where single precision has steps of a hundredth of one.
+# Distance in scene units from the origin at which float32 has steps of a hundredth of a unit.
 _FAR = 1e5
 
 
 @dataclass(frozen=True, slots=True)
 class _Tile:
-    """A tile as far as it matters here.
+    """A tile, reduced to the fields that reading splats needs.
 
     Attributes:
-        depth: Steps from the root.
-        contents: Its files, which hold splats.
-        above: (4, 4) float64: from the frame of the contents to that of the tileset, both y up.
-        adds: Whether it stays where its children are drawn.
-        children: Whether it has any.
+        depth: Number of steps from the root.
+        contents: Its glTF files.
+        above: (4, 4) float64: transform from the frame of the contents to that of the tileset, both
+            y up.
+        adds: Whether it is still drawn when its children are (`ADD`).
+        children: The tiles below it.
     """
 
     depth: int
@@ -58,21 +59,21 @@ class _Tile:
 
 @dataclass(frozen=True, slots=True)
 class _Tileset:
-    """A tree of tiles, and what is to be said about it."""
+    """A tree of tiles, with notes about reading it."""
 
     path: Path
     root: _Tile
     notes: tuple[str, ...]
 
     def levels(self) -> int:
-        """The number of levels."""
+        """Return the number of levels; at least one tile must have contents."""
         depths = [tile.depth for tile in _all(self.root) if tile.contents]
         if not depths:
             raise FormatError(f"{self.path} names no content; export the tileset again.")
         return max(depths) - min(depths) + 1
 
     def level(self, number: int) -> list[_Tile]:
-        """The tiles with contents of a level, in the order of the file.
+        """Return the tiles with contents of a level, in the order of the file.
 
         Raises:
             OptionError: There is no such level.
@@ -83,7 +84,7 @@ class _Tileset:
 
 
 def open_level(path: Path, level: int = 0) -> "TilesLevel":
-    """A level of a `tileset.json`; 0 is the finest.
+    """Open a level of a `tileset.json`; 0 is the finest.
 
     Raises:
         OptionError: There is no such level.
@@ -94,7 +95,7 @@ def open_level(path: Path, level: int = 0) -> "TilesLevel":
 
 
 class TilesLevel(Whole):
-    """The tiles of a level, one after the other."""
+    """A source of all splats of a level, in the order of its tiles."""
 
     def __init__(self, tileset: _Tileset, level: int, tiles: list[_Tile]) -> None:
         super().__init__(tileset.path)
@@ -102,13 +103,13 @@ class TilesLevel(Whole):
 
     @property
     def files(self) -> Sequence[Path]:
-        """The tileset and the contents of the level; see `FileSource`."""
+        """The `tileset.json` and the files of the level's contents; see `FileSource`."""
         contents = [file for tile in self._tiles for file in tile.contents]
         return [self.path, *(each for file in contents for each in gltf.open_gltf(file).files)]
 
     @property
     def levels(self) -> tuple[int, ...]:
-        """Splats of each level, by what the contents say of themselves; see `FileSource`."""
+        """Number of splats of each level, from the headers of the contents; see `FileSource`."""
         tileset = self._tileset
         every = {file for tile in _all(tileset.root) for file in tile.contents}
         counts = {file: gltf.open_gltf(file).count for file in every}
@@ -117,12 +118,12 @@ class TilesLevel(Whole):
 
     @cached_property
     def info(self) -> FileInfo:
-        """The description, from those of the contents."""
+        """The description of the level, combined from those of the contents."""
         infos = [gltf.open_gltf(file).info for tile in self._tiles for file in tile.contents]
         return joined_info(self.path, "3d tiles", infos, sum(info.splats for info in infos))
 
     def load(self) -> Splats:
-        """The splats of all tiles."""
+        """Read the splats of all tiles of the level."""
         tileset = self._tileset
         places = [(file, tile.above) for tile in self._tiles for file in tile.contents]
         models = [gltf.open_gltf(file, above).load() for file, above in places]
@@ -143,7 +144,7 @@ def _all(root: _Tile) -> Iterator[_Tile]:
 
 
 def _drawn(root: _Tile, depth: int) -> Iterator[_Tile]:
-    """The tiles with contents that are drawn by a viewer which goes no deeper."""
+    """Yield the tiles with contents that a viewer draws if it descends to `depth` at most."""
     waiting = [root]
     while waiting:
         tile = waiting.pop()
@@ -156,24 +157,25 @@ def _drawn(root: _Tile, depth: int) -> Iterator[_Tile]:
 
 
 class _Reader:
-    """Reads a tileset and those that it names, each file once."""
+    """A reader of a tileset and the tilesets it refers to, which refuses to read a file twice."""
 
     def __init__(self) -> None:
         self._seen: set[Path] = set()
         self._tilesets = 0
 
     def root(self, path: Path) -> dict[str, Any]:
-        """The root tile of a `tileset.json`."""
+        """Read the root tile of a `tileset.json`, as JSON."""
         self._tilesets += 1
         if self._tilesets > _MAX_TILESETS:
             raise refused(str(path), f"is one of more than {_MAX_TILESETS} tilesets")
         return table(read_json(path, MAX_BYTES).get("root"), f"{path}, root")
 
     def tile(self, data: dict[str, Any], place: "_Place") -> _Tile:
-        """A tile and all below it.
+        """Parse a tile and all tiles below it.
 
         Raises:
-            FormatError: It is not as 3D Tiles have it, or names files twice or elsewhere.
+            FormatError: It is invalid or tiled implicitly, or names a file twice or outside of the
+                folder.
         """
         where = f"{place.path}, tile"
         if "implicitTiling" in data:
@@ -214,13 +216,13 @@ class _Reader:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """The place of a tile.
+    """The context of a tile that it inherits from its parent.
 
     Attributes:
-        path: The tileset that it is in.
-        depth: Steps from the root.
-        above: (4, 4) float64: from the frame of its parent to that of the tileset, both z up.
-        adds: Whether its parent's refinement adds.
+        path: The `tileset.json` that it is in.
+        depth: Number of steps from the root.
+        above: (4, 4) float64: transform from its parent's frame to that of the tileset, both z up.
+        adds: Whether its parent's refinement is `ADD`, the default of its own.
     """
 
     path: Path
@@ -247,23 +249,26 @@ def _read(path: Path) -> _Tileset:
 
 
 def _place_of(root: _Tile) -> F64 | None:
-    """The first transform, from the root on, that leads far away, both frames y up; or None."""
+    """Return the first tile transform, from the root on, with a far translation, or None.
+
+    Both of its frames are y up.
+    """
     far = (tile.above for tile in _all(root) if np.abs(tile.above[:3, 3]).max() > _FAR)
     return next(far, None)
 
 
 def _seen_from(root: _Tile, place: F64, back: F64) -> _Tile:
-    """The same tree in the frame that a place has; `back` is the inverse of its transform."""
+    """Transform a tree to the local frame of `place`; `back` is the inverse of its transform."""
     children = tuple(_seen_from(tile, place, back) for tile in root.children)
-    # Nothing is rounded where there is nothing but the place.
+    # A tile with no other transform gets exactly the identity, without rounding.
     same = np.array_equal(root.above, place)
-    with np.errstate(all="ignore"):  # `pose_of` refuses what overflowed
+    with np.errstate(all="ignore"):  # overflow is refused by `pose_of`
         above = _IDENTITY if same else back @ root.above
     return replace(root, above=above, children=children)
 
 
 def _transform(data: dict[str, Any], where: str) -> F64:
-    """(4, 4) of one tile; its columns lie one after the other in the file."""
+    """Return the (4, 4) transform of a tile, which is stored in column-major order."""
     if data.get("transform") is None:
         return _IDENTITY
     return numbers(data["transform"], f"{where}, transform", 16).reshape(4, 4).T

@@ -1,12 +1,12 @@
 """Writing `.glb` and `.gltf` with KHR_gaussian_splatting: float32 columns, one primitive of points.
 
-The specification is named in `read`. The numbers stay in the frame of the model; the node turns
-them by half a turn about z into glTF's, y-up. `COLOR_0` shows the base colours to viewers that
-know no splats. The JSON is padded to what the longest numbers would take, so that the size of a
-file follows from the count of its splats.
+For the specification see `read`. The numbers stay in the frame of the model; the node's rotation,
+half a turn about z, leads to glTF's frame, y-up. `COLOR_0` shows the base colours to viewers
+without support for splats. The JSON is padded to the length that the longest numbers would take, so
+that the size of a file depends only on its number of splats.
 
-A `.gltf`, which is text, holds its buffer as a `data:` URI: a second file beside it could be there
-while the first one is not, or be that of another model.
+A `.gltf`, which is text, holds its buffer as a `data:` URI: a second file beside it could exist
+without the first one, or belong to another model.
 """
 
 import json
@@ -38,11 +38,11 @@ _KINDS = {_FLOAT: "<f4", _BYTE: "u1"}
 _VERTICES = 34962  # the target of a buffer view with vertex attributes
 _MAX_BYTES = (1 << 32) - 1
 _URI = "data:application/octet-stream;base64,"
-_LONGEST = -2.2250738585072014e-308  # no float has more digits
+_LONGEST = -2.2250738585072014e-308  # no float has a longer text
 
 
 def write(model: Splats | Source, file: BinaryIO) -> None:
-    """Write a `.glb`, no more than some rows held; rotations are written with unit length.
+    """Write a `.glb`, holding only some rows in memory; rotations are normalised.
 
     Raises:
         OutputError: A splat holds a value that glTF cannot, or the file would be too large.
@@ -51,14 +51,14 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
     source = source_of(model)
     low, high = _bounds(source, ".glb")
     first, count = source.read(0, 1), source.count
-    file_bytes(first, count)  # which refuses what is too large
+    file_bytes(first, count)  # raises if the file would be too large
     text = _text(_document(first, count, low, high)).ljust(_json_bytes(first))
     file.writelines(head(text, count * _row_bytes(first)))
     file.writelines(_body(source, first))
 
 
 def write_text(model: Splats | Source, file: BinaryIO) -> None:
-    """Write a `.gltf` in the same way, its buffer in it as a `data:` URI.
+    """Write a `.gltf` in the same way, with its buffer in a `data:` URI.
 
     Raises:
         OutputError: As for `write`.
@@ -69,7 +69,7 @@ def write_text(model: Splats | Source, file: BinaryIO) -> None:
     first, count = source.read(0, 1), source.count
     size = text_bytes(first, count)
     text = _text(_document(first, count, low, high, _URI))
-    before, uri, after = text.rpartition(_URI.encode())  # a comment may hold the same, before it
+    before, uri, after = text.rpartition(_URI.encode())  # the last: comments may contain it too
     file.write(before + uri)
     rest = b""
     for block in _body(source, first):
@@ -82,23 +82,23 @@ def write_text(model: Splats | Source, file: BinaryIO) -> None:
 
 
 def _body(source: Source, first: Splats) -> Iterator[bytes]:
-    """The buffer, in pieces."""
+    """Yield the buffer in pieces."""
     encoders = [partial(_encoded, encode, kind) for _, encode, kind, *_ in _attributes(first)]
     for column in encoded_columns(source, encoders):
         yield from column
 
 
 def _encoded_bytes(size: int) -> int:
-    """Characters of so many bytes in base64."""
+    """Return the number of base64 characters for `size` bytes."""
     return (size + 2) // 3 * 4
 
 
 def head(text: bytes, body_bytes: int) -> Iterator[bytes]:
-    """Bytes of a `.glb` file before its buffer; the sizes of both parts are multiples of 4.
+    """Yield the bytes of a `.glb` file before its buffer.
 
     Args:
-        text: The JSON.
-        body_bytes: Of the buffer.
+        text: The JSON, padded to a multiple of 4 bytes.
+        body_bytes: Size of the buffer, a multiple of 4.
     """
     yield MAGIC + struct.pack("<II", 2, 12 + 8 + len(text) + 8 + body_bytes)
     yield struct.pack("<I", len(text)) + JSON_CHUNK + text
@@ -106,11 +106,11 @@ def head(text: bytes, body_bytes: int) -> Iterator[bytes]:
 
 
 def file_bytes(splats: Splats, count: int) -> int:
-    """Bytes of the file of a model of `count` splats that is like this one in all else.
+    """Return the `.glb` file size in bytes of a model like this one with `count` splats.
 
     Args:
-        splats: What the degree, the render mode and the comments are taken from.
-        count: Splats, 1 or more.
+        splats: The model that the SH degree, the render mode and the comments are taken from.
+        count: Number of splats, 1 or more.
 
     Raises:
         OutputError: The comments are too long, or the file would be too large for `.glb`.
@@ -125,7 +125,7 @@ def file_bytes(splats: Splats, count: int) -> int:
 
 
 def text_bytes(splats: Splats, count: int) -> int:
-    """Bytes of a `.gltf`, see `file_bytes`.
+    """Return the `.gltf` file size in bytes; see `file_bytes`.
 
     Raises:
         OutputError: The comments are too long, or the file would be too large.
@@ -147,7 +147,7 @@ def losses(splats: Splats, suffix: str = ".glb") -> tuple[str, ...]:
 
 
 def _bounds(source: Source, suffix: str) -> tuple[list[float], list[float]]:
-    """The lowest and the highest centre, once it is known that all can be stored."""
+    """Return the minimum and maximum of the centres, after checking that all can be stored."""
     blocks = limits.storable(source, suffix)
     corners = [(block.means.min(axis=0), block.means.max(axis=0)) for block in blocks]
     low, high = map(np.array, zip(*corners, strict=True))
@@ -160,7 +160,7 @@ def _encoded(encode: Encoder, component: int, block: Splats) -> Array:
 
 
 def _json_bytes(splats: Splats) -> int:
-    """The JSON's size, the same for every count: a multiple of 4, as chunks must be."""
+    """Return the padded size of the JSON for any count: a multiple of 4, as chunks must be."""
     longest = [_LONGEST] * 3
     size = len(_text(_document(splats, _MAX_BYTES, longest, longest))) + 3 & ~3
     if size > MAX_JSON_BYTES:
@@ -177,7 +177,7 @@ def _text(document: dict[str, Any]) -> bytes:
 
 
 def _attributes(splats: Splats) -> Iterator[tuple[str, Encoder, int, str, int]]:
-    """Name, encoder, component type, type and bytes a splat of each column, in file order."""
+    """Yield name, encoder, component type, type and bytes per splat of each column, in order."""
     yield "POSITION", lambda part: part.means, _FLOAT, "VEC3", 12
     yield "COLOR_0", _fallback, _BYTE, "VEC4", 4
     yield attribute("ROTATION"), _xyzw, _FLOAT, "VEC4", 16
@@ -200,7 +200,7 @@ def _xyzw(part: Splats) -> Array:
 
 
 def _fallback(part: Splats) -> Array:
-    """(R, 4) uint8: the base colour decoded from sRGB, as `COLOR_0` is linear, and alpha."""
+    """Return (R, 4) uint8 RGBA for `COLOR_0`, which is linear: decoded base colour, and alpha."""
     srgb = np.clip(part.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0, 1)
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     rgba = np.column_stack([linear, part.opacities()])
@@ -210,7 +210,7 @@ def _fallback(part: Splats) -> Array:
 def _document(
     splats: Splats, count: int, low: list[float], high: list[float], uri: str = ""
 ) -> dict[str, Any]:
-    """The JSON of a model of so many splats, the buffer last."""
+    """Return the JSON of a model of `count` splats, with the buffer last."""
     columns = list(_attributes(splats))
     accessors: list[dict[str, Any]] = []
     views = []
@@ -233,11 +233,11 @@ def _document(
 
 
 def primitive_of(names: Iterable[str], splatting: dict[str, Any]) -> dict[str, Any]:
-    """A primitive of splats.
+    """Return the JSON of a primitive of splats.
 
     Args:
-        names: Of its attributes; the first has the first accessor, and so on.
-        splatting: What its extension says besides the kernel and the colours.
+        names: Names of its attributes; the first has the first accessor, and so on.
+        splatting: Fields of its extension besides the kernel and the colour space.
     """
     kernel = {"kernel": "ellipse", "colorSpace": COLOUR_SPACE}
     return {
@@ -250,12 +250,12 @@ def primitive_of(names: Iterable[str], splatting: dict[str, Any]) -> dict[str, A
 def document_of(
     primitive: dict[str, Any], extensions: dict[str, list[str]], placed: dict[str, Any]
 ) -> dict[str, Any]:
-    """A document of one primitive, but for what lies in the buffer.
+    """Return the JSON of a document with one primitive, without accessors, views and buffers.
 
     Args:
-        primitive: Of the splats.
-        extensions: Those that are used and required.
-        placed: The transform of the node.
+        primitive: The primitive of splats.
+        extensions: The extensions used and required, by JSON key.
+        placed: The transform of the node, as its JSON fields.
     """
     return {
         "asset": {"version": "2.0", "generator": f"nanogs {__version__}"},
