@@ -1,4 +1,4 @@
-"""Spark's `.rad`: chunks of splats packed column by column, mostly with a tree of levels."""
+"""Spark's `.rad`: chunks of splats packed column by column, usually with a level-of-detail tree."""
 
 from nanogs.io.format import Format
 from nanogs.io.rad import write

@@ -1,30 +1,32 @@
-"""The layout of `.rad` (Spark), and its descriptions checked, before any splat is unpacked.
+"""The layout of `.rad` (Spark); reading and checking its headers before any splat is decoded.
 
-Facts of the format as Spark reads and writes it (https://github.com/sparkjsdev/spark,
+The format as Spark reads and writes it (https://github.com/sparkjsdev/spark,
 rust/spark-lib/src/rad.rs, splat_encode.rs and src/SplatPager.ts), little-endian throughout:
 
 - `RAD0`, u32 length, JSON of that length, zeros up to a multiple of 8 bytes; then the chunks. The
-  JSON has `version` 1, `type` "gsplat", `count`, `maxSh` (0 where it is missing), `lodTree`,
-  `chunkSize`, `allChunkBytes`, and `chunks`, each with `offset`, from the end of this header, and
-  `bytes`; or with the `filename` of a file of its own beside this one. `splatEncoding` are ranges
-  for the textures of a viewer, `shCodeCount` is explained below, `comment` is for people.
-- A chunk is `RADC`, u32 length, JSON, zeros as above, u64 `payloadBytes`, and these. The JSON has
-  `version` 1, `base` (the rows before it), `count`, `payloadBytes` and `properties`, each with its
-  `offset` in the payload, a multiple of 8, `bytes`, `encoding`, and `compression` "gz", which is
-  deflate without a header, or none. A viewer that streams wants 65,536 rows in each but the last.
-- Properties: `center`, `alpha`, `rgb` (0.5 and 0.282 times the coefficient), `scales` (linear),
-  `orientation`, and `sh1`, `sh2`, `sh3`, a band each: coefficient after coefficient, RGB last. In
-  place of bands there may be `sh_label`, the number of an entry in `sh1_code`, `sh2_code` and
-  `sh3_code`, which the first chunk has; `shCodeCount` is how many entries there are.
+  JSON has `version` 1, `type` "gsplat", `count`, `maxSh` (0 if missing), `lodTree`, `chunkSize`,
+  `allChunkBytes`, and `chunks`, each with `offset`, from the end of this header, and `bytes`; or
+  with the `filename` of a separate file beside this one. `splatEncoding` has value ranges for the
+  textures of a viewer, `shCodeCount` is explained below, `comment` is free text.
+- A chunk is `RADC`, u32 length, JSON, zeros as above, u64 `payloadBytes`, and the payload. The JSON
+  has `version` 1, `base` (the number of rows before it), `count`, `payloadBytes` and `properties`,
+  each with its `offset` in the payload, a multiple of 8, `bytes`, `encoding`, and `compression`
+  "gz", which is deflate without a header, or none. A streaming viewer expects 65,536 rows in each
+  chunk but the last.
+- Properties: `center`, `alpha`, `rgb` (0.5 plus 0.282 times the coefficient), `scales` (linear),
+  `orientation`, and `sh1`, `sh2`, `sh3`, one for each SH band: coefficient-major, RGB last. In
+  place of bands there may be `sh_label`, the index of an entry in the palettes `sh1_code`,
+  `sh2_code` and `sh3_code`, which are in the first chunk; `shCodeCount` is the number of entries.
 - Encodings hold all rows of the first component, then of the second: `f32`, `f16`; `f32_lebytes`
   and `f16_lebytes`, the lowest bytes of all components first; `r8`, from `min` to `max`; `s8`,
-  signed, 127 for `max`; `r8_delta` and `s8_delta`, each byte less the one before; `ln_f16`, a
+  signed, 127 for `max`; `r8_delta` and `s8_delta`, each byte minus the one before; `ln_f16`, a
   logarithm; `ln_0r8`, 0 for a scale of zero and 1 to 255 for logarithms from `min` to `max`; `u16`;
-  `u32`. An orientation is xyz as `f32` or `f16` with w the positive rest, or `oct88r8`, row by row:
-  an axis as two bytes, octahedral, and a turn about it from 0 to pi.
-- A tree: `child_count` (u16) and `child_start` (u32) name the rows that stand for the same as this
-  one, only finer. Row 0 is the root, children come after their parents, leaves have none: these are
-  the model. An alpha above 1 is a splat with a wide, opaque middle; see `values`.
+  `u32`. An orientation is xyz as `f32` or `f16`, with the non-negative w that gives unit length, or
+  `oct88r8`, row by row: an octahedral rotation axis in two bytes, and an angle from 0 to pi.
+- Level-of-detail tree: `child_count` (u16) and `child_start` (u32) give the rows that represent the
+  same part of the scene as this one, but finer. Row 0 is the root, children come after their
+  parents, leaves have none: the leaves are the model. An alpha above 1 means a splat with a wide,
+  opaque middle; see `values`.
 """
 
 import struct
@@ -42,7 +44,7 @@ from nanogs.io.texts import is_utf8
 MAGIC, CHUNK_MAGIC = b"RAD0", b"RADC"
 VERSION = 1
 MAX_DEGREE = 3
-CHUNK_ROWS = 1 << 16  # that a viewer which streams wants
+CHUNK_ROWS = 1 << 16  # rows per chunk that a streaming viewer expects
 START = struct.Struct("<4sI")
 PAYLOAD = struct.Struct("<Q")
 
@@ -52,7 +54,7 @@ LABEL = "sh_label"
 CHILD_COUNT, CHILD_START = "child_count", "child_start"
 _PLAIN = ("center", "alpha", "rgb", "scales", "orientation")
 _KNOWN = frozenset((*_PLAIN, *BANDS, *CODES, LABEL, CHILD_COUNT, CHILD_START))
-_MAX_JSON = 1 << 20  # as the viewer has it; a chunk takes some 50 bytes
+_MAX_JSON = 1 << 20  # the viewer's limit; a chunk takes some 50 bytes
 _MAX_CHUNK_JSON = 1 << 16
 _MAX_ROWS = 1 << 32
 _RANGED = frozenset(("r8", "r8_delta", "ln_0r8"))
@@ -61,15 +63,15 @@ _SIGNED = frozenset(("s8", "s8_delta"))
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """A column of a chunk.
+    """The location and encoding of a column of a chunk.
 
     Attributes:
-        name: As above.
-        encoding: As above.
-        section: Its bytes.
-        packed: Whether they are deflated.
-        low: What byte 0 stands for, of an encoding with a range.
-        high: What the last byte stands for, of an encoding with a range or a sign.
+        name: Name of the property, see the module's docstring.
+        encoding: Name of the encoding, see the module's docstring.
+        section: The stored bytes.
+        packed: Whether they are compressed by deflate.
+        low: The value of the lowest code, for encodings with a range.
+        high: The value of the highest code, for encodings with a range or a sign.
     """
 
     name: str
@@ -87,11 +89,11 @@ class Property:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Some rows.
+    """A chunk of consecutive rows.
 
     Attributes:
-        count: How many, 1 or more.
-        properties: Their columns by name.
+        count: Number of rows, 1 or more.
+        properties: Columns by name.
     """
 
     count: int
@@ -100,18 +102,18 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """A checked file.
+    """The validated header of a file and of its chunks.
 
     Attributes:
         path: The file.
-        files: It, and those that it names.
-        file_bytes: Of all of these.
-        count: Rows, 1 or more; of a tree all its nodes.
-        degree: Of the spherical harmonics, 0 to 3.
-        tree: Whether the rows are a tree.
-        codes: Entries of the palette of higher coefficients; 0 where there is none.
-        comment: For people; None where there is none.
-        chunks: In order.
+        files: The file, and the separate files of its chunks.
+        file_bytes: Total size of all of these.
+        count: Number of rows, 1 or more; of a tree all its nodes.
+        degree: SH degree, 0 to 3.
+        tree: Whether the rows form a level-of-detail tree.
+        codes: Number of entries in the palette of higher SH coefficients; 0 without a palette.
+        comment: The free text; None if there is none.
+        chunks: The chunks, in order of their rows.
     """
 
     path: Path
@@ -126,7 +128,7 @@ class Header:
 
 
 def read_header(path: Path) -> Header:
-    """The descriptions of a file and of all its chunks.
+    """Read and check the headers of a file and of all its chunks.
 
     Raises:
         FormatError: It cannot be read, is no `.rad` file, or is damaged.
@@ -162,7 +164,7 @@ def read_header(path: Path) -> Header:
 
 
 def _description(section: Section, magic: bytes, limit: int) -> tuple[dict[str, Any], int]:
-    """The JSON at the beginning of a file or chunk, and where it ends, padding and all."""
+    """Read the JSON at the start of a file or chunk; return it and its end, padding included."""
     where = str(section.path)
     try:
         with section.opened() as file:
@@ -194,7 +196,7 @@ def _check_version(data: dict[str, Any], where: str) -> None:
 
 
 def _sections(whole: Section, end: int, entries: Sequence[object]) -> list[Section]:
-    """Where each chunk lies; no byte belongs to two."""
+    """Return the section of each chunk, after checking that chunks do not overlap."""
     found: list[Section] = []
     at, names = end, set[str]()
     for number, entry in enumerate(entries):
@@ -216,7 +218,7 @@ def _sections(whole: Section, end: int, entries: Sequence[object]) -> list[Secti
 
 
 def _chunk(section: Section, base: int, count: int, palette: bool) -> Chunk:
-    """The description of a chunk that begins with the row `base`."""
+    """Read and check the header of a chunk that begins with row `base`."""
     where = str(section.path)
     data, end = _description(section, CHUNK_MAGIC, _MAX_CHUNK_JSON)
     _check_version(data, where)
@@ -243,7 +245,7 @@ def _chunk(section: Section, base: int, count: int, palette: bool) -> Chunk:
 
 
 def _property(payload: Section, given: dict[str, Any], at: int) -> Property:
-    """A column, which begins at the byte `at` of the payload or later."""
+    """Parse the entry of a column, which must begin at byte `at` of the payload or later."""
     name, encoding = given.get("property"), given.get("encoding")
     where = f"{payload.path}, properties"
     if not isinstance(name, str) or name not in _KNOWN:
@@ -272,7 +274,7 @@ def _property(payload: Section, given: dict[str, Any], at: int) -> Property:
 def _check_columns(
     chunk: Chunk, section: Section, degree: int, *, tree: bool, codes: bool, first: bool
 ) -> None:
-    """Refuse a chunk that lacks what the file's description promises, or has both ways of bands."""
+    """Refuse a chunk that lacks columns which the file's header implies, or has others."""
     needed = [*_PLAIN]
     if degree:
         needed += [LABEL, *(CODES[:degree] if first else ())] if codes else BANDS[:degree]
@@ -286,7 +288,7 @@ def _check_columns(
 
 
 def padded(size: int) -> int:
-    """The next multiple of 8."""
+    """Round a size up to a multiple of 8."""
     return size + 7 & ~7
 
 

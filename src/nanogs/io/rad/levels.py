@@ -1,8 +1,9 @@
-"""The levels of a tree in a `.rad` file: whole scenes, each coarser than the one before.
+"""The levels of a tree in a `.rad` file: cuts through it, each a whole scene and ever coarser.
 
 The height of a row is the number of steps to the farthest leaf below it. Level N has the rows of
-height N and less whose parent is higher: with N = 0 the leaves, and last the root alone. A tree
-that nanogs made of levels gives these back, and goes on above the coarsest of them.
+height N or less whose parent is higher than N: level 0 has the leaves, and the last level only the
+root. For a tree that nanogs built from levels, these levels result again, followed by coarser ones
+up to the root.
 """
 
 from typing import NamedTuple
@@ -18,18 +19,18 @@ _MOST_LEVELS = 256  # Spark's trees of real scenes have some 20 to 40
 
 
 class Heights(NamedTuple):
-    """Of N rows, in which levels they are.
+    """The range of levels that each of N rows is in.
 
     Attributes:
-        own: (N,) the first of them.
-        parents: (N,) the first in which they are not any more.
+        own: (N,) height of the row: the first level that it is in.
+        parents: (N,) height of its parent: the first level that it is no longer in.
     """
 
     own: I32
     parents: I32
 
     def counts(self) -> tuple[int, ...]:
-        """Rows of each level."""
+        """Return the number of rows of each level."""
         most = int(self.parents.max())
         come = np.bincount(self.own, minlength=most)
         go = np.bincount(self.parents, minlength=most)[:most]
@@ -37,11 +38,11 @@ class Heights(NamedTuple):
 
 
 def heights(header: Header) -> Heights:
-    """Find the levels of all rows of a tree.
+    """Compute the heights of all rows of a tree and of their parents.
 
     Raises:
-        FormatError: The rows are no tree whose root is first and whose children follow parents, or
-            one of far too many levels.
+        FormatError: The rows do not form a tree with the root first and children after parents, or
+            it has far too many levels.
     """
     parents = _parents(header)
     own = np.zeros(header.count, np.int32)
@@ -60,8 +61,8 @@ def heights(header: Header) -> Heights:
 
 
 def _parents(header: Header) -> I32:
-    """(N,) the row of each one's parent; 0 for the root, which is row 0."""
-    first, many = [], []  # of each row with children
+    """Return (N,) the parent of each row; 0 for the root, which is row 0."""
+    first, many = [], []  # first child and number of children of each row with children
     rows, base = [], 0
     for chunk in header.chunks:
         counts = components(chunk.properties[CHILD_COUNT], chunk.count, 1)[:, 0]

@@ -1,8 +1,8 @@
 """Reading `.rad` (Spark), with and without a tree; the layout is in `header`.
 
-Of a tree its leaves are read, in the order of the file: the model that the tree was made of, level
-0. Level N has in place of leaves what stands for them N steps up (`levels`). Each
-chunk is unpacked by itself, and the last one kept, so that rows can be read in parts.
+Of a tree, level 0 is read by default: its leaves in the order of the file, which are the model that
+the tree was built from. Level N has coarser nodes, up to N steps above the leaves (see `levels`).
+Chunks are decoded separately and the last one is kept, so that rows can be read in parts.
 """
 
 from collections.abc import Sequence
@@ -35,14 +35,16 @@ from nanogs.stored import base_colour
 
 
 class RadFile(FileSource):
-    """A `.rad` file; a scale of zero becomes -inf, alpha 0 and 1 become ∓inf.
+    """The source of a `.rad` file, or of one level of its tree.
+
+    A scale of zero becomes a log-scale of -inf; alphas of 0 and 1 become logits of -inf and +inf.
 
     Args:
         path: The file.
-        level: Of a tree, which of its levels; 0 is the finest.
+        level: The level of a tree to read; 0 is the finest.
 
     Raises:
-        FormatError: It cannot be read, is no `.rad` file, or its descriptions or tree are damaged.
+        FormatError: It cannot be read, is no `.rad` file, or its headers or tree are damaged.
         OptionError: It has no such level.
     """
 
@@ -59,7 +61,7 @@ class RadFile(FileSource):
 
     @cached_property
     def info(self) -> FileInfo:
-        """The description; of a tree the rows of its level have been counted."""
+        """The file's description; for a tree, this counts the rows of the level."""
         header = self._header
         first = header.chunks[0].properties.values()
         comments = self._comments
@@ -78,12 +80,12 @@ class RadFile(FileSource):
 
     @property
     def files(self) -> Sequence[Path]:
-        """The file, and those that hold its chunks; see `FileSource`."""
+        """The file, and the separate files of its chunks; see `FileSource`."""
         return self._header.files
 
     @property
     def levels(self) -> tuple[int, ...]:
-        """Splats of each level of a tree; see `FileSource`."""
+        """Number of splats of each level of a tree; see `FileSource`."""
         return self._heights.counts() if self._header.tree else ()
 
     @cached_property
@@ -91,7 +93,7 @@ class RadFile(FileSource):
         return heights(self._header)
 
     def _rows(self, number: int) -> Array:
-        """(count,) bool: the rows of a chunk of a tree that are in the level."""
+        """Return a (count,) bool mask of the rows of a tree's chunk that are in the level."""
         if not self._level:
             chunk = self._header.chunks[number]
             leaves: Array = components(chunk.properties[CHILD_COUNT], chunk.count, 1)[:, 0] == 0
@@ -108,7 +110,7 @@ class RadFile(FileSource):
 
     @cached_property
     def _ends(self) -> list[int]:
-        """0, and the row after the last of each chunk, of a tree those of the level alone."""
+        """Cumulative number of rows, from 0 to the end of each chunk; only rows of the level."""
         chunks, tree = self._header.chunks, self._header.tree
         counts = [
             int(self._rows(number).sum()) if tree else chunk.count
@@ -121,7 +123,7 @@ class RadFile(FileSource):
         return list(accumulate(counts, initial=0))
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source`."""
         parts = []
         for number, (first, end) in enumerate(pairwise(self._ends)):
             low, high = max(start, first), min(stop, end)
@@ -130,17 +132,17 @@ class RadFile(FileSource):
         return joined_rows(parts) if parts else self._chunk(0).span(0, 0)
 
     def _chunk(self, number: int) -> Splats:
-        """The rows of a chunk, of a tree those of the level."""
+        """Decode a chunk, of a tree only the rows of the level; the last one is cached."""
         if self._last is None or self._last[0] != number:
-            self._last = None  # before the next one is unpacked
+            self._last = None  # freed before the next one is decoded
             chunk = self._header.chunks[number]
             rows = np.flatnonzero(self._rows(number)) if self._header.tree else None
-            with np.errstate(all="ignore"):  # whatever bits there are: NaN, infinity, zero scales
+            with np.errstate(all="ignore"):  # the file may hold NaN, infinity, zero scales
                 self._last = number, self._unpacked(chunk, rows)
         return self._last[1]
 
     def _unpacked(self, chunk: Chunk, rows: I64 | None) -> Splats:
-        """Some rows of a chunk, or all."""
+        """Decode the given rows of a chunk, or all."""
         chosen = slice(None) if rows is None else rows
         columns, count = chunk.properties, chunk.count
         out = empty_arrays(count if rows is None else len(rows), self._header.degree)
@@ -167,7 +169,7 @@ class RadFile(FileSource):
         return Splats(**out, render_mode=mode, comments=comments, notes=notes)
 
     def _fill_bands(self, chunk: Chunk, chosen: "slice | I64", sh: Array) -> None:
-        """Write the higher coefficients of a chunk's rows."""
+        """Write the higher SH coefficients of the chosen rows of a chunk into `sh`."""
         if not self._header.degree:
             return
         if self._header.codes:
@@ -185,7 +187,7 @@ class RadFile(FileSource):
 
     @cached_property
     def _palette(self) -> list[tuple[slice, F64]]:
-        """The entries of each band, which the first chunk has."""
+        """The range of coefficients and the palette entries of each band, from the first chunk."""
         degree, first = self._header.degree, self._header.chunks[0]
         return [
             (place, _band(first, name, self._header.codes))
@@ -193,17 +195,17 @@ class RadFile(FileSource):
         ]
 
     def close(self) -> None:
-        """Let go of the chunk that was read last."""
+        """Free the chunk that was read last."""
         self._last = None
 
 
 def _places(degree: int) -> list[slice]:
-    """Where the coefficients of the bands of degree 1 and up lie."""
+    """Return the index range in `Splats.sh` of each band from degree 1 on."""
     return [slice(band * band, (band + 1) ** 2) for band in range(1, degree + 1)]
 
 
 def _band(chunk: Chunk, name: str, count: int) -> F64:
-    """(count, coefficients, 3) of a band."""
+    """Decode a band, or its palette, to (count, coefficients, 3)."""
     width = 3 * (2 * (1 + (BANDS if name in BANDS else CODES).index(name)) + 1)
     values: F64 = components(chunk.properties[name], count, width).reshape(count, -1, 3)
     return values

@@ -1,11 +1,12 @@
-"""Columns of `.rad` as values of splats, and back; `header` has the encodings.
+"""Decoding the columns of `.rad` to values of splats, and encoding; `header` lists the encodings.
 
-A damaged file may hold whatever bits there are; who reads it sets NumPy to ignore what they do.
+A damaged file may hold any bits, so callers silence NumPy's floating-point warnings.
 
-Alphas above 1 are Spark's own, for splats that stand for many: with D the number stored,
-a = min(4 D - 3, 5) and k = exp((a² - 1) / e), such a splat covers 1 - (1 - g)^k where an opaque one
-of its size covers g. Here it becomes an opaque splat whose scales are the cube root of k as large,
-as Spark draws it with `lodInflate` (rust/spark-lib/src/tsplat.rs, src/shaders/splatVertex.glsl).
+Alphas above 1 are an extension of Spark, for coarse splats that represent many: with D the stored
+number, a = min(4 D - 3, 5) and k = exp((a² - 1) / e), such a splat covers 1 - (1 - g)^k where an
+opaque one of its size covers g. Here it becomes an opaque splat with its scales multiplied by the
+cube root of k, as Spark draws it with `lodInflate` (rust/spark-lib/src/tsplat.rs,
+src/shaders/splatVertex.glsl).
 """
 
 import zlib
@@ -18,8 +19,8 @@ from nanogs.errors import FormatError
 from nanogs.io.files import reading
 from nanogs.io.rad.header import Property
 
-MOST_STEPS = 254  # of a logarithm: byte 0 is a scale of zero
-_BYTE_SLACK = 1.5 / 255  # an alpha of 1 as the nearest of 256 bytes from 0 to 2
+MOST_STEPS = 254  # steps of a logarithm in a byte, because byte 0 is a scale of zero
+_BYTE_SLACK = 1.5 / 255  # rounding of an alpha of 1 that is stored as a byte over 0 to 2
 _HALVES = ("f16", "f16_lebytes")
 _PLANES = ("f32_lebytes", "f16_lebytes")
 _DTYPES = {
@@ -43,15 +44,15 @@ _BAND = ("f32", "f16", "r8", "r8_delta", "s8", "s8_delta")
 
 
 def type_name(encoding: str) -> str:
-    """The type of a column, as `FileInfo` has it."""
+    """Return the name of an encoding's type, for `FileInfo`."""
     return TYPE_NAMES[_DTYPES[encoding]]
 
 
 def check_encoding(column: Property) -> None:
-    """Refuse an encoding that the format does not have for a column.
+    """Refuse an encoding that the format does not allow for a column.
 
     Raises:
-        FormatError: It is one.
+        FormatError: The encoding is not allowed.
     """
     if column.encoding not in _ALLOWED.get(column.name, _BAND):
         raise FormatError(
@@ -61,15 +62,17 @@ def check_encoding(column: Property) -> None:
 
 
 def components(column: Property, count: int, width: int) -> Array:
-    """(count, width) float64 as stored, but for bytes that stand for steps, or whole numbers.
+    """Decode a column to (count, width) float64, or int64 for the encodings `u16` and `u32`.
+
+    Bytes with a range or a sign are mapped to their values; logarithms stay logarithms.
 
     Args:
         column: The column.
-        count: Rows.
-        width: Components.
+        count: Number of rows.
+        width: Components per row.
 
     Raises:
-        FormatError: It cannot be read, or holds more or less.
+        FormatError: It cannot be read, or has another size than expected.
     """
     stored = _unpacked(column, count, width)
     if column.encoding in ("u16", "u32"):
@@ -84,7 +87,7 @@ def components(column: Property, count: int, width: int) -> Array:
 
 
 def _unpacked(column: Property, count: int, width: int) -> Array:
-    """(count, width) numbers of the type that is stored, deltas added up."""
+    """Read a column as (count, width) numbers of its stored type, with deltas summed up."""
     check_encoding(column)
     dtype = np.dtype(_DTYPES[column.encoding])
     data = _bytes(column, count * width * dtype.itemsize)
@@ -100,7 +103,7 @@ def _unpacked(column: Property, count: int, width: int) -> Array:
 
 
 def _bytes(column: Property, expected: int) -> U8:
-    """The bytes of a column, no more than there should be."""
+    """Read and decompress the bytes of a column, which must be as many as expected."""
     section = column.section
     with reading(section.path) as file:
         file.seek(section.start)
@@ -114,7 +117,7 @@ def _bytes(column: Property, expected: int) -> U8:
             raise FormatError(
                 f"{column.where} is damaged ({error}); export or download it again."
             ) from None
-        # The last byte of output may leave the end mark to be read.
+        # After the last byte of output, the end-of-block code may still have to be consumed.
         whole = inflate.eof or not inflate.decompress(inflate.unconsumed_tail, 1)
     if len(data) != expected or not whole:
         raise FormatError(
@@ -126,13 +129,13 @@ def _bytes(column: Property, expected: int) -> U8:
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """Logits and log-scales of R splats as they are drawn.
+    """Opacity logits and log-scales of R splats, with alphas above 1 converted.
 
     Attributes:
         logits: (R,) float64.
         log_scales: (R, 3) float64.
-        negative: Splats with a negative scale, which became NaN.
-        widened: Splats with an alpha above 1, which became opaque and larger.
+        negative: Number of splats with a negative scale, which became NaN.
+        widened: Number of splats with an alpha above 1, which became opaque and larger.
     """
 
     logits: F64
@@ -142,12 +145,12 @@ class Shapes:
 
 
 def shapes(alphas: F64, scales: F64, *, logarithms: bool) -> Shapes:
-    """Logits and log-scales of stored alphas and scales.
+    """Compute opacity logits and log-scales from stored alphas and scales.
 
     Args:
-        alphas: (R,) as stored; those above 1 as explained above.
+        alphas: (R,) as stored; for those above 1 see the module's docstring.
         scales: (R, 3) as stored.
-        logarithms: Whether these are logarithms already.
+        logarithms: Whether the scales are logarithms already.
     """
     logs: F64 = scales.copy() if logarithms else np.log(scales)
     wide = alphas > 1 + _BYTE_SLACK
@@ -159,7 +162,7 @@ def shapes(alphas: F64, scales: F64, *, logarithms: bool) -> Shapes:
 
 
 def log_steps(column: Property, count: int) -> F64:
-    """(count, 3) logarithms of scales of the encoding `ln_0r8`; -inf for a scale of zero.
+    """Decode scales of the encoding `ln_0r8` to (count, 3) logarithms; -inf for a scale of zero.
 
     Raises:
         FormatError: As for `components`.
@@ -173,7 +176,7 @@ def log_steps(column: Property, count: int) -> F64:
 
 
 def rotations(column: Property, count: int) -> F64:
-    """(count, 4) wxyz.
+    """Decode rotations to (count, 4) wxyz.
 
     Raises:
         FormatError: As for `components`.
@@ -187,7 +190,7 @@ def rotations(column: Property, count: int) -> F64:
 
 
 def octahedral_axes(points: F64) -> F64:
-    """(R, 3) unit vectors of (R, 2) points of the unfolded octahedron, each from -1 to 1."""
+    """Map (R, 2) points of the unfolded octahedron, in [-1, 1], to (R, 3) unit vectors."""
     z = 1 - np.abs(points).sum(axis=1)
     folded = points - np.where(points >= 0, 1, -1) * np.maximum(-z, 0)[:, None]
     axes = np.column_stack([folded, z])
@@ -196,7 +199,7 @@ def octahedral_axes(points: F64) -> F64:
 
 
 def octahedral_points(axes: F64) -> F64:
-    """(R, 2) points of the unfolded octahedron of (R, 3) vectors that are not zero."""
+    """Map (R, 3) non-zero vectors to (R, 2) points of the unfolded octahedron."""
     points = axes[:, :2] / np.abs(axes).sum(axis=1, keepdims=True)
     outer = (1 - np.abs(points[:, ::-1])) * np.where(points >= 0, 1, -1)
     unfolded: F64 = np.where(axes[:, 2:] < 0, outer, points)
@@ -204,10 +207,10 @@ def octahedral_points(axes: F64) -> F64:
 
 
 def turns(quats: F64) -> U8:
-    """(R, 3) the encoding `oct88r8` of (R, 4) unit wxyz with w at least 0."""
+    """Encode (R, 4) unit wxyz with w of 0 or more as `oct88r8`, (R, 3) bytes."""
     sine = np.linalg.norm(quats[:, 1:], axis=1)
     angle = 2 * np.arctan2(sine, quats[:, 0])
-    # Where nothing turns the axis does not matter; of those that turn it is as long as the sine.
+    # The axis of a null rotation is arbitrary; others need no unit length here.
     axes = np.where(sine[:, None] < 1e-12, (1.0, 0.0, 0.0), quats[:, 1:])
     out = np.empty((len(quats), 3), np.uint8)
     out[:, :2] = np.rint((octahedral_points(axes) + 1) * 127.5)
@@ -216,16 +219,16 @@ def turns(quats: F64) -> U8:
 
 
 def by_component(values: Array) -> bytes:
-    """Bytes of all rows of the first component, then of the second, of (R, C) values."""
+    """Return the bytes of (R, C) values in component-major order."""
     return np.ascontiguousarray(values.T).tobytes()
 
 
 def by_byte(values: F32) -> bytes:
-    """The encoding `f32_lebytes` of (R, C) values: the lowest byte of all components first."""
+    """Encode (R, C) values as `f32_lebytes`: the lowest bytes of all components first."""
     wide = np.ascontiguousarray(values.T).astype("<f4", copy=False)
     return np.ascontiguousarray(np.moveaxis(wide[..., None].view(np.uint8), -1, 0)).tobytes()
 
 
 def differences(values: U8) -> U8:
-    """(R, C) bytes, each less the one of the row before."""
+    """Return the differences of (R, C) bytes to the row before, modulo 256."""
     return np.diff(values, axis=0, prepend=np.zeros((1, values.shape[1]), np.uint8))

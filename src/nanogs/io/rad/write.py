@@ -1,8 +1,9 @@
 """Writing `.rad` (Spark); `header` has the layout.
 
-Each chunk has ranges of its own, so that no colour is clamped, and where a byte's steps would be
-wide it has halves. Logarithms of scales are halves, which are finer than what a viewer makes of
-them. Rotations have the axes first that turn a splat least, about which bytes are finest.
+Each chunk has its own value ranges, so that no colour is clamped, and uses float16 where the steps
+of a byte would be wide. Log-scales are float16, which is finer than a viewer's own encoding. The
+axes of each splat are reordered so that its rotation is smallest, because bytes resolve small
+rotations best.
 """
 
 import json
@@ -39,27 +40,29 @@ from nanogs.splats import RenderMode, Splats
 from nanogs.stored import SH_C0, alphas, rounded_bytes
 
 SUFFIX = ".rad"
-_DEFLATE_LEVEL = 10  # of libdeflate: as fast as the usual one of zlib, and 2 to 3 % smaller
-_WIDEST_COLOURS = 1.9  # between the least and the largest, as bytes: steps as those of .spz
-_LARGEST_COEFFICIENT = 4.0  # as bytes: half as wide as those of .spz
-_LARGEST_HALF = 65504.0
-_USUAL = (0.5, 99.5)  # per cent of values between which a viewer's textures are exact
-_LEAST_WIDTH = 1e-3  # of a viewer's range
+_DEFLATE_LEVEL = 10  # of libdeflate: as fast as the default of zlib, and 2 to 3 % smaller
+# Limits up to which bytes are used. Range of base colours: bytes then have the steps of .spz.
+_WIDEST_COLOURS = 1.9
+_LARGEST_COEFFICIENT = 4.0  # of an SH coefficient: bytes then have half the steps of .spz
+_LARGEST_HALF = 65504.0  # the largest finite float16
+_USUAL = (0.5, 99.5)  # percentiles of values that the ranges of a viewer's textures cover
+_LEAST_WIDTH = 1e-3  # least width of a range for a viewer
 
 
 class Tree(Protocol):
-    """Which rows stand for the same as others, only finer.
+    """A level-of-detail tree: the children of a row represent it in finer detail.
 
-    Rows have children in their order: the first with any those that follow the root, and so on.
+    Rows are in breadth-first order: the children of the first row follow the root, then come those
+    of the next row that has any, and so on.
     """
 
     def children(self, start: int, stop: int) -> I64:
-        """How many children rows from one to before another have, at most 65,535; leaves none."""
+        """Return the number of children of rows `start` to `stop`, at most 65,535; 0 for leaves."""
 
 
 @dataclass(slots=True)
 class _Ranges:
-    """Ranges for the textures of a viewer, by the names of `splatEncoding`."""
+    """Value ranges for the textures of a viewer, named as in `splatEncoding` of the file."""
 
     rgbMin: float = 0.0  # noqa: N815 - the format's own
     rgbMax: float = 1.0  # noqa: N815
@@ -83,7 +86,7 @@ class _Ranges:
             setattr(self, f"{name}Max", max(getattr(self, f"{name}Max"), most))
 
     def told(self, *, tree: bool) -> dict[str, Any]:
-        """As the file has them, each of some width."""
+        """Return the ranges as JSON fields, each widened to a least width."""
         low, high = self.lnScaleMin, self.lnScaleMax
         low, high = (low, high) if low <= high else (-12.0, 9.0)  # all scales are zero
         found = asdict(self) | {"lnScaleMin": low, "lnScaleMax": max(high, low + _LEAST_WIDTH)}
@@ -93,12 +96,12 @@ class _Ranges:
 
 
 def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -> None:
-    """Write a model in its own order, no more than a chunk of it held.
+    """Write a model in its own order, holding at most one chunk in memory.
 
     Args:
         model: N splats; with a tree all its nodes, the root first and children after parents.
         file: Open for binary writing.
-        tree: Which of them stand for others; by default there is none.
+        tree: The level-of-detail tree of these nodes; by default there is none.
 
     Raises:
         OutputError: A value is NaN or infinite; nothing has been written then.
@@ -108,7 +111,7 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
     degree = min(source.columns.sh_degree, MAX_DEGREE)
     ranges = _Ranges()
     for block in limits.storable(source, SUFFIX):
-        if block.finite().all():  # others are refused in the end
+        if block.finite().all():  # otherwise `storable` raises at the end
             ranges.add(block, degree)
     told = ranges.told(tree=tree is not None)
     with TemporaryFile(prefix="nanogs-") as body:
@@ -148,7 +151,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
 
 
 def _described(magic: bytes, content: dict[str, Any]) -> bytes:
-    """A description as it begins a file or a chunk."""
+    """Encode the JSON header of a file or a chunk, padding included."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
     return (START.pack(magic, len(text)) + text).ljust(padded(START.size + len(text)), b"\0")
 
@@ -156,7 +159,7 @@ def _described(magic: bytes, content: dict[str, Any]) -> bytes:
 def _chunks(
     source: Source, degree: int, tree: Tree | None, ranges: dict[str, Any]
 ) -> Iterator[bytes]:
-    below = 1  # the first row that is a child of those still to come
+    below = 1  # the first child of the rows that follow
     for start in range(0, source.count, CHUNK_ROWS):
         block = source.read(start, min(start + CHUNK_ROWS, source.count))
         columns = list(_columns(block, degree))
@@ -183,13 +186,13 @@ def _chunks(
 
 
 def _deflated(columns: list[bytes]) -> list[bytes]:
-    """Each column deflated, side by side."""
-    from deflate import deflate_compress  # here, since few need it
+    """Compress the columns in parallel."""
+    from deflate import deflate_compress  # imported here because few calls need it
 
     def deflate(number: int) -> bytes:
         return bytes(deflate_compress(columns[number], _DEFLATE_LEVEL))
 
-    # The longest first, beside which the others fit.
+    # The longest first, for the best balance between threads.
     order = sorted(range(len(columns)), key=lambda n: -len(columns[n]))
     done = dict(zip(order, spread.results(order, deflate), strict=True))
     return [done[number] for number in range(len(columns))]
@@ -211,11 +214,11 @@ def _columns(block: Splats, degree: int) -> Iterator[tuple[dict[str, Any], bytes
 
 
 def _links(counts: I64, below: int) -> Iterator[tuple[dict[str, Any], bytes]]:
-    """The same of the columns that say which rows are whose children.
+    """Yield the entries and bytes of the columns with the links from parents to children.
 
     Args:
-        counts: Children of each row.
-        below: The first of them.
+        counts: Number of children of each row.
+        below: Row of the first child of all.
     """
     starts = np.where(counts > 0, np.cumsum(counts) - counts + below, 0)
     yield _entry(CHILD_COUNT, "u16"), counts.astype("<u2").tobytes()
@@ -230,7 +233,7 @@ def _entry(
 
 
 def _colours(block: Splats) -> F64:
-    """(R, 3): 0.5 and what the coefficient of degree 0 adds."""
+    """Return (R, 3) base colours: 0.5 plus the contribution of the SH coefficient of degree 0."""
     colours: F64 = block.sh[:, 0] * np.float64(SH_C0) + 0.5
     return colours
 
@@ -253,12 +256,12 @@ def _band(name: str, values: Array) -> tuple[dict[str, Any], bytes]:
 
 
 def _floats(name: str, values: Array) -> tuple[dict[str, Any], bytes]:
-    """Values as halves, or as floats where they are too large for that."""
+    """Encode values as float16, or as float32 if they are too large for it."""
     if np.abs(values).max() > _LARGEST_HALF:
         return _entry(name, "f32"), by_component(values.astype("<f4"))
     return _entry(name, "f16"), by_component(values.astype("<f2"))
 
 
 def _bands(degree: int) -> Iterable[tuple[int, int]]:
-    """The first coefficient of each band from degree 1 on, and the one after the last."""
+    """Return the start and end coefficient of each band from degree 1 on."""
     return pairwise((band + 1) ** 2 for band in range(degree + 1))
