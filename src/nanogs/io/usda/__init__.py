@@ -1,4 +1,4 @@
-"""OpenUSD as text, `.usda`."""
+"""OpenUSD text files, `.usda`."""
 
 from nanogs.io.format import Format
 from nanogs.io.usda import write

@@ -1,7 +1,7 @@
-"""Reading OpenUSD as text, `.usda`: prims of type ParticleField3DGaussianSplat.
+"""Reading OpenUSD text files, `.usda`: prims of type ParticleField3DGaussianSplat.
 
-The schema is named in `write`. Transforms of a prim and of those that it is in are applied,
-and the stage is turned into the frame of `.ply` files, from y up or from z up.
+For the schema see `write`. Transforms of a prim and of its ancestors are applied, and the stage is
+turned into the frame of `.ply` files, from y up or from z up.
 """
 
 import warnings
@@ -36,7 +36,7 @@ _AXES = {"rotateX": 0, "rotateY": 1, "rotateZ": 2}
 
 @dataclass(frozen=True, slots=True)
 class _Field:
-    """A prim of splats, and where its numbers lie."""
+    """A prim of splats, with the byte range of each array in the text, its count and degree."""
 
     prim: Prim
     spans: dict[str, tuple[int, int]]
@@ -45,11 +45,11 @@ class _Field:
 
 
 class UsdaFile(Whole):
-    """A `.usda` file: the splats of all prims, one after the other."""
+    """The source of a `.usda` file: the splats of all its prims, in the order of the file."""
 
     @cached_property
     def info(self) -> FileInfo:
-        """The description, by the places of the numbers."""
+        """The file's description, from its syntax alone: no arrays are parsed."""
         layer = _layer(self.path)
         fields = list(_fields(layer))
         return FileInfo(
@@ -63,11 +63,11 @@ class UsdaFile(Whole):
         )
 
     def load(self) -> Splats:
-        """The whole model.
+        """Read the whole model.
 
         Raises:
-            FormatError: The file cannot be read, is damaged, holds no splats, or transforms them in
-                a way that no splat stays one.
+            FormatError: The file cannot be read, is damaged, holds no splats, or a transform
+                mirrors, flattens or shears them.
         """
         layer = _layer(self.path)
         return concatenate([_decoded(layer, each) for each in _fields(layer)])
@@ -92,7 +92,7 @@ def _fields(layer: Layer) -> Iterator[_Field]:
 
 
 def _field(layer: Layer, prim: Prim) -> _Field:
-    """The places of a prim's numbers; the schema has each in half precision too."""
+    """Find the arrays of a prim, by their names or those in half precision, such as `scalesh`."""
     spans = {}
     for name in _WIDTHS:
         span = prim.values.get(name) or prim.values.get(f"{name}h")
@@ -109,7 +109,7 @@ def _field(layer: Layer, prim: Prim) -> _Field:
 
 
 def _decoded(layer: Layer, given: _Field) -> Splats:
-    """The splats of one prim, in the frame of `.ply` files."""
+    """Decode the splats of one prim, in the frame of `.ply` files."""
     columns = {name: _column(layer, given, name) for name in _WIDTHS}
     out = empty_arrays(given.count, given.degree)
     pose = pose_of(_placed(layer, given.prim), layer.error)
@@ -133,7 +133,7 @@ def _decoded(layer: Layer, given: _Field) -> Splats:
 
 
 def _column(layer: Layer, given: _Field, name: str) -> Array:
-    """(N, width), or (N, K, 3) of the coefficients."""
+    """Parse an array of a prim to (N, width), or (N, K, 3) for the SH coefficients."""
     numbers = _parsed(layer, given.spans[name], name)
     each = _WIDTHS[name] * ((given.degree + 1) ** 2 if name == COEFFICIENTS else 1)
     if len(numbers) != given.count * each:
@@ -146,7 +146,7 @@ def _column(layer: Layer, given: _Field, name: str) -> Array:
 
 
 def _numbers(layer: Layer, prim: Prim, name: str, count: int) -> F64:
-    """So many finite numbers of an attribute."""
+    """Parse an attribute that must have `count` finite numbers."""
     numbers = _parsed(layer, prim.values[name], name)
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise layer.error(f"{name} of {prim.name[:40]!a} needs {count} finite numbers")
@@ -154,32 +154,32 @@ def _numbers(layer: Layer, prim: Prim, name: str, count: int) -> F64:
 
 
 def _parsed(layer: Layer, span: tuple[int, int], name: str) -> F64:
-    """All numbers of a value, whatever brackets they are in."""
+    """Parse all numbers of a value into one flat array, ignoring brackets."""
     text = layer.text[slice(*span)].translate(_BRACKETS)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # what cannot be read to its end
+            warnings.simplefilter("error")  # NumPy only warns of text after the last number
             return np.fromstring(text, np.float64, sep=" ") if text.strip() else np.empty(0)
     except (ValueError, DeprecationWarning):
         raise layer.error(f"{name} holds something that is no number") from None
 
 
 def _placed(layer: Layer, prim: Prim) -> F64:
-    """(4, 4) float64: from a prim to the stage, y up."""
+    """Return the (4, 4) float64 transform from a prim to the stage, y up."""
     up = layer.metadata.get("upAxis", "Y")
     if up not in ("Y", "Z"):
         raise layer.error(f"its upAxis {up[:40]!a} is none")
     matrix = np.eye(4)
     inner: Prim | None = prim
     while inner is not None:
-        with np.errstate(all="ignore"):  # `pose_of` refuses what overflowed
+        with np.errstate(all="ignore"):  # overflow is refused by `pose_of`
             matrix = _local(layer, inner) @ matrix
         inner = inner.parent
     return _Y_UP @ matrix if up == "Z" else matrix
 
 
 def _local(layer: Layer, prim: Prim) -> F64:
-    """(4, 4) of one prim: the operations in their order, the last of them done first."""
+    """Return the (4, 4) local transform of a prim; the last operation listed is applied first."""
     span = prim.values.get("xformOpOrder")
     text = layer.text[slice(*span)].decode("utf-8", "replace") if span else ""
     matrix = np.eye(4)
@@ -210,7 +210,7 @@ def _rotation(axis: int) -> Callable[[F64], F64]:
     return turn
 
 
-# How many numbers each takes, and the matrix that these make; USD writes matrices for rows.
+# Number of arguments of each operation, and its matrix; USD matrices act on row vectors.
 _OPERATIONS: dict[str, tuple[int, Callable[[F64], Any]]] = {
     "translate": (3, _translation),
     "scale": (3, lambda numbers: np.diag([*numbers, 1.0])),

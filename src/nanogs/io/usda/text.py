@@ -1,9 +1,9 @@
-"""The text of OpenUSD layers, `.usda`, as far as it takes to find the prims of some type.
+"""A parser for OpenUSD text layers, `.usda`, that is sufficient to find prims and their attributes.
 
 Grammar: https://github.com/PixarAnimationStudios/OpenUSD, pxr/usd/sdf. A layer is its metadata in
 parentheses and prims; a prim holds attributes, `type name = value`, and further prims. Values are
-found and not read: arrays of numbers, which are most of a file, are passed over in one step. What
-is composed from other layers, from variants or from time samples is not seen.
+located but not parsed: arrays of numbers, which are most of a file, are skipped in one step.
+Contents composed from other layers, from variants or from time samples are not supported.
 """
 
 import re
@@ -38,9 +38,9 @@ class Prim:
     Attributes:
         kind: Its type, such as `Xform`; empty without one.
         name: Its name.
-        parent: The prim that it is in.
-        values: First byte of each attribute's value in the file, and the one after its last;
-            without the brackets of an array.
+        parent: The prim that it is in; None at the top level.
+        values: Start and end byte of each attribute's value in the file, by name; without the
+            brackets of an array.
     """
 
     kind: str
@@ -58,13 +58,13 @@ class Prim:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A layer's prims in the file's order, and its metadata.
+    """The prims and the metadata of a layer.
 
     Attributes:
         path: The file.
         text: Its bytes.
-        metadata: Words and texts by name, such as `upAxis`.
-        prims: All of them, those in others too.
+        metadata: Simple values by name, such as `upAxis`, without quotes.
+        prims: All prims, nested ones included, in the order of the file.
     """
 
     path: Path
@@ -73,15 +73,15 @@ class Layer:
     prims: tuple[Prim, ...]
 
     def error(self, what: str) -> FormatError:
-        """The error for a layer that is not as it must be."""
+        """Return the error for an invalid layer."""
         return FormatError(f"{self.path}: {what}; export it again.")
 
 
 def read_layer(path: Path, text: bytes) -> Layer:
-    """Find the prims of a layer.
+    """Parse a layer and find its prims.
 
     Raises:
-        FormatError: It is no text of USD, or is cut short.
+        FormatError: It is not a USD text file, is damaged, or is cut short.
     """
     if not text.startswith(START):
         raise FormatError(
@@ -92,7 +92,7 @@ def read_layer(path: Path, text: bytes) -> Layer:
 
 
 class _Parser:
-    """Goes through a text from its beginning to its end, once."""
+    """A parser that passes over the text once, from start to end."""
 
     def __init__(self, path: Path, text: bytes) -> None:
         self._path, self._text, self._at = path, text, 0
@@ -115,20 +115,20 @@ class _Parser:
                 words = []
             elif token == b"(" and inside is None and not self._prims:
                 self._read_metadata()
-            elif token == b"[" and self._peek() == b"]":  # of a type, as in float3[]
+            elif token == b"[" and self._peek() == b"]":  # an array type, such as float3[]
                 self._next()
                 words.append(b"[]")
             elif token in _OPEN:
                 self._skip(token)
             else:
                 words.append(token)
-                del words[:-4]  # a declaration has no more: custom uniform type name
+                del words[:-4]  # the most in a declaration: custom uniform type name
         if inside is not None:
             raise self._damaged(f"it ends inside the prim {inside.name[:40]!a}")
         return Layer(self._path, self._text, self._metadata, tuple(self._prims))
 
     def _prim(self, parent: Prim | None) -> Prim:
-        """The head of a prim, up to what is in it."""
+        """Parse the head of a prim, up to its opening brace."""
         kind, name = "", self._next()
         if not name.startswith((b'"', b"'")):
             kind, name = name.decode("utf-8", "replace"), self._next()
@@ -143,7 +143,7 @@ class _Parser:
         return prim
 
     def _value(self, prim: Prim | None, words: list[bytes]) -> None:
-        """Note where a value lies, and pass over it."""
+        """Record the byte range of a value and skip it."""
         array = len(words) > 2 and words[-2] == b"[]" and _NUMBERS.fullmatch(words[-3])
         opening, start = self._next(), self._at
         if opening == b"[" and array:
@@ -160,7 +160,7 @@ class _Parser:
             prim.values[words[-1].decode("utf-8", "replace")] = start, end
 
     def _read_metadata(self) -> None:
-        """Read the layer's own properties; values in brackets are passed over."""
+        """Read the metadata of the layer; values in brackets are skipped."""
         name = b""
         while (token := self._next()) != b")":
             if token == b"=":
@@ -176,7 +176,7 @@ class _Parser:
             name = token
 
     def _skip(self, opening: bytes) -> None:
-        """Go to behind the bracket that closes one."""
+        """Skip to behind the bracket that matches an opening one."""
         waiting = [_OPEN[opening]]
         while waiting:
             token = self._next()
@@ -194,7 +194,7 @@ class _Parser:
         return token
 
     def _next(self) -> bytes:
-        """The next word, text or sign; nothing at the end."""
+        """Return the next token (word, string or punctuation); empty at the end of the text."""
         while True:
             space = _SPACE.match(self._text, self._at)
             self._at = space.end() if space else self._at
@@ -215,5 +215,5 @@ class _Parser:
 
 
 def _plain(token: bytes) -> str:
-    """A word, or what is between quotes."""
+    """Return the text of a token, without quotes."""
     return token.decode("utf-8", "replace").strip("\"'")

@@ -1,10 +1,10 @@
-"""Writing OpenUSD as text, `.usda`: one ParticleField3DGaussianSplat, as of OpenUSD 26.03.
+"""Writing OpenUSD text files, `.usda`: one ParticleField3DGaussianSplat, as of OpenUSD 26.03.
 
-Schema: https://openusd.org/release/user_guides/schemas/usdVol/ParticleField.html, with what
-generatedSchema.usda of usdVol says of each attribute. Scales and opacities are linear, quaternions
-have their real part first, and the coefficients of a splat lie side by side, by band and then by
-index, RGB each. The stage has y up; the numbers stay in the frame of the model, which a half turn
-about z takes there. Nine digits give every float32 back.
+Schema: https://openusd.org/release/user_guides/schemas/usdVol/ParticleField.html, and
+generatedSchema.usda of usdVol for each attribute. Scales and opacities are linear, quaternions have
+their real part first, and the SH coefficients of a splat are contiguous, by band and then by index,
+RGB each. The stage has y up; the numbers stay in the frame of the model, and the prim's transform,
+half a turn about z, leads to that of the stage. Nine digits reproduce every float32 exactly.
 """
 
 from collections.abc import Callable
@@ -20,8 +20,8 @@ from nanogs.source import InMemory
 from nanogs.splats import Splats
 
 SUFFIX = ".usda"
-_REACH = 3.0  # standard deviations that the extent holds
-# Type and name of each array, and what encodes a block of splats, (R, width).
+_REACH = 3.0  # standard deviations around each centre that the extent includes
+# Type and name of each array, and the function that encodes a block of splats as (R, width).
 _ATTRIBUTES: dict[str, Callable[[Splats], Array]] = {
     "point3f[] positions": lambda block: block.means,
     "quatf[] orientations": Splats.unit_quats,
@@ -51,7 +51,7 @@ def ParticleField3DGaussianSplat "Splats"
 
 
 def write(splats: Splats, file: BinaryIO) -> None:
-    """Write a model; rotations are written with unit length.
+    """Write a model; rotations are normalised.
 
     Raises:
         OutputError: A value is NaN or infinite; nothing has been written then.
@@ -80,7 +80,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
 
 
 def _extent(splats: Splats) -> tuple[F32, F32]:
-    """The lowest and the highest corner of a box around all splats."""
+    """Return the lowest and the highest corner of a box around all splats."""
     reach = _REACH * splats.scales().max(axis=1, keepdims=True)
     with np.errstate(over="ignore"):
         low = (splats.means - reach).min(axis=0).astype(np.float32)
@@ -90,7 +90,7 @@ def _extent(splats: Splats) -> tuple[F32, F32]:
 
 
 def _rows(values: Array) -> str:
-    """Rows as USD writes them: tuples, or plain numbers where they have one; each with a comma."""
+    """Format rows for USD: tuples, or plain numbers for a width of 1; a comma after each."""
     width = values.shape[1]
     numbers = ",".join(["%.9g"] * width)
     row = f"({numbers})," if width > 1 else f"{numbers},"
