@@ -1,4 +1,4 @@
-"""`.npz`: the arrays of a model as they are, for NumPy."""
+"""`.npz`: the arrays of a model, unchanged, for NumPy."""
 
 from nanogs.io.format import Format
 from nanogs.io.npz import write

@@ -1,12 +1,13 @@
-"""`.npz`: the arrays of a model as they are, for NumPy; nothing in the file is ever executed.
+"""Reading `.npz`, the arrays of a model for NumPy; nothing in the file is ever executed.
 
 A zip archive of `.npy` arrays, as `numpy.savez` writes it and `numpy.load` reads it with
 `allow_pickle=False`: `means`, `log_scales`, `quats` (wxyz), `opacity_logits` and `sh` (N, K, 3)
-with the shapes and types of `Splats`, `render_mode` as a text, and each further column as
-`extra:<name>`. Arrays are unpacked as they are, deflated or not, their checksums looked at.
+with the shapes and types of `Splats`, `render_mode` as a text, and each extra column as
+`extra:<name>`. Members may be stored or deflated; their checksums are verified.
 
 Layouts: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and APPNOTE.TXT of
-PKWARE. The `.npy` header is matched, not evaluated as NumPy does: simple types are all we store.
+PKWARE. The `.npy` header is matched by a pattern, not evaluated as NumPy does, because only simple
+types are stored.
 """
 
 import math
@@ -39,13 +40,13 @@ _HEADER = re.compile(
     r"\{'descr': '([^'\\]{2,40})', 'fortran_order': (True|False),"
     r" 'shape': \(([0-9, ]{0,80})\), \}\s*"
 )
-_PIECE = 1 << 20  # bytes, or a row
+_PIECE = 1 << 20  # bytes read at a time; at least one row
 _ZIP_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
     struct.error,
     EOFError,
-    NotImplementedError,  # an unknown kind of compression
+    NotImplementedError,  # an unknown compression method
     RuntimeError,  # an encrypted member
     ValueError,
     OverflowError,
@@ -54,7 +55,15 @@ _ZIP_ERRORS = (
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """One array of the archive, its header checked against its size."""
+    """An array of the archive, whose header has been checked against its size.
+
+    Attributes:
+        info: Its entry in the archive.
+        dtype: Its type.
+        shape: Its shape.
+        fortran: Whether it is stored in Fortran order.
+        start: Bytes of the `.npy` header, after which the data begins.
+    """
 
     info: zipfile.ZipInfo
     dtype: np.dtype[np.generic]
@@ -64,17 +73,17 @@ class _Member:
 
     @property
     def data_bytes(self) -> int:
-        """Its size, the header aside."""
+        """Size of the data in bytes, without the header."""
         return self.info.file_size - self.start
 
     @property
     def zero(self) -> Array:
-        """A number of its type, in native byte order."""
+        """A zero of the array's type, in native byte order."""
         return np.zeros((), self.dtype.newbyteorder("="))
 
 
 class NpzFile(Packed):
-    """A model that nanogs saved, or arrays of the same names, shapes and types.
+    """The source of an `.npz` file: a model saved by nanogs, or arrays of the same names and types.
 
     Raises:
         FormatError: The file cannot be read, is damaged, or its arrays are no model.
@@ -90,10 +99,11 @@ class NpzFile(Packed):
         unknown = [printable(name) for name in members if name not in {*self._arrays, MODE}]
         note = f"Arrays nanogs does not know were left out: {', '.join(unknown)}."
         self._notes = [note] * any(unknown)
-        by_column = (m.data_bytes for m in self._arrays.values() if m.fortran)  # held whole
-        self.memory = (8 << 20) + 2 * max(by_column, default=0)  # pieces and buffers
+        # Arrays in Fortran order are held whole; of others, pieces and buffers.
+        by_column = (m.data_bytes for m in self._arrays.values() if m.fortran)
+        self.memory = (8 << 20) + 2 * max(by_column, default=0)
         self.stored = {name: Column(m.dtype.str, m.shape) for name, m in self._arrays.items()}
-        # Nothing of it is held: one number stands for all.
+        # Checks shapes and types without reading data: each array is a broadcast zero.
         whole = self._model({n: np.broadcast_to(m.zero, m.shape) for n, m in self._arrays.items()})
         self.info = FileInfo(
             path=path,
@@ -113,7 +123,7 @@ class NpzFile(Packed):
         )
 
     def unpack(self, _notes: list[str]) -> Iterator[Array]:
-        """All arrays; see `Packed`."""
+        """Yield all arrays decompressed, in rows; see `Packed`."""
         with _opened(self.path) as archive:
             for member in self._arrays.values():
                 if member.fortran:
@@ -122,11 +132,11 @@ class NpzFile(Packed):
                     yield from _pieces(archive, member)
 
     def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
-        """Some rows; see `Packed`."""
+        """Decode rows `start` to `stop`; see `Packed`."""
         return self._model({name: _native(columns(name, start, stop)) for name in self._arrays})
 
     def _model(self, arrays: Mapping[str, Array]) -> Splats:
-        """The model that arrays make, some rows of each."""
+        """Make a model from the same rows of all arrays."""
         own: dict[str, Any] = {name: arrays[name] for name in REQUIRED}
         extras = {n.removeprefix(EXTRA): a for n, a in arrays.items() if n not in REQUIRED}
         try:
@@ -137,7 +147,10 @@ class NpzFile(Packed):
 
 
 def _check_types(arrays: dict[str, Any]) -> None:
-    """`Splats` would convert them, but a file is read in blocks by the types that it states."""
+    """Refuse arrays of other types than float32, or float64 for centres.
+
+    `Splats` would convert them, but blocks of a file are read by the types that the file states.
+    """
     for name, array in arrays.items():
         double = name == "means" and array.dtype == np.float64
         if array.dtype != np.float32 and not double:
@@ -146,7 +159,7 @@ def _check_types(arrays: dict[str, Any]) -> None:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    """The archive, with everything that reading a damaged one may raise as a `FormatError`."""
+    """Open the archive for a `with` block; errors of a damaged one become `FormatError`."""
     input_size(path)
     try:
         with zipfile.ZipFile(path) as archive:
@@ -160,7 +173,7 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _members(path: Path, archive: zipfile.ZipFile) -> dict[str, _Member]:
-    """The arrays of the archive by name, once their declared sizes make sense."""
+    """Return the arrays of the archive by name, after checking their declared sizes."""
     infos = [info for info in archive.infolist() if info.filename.endswith(ARRAY)]
     names = [info.filename.removesuffix(ARRAY) for info in infos]
     if missing := [name for name in REQUIRED if name not in names]:
@@ -190,7 +203,7 @@ def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Mem
 
 
 def _parse(where: str, file: IO[bytes]) -> tuple[np.dtype[np.generic], tuple[int, ...], bool, int]:
-    """Type, shape, whether in Fortran's order, and length of the header of an array."""
+    """Parse the header of an array: its type, shape, whether in Fortran order, and header size."""
     start = file.read(8)
     width = 2 if start[6:7] == b"\x01" else 4
     size = int.from_bytes(file.read(width), "little")
@@ -207,7 +220,7 @@ def _parse(where: str, file: IO[bytes]) -> tuple[np.dtype[np.generic], tuple[int
 
 
 def _loaded(archive: zipfile.ZipFile, member: _Member) -> Array:
-    """The array in native byte order; memory grows with what the file really holds."""
+    """Load an array in native byte order; memory grows with the data that is really there."""
     out = bytearray()
     with archive.open(member.info) as file:
         file.read(member.start)
@@ -229,7 +242,7 @@ def _mode(path: Path, stored: Array) -> RenderMode:
 
 
 def _pieces(archive: zipfile.ZipFile, member: _Member) -> Iterator[Array]:
-    """The rows of an array, as they lie in the file."""
+    """Yield the rows of an array in pieces, in the byte order of the file."""
     row = np.dtype((member.dtype, member.shape[1:])).itemsize
     step = max(_PIECE // max(row, 1), 1)
     with archive.open(member.info) as file:
@@ -240,11 +253,11 @@ def _pieces(archive: zipfile.ZipFile, member: _Member) -> Iterator[Array]:
             if len(data) < rows * row:
                 raise EOFError("an array is cut short")
             yield np.frombuffer(data, member.dtype).reshape(rows, *member.shape[1:])
-        file.read(1)  # at the end, where the checksum is looked at
+        file.read(1)  # reaches the end, where the checksum is verified
 
 
 def _native(array: Array) -> Array:
-    """The same in native byte order, turned in place."""
+    """Convert an array to native byte order, in place."""
     if array.dtype.isnative:
         return array
     return array.byteswap(inplace=True).view(array.dtype.newbyteorder("="))

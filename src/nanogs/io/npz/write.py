@@ -1,6 +1,6 @@
-"""Writing `.npz`, whose layout `read` describes: the same model gives the same bytes.
+"""Writing `.npz`; the layout is described in `read`.
 
-Members are stored as they are, without their time.
+The same model gives the same bytes: members are stored without compression and without timestamps.
 """
 
 import io
@@ -23,11 +23,11 @@ _SUFFIX = ".npz"
 
 
 def write(model: Splats | Source, file: BinaryIO) -> None:
-    """Write a model, no more than some rows of it held; comments and further elements stay behind.
+    """Write a model, holding only some rows in memory; comments and extra elements are dropped.
 
     Raises:
-        OutputError: There is no splat, or an extra column's name or type does not go into such a
-            file; nothing has been written then.
+        OutputError: There is no splat, or the file cannot hold an extra column's name or type;
+            nothing has been written then.
         OSError: The system refuses to write.
     """
     source = source_of(model)
@@ -37,7 +37,7 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
     columns = encoded_columns(source, [partial(_column, name) for name in names])
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, array in arrays.items():
-            info = zipfile.ZipInfo(name + ARRAY)  # of 1980, whatever the clock says
+            info = zipfile.ZipInfo(name + ARRAY)  # dated 1980 by default, for equal bytes
             info.create_system, info.external_attr = 3, 0o600 << 16
             shape = (source.count, *array.shape[1:]) if name != MODE else ()
             with archive.open(info, "w", force_zip64=True) as member:
@@ -47,14 +47,14 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
 
 
 def _column(name: str, block: Splats) -> Array:
-    """The rows of an array of the file, by its name."""
+    """Return the rows of a block for an array of the file, by its name."""
     extra = name.removeprefix(EXTRA)
     column: Array = getattr(block, name) if extra == name else block.extras[extra]
     return column
 
 
 def file_bytes(splats: Splats, count: int) -> int:
-    """Bytes of the file of a model of `count` splats; from 2 GiB on a few bytes too many.
+    """Return the file size in bytes for `count` splats; from 2 GiB on, a few bytes too many.
 
     Raises:
         OutputError: As for `write`.
@@ -74,7 +74,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
 
 
 def _arrays(splats: Splats) -> dict[str, Array]:
-    """Every array of the file by name, in the order they are written."""
+    """Return all arrays of the file by name, in the order they are written."""
     arrays: dict[str, Array] = {name: getattr(splats, name) for name in REQUIRED}
     arrays[MODE] = np.array(splats.render_mode.value)
     for name, column in splats.extras.items():
@@ -98,7 +98,7 @@ def _storable(name: str) -> bool:
 
 
 def _header(array: Array, shape: tuple[int, ...]) -> bytes:
-    """The `.npy` header of an array like this one, of that shape."""
+    """Return the `.npy` header of an array like this one but of the given shape."""
     out = io.BytesIO()
     fields = {**np.lib.format.header_data_from_array_1_0(array), "shape": shape}
     np.lib.format.write_array_header_1_0(out, fields)
