@@ -1,4 +1,4 @@
-"""`.lcc` of XGRIDS' scanners: levels of detail in cells of the ground."""
+"""`.lcc` of XGRIDS' scanners: levels of detail, in a grid of cells on the ground."""
 
 from nanogs.io.format import Format
 from nanogs.io.lcc.read import open_level

@@ -1,17 +1,17 @@
-"""The description of an `.lcc` model, and where its splats lie.
+"""The header of an `.lcc` model, and the locations of its splats.
 
 Layout, as splat-transform reads it (https://github.com/playcanvas/splat-transform, MIT), all
-little-endian: a JSON file, `scene.lcc`, names no others; they lie beside it under names of their
-own.
+little-endian: a JSON file, `scene.lcc`, and files beside it, which have fixed names.
 
-- The JSON has `totalLevel`, `splats` (of each level, 0 the finest), `fileType` ("Portable" without
-  harmonics, "Quality" with degree 3; in older ones harmonics are there if `attributes` has them)
-  and `attributes`, of which `scale` and `shcoef` have a `min` and a `max` for x, y, z and for red,
-  green, blue; `envscale` and `envshcoef` are those of the environment.
-- `index.bin` has a row for each cell: x and y (i16) of its place, and of each level a count of
-  splats (i32), the place of the first in `data.bin` (i64) and bytes (i32).
-- `data.bin` has 32 bytes a splat, and `shcoef.bin` 64 for its harmonics, at twice the place.
-- `environment.bin` has the sky, 32 or 96 bytes a splat; it is there or not.
+- The JSON has `totalLevel`, `splats` (the count of each level, 0 the finest), `fileType`
+  ("Portable" without harmonics, "Quality" with degree 3; in older files, which lack this field,
+  harmonics exist if `attributes` has `shcoef`) and `attributes`, of which `scale` and `shcoef` have
+  a `min` and a `max` for x, y, z and for red, green, blue; `envscale` and `envshcoef` are those of
+  the environment.
+- `index.bin` has a row for each cell: its position x and y (i16), and for each level the number of
+  splats (i32), the byte offset of the first in `data.bin` (i64) and the size in bytes (i32).
+- `data.bin` has 32 bytes per splat, and `shcoef.bin` 64 for its harmonics, at twice the offset.
+- `environment.bin`, which is optional, has the sky, 32 or 96 bytes per splat.
 """
 
 from collections.abc import Mapping
@@ -35,14 +35,14 @@ ROW = np.dtype([
 ])  # fmt: skip
 SH_ROW = np.dtype([("sh", "<u4", 15), ("rest", "<u4")])
 _MAX_JSON = 4 << 20
-_MAX_INDEX = 64 << 20  # a cell of some metres has 84 bytes of five levels
+_MAX_INDEX = 64 << 20  # bytes; with five levels, a cell of some metres takes 84 bytes
 _MAX_LEVELS = 64
 _AGAIN = "export or download the model again."
 
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """The values that the lowest and the highest code stand for.
+    """The values of the lowest and the highest code of quantised columns.
 
     Attributes:
         scale: (2, 3) float64, standard deviations, scene units.
@@ -55,11 +55,11 @@ class Ranges:
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """Splats of a level, cell after cell.
+    """The location of the splats of a level, cell by cell.
 
     Attributes:
-        offsets: (C,) int64, bytes: of the first splat of each cell in `data.bin`.
-        ends: (C + 1,) int64: splats before each cell, and of all.
+        offsets: (C,) int64, byte offset in `data.bin` of the first splat of each cell.
+        ends: (C + 1,) int64, prefix sum of the number of splats per cell.
     """
 
     offsets: I64
@@ -67,15 +67,15 @@ class Runs:
 
     @property
     def count(self) -> int:
-        """Splats of the level."""
+        """Number of splats of the level."""
         return int(self.ends[-1])
 
 
 class Model:
-    """An `.lcc` file, checked against those beside it.
+    """The header of an `.lcc` model, checked against the files beside it.
 
     Args:
-        path: The JSON.
+        path: The JSON file.
 
     Raises:
         FormatError: A file is missing or damaged, or they contradict each other.
@@ -94,7 +94,7 @@ class Model:
         self.levels = self._levels(depth)
 
     def beside(self, name: str) -> Path:
-        """The file of that name beside the JSON."""
+        """Return the path of the file with this name beside the JSON."""
         return self.path.with_name(name)
 
     @property
@@ -104,7 +104,7 @@ class Model:
 
     @cached_property
     def environment_ranges(self) -> Ranges:
-        """The ranges of the environment; those of the levels where it has none of its own.
+        """The ranges of the environment; those of the levels if it has none of its own.
 
         Raises:
             FormatError: They are damaged.
@@ -115,12 +115,12 @@ class Model:
 
     @property
     def environment_row(self) -> "np.dtype[Any]":
-        """A row of `environment.bin`."""
+        """The dtype of a row of `environment.bin`."""
         return np.dtype(ROW.descr + (SH_ROW.descr if self.harmonics else []))
 
     @cached_property
     def environment(self) -> int:
-        """Splats of the environment; 0 without.
+        """Number of splats of the environment; 0 if there is none.
 
         Raises:
             FormatError: Its file is damaged.
@@ -134,7 +134,7 @@ class Model:
         return count
 
     def files(self) -> list[Path]:
-        """All files of the model."""
+        """Return the paths of all files of the model."""
         names = [INDEX, DATA, *([HARMONICS] if self.harmonics else [])]
         names += [ENVIRONMENT] if self.environment else []
         return [self.path, *map(self.beside, names)]
@@ -153,7 +153,7 @@ class Model:
         return np.array(edges)
 
     def _levels(self, depth: int) -> list[Runs]:
-        """Where the splats of each level lie, every place checked against the files."""
+        """Read the locations of each level's splats and check them against the files."""
         path = self.beside(INDEX)
         place = np.dtype([("count", "<i4"), ("offset", "<i8"), ("size", "<i4")])
         row = np.dtype([("x", "<i2"), ("y", "<i2"), ("levels", place, (depth,))])
@@ -170,7 +170,7 @@ class Model:
             offsets = cells["offset"][:, level].astype(np.int64)
             held = counts != 0
             counts, offsets = counts[held], offsets[held]
-            # Nothing here can overflow: 2 to the 31 splats end 2 to the 36 bytes behind the first.
+            # No sum below can overflow: a cell has less than 2^31 splats, which is 2^36 bytes.
             if (counts < 0).any() or (offsets < 0).any() or (offsets > room).any():
                 raise FormatError(f"{path} has counts or places below 0 or beyond; {_AGAIN}")
             if (offsets + counts * ROW.itemsize > room).any() or counts.sum() * ROW.itemsize > room:
@@ -186,13 +186,13 @@ class Model:
         return found
 
     def _sizes(self) -> list[int]:
-        """Bytes of `data.bin` that have all that belongs to them."""
+        """Return the bytes of `data.bin` for which each of the files has data."""
         sizes = [input_size(self.beside(DATA))]
         return [*sizes, input_size(self.beside(HARMONICS)) // 2] if self.harmonics else sizes
 
 
 def _attributes(data: Mapping[str, Any], path: Path) -> dict[str, dict[str, Any]]:
-    """The attributes by name."""
+    """Return the attributes of the JSON by name."""
     where = f"{path}, attributes"
     given = [table(each, where) for each in rows(data.get("attributes"), where)]
     return {str(each.get("name")): each for each in given}

@@ -1,9 +1,10 @@
-"""Reading `.lcc` (XGRIDS): rows of a level, from where they lie; `header` has the layout.
+"""Reading a level of `.lcc` (XGRIDS), by random access to its rows; `header` has the layout.
 
-A splat's centre is three floats, in metres, z up; its scales are linear and its alpha is a byte; of
-its rotation three parts have 10 bits each, and the two top bits say which of xyzw, the largest, was
-left out; a coefficient has 11, 10 and 11 bits for red, green and blue. The environment, which
-viewers draw with every level, is read as the last rows of each. Normals are left out.
+A splat's centre is three floats, in metres, z up; its scales are linear and its alpha is a byte. Of
+its rotation, three components have 10 bits each, and the two top bits are the index in xyzw of the
+largest one, which is not stored. An SH coefficient has 11, 10 and 11 bits for red, green and blue.
+The environment, which viewers draw with every level, is read as the last rows of each level.
+Normals are left out.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,7 +32,7 @@ _NORMALS = "Normals of {:splat|splats} were left out, whose code is not known."
 
 
 def open_level(path: Path, level: int = 0) -> "LccLevel":
-    """A level of an `.lcc` model; 0 is the finest.
+    """Open a level of an `.lcc` model; 0 is the finest.
 
     Raises:
         OptionError: There is no such level.
@@ -44,7 +45,7 @@ def open_level(path: Path, level: int = 0) -> "LccLevel":
 
 
 class LccLevel(FileSource):
-    """The splats of a level, cell after cell, and the environment."""
+    """The source of a level: its splats, cell by cell, followed by those of the environment."""
 
     def __init__(self, model: Model, level: int) -> None:
         super().__init__(model.path)
@@ -64,25 +65,25 @@ class LccLevel(FileSource):
 
     @property
     def files(self) -> Sequence[Path]:
-        """The description and all files beside it that are read; see `FileSource`."""
+        """The JSON file and all files beside it that are read; see `FileSource`."""
         return self._model.files()
 
     @property
     def levels(self) -> tuple[int, ...]:
-        """Splats of each level, those of the environment among them; see `FileSource`."""
+        """Number of splats of each level, the environment included; see `FileSource`."""
         return tuple(level.count + self.environment for level in self._model.levels)
 
     @cached_property
     def environment(self) -> int:
-        """Splats that belong to every level; see `FileSource`."""
+        """Number of splats of the environment, which are in every level; see `FileSource`."""
         return self._model.environment
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source`."""
         model = self._model
         out = empty_arrays(stop - start, model.degree)
         at = normals = 0
-        with np.errstate(all="ignore"):  # whatever bits there are: NaN, infinity, scales of 0
+        with np.errstate(all="ignore"):  # the file may hold NaN, infinity, scales of 0
             for ranges, block, sh in self._blocks(start, stop):
                 part = {name: array[at : at + len(block)] for name, array in out.items()}
                 _decode(block, sh, ranges, part)
@@ -92,7 +93,7 @@ class LccLevel(FileSource):
             return change_frame(Splats(**out, notes=notes), _FRAME, TRAINED)
 
     def _blocks(self, start: int, stop: int) -> Iterator[tuple[Ranges, Array, Array | None]]:
-        """Rows as they are stored, their harmonics, and what both are between."""
+        """Yield blocks of stored rows: the ranges of their codes, the rows, and their harmonics."""
         model, runs = self._model, self._runs
         first = int(np.searchsorted(runs.ends, start, side="right")) - 1
         for cell in range(first, len(runs.offsets)):
@@ -129,14 +130,14 @@ def _decode(block: Array, sh: Array | None, ranges: Ranges, out: dict[str, Any])
 
 
 def _between(edges: F64, share: F64) -> F64:
-    """Values between two, by their share of the way."""
+    """Interpolate linearly from the low to the high edge by a share in [0, 1]."""
     low, high = edges
     values: F64 = (1 - share) * low + share * high
     return values
 
 
 def _quats(packed: Array) -> F64:
-    """(R, 4) wxyz."""
+    """Decode rotations to (R, 4) wxyz."""
     parts = np.stack([packed >> shift & 1023 for shift in (0, 10, 20)], axis=1)
     small = (parts / 1023.0 * 2 - 1) * np.sqrt(0.5)
     return whole_quats(small, packed >> 30)[:, [3, 0, 1, 2]]
