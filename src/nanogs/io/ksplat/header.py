@@ -1,4 +1,4 @@
-"""The headers of `.ksplat`: sections of rows, and where their parts lie; see `read`."""
+"""The headers of `.ksplat`: its sections and the offsets of their parts; `read` has the layout."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ _HEADER_BYTES = 4096
 _SECTION_BYTES = 1024
 _BUCKET_BYTES = 12
 _MAX_DEGREE = 3
-_SH_LIMIT = 1.5  # of the bytes of mode 2, where no range is given
+_SH_LIMIT = 1.5  # the bytes of mode 2 cover -1.5 to 1.5 if no range is given
 AGAIN = "convert or download it again."
 
 _HEADER = np.dtype(
@@ -34,7 +34,7 @@ _SECTION = np.dtype(
         "itemsize": _SECTION_BYTES,
     }
 )  # fmt: skip
-_NUMBERS = ("<f4", "<f2", "<f2")  # of scales and rotations, by mode
+_NUMBERS = ("<f4", "<f2", "<f2")  # types of scales and rotations, by mode
 _CENTRES = ("<f4", "<u2", "<u2")
 _COEFFICIENTS = ("<f4", "<f2", "u1")
 TYPE_NAMES = {"<f4": "float", "<f2": "ushort", "<u2": "ushort", "u1": "uchar"}
@@ -42,7 +42,15 @@ TYPE_NAMES = {"<f4": "float", "<f2": "ushort", "<u2": "ushort", "u1": "uchar"}
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One section: its header as plain numbers, and where its parts lie in the file."""
+    """A section that holds splats.
+
+    Attributes:
+        splats: Number of splats.
+        fields: The fields of its header.
+        lengths_at: Byte offset of the lengths of the partially filled buckets.
+        centres_at: Byte offset of the centres of the buckets.
+        rows_at: Byte offset of the rows.
+    """
 
     splats: int
     fields: dict[str, Any]
@@ -53,7 +61,18 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Headers:
-    """All headers of a file, every count and offset in them checked against its size."""
+    """All headers of a file, with counts and offsets checked against its size.
+
+    Attributes:
+        path: The file.
+        file_bytes: Its size.
+        mode: Compression mode, 0 to 2.
+        degree: SH degree, 0 to 3.
+        sh_range: The values of the lowest and the highest byte of an SH coefficient in mode 2.
+        row: The dtype of a row.
+        sections: The sections that hold splats.
+        trailing: Bytes after the last section.
+    """
 
     path: Path
     file_bytes: int
@@ -66,12 +85,12 @@ class Headers:
 
     @property
     def splats(self) -> int:
-        """Rows of all sections."""
+        """Number of splats of all sections."""
         return sum(section.splats for section in self.sections)
 
 
 def columns(mode: int, degree: int) -> list[tuple[str, str]]:
-    """(name, numpy type) of each part of a row, without the number of its components."""
+    """Return name and numpy type of each column, without its number of components."""
     columns = [("mean", _CENTRES[mode]), ("scale", _NUMBERS[mode])]
     columns += [("quat", _NUMBERS[mode]), ("rgba", "u1")]
     return [*columns, ("sh", _COEFFICIENTS[mode])] if degree else columns
@@ -83,7 +102,7 @@ def _row(mode: int, degree: int) -> np.dtype[np.void]:
 
 
 def read_headers(path: Path) -> Headers:
-    """The headers of a file.
+    """Read and check the headers of a file.
 
     Raises:
         FormatError: It cannot be read, is cut short, or its counts contradict each other.
@@ -143,7 +162,7 @@ def _degree(path: Path, sections: list[dict[str, Any]]) -> int:
 def _placed(
     path: Path, sections: list[dict[str, Any]], mode: int, row_bytes: int, size: int
 ) -> tuple[tuple[Section, ...], int]:
-    """The sections that hold splats, and where the last one ends."""
+    """Return the sections that hold splats, and the byte offset of the end of all sections."""
     placed = []
     offset = _HEADER_BYTES + _SECTION_BYTES * len(sections)
     for number, fields in enumerate(sections):

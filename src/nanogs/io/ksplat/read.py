@@ -1,11 +1,11 @@
 """Reading `.ksplat` (GaussianSplats3D): sections of rows, centres relative to buckets in space.
 
 Layout: https://github.com/mkkellogg/GaussianSplats3D (MIT), `src/loaders/SplatBuffer.js`, version
-0.1. A header of 4096 bytes, 1024 for each section, then the sections: lengths of the buckets that
-are not full, centres of all buckets, rows. Mode 0 holds float32; modes 1 and 2 hold float16 and
-centres as 16-bit steps from their bucket's centre, mode 2 also a byte for each SH coefficient.
-Scales and alpha are linear, rotations wxyz; in each SH band all of red comes first. The frame is
-that of `.ply`.
+0.1. A header of 4096 bytes, one of 1024 for each section, then the sections: lengths of the buckets
+that are not full, centres of all buckets, rows. Mode 0 holds float32; modes 1 and 2 hold float16
+and centres as 16-bit steps from their bucket's centre, mode 2 also a byte for each SH coefficient.
+Scales and alpha are linear, rotations wxyz; each SH band has all coefficients of red first. The
+frame is that of `.ply`.
 """
 
 from collections.abc import Iterator
@@ -26,11 +26,13 @@ from nanogs.splats import Splats, empty_arrays
 from nanogs.stored import base_colour, logit
 
 _CENTRE = np.dtype([("centre", "<f4", 3)])
-_SCALE_RANGE = 32767  # steps of a centre on either side of the bucket's, where none are given
+_SCALE_RANGE = 32767  # steps to either side of a bucket's centre, if the header gives none
 
 
 class KsplatFile(FileSource):
-    """A `.ksplat` file; a scale of zero becomes -inf, alpha 0 and 255 become ∓inf.
+    """The source of a `.ksplat` file.
+
+    A scale of zero becomes a log-scale of -inf; alphas of 0 and 255 become logits of -inf and +inf.
 
     Raises:
         FormatError: It cannot be read, is cut short, or its counts contradict each other.
@@ -51,11 +53,11 @@ class KsplatFile(FileSource):
         )
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`; see `Source`."""
         file, n = self._headers, stop - start
         out = empty_arrays(n, file.degree)
         at = negative = first = 0
-        with np.errstate(all="ignore"):  # whatever bits there are: NaN, infinity, zero scales
+        with np.errstate(all="ignore"):  # the file may hold NaN, infinity, zero scales
             for section in file.sections:
                 low, high = max(start - first, 0), min(stop - first, section.splats)
                 first += section.splats
@@ -73,7 +75,10 @@ class KsplatFile(FileSource):
 def _blocks(
     file: Headers, section: Section, start: int, stop: int
 ) -> Iterator[tuple[Array, F64 | None]]:
-    """Blocks of rows, with their centres where the rows hold them in steps from a bucket's."""
+    """Yield blocks of rows of a section, with their centres decoded.
+
+    In mode 0 the rows hold the centres themselves, and None is yielded in their place.
+    """
     buckets = _buckets(file, section, start, stop) if file.mode else None
     at = section.rows_at + start * file.row.itemsize
     for span, block in row_blocks(file.path, file.row, at, stop - start):
@@ -88,10 +93,10 @@ def _blocks(
 
 
 def _buckets(file: Headers, section: Section, start: int, stop: int) -> tuple[F64, I64]:
-    """(B, 3) centres of the buckets that hold some rows, and the row after the last one of each.
+    """Return the buckets of rows `start` to `stop`: (B, 3) centres, and (B,) end rows.
 
-    Buckets come before the rows that they are for, and those that are not full have any length; so
-    all lengths are added up, some at a time, and no more is kept than there are rows.
+    Full buckets come first; the others have various lengths, so that all lengths are summed up,
+    some at a time. Only buckets that hold some of the rows are kept, so memory is bounded by them.
 
     Raises:
         FormatError: The buckets do not hold as many splats as the section.
@@ -99,7 +104,7 @@ def _buckets(file: Headers, section: Section, start: int, stop: int) -> tuple[F6
     fields = section.fields
     full, capacity = fields["full"], fields["capacity"]
     low, high = (min(row // capacity, full) if capacity else 0 for row in (start, stop + capacity))
-    held = min(full * capacity, 1 << 40)  # more than there can be rows
+    held = min(full * capacity, 1 << 40)  # the limit exceeds any number of rows
     found = [_centres(file, section, np.arange(low, high))]
     ends = [capacity * np.arange(low + 1, high + 1)]
     for span, lengths in row_blocks(
@@ -119,7 +124,7 @@ def _buckets(file: Headers, section: Section, start: int, stop: int) -> tuple[F6
 
 
 def _centres(file: Headers, section: Section, buckets: I64) -> F64:
-    """(B, 3) centres of ascending buckets."""
+    """Read the (B, 3) centres of buckets, given in ascending order."""
     if not len(buckets):
         return np.empty((0, 3))
     first, count = int(buckets[0]), int(buckets[-1] - buckets[0]) + 1
@@ -131,7 +136,7 @@ def _centres(file: Headers, section: Section, buckets: I64) -> F64:
 
 
 def _decode(file: Headers, rows: Array, means: F64 | None, out: dict[str, Any], span: slice) -> int:
-    """Decode one block; how many of its rows have a negative scale."""
+    """Decode one block into `out` and return its number of rows with a negative scale."""
     out["means"][span] = rows["mean"] if means is None else means
     out["log_scales"][span] = np.log(rows["scale"].astype(np.float64))
     out["quats"][span] = rows["quat"]
@@ -144,7 +149,7 @@ def _decode(file: Headers, rows: Array, means: F64 | None, out: dict[str, Any], 
 
 
 def _decode_bands(file: Headers, stored: Array, sh: Array) -> None:
-    """Bands one after the other, each with all of red, then green, then blue."""
+    """Decode the SH bands, each stored as all of red, then green, then blue, into `sh`."""
     if file.mode == 2:
         low, high = file.sh_range
         stored = stored / 255.0 * (high - low) + low
