@@ -1,1 +1,1 @@
-"""Levels of detail."""
+"""Levels of detail: the sinks that write them, and their layouts in files and folders."""

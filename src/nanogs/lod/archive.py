@@ -1,4 +1,4 @@
-"""The sink of levels that become one file: `.ssog`, the folder of a streamed SOG as a zip."""
+"""The sink for levels in one `.ssog` file: the folder of a streamed SOG as a zip archive."""
 
 import shutil
 import zipfile
@@ -22,14 +22,14 @@ _PIECE = 1 << 22  # bytes
 
 @dataclass(frozen=True, slots=True)
 class LevelsArchive(LevelsFolder):
-    """A sink of levels in chunks; see `sink.Sink`. Its place is a file."""
+    """A sink that writes levels in chunks into one archive file, `place`; see `sink.Sink`."""
 
     def check(self) -> None:
-        """As `Sink` says."""
+        """Check that the file can be written; see `Sink`."""
         atomic.check_writable(self.place, overwrite=self.overwrite)
 
     def open(self, making: Path, options: FormatOptions) -> "ArchiveFilling":  # noqa: ARG002
-        """As `Sink` says."""
+        """Start filling an empty folder beside the file `making`; see `Sink`."""
         making.unlink(missing_ok=True)
         folder = making.with_name(f"{making.name}.folder")
         shutil.rmtree(folder, ignore_errors=True)
@@ -39,7 +39,7 @@ class LevelsArchive(LevelsFolder):
 
     @contextmanager
     def filled(self) -> Iterator["ArchiveFilling"]:
-        """The sink opened beside its place, which it takes when the block ends without an error.
+        """Fill a temporary file in a `with` block, then move it to `place` if no error occurred.
 
         Raises:
             OutputError: The file may not be replaced, or it cannot be written.
@@ -48,17 +48,17 @@ class LevelsArchive(LevelsFolder):
             yield self.open(made, {})
 
     def move(self, made: Path) -> None:
-        """As `Sink` says."""
+        """Move the finished file to `place`; see `Sink`."""
         self.check()
         move_file(made, self.place, overwrite=self.overwrite)
 
     def files(self, made: Path) -> Sequence[str]:  # noqa: ARG002 - it is one
-        """As `Sink` says."""
+        """Return the single file, as a path from itself; see `Sink`."""
         return (".",)
 
 
 class ArchiveFilling(ChunksFilling):
-    """A folder that is being filled, and put into one file at the end."""
+    """A folder of chunks that is being filled, and packed into one file at the end."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class ArchiveFilling(ChunksFilling):
         self._made = made
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
-        """As `LevelsFilling` says; the folder goes into the file, which is written last."""
+        """Finish the folder, then pack it into the file and remove it; see `LevelsFilling`."""
         manifest = super().finish(reports, judge)
         coarse_first = [name for level in reversed(self.names) for name in level]
         write_archive(self._folder, [LEVELS, *self.beside, *coarse_first], self._made)
@@ -81,14 +81,14 @@ class ArchiveFilling(ChunksFilling):
 
 
 def write_archive(folder: Path, names: Sequence[str], path: Path) -> None:
-    """Put files into a zip, not packed again, the same bytes at any time.
+    """Write files into a zip archive without compression; the same files give the same bytes.
 
-    What describes the levels comes first, the environment and the coarsest level after it, so that
-    the beginning of the file is all that a first picture needs.
+    The description of the levels should come first, then the environment and the coarsest level, so
+    that a viewer can show a first picture from the beginning of the file.
 
     Args:
-        folder: Where they are.
-        names: Paths in there, in the order in which they are written.
+        folder: The folder of the files.
+        names: Paths in the folder, in the order in which they are written.
         path: The file to write.
     """
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:

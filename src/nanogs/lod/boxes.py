@@ -1,4 +1,4 @@
-"""Boxes around splats, along the axes of the scene.
+"""Axis-aligned bounding boxes of splats.
 
 A box is (2, 3) float64: its lowest and its highest corner, scene units.
 """
@@ -14,17 +14,17 @@ from nanogs.stored import rotations
 
 
 def box_around(splats: Splats, deviations: float) -> F64:
-    """The smallest box around the ellipsoids of so many standard deviations.
+    """Return the smallest box around the ellipsoids of N splats.
 
     Args:
         splats: N splats, N at least 1, all finite.
-        deviations: Half the length of an ellipsoid's axes over the standard deviations there.
+        deviations: Semi-axes of the ellipsoids, in standard deviations.
     """
     boxes = []
     for start in range(0, len(splats), BLOCK_ROWS):
         rows = np.arange(start, min(start + BLOCK_ROWS, len(splats)))
         block = splats.take(rows)
-        # The covariance's diagonal: the square of half the ellipsoid's width along each axis.
+        # The covariance's diagonal has the squared half-width of the ellipsoid along each axis.
         axes = rotations(block.unit_quats().astype(np.float64)) * block.scales()[:, None, :]
         reach = deviations * np.sqrt((axes**2).sum(axis=2))
         boxes.append(
@@ -34,6 +34,6 @@ def box_around(splats: Splats, deviations: float) -> F64:
 
 
 def union(boxes: Iterable[F64]) -> F64:
-    """The smallest box around some, at least one."""
+    """Return the smallest box around one or more boxes."""
     every = np.stack(list(boxes))
     return np.stack([every[:, 0].min(axis=0), every[:, 1].max(axis=0)])

@@ -1,9 +1,9 @@
-"""A binary tree of cells that divides space: which chunk of a level a splat belongs to.
+"""A k-d tree of cells that decides which chunk of a level a splat belongs to.
 
-The planes are laid through the centres of the finest level, at the median along the longest side,
-until no cell has more than a given number of them. Where so many centres share a coordinate that
-a side would have fewer than another given number, a shorter side is taken. The cells fill all of
-space, so that the other levels' splats fall into them too, wherever merging has moved them.
+It is built from the centres of the finest level: each cell is split at the median along its longest
+side, until none has more than a given number of centres. If so many centres share a coordinate that
+one side would get fewer than another given number, a shorter side is split. The cells fill all of
+space, so that they contain the other levels' splats too, wherever merging has moved them.
 """
 
 from collections.abc import Iterator
@@ -18,14 +18,15 @@ LEAF = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """M nodes of a tree in the order of a walk, parents first; L of them are leaves.
+    """A k-d tree of M nodes in depth-first order, parents first; L of them are leaves.
 
     Attributes:
-        axes: (M,) int64, the axis that a node's plane is across, or `LEAF`.
-        planes: (M,) float64, scene units; what lies on the plane is on its far side.
-        children: (M, 2) int64, nodes before and behind the plane.
-        leaves: (M, 2) int64, the first of a node's leaves and the one after its last. Leaves are
-            numbered as the walk comes to them, so that neighbours mostly have near numbers.
+        axes: (M,) int64, the axis perpendicular to a node's splitting plane, or `LEAF`.
+        planes: (M,) float64, position of the plane, scene units; points on it belong to its far
+            side.
+        children: (M, 2) int64, the nodes on the near and on the far side.
+        leaves: (M, 2) int64, start and end of the range of a node's leaves. Leaves are numbered in
+            depth-first order, so that neighbours mostly have near numbers.
     """
 
     axes: I64
@@ -35,15 +36,15 @@ class Cells:
 
     @property
     def count(self) -> int:
-        """The number of leaves."""
+        """Number of leaves."""
         return int(self.leaves[0, 1])
 
     def is_leaf(self, node: int) -> bool:
-        """Whether a node is not divided."""
+        """Return whether a node is a leaf."""
         return int(self.axes[node]) == LEAF
 
     def leaf_of(self, means: F) -> I64:
-        """(N,) int64: the leaf that each centre lies in.
+        """Return (N,) int64, the leaf that contains each centre.
 
         Args:
             means: (N, 3) finite, scene units.
@@ -60,12 +61,12 @@ class Cells:
             nodes[rows] = self.children[at, far.astype(np.int64)]
 
     def cut(self, counts: I64, most: int, finer: frozenset[int]) -> list[int]:
-        """The largest cells of a level that do not hold too much, in the order of the walk.
+        """Return the largest nodes with at most `most` splats of a level, in depth-first order.
 
         Args:
             counts: (L,) splats of the level in each leaf.
-            most: Splats that a cell may hold.
-            finer: The cells of the finer level; none is divided further, whatever it holds.
+            most: Most splats of a node.
+            finer: The nodes chosen for the finer level; none is divided, whatever it holds.
         """
         before = np.concatenate([[0], np.cumsum(counts)])
         found, waiting = [], [0]
@@ -79,20 +80,20 @@ class Cells:
         return found
 
     def all_leaves(self) -> frozenset[int]:
-        """The nodes that are leaves."""
+        """Return the nodes that are leaves."""
         return frozenset(np.flatnonzero(self.axes == LEAF).tolist())
 
 
 def divide(means: F, most: int, least: int = 1) -> Cells:
-    """Divide space so that no cell holds more than so many centres, nor fewer than so many.
+    """Divide space into cells of at least `least` and at most `most` centres each.
 
     Args:
         means: (N, 3) finite centres, N at least 1, scene units.
-        most: Centres in a cell, at least 1. Centres that coincide stay together, even if they are
-            more.
-        least: Centres in a cell, at most half of `most + 1`; unless there are fewer in all, or a
-            cell must be divided where no plane leaves as many on both sides, since most of its
-            centres share their coordinates with others.
+        most: Most centres in a cell, at least 1. Centres that coincide stay together, even if they
+            are more.
+        least: Least centres in a cell, at most half of `most + 1`. Cells have fewer if there are
+            fewer in all, or if a cell must be divided but no plane leaves as many on both sides,
+            because most of its centres share their coordinates with others.
     """
     nodes: list[_Node] = []
     leaf = 0
@@ -113,7 +114,7 @@ def divide(means: F, most: int, least: int = 1) -> Cells:
 
 
 class _Node:
-    """A node while the tree is built."""
+    """A node during the construction of the tree; `first` is the number of its first leaf."""
 
     def __init__(self, first: int) -> None:
         self.first, self.axis, self.plane = first, LEAF, 0.0
@@ -121,10 +122,13 @@ class _Node:
 
 
 def _split(points: F, least: int) -> tuple[int, float, Bool] | None:
-    """The axis and place of a plane, and (N,) bool, which points are behind; None if all coincide.
+    """Find a plane that splits the points; None if all coincide.
 
-    There are points on both sides: at least so many on the longest axis that has such a plane, or
-    as many as on any.
+    It is on the longest axis for which both sides get `least` points or more; if there is none, it
+    is the plane with the most points on its smaller side.
+
+    Returns:
+        Axis and position of the plane, and a (N,) bool mask of the points on its far side.
     """
     sides = points.max(axis=0) - points.min(axis=0)
     best: tuple[int, int, float, Bool] | None = None
@@ -141,7 +145,7 @@ def _split(points: F, least: int) -> tuple[int, float, Bool] | None:
 
 
 def _planes(values: F) -> Iterator[float]:
-    """The value at the median, and the next one above it: no other divides more evenly."""
+    """Yield the positions that divide values most evenly: the median, and the next value above."""
     median = np.partition(values, len(values) // 2)[len(values) // 2]
     if median > values.min():
         yield float(median)
@@ -160,7 +164,7 @@ def _packed(nodes: list[_Node]) -> Cells:
 
 
 def _ends(nodes: list[_Node]) -> Iterator[int]:
-    """Find the leaf after each node's last: that of its last descendant."""
+    """Yield the end of each node's range of leaves, which is that of its last descendant."""
     ends = [0] * len(nodes)
     for number in range(len(nodes) - 1, -1, -1):
         node = nodes[number]

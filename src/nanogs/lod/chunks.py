@@ -1,4 +1,4 @@
-"""Shared by the layouts in chunks: the splats of a level in the order of their cells."""
+"""The base of layouts that divide levels into chunks: sorting splats by cell, and the interface."""
 
 import json
 from abc import ABC, abstractmethod
@@ -21,15 +21,16 @@ from nanogs.splats import Splats
 GENERATOR = "nanogs"
 Made = Iterator[tuple[Any, Mapping[str, bytes]]]
 """Chunks one at a time, as plain data, each with the files that are made with it."""
-_OUTSIDE = 12_000_000  # bytes for a file in libraries, beside which a splat has pixels there
-_DESCRIBED = 2 * 8_000  # bytes for what is said of a chunk at all levels; some are but half full
+_OUTSIDE = 12_000_000  # bytes that libraries take for a file, besides those for each splat
+_DESCRIBED = 2 * 8_000  # bytes to describe a chunk at all levels; twice, as some are half full
 
 
 class SortedLevel:
-    """A level, or some neighbouring blocks of it, whose splats are taken cell by cell.
+    """The splats of a level, or of some neighbouring blocks of it, sorted by cell.
 
     Attributes:
-        cells: Those of the first block.
+        cells: The cells of the first block.
+        leaves: (N,) the leaf of each splat; leaves are numbered through all blocks.
         counts: (L,) splats of each leaf; the leaves of a block follow those of the one before.
     """
 
@@ -37,10 +38,10 @@ class SortedLevel:
         """Sort the splats.
 
         Args:
-            splats: N splats, all finite, those of one block after those of the other.
-            blocks: How many splats each block has, and what they are sorted into.
+            splats: N splats, all finite, block after block.
+            blocks: Number of splats and cells of each block.
         """
-        # What no chunk holds is not copied into any.
+        # Chunks do not hold these, so they are not copied.
         self._splats = replace(splats, extras={}, comments=(), elements=(), notes=())
         self.cells = blocks[0][1]
         leaves, at, first = [], 0, 0
@@ -53,17 +54,17 @@ class SortedLevel:
         self._starts = np.concatenate([[0], np.cumsum(self.counts)])
 
     def take(self, first: int, end: int) -> tuple[Splats, I64]:
-        """The splats of a range of leaves, and the leaf of each, ascending."""
+        """Return the splats of a range of leaves, and the leaf of each, ascending."""
         rows = self._order[self._starts[first] : self._starts[end]]
         return self._splats.take(rows), self.leaves[rows]
 
 
 class ChunkTree(NamedTuple):
-    """The scene, or a block of it.
+    """The cells and chunks of the scene, or of a block of it.
 
     Attributes:
-        cells: What divides it.
-        levels: Chunks of each level, the finest first, as `ChunkLayout` describes them. Those of
+        cells: The cells that divide it.
+        levels: Chunks of each level, the finest first, as plain data of the `ChunkLayout`. Those of
             a block may hold splats of the blocks after it, which then have none of their own.
     """
 
@@ -73,26 +74,27 @@ class ChunkTree(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ChunkLayout(ABC):
-    """A layout that divides levels; see `block_layouts.Chunked`.
+    """A layout that divides levels into chunks; see `block_layouts.Chunked`.
 
     Attributes:
-        most: Splats of the finest level in a chunk, at most.
-        least: Splats of the finest level in a chunk, at least, unless there are fewer in all.
+        most: Most splats of the finest level in a chunk.
+        least: Least splats of the finest level in a chunk, unless there are fewer in all.
     """
 
     most: int
     least: int = 1
-    name: ClassVar[str]  # of the file that tells of the others
-    suffix: ClassVar[str]  # of a model as its files hold it
-    weight: ClassVar[float]  # seconds of a machine for a million splats
+    name: ClassVar[str]  # of the file that describes the others
+    suffix: ClassVar[str]  # of the model files
+    weight: ClassVar[float]  # seconds of a machine per million splats
     chunks_a_file: ClassVar[int] = 1
-    held: ClassVar[tuple[float, int]]  # for a file: bytes over those of its splats, and a splat
+    # Memory to make a file: a factor of the size of its splats, and bytes per splat.
+    held: ClassVar[tuple[float, int]]
 
     def __post_init__(self) -> None:
-        """Refuse what is no size of chunks.
+        """Check the sizes of chunks.
 
         Raises:
-            OptionError: It is below 1, or the least is more than half of the most.
+            OptionError: One is below 1, or the least is more than half of the most.
         """
         for bound in (self.most, self.least):
             if bound < 1:
@@ -104,12 +106,12 @@ class ChunkLayout(ABC):
             )
 
     def divide(self, means: F) -> dict[str, Array]:
-        """As `Chunked` says: the fields of `Cells`."""
+        """Divide space around centres and return the fields of `Cells`; see `Chunked`."""
         return asdict(divide(means, self.most, self.least))
 
     @property
     def fewest(self) -> int:
-        """As `Chunked` says: of files that cannot hold several blocks any number will do."""
+        """Least splats of a block's result; 0 because files do not span blocks; see `Chunked`."""
         return 0
 
     def encode(
@@ -120,7 +122,7 @@ class ChunkLayout(ABC):
         prefix: str,
         tell: Parts = untold,
     ) -> BlockChunks:
-        """As `Chunked` says."""
+        """Make the files of a block, or of neighbouring ones, lazily; see `Chunked`."""
         level = SortedLevel(splats, [(count, Cells(**cells)) for count, cells in blocks])
         chunks = list[Any]()
         losses = self.losses(splats) if len(splats) else ()
@@ -133,7 +135,7 @@ class ChunkLayout(ABC):
         return BlockChunks(blocks[0][1], len(splats), losses, files(), chunks)
 
     def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:
-        """As `Chunked` says, from measurements of one file."""
+        """Estimate memory and time for all chunks, from measurements of a file; see `Chunked`."""
         largest, (over, each) = max(shares), self.held
         at_once = min(self.most * self.chunks_a_file, splats * largest)
         return Encoding(
@@ -147,7 +149,7 @@ class ChunkLayout(ABC):
     @property
     @abstractmethod
     def _seconds(self) -> tuple[float, float]:
-        """Of a processor for a splat, without and with harmonics of higher degrees."""
+        """Seconds of one CPU core per splat, without and with SH above degree 0."""
 
     @abstractmethod
     def _made(
@@ -157,11 +159,12 @@ class ChunkLayout(ABC):
 
     @abstractmethod
     def switch_pixel(self, level: int, deviation: float) -> float:
-        """Scene units that a pixel shows where a viewer begins to draw a level.
+        """Return the size of a pixel, in scene units, at which a viewer switches to a level.
 
         Args:
             level: 1 or more.
-            deviation: Of a typical splat of it along its longest axis, scene units.
+            deviation: Standard deviation of a typical splat of the level along its longest axis,
+                scene units.
         """
 
     @abstractmethod
@@ -172,26 +175,26 @@ class ChunkLayout(ABC):
     def describe(
         self, trees: Sequence[ChunkTree], counts: Sequence[int], environment: bool = False
     ) -> str:
-        """The contents of the file that tells of the others.
+        """Return the contents of the file that describes the others.
 
         Args:
-            trees: One or more, neighbours beside each other.
-            counts: Splats of each level.
+            trees: One or more, neighbours in space next to each other.
+            counts: Number of splats of each level.
             environment: Whether there are `environment_files`.
         """
 
     def environment_files(self, splats: Splats) -> Mapping[str, bytes]:
-        """Name and contents of the files of what belongs to every level, where there may be any."""
+        """Make the files of the environment, by name; only for layouts that support one."""
         raise NotImplementedError
 
 
 def generator() -> str:
-    """The program and its version, as it names itself in what it writes."""
+    """Return the program's name and version, as written into files."""
     return f"{GENERATOR} {__version__}"
 
 
 def read_own(path: Path, *keys: str) -> dict[str, Any] | None:
-    """The JSON object of a file in which nanogs is named under these keys; None for other files."""
+    """Read a JSON file if nanogs wrote it: if the text at these nested keys names it; else None."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
         named: Any = data
@@ -203,5 +206,5 @@ def read_own(path: Path, *keys: str) -> dict[str, Any] | None:
 
 
 def plain_paths(names: Iterable[object]) -> list[str]:
-    """Keep paths that lead below the folder: those of a changed description may not."""
+    """Keep only paths below the folder, because an edited description may contain others."""
     return [name for name in names if isinstance(name, str) and all(map(is_plain, name.split("/")))]

@@ -1,16 +1,18 @@
-"""Finding a model's environment: its sky, or whatever else stands around it far away on all sides.
+"""Finding a model's environment: its sky, or another far shell of splats around the model.
 
-Seen from the middle of the model, an environment is a shell with nothing before it. Models that
-were trained with a dome of sky have one; the ground and the houses of other scenes reach from near
-to far without a gap, and splats that strayed cover next to nothing of what is seen. So distances
-are counted on a logarithmic scale, and an environment is what lies
+Seen from the middle of the model, an environment is a shell with empty space before it. Models
+trained with a sky dome have one. In other scenes, the ground and the houses reach from near to far
+without a gap, and stray splats cover almost nothing of the view. So a histogram of distances is
+made on a logarithmic scale, and an environment consists of the splats beyond a distance such that
 
-- beyond a gap of `GAP` in distance, in which there are fewer than `STRAYS` as many splats,
-- at least `FAR` times as far away as half of the splats before the gap,
-- no more than half of all splats, since the scale begins at half of their median distance, and
-- in `COVERED` of all directions at least so densely that splats cover half of what is seen there.
+- before it there is an interval over a factor of `GAP` in distance, with at most `STRAYS` as many
+  splats as beyond it,
+- it is at least `FAR` times the median distance of the splats before it,
+- at most half of all splats are beyond it, because the scale begins at half of their median
+  distance, and
+- in at least `COVERED` of all directions, splats beyond it cover half of the view or more.
 
-What is taken for an environment is drawn all the same: viewers show it with every level.
+A wrong guess loses nothing: viewers draw the environment with every level.
 """
 
 from collections.abc import Iterable
@@ -27,22 +29,23 @@ GAP = 2.0
 STRAYS = 0.01
 FAR = 4.0
 COVERED = 0.25
-_STEPS = 8  # to a doubling of the distance
-_DOUBLINGS = 40  # from half of the median distance on; what is beyond these is in the last step
-_SIDE = 4  # directions are divided as the six faces of a cube are, each into so many squared
+_STEPS = 8  # histogram steps per doubling of the distance
+_DOUBLINGS = 40  # of half of the median distance; the last step holds everything beyond
+_SIDE = 4  # directions are binned on the faces of a cube, each divided into 4 x 4 squares
 _DIRECTIONS = 6 * _SIDE**2
-_OPAQUE = 0.5  # of a direction
-_SAMPLE, _STRETCH = 1 << 18, 1024  # rows that the middle is found from, and how many lie together
+_OPAQUE = 0.5  # share of a bin of directions that must be covered
+# Number of rows from which the middle is computed, and length of each run of consecutive ones.
+_SAMPLE, _STRETCH = 1 << 18, 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Shell:
-    """An environment: what lies beyond a distance.
+    """An environment: all splats beyond a distance from the middle of the model.
 
     Attributes:
         centre: x, y, z of the middle of the model, scene units.
         radius: The distance, scene units.
-        splats: How many lie beyond it, of those that are usable.
+        splats: Number of usable splats beyond it.
     """
 
     centre: tuple[float, float, float]
@@ -51,10 +54,10 @@ class Shell:
 
 
 def find_environment(source: Source) -> Shell | None:
-    """The environment of a model; None of one that has none.
+    """Find the environment of a model; return None if there is none.
 
-    The model is read twice, some rows at a time, the first time a part of it. Splats that are not
-    usable count nowhere.
+    The model is read twice, some rows at a time, the first time only a sample. Splats that are not
+    usable are ignored.
 
     Args:
         source: The model.
@@ -79,7 +82,7 @@ def find_environment(source: Source) -> Shell | None:
 
 
 def _sample(source: Source) -> F64:
-    """(M, 3) usable centres of stretches of rows that are spread evenly over the model."""
+    """Return (M, 3) usable centres from runs of rows that are spread evenly over the model."""
     every = max(-(-source.count // _SAMPLE), 1) * _STRETCH
     parts = []
     for start in range(0, source.count, every):
@@ -89,9 +92,13 @@ def _sample(source: Source) -> F64:
 
 
 def _counted(blocks: Iterable[Splats], middle: F64, edges: F64) -> tuple[I64, F64]:
-    """(S,) splats by step of distance, and (S, D) what they cover of each direction, steradians.
+    """Compute histograms by step of distance.
 
-    Step 0 lies up to the first edge, the last beyond the last one.
+    Step 0 is below the first edge, the last step is beyond the last edge.
+
+    Returns:
+        (S,) the number of splats, and (S, D) the solid angle in steradians that they cover in each
+        bin of directions.
     """
     steps = len(edges) + 1
     counts, angles = np.zeros(steps, np.int64), np.zeros(steps * _DIRECTIONS)
@@ -100,10 +107,10 @@ def _counted(blocks: Iterable[Splats], middle: F64, edges: F64) -> tuple[I64, F6
         away = distances(own.means, middle)
         step = np.searchsorted(edges, away, side="left")
         counts += np.bincount(step, minlength=steps)
-        far = np.flatnonzero(step)  # what is near is part of no shell
+        far = np.flatnonzero(step)  # splats of step 0 cannot be part of a shell
         widest = np.sort(own.scales()[far].astype(np.float64), axis=1)[:, 1:]
-        # A Gaussian's integral over a plane is its peak times 2 pi times the product of its widths;
-        # one that is wider than it is far away covers all that is seen.
+        # A Gaussian's integral over a plane is its peak times 2 pi times the product of its
+        # deviations; these are limited to the distance, where it covers the whole view.
         shares = np.minimum(widest / away[far, None], 1.0)
         covered = 2 * np.pi * own.opacities()[far] * shares.prod(axis=1)
         place = step[far] * _DIRECTIONS + _directions(own.means[far] - middle)
@@ -112,7 +119,7 @@ def _counted(blocks: Iterable[Splats], middle: F64, edges: F64) -> tuple[I64, F6
 
 
 def _directions(offsets: F64) -> I64:
-    """(N,) the part of a cube's faces that each of (N, 3) offsets, none of them zero, points to."""
+    """Return (N,) the bin of directions of each of (N, 3) non-zero offsets: a square of a cube."""
     axis = np.abs(offsets).argmax(axis=1)
     rows = np.arange(len(offsets))
     along = offsets[rows, axis]
@@ -124,9 +131,9 @@ def _directions(offsets: F64) -> I64:
 
 
 def _begin_of_shell(counts: I64, angles: F64) -> int | None:
-    """The first step of a shell, the gap before it ending there; None without one.
+    """Return the first step of the shell, at which the gap ends; None if there is no shell.
 
-    Of several places for the gap it is the emptiest, and of those the one in the middle.
+    Of several possible gaps the emptiest is taken, and of equally empty ones the middle one.
     """
     wide, near = round(_STEPS * np.log2(GAP)), round(_STEPS * np.log2(FAR))
     before = np.concatenate([[0], np.cumsum(counts)])
@@ -143,6 +150,6 @@ def _begin_of_shell(counts: I64, angles: F64) -> int | None:
 
 
 def _covers(angles: F64) -> bool:
-    """Whether (S, D) steradians of each direction cover enough of all that is seen."""
+    """Return whether (S, D) covered steradians make enough of the directions opaque."""
     opaque = angles.sum(axis=0) >= _OPAQUE * 4 * np.pi / _DIRECTIONS
     return bool(opaque.mean() >= COVERED)

@@ -1,4 +1,4 @@
-"""The sink of levels: a folder with a file a level, or with chunks in one of their layouts."""
+"""The sink for a folder of levels: one file per level, or chunks in one of their layouts."""
 
 import hashlib
 import json
@@ -34,16 +34,16 @@ PLY = ".ply"
 
 @dataclass(frozen=True, slots=True)
 class LevelsFolder:
-    """A sink of levels; see `sink.Sink`.
+    """A sink that writes levels into a folder; see `sink.Sink`.
 
     Attributes:
         place: The folder to make.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         source: Name of the model for the manifest.
-        chunks: How levels are divided; None for files of their own.
-        suffix: Format of such files.
-        format_options: Of that format, as `save` takes them.
-        environment: What belongs to every level beside them, for layouts that have a place for it.
+        chunks: The layout that divides levels into chunks; None for one file per level.
+        suffix: Format of the files in a folder with one file per level.
+        format_options: Options of that format, as `save` takes them.
+        environment: The environment drawn with every level, for layouts that support one.
     """
 
     place: Path
@@ -55,31 +55,31 @@ class LevelsFolder:
     environment: Environment | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a format of files that is not written.
+        """Check that the format of files can be written.
 
         Raises:
-            OptionError: It is not.
+            OptionError: It cannot.
         """
         registry.writer(Path(level_name(0, self.suffix)))
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
-        """As `Sink` says."""
+        """Refuse levels in files of their own that are too large to be held; see `Sink`."""
         if self.chunks is None:
             refuse_large(self.place / level_name(0, self.suffix), count, row, max_memory)
 
     def check(self) -> None:
-        """As `Sink` says."""
+        """Check that the folder can be written; see `Sink`."""
         check_folder_writable(self.place, made_files, overwrite=self.overwrite)
 
     def open(self, making: Path, options: FormatOptions) -> "LevelsFilling":  # noqa: ARG002
-        """As `Sink` says."""
+        """Start filling an empty folder at `making`; see `Sink`."""
         shutil.rmtree(making, ignore_errors=True)
         making.mkdir()
         return self._filling(making)
 
     @contextmanager
     def filled(self) -> Iterator["LevelsFilling"]:
-        """The sink opened beside its place, which it takes when the block ends without an error.
+        """Fill a temporary folder in a `with` block, then move it to `place` if no error occurred.
 
         Raises:
             OutputError: The folder may not be replaced, or it cannot be written.
@@ -93,34 +93,34 @@ class LevelsFolder:
         return ChunksFilling(making, self.source, self.chunks, self.environment)
 
     def move(self, made: Path) -> None:
-        """As `Sink` says."""
+        """Move the finished folder to `place`; see `Sink`."""
         move_folder(made, self.place, made_files, overwrite=self.overwrite)
 
     def files(self, made: Path) -> Sequence[str]:
-        """As `Sink` says."""
+        """Return all files of the folder, that which describes them first; see `Sink`."""
         first = self.chunks.name if self.chunks else manifest.NAME
         return (first, *sorted((made_files(made) or frozenset()) - {first}))
 
 
 class LevelsFilling(Filling):
-    """A folder that is being filled, level by level."""
+    """The base of folders that are being filled, level by level."""
 
     def __init__(self, folder: Path, source: str) -> None:
         super().__init__()
         self._folder, self._source = folder, source
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
-        """Write what describes the folder, and measure each level.
+        """Write the file that describes the folder, and measure the quality of each level.
 
         Args:
-            reports: Of each level.
-            judge: Measures levels.
+            reports: The report of each level.
+            judge: Measures levels; None to measure nothing.
         """
         raise NotImplementedError
 
 
 class _Files(LevelsFilling):
-    """A file a level, `level_0` and so on, and `levels.json`."""
+    """A folder with one file per level, `level_0` and so on, and `levels.json`."""
 
     def __init__(
         self, folder: Path, source: str, suffix: str, format_options: FormatOptions | None
@@ -147,11 +147,11 @@ class _Files(LevelsFilling):
 
 
 class ChunksFilling(LevelsFilling):
-    """Chunks of all levels, in one of their layouts.
+    """A folder with chunks of all levels, in one of their layouts.
 
     Attributes:
-        names: Of the files of each level, as paths from the folder.
-        beside: Of those of the environment.
+        names: Names of the files of each level, as paths from the folder.
+        beside: Names of the files of the environment.
     """
 
     def __init__(
@@ -164,12 +164,12 @@ class ChunksFilling(LevelsFilling):
         super().__init__(folder, source)
         self._layout, self._environment = layout, environment
         self.beside: list[str] = []
-        self._cells: list[Mapping[str, Array]] = []  # of each block
-        self._levels: list[list[list[Any]]] = []  # chunks of each block of each level
-        self.names: list[list[str]] = []  # of the files of each level
+        self._cells: list[Mapping[str, Array]] = []  # by block
+        self._levels: list[list[list[Any]]] = []  # chunks by level and block
+        self.names: list[list[str]] = []
 
     def add(self, model: Splats | Source, tell: Parts = untold) -> None:
-        """As `Filling` says."""
+        """Divide the next level into chunks and write them; see `Filling`."""
         splats, level = as_splats(model), len(self.written)
         cells = self._cells[0] if level else self._layout.divide(splats.means)
         finer = self._levels[-1][0] if level else None
@@ -177,7 +177,7 @@ class ChunksFilling(LevelsFilling):
         self.add_blocks([self._layout.encode(splats, blocks, finer, f"{level}_", tell)])
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
-        """As `Filling` says."""
+        """Write the chunks of the next level, given block by block; see `Filling`."""
         names: list[str] = []
         cells, chunks, splats, size, left_out = [], [], 0, 0, []
         for block in blocks:
@@ -192,7 +192,7 @@ class ChunksFilling(LevelsFilling):
         self._cells = self._cells or cells
         self._levels.append(chunks)
         self.names.append(names)
-        # A model in a folder of its own is named by what describes it.
+        # A model that is a folder is listed by its `meta.json` alone.
         named = [n for n in names if "/" not in n or n.endswith(f"/{streamed_sog.META}")]
         lost = join_findings(left_out)
         self.written.append(Written(splats, named, size, lost, requests=len(names)))
@@ -205,7 +205,7 @@ class ChunksFilling(LevelsFilling):
         path.write_bytes(data)
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
-        """As `LevelsFilling` says."""
+        """Write the environment and the description, and measure levels; see `LevelsFilling`."""
         trees = [
             ChunkTree(Cells(**cells), [level[block] for level in self._levels])
             for block, cells in enumerate(self._cells)
@@ -222,7 +222,7 @@ class ChunksFilling(LevelsFilling):
         return describe_levels(self._source, reports, self.written)
 
     def _write_environment(self, given: Environment) -> None:
-        """Write the model that belongs to every level, and note it with each."""
+        """Write the environment, and record it in the entry of each level."""
         splats, size = given.made(), 0
         lost = [f"The environment: {loss}" for loss in self._layout.losses(splats)]
         for name, data in self._layout.environment_files(splats).items():
@@ -232,18 +232,18 @@ class ChunksFilling(LevelsFilling):
         taken = given.count if given.own else 0
         noted = given.source, len(splats), size, len(self.beside), taken
         self.written = [each._replace(environment=noted) for each in self.written]
-        # Of a part of the model, its levels say what is left out.
+        # If it is a part of the model, the losses are already reported with the levels.
         notes = (*self.written[0].notes, *splats.notes, *(() if given.own else lost))
         self.written[0] = self.written[0]._replace(notes=tuple(map(str, notes)))
 
 
 def level_name(level: int, suffix: str = PLY) -> str:
-    """The file of a level; 0 is the finest."""
+    """Return the file name of a level; 0 is the finest."""
     return f"level_{level}{suffix}"
 
 
 def made_files(folder: Path) -> frozenset[str] | None:
-    """The files of a folder that `nanogs lod` made, in any layout; None for other folders."""
+    """Return the files of a folder made by `nanogs lod`, in any layout; None for other folders."""
     owners = (manifest.made_files, streamed_sog.made_files, tiles.made_files)
     known = [names for made in owners if (names := made(folder)) is not None]
     return frozenset[str]().union(*known) if known else None

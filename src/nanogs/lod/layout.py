@@ -1,6 +1,6 @@
 """The layouts in which `nanogs lod` writes levels.
 
-The output's name says which: `out/lod-meta.json`, `out/tileset.json`, `out.rad`, or a folder.
+The output's name decides: `out/lod-meta.json`, `out/tileset.json`, `out.rad`, or a folder.
 """
 
 from collections.abc import Sequence
@@ -23,9 +23,9 @@ from nanogs.ranges import is_number
 
 
 class Layout(StrEnum):
-    """How the levels lie in the folder."""
+    """The layouts of levels in files."""
 
-    FILES = "files"  # one a level
+    FILES = "files"  # one per level
     SOG = "streamed sog"
     TILES = "3d tiles"
     TREE = "spark tree"  # one file
@@ -40,12 +40,12 @@ _FILES = {Layout.TREE: TREE, Layout.ARCHIVE: registry.ARCHIVE}
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """The place and form of the levels.
+    """The path and layout of the levels to write.
 
     Attributes:
-        folder: The folder to make, or the file where it is one.
-        layout: How they lie in it.
-        suffix: Of the files, where each level has one.
+        folder: The folder to make, or the file for layouts of one file.
+        layout: The layout.
+        suffix: Suffix of the files in the layout with one file per level.
     """
 
     folder: Path
@@ -59,21 +59,21 @@ class Output:
 
     @property
     def model(self) -> Path:
-        """The name of one model in it, whose suffix is that of all."""
+        """An example path of a model file in the folder; all have the same suffix."""
         known = _CHUNKED.get(self.layout)
         return self.folder / level_name(0, known.suffix if known else self.suffix)
 
 
 def output_of(path: Path, suffix: str | None = None) -> Output:
-    """The folder and the layout that a name asks for.
+    """Derive the folder and the layout from the name of the output.
 
     Args:
-        path: The folder, or the file in it that describes the levels.
+        path: The folder, the file in it that describes the levels, or the single file.
         suffix: Format of the levels' files, with or without its dot; .ply by default.
 
     Raises:
-        OptionError: The format is not written, or the name says another one; or the name is that of
-            another `.json` file, or of a single model.
+        OptionError: The format cannot be written, or the name implies another one; or the name is
+            that of another `.json` file, or of a single model.
     """
     for layout, ending in _FILES.items():
         if path.suffix.lower() == ending:
@@ -114,20 +114,21 @@ def chunks_of(
     plain: bool,
     place: Place | Sequence[Sequence[float]] | F64 | None = None,
 ) -> ChunkLayout | Linked | None:
-    """How levels are divided or linked in a layout; None where each is a file.
+    """Return the object that divides or links levels for a layout; None for one file per level.
 
     Args:
-        layout: How they are to lie.
+        layout: The layout.
         chunk: Most splats of a chunk of the finest level; `CHUNK` by default.
         chunk_min: Least splats of such a chunk, and of a file of streamed SOG; by default
-            `LEAST_CHUNK`, or a quarter of `chunk` where that is less.
-        plain: Whether the contents of 3D Tiles are not packed.
+            `LEAST_CHUNK`, or a quarter of `chunk` if that is less.
+        plain: Whether the contents of 3D Tiles are unpacked.
         place: The place on Earth of 3D Tiles, as `transform_of` takes it; None for none.
 
     Raises:
-        OptionError: There is no such layout, the size of chunks is below 1 or given for a layout
-            without chunks, or the least more than half of the most; or plain contents or a place
-            are asked for outside of 3D Tiles; or the place is none.
+        OptionError: There is no such layout; the size of chunks is below 1, no whole number, or
+            given for a layout without chunks; the least is more than half of the most; unpacked
+            contents or a place are requested for another layout than 3D Tiles; or the place is
+            invalid.
     """
     if layout not in list(Layout):
         known = ", ".join(f'"{each}"' for each in Layout)
@@ -155,10 +156,10 @@ def chunks_of(
 
 
 def _whole(size: int) -> int:
-    """A size of chunks as a number of Python's, which a job keeps as JSON.
+    """Convert a chunk size to a Python int, because jobs store it as JSON.
 
     Raises:
-        OptionError: It is no whole number.
+        OptionError: It is not a whole number.
     """
     if not is_number(size, whole=True):
         raise OptionError(f"A chunk holds a whole number of splats, not {size!r}.")

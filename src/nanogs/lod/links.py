@@ -1,8 +1,8 @@
-"""Which splat of a coarser level stands for each splat of a finer one.
+"""Assign each splat of a finer level to a parent splat of the next coarser level.
 
-Levels are made each for itself, and say nothing of each other. A splat belongs to the coarser one
-among those near it that it most likely came from: as a point drawn from that splat, blurred by its
-own shape, with colours alike.
+Levels are made independently, without links between them. The parent of a splat is the most likely
+one of the coarser splats near it: under the coarser splat's Gaussian, with the fine splat's own
+covariance added, and a Gaussian of the difference of colours.
 """
 
 from typing import NamedTuple
@@ -17,21 +17,21 @@ from nanogs.source import Source
 from nanogs.stored import SH_C0
 from nanogs.threads import use_threads
 
-_NEAR = 8  # coarser splats around the nearest one that are looked at beside it
-_COLOUR = 0.15  # standard deviation of what merging changes in a base colour
-_FLATTEST = 1e-3  # thinnest axis over the longest, so that determinants stay finite
+_NEAR = 8  # candidates besides the nearest coarser splat: that splat's nearest neighbours
+_COLOUR = 0.15  # standard deviation of the change of a base colour by merging
+_FLATTEST = 1e-3  # least ratio of the thinnest axis to the longest, so determinants stay finite
 _THINNEST = 1e-12  # scene units
 _ROWS = 1 << 15
-_ROUNDS = 8  # in which those without any take the nearest that can be spared
+_ROUNDS = 8  # rounds in which each childless splat takes the nearest spare child
 
 
 class Shapes(NamedTuple):
-    """The values of N splats by which their links to a coarser level are decided.
+    """The properties of N splats that decide on their links to a coarser level.
 
     Attributes:
         means: (N, 3) float64, scene units.
         covariances: (N, 6) float64, xx, xy, xz, yy, yz, zz, square scene units.
-        colours: (N, 3) float32, of degree 0, from 0 to 1.
+        colours: (N, 3) float32, the contribution of SH degree 0 to the colour.
     """
 
     means: F64
@@ -40,7 +40,7 @@ class Shapes(NamedTuple):
 
 
 def shapes_of(level: Source) -> Shapes:
-    """Read what decides of a level, some rows at a time."""
+    """Read the `Shapes` of a level, some rows at a time."""
     found = Shapes(
         np.empty((level.count, 3)),
         np.empty((level.count, 6)),
@@ -59,12 +59,12 @@ def shapes_of(level: Source) -> Shapes:
 
 
 def parents_of(fine: Shapes, coarse: Shapes, threads: int | None = None) -> I64:
-    """(N,) the coarser splat that stands for each of N finer ones; each stands for one or more.
+    """Return (N,) the row of each fine splat's parent; each coarse splat gets at least one child.
 
     Args:
         fine: N splats.
         coarse: M splats, M from 1 to N.
-        threads: To search with; None for all.
+        threads: Number of threads for the search; None for all.
     """
     with use_threads(threads) as used:
         parents = _likeliest(fine, coarse, used)
@@ -91,10 +91,10 @@ def _likeliest(fine: Shapes, coarse: Shapes, threads: int) -> I64:
 
 
 def _unlikelihoods(deltas: F64, covariances: F64) -> F64:
-    """(R, C): minus twice the logarithm of a Gaussian's density, but for a constant.
+    """Return (R, C) minus twice the log-density of Gaussians, up to a constant.
 
     Args:
-        deltas: (R, C, 3) from its centre, scene units.
+        deltas: (R, C, 3) offsets from the Gaussian's centre, scene units.
         covariances: (R, C, 6), positive definite, square scene units.
     """
     xx, xy, xz, yy, yz, zz = np.moveaxis(covariances, -1, 0)
@@ -108,7 +108,7 @@ def _unlikelihoods(deltas: F64, covariances: F64) -> F64:
 
 
 def _give_to_childless(parents: I64, fine: F64, coarse: F64, threads: int = 1) -> None:
-    """Give a child to each that has none, one near by whose parent has others; in place."""
+    """Give each childless coarse splat a nearby child whose parent has others; in place."""
     lone = np.flatnonzero(np.bincount(parents, minlength=len(coarse)) == 0)
     for _ in range(_ROUNDS):
         if not len(lone):
@@ -117,12 +117,12 @@ def _give_to_childless(parents: I64, fine: F64, coarse: F64, threads: int = 1) -
         distances, nearest = nearest_to(coarse[lone], fine[spare], threads)
         order = np.argsort(distances, kind="stable")
         _, first = np.unique(nearest[order], return_index=True)
-        served = order[first]  # of those that are nearest to one child, the nearest
+        served = order[first]  # if several want the same child, the nearest one gets it
         parents[spare[nearest[served]]] = lone[served]
         lone = np.delete(lone, served)
     if not len(lone):
         return
-    # Many in one place: they and what can be spared are paired in the order of space.
+    # Many childless splats in one place: pair them with spare children in Morton order.
     spare = _spare(parents, fine, coarse)
     box = code_box(fine)
     codes, wanted = codes_in(fine[spare], *box), codes_in(coarse[lone], *box)
@@ -134,7 +134,7 @@ def _give_to_childless(parents: I64, fine: F64, coarse: F64, threads: int = 1) -
 
 
 def _spare(parents: I64, fine: F64, coarse: F64) -> I64:
-    """All rows but, for each parent, the nearest of its children."""
+    """Return the rows whose parent can spare them: all but the nearest child of each parent."""
     distances = ((fine - coarse[parents]) ** 2).sum(axis=1)
     order = np.lexsort((distances, parents))
     further: I64 = order[1:][np.diff(parents[order]) == 0]

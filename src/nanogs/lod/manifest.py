@@ -1,4 +1,4 @@
-"""The contents of a folder of levels, as `levels.json` in a folder of plain files has them."""
+"""The manifest of levels, which is written as `levels.json` in a folder with one file per level."""
 
 import json
 import math
@@ -21,20 +21,20 @@ VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """One level of detail in a file of its own.
+    """A level of detail in a file of its own.
 
     Attributes:
         file: Name of its file in the folder.
-        ratio: The compaction ratio asked for.
-        count: Splats in it.
+        ratio: The requested compaction ratio.
+        count: Number of splats.
         bytes: Size of its file.
-        sha256: Of its file, hexadecimal.
-        psnr: As `nanogs compare` measures its file, dB; None where that was not measured or where
-            every view equals the original's.
-        ssim: Over the same views, or None.
+        sha256: Hash of its file, hexadecimal.
+        psnr: PSNR in dB, as `nanogs compare` measures the file; None if not measured, or if every
+            view equals the original's.
+        ssim: SSIM over the same views, or None.
         stop: Why its merging stopped.
-        draws: Splats a pixel over the same views, as a share of the original's; None where that was
-            not measured.
+        draws: Splats per pixel over the same views, as a share of the original's; None if not
+            measured.
     """
 
     file: str
@@ -50,20 +50,20 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class ChunkedLevel:
-    """One level of detail in chunks.
+    """A level of detail in chunks.
 
     Attributes:
         files: The chunks' files in the folder, in the order of their cells.
-        ratio: The compaction ratio asked for.
-        count: Splats in all of them.
-        bytes: Size of these files and of those that they name.
+        ratio: The requested compaction ratio.
+        count: Number of splats in all of them.
+        bytes: Size of these files and of those that they refer to.
         psnr: As in `Level`.
         ssim: As in `Level`.
         stop: Why its merging stopped.
         draws: As in `Level`.
-        requests: All these files, each of which a viewer asks for.
-        switch: How it looks where a viewer begins to draw it; None of the finest, and where that
-            was not measured.
+        requests: Number of all these files, each of which a viewer requests.
+        switch: Quality at the distance where a viewer switches to it; None for the finest level,
+            and if not measured.
     """
 
     files: tuple[str, ...]
@@ -80,13 +80,13 @@ class ChunkedLevel:
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentFile:
-    """The environment that is drawn with every level, as the manifest lists it.
+    """The environment that is drawn with every level, as an entry of the manifest.
 
     Attributes:
-        source: Where it is from: the name of its file, or "auto" where it was found in the model.
-        count: Splats in it.
+        source: The name of its file, or "auto" if it was found in the model.
+        count: Number of splats.
         bytes: Size of its files.
-        requests: These files, each of which a viewer asks for.
+        requests: Number of these files, each of which a viewer requests.
     """
 
     source: str
@@ -102,13 +102,13 @@ class Manifest:
     Attributes:
         generator: The program and its version.
         source: Name of the model's file, without its folder.
-        source_count: Splats in it.
+        source_count: Number of its splats.
         preset: Name of the preset.
         parameters: Every parameter of the method by name.
         levels: From the finest to the coarsest.
-        notes: What else the user should know, one sentence each.
+        notes: Further information for the user, one sentence each.
         protocol: How PSNR and SSIM were measured, or None.
-        environment: What belongs to every level beside them, or None.
+        environment: The environment drawn with every level, or None.
     """
 
     generator: str
@@ -122,24 +122,24 @@ class Manifest:
     environment: EnvironmentFile | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Return the contents of `levels.json` as dictionaries, lists, numbers and strings."""
         return {"format": FORMAT, "version": VERSION, **asdict(self)}
 
 
 def describe_levels(
     source: str, reports: Sequence[SimplifyReport], written: Sequence[Written]
 ) -> Manifest:
-    """Describe levels, the finest first, as they were made and written.
+    """Make the manifest of levels, the finest first.
 
     Args:
         source: Name of the model.
-        reports: Of each level.
-        written: Files of each level.
+        reports: The report of each level.
+        written: The record of each level's files.
     """
     first = reports[0]
     notes = [note for report in reports for note in report.notes]
     for level, each in enumerate(written):
-        # Said once of the finest level, and of others where it is not the same.
+        # Losses of coarser levels are listed only if a finer one does not have the same.
         prefix = f"Level {level}: " if level else ""
         notes += [prefix + loss for loss in each.losses if loss not in notes]
         notes += each.notes
@@ -171,7 +171,7 @@ def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
     ratio = report.asked_ratio
     assert ratio is not None, "levels are asked for by their ratios"  # noqa: S101
     psnr, ssim, _ = written.judged or (None, None, 0)
-    if psnr == math.inf:  # of which JSON has none
+    if psnr == math.inf:  # JSON has no infinity
         psnr = None
     draws = written.drawn[0].share_of(written.drawn[1]) if written.drawn else None
     if not written.sha256:
@@ -186,23 +186,23 @@ def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
 
 
 def made_files(folder: Path) -> frozenset[str] | None:
-    """Names of the files of a folder of levels, its manifest among them; None for other folders."""
+    """Return the files of a folder of levels, its manifest included; None for other folders."""
     entries = _entries(folder)
     if entries is None:
         return None
     names = {name for entry in entries if isinstance(name := entry.get("file"), str)}
-    # Plain names only: a manifest that someone changed must not lead out of its folder.
+    # Plain names only: an edited manifest must not lead out of its folder.
     return frozenset({NAME, *filter(is_plain, names)})
 
 
 def level_counts(folder: Path) -> tuple[int, ...]:
-    """Splats of each level as `levels.json` has them, the finest first; none in other folders."""
+    """Return each level's number of splats from `levels.json`, the finest first; () if none."""
     counts = [entry.get("count") for entry in _entries(folder) or ()]
     return tuple(count for count in counts if isinstance(count, int))
 
 
 def _entries(folder: Path) -> list[dict[str, Any]] | None:
-    """The levels that `levels.json` lists, unchecked; None in other folders."""
+    """Read the entries of levels in `levels.json`, unchecked; None for other folders."""
     try:
         data = json.loads((folder / NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

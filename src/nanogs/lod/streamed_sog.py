@@ -1,9 +1,9 @@
-"""Writing streamed SOG: a `lod-meta.json` over SOG models, each of some cells of one level.
+"""Writing streamed SOG: a `lod-meta.json` that refers to SOG models, each with cells of one level.
 
 Specification: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/streamed-sog/
 Its reader is `io.sog.levels`. A viewer chooses a level for each leaf of the tree and loads the
-models that hold it; leaves near each other share a model, since the palettes of small ones take
-more room.
+models that hold it; neighbouring leaves share a model, because the palettes of small models take
+more room in total.
 """
 
 import json
@@ -33,25 +33,26 @@ from nanogs.progress import Parts
 from nanogs.splats import Splats
 from nanogs.switches import streamed_pixel
 
-# As the format's own tool has it. A viewer chooses levels by the distance to these boxes, so that
-# larger ones would bring fine levels too early.
+# Extent of splats in boxes, as in the format's own tool. A viewer chooses levels by the distance to
+# the boxes, so that larger ones would load fine levels too early.
 _DEVIATIONS = 1.0
 META = "meta.json"
-ENVIRONMENT = "env"  # its folder, as the format's own tool calls it
+ENVIRONMENT = "env"  # its folder, named as by the format's own tool
 _Node = tuple[dict[str, Any], F64]
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class StreamedSog(ChunkLayout):
-    """Levels as streamed SOG. A chunk, as plain data, is a leaf: number, row, count, box.
+    """The layout of streamed SOG.
 
-    What a level gives are models: the name of each one's folder, and its leaves.
+    The plain data of a level are models: the name of a model's folder, and its leaves, each as
+    number of the leaf, first row, number of splats and box.
     """
 
     name: ClassVar[str] = LEVELS
     suffix: ClassVar[str] = ".sog"
-    chunks_a_file: ClassVar[int] = 4  # full ones; that makes files of 1 to 2 MB
+    chunks_a_file: ClassVar[int] = 4  # most, if they are full; files then have 1 to 2 MB
 
     weight: ClassVar[float] = 25.0
     held: ClassVar[tuple[float, int]] = 6.0, 300
@@ -64,7 +65,7 @@ class StreamedSog(ChunkLayout):
         prefix: str,
         tell: Parts,
     ) -> Made:
-        from nanogs.io.sog import write as sog_write  # here, as `--help` does without
+        from nanogs.io.sog import write as sog_write  # imported here to keep `--help` fast
 
         runs = _runs(level.counts, self.chunks_a_file * self.most, self.least)
 
@@ -77,28 +78,28 @@ class StreamedSog(ChunkLayout):
                 yield f"{prefix}{number}", places, files
 
         with sog_write.encoders() as pool:
-            # The textures of one are encoded while the palette of the next is found.
+            # The textures of a model are encoded while the palette of the next is computed.
             for folder, places, files in _late(begun()):
                 made = files()
                 yield [folder, places], {f"{folder}/{name}": made[name] for name in made}
 
     @property
     def fewest(self) -> int:
-        """As `Chunked` says: of each file of a level."""
+        """Least splats of a file; smaller blocks are joined to the next one; see `Chunked`."""
         return self.least
 
     def switch_pixel(self, level: int, deviation: float) -> float:  # noqa: ARG002 - by distance
-        """As `ChunkLayout` says."""
+        """Return the size of a pixel at which a viewer switches to a level; see `ChunkLayout`."""
         return streamed_pixel(level)
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
-        """As `ChunkLayout` says."""
+        """Name the parts of a model that SOG leaves out; see `ChunkLayout`."""
         from nanogs.io.sog import write as sog_write
 
         return sog_write.losses(splats)
 
     def environment_files(self, splats: Splats) -> Mapping[str, bytes]:
-        """As `ChunkLayout` says: of a model in a folder of its own."""
+        """Make the files of the environment, a SOG model in its own folder; see `ChunkLayout`."""
         from nanogs.io.sog import write as sog_write
 
         files = sog_write.contents(splats)
@@ -107,7 +108,7 @@ class StreamedSog(ChunkLayout):
     def describe(
         self, trees: Sequence[ChunkTree], counts: Sequence[int], environment: bool = False
     ) -> str:
-        """As `ChunkLayout` says; what is not in the tree, the environment, counts nowhere."""
+        """Return the contents of `lod-meta.json`; its counts exclude the environment."""
         names: list[str] = []
         found = [_Leaves(tree.cells) for tree in trees]
         for level in range(len(counts)):
@@ -134,7 +135,7 @@ class StreamedSog(ChunkLayout):
 
 
 class _Leaves:
-    """Which splats of which models stand for each leaf, and the boxes around them."""
+    """The row ranges of models that represent each leaf at each level, and their boxes."""
 
     def __init__(self, cells: Cells) -> None:
         self._cells = cells
@@ -143,16 +144,16 @@ class _Leaves:
 
     @property
     def count(self) -> int:
-        """The number of leaves."""
+        """Number of leaves."""
         return self._cells.count
 
     def add(self, level: int, leaf: int, place: dict[str, int], box: Sequence[Any]) -> None:
-        """Note a place in a file of a level; the finest level, which fills all leaves, first."""
+        """Record the row range of a leaf at a level; the finest, which fills all, comes first."""
         self._entries[leaf][str(level)] = place
         self._boxes[leaf].append(np.array(box))
 
     def tree(self) -> _Node:
-        """The tree and the box around all of it; from the leaves up, as boxes grow."""
+        """Build the JSON of the tree and its box, bottom-up, as boxes depend on their children."""
         cells = self._cells
         nodes: dict[int, _Node] = {}
         for node in range(len(cells.axes) - 1, -1, -1):
@@ -166,7 +167,7 @@ class _Leaves:
 
 
 def _add(trees: Sequence[_Leaves], level: int, file: int, places: Sequence[Any]) -> None:
-    """Note the places in a file, whose leaves are numbered from those of the first tree on."""
+    """Record the row ranges of a file, whose leaf numbers continue through all the trees."""
     before = [0, *accumulate(tree.count for tree in trees)]
     for leaf, offset, splats, box in places:
         number = bisect_right(before, leaf) - 1
@@ -175,7 +176,7 @@ def _add(trees: Sequence[_Leaves], level: int, file: int, places: Sequence[Any])
 
 
 def _joined(trees: list[_Node]) -> _Node:
-    """Trees beside each other as one, as binary as each of them."""
+    """Join neighbouring trees into one, by binary nodes."""
     while len(trees) > 1:
         pairs = [trees[i : i + 2] for i in range(0, len(trees), 2)]
         trees = [_parent(*pair) if len(pair) == 2 else pair[0] for pair in pairs]
@@ -188,7 +189,7 @@ def _parent(near: _Node, far: _Node) -> _Node:
 
 
 def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[list[Any]]:
-    """Number, first row, splats and box of each leaf of a model that has anything in it."""
+    """Yield number, first row, number of splats and box of each non-empty leaf of a model."""
     offset = 0
     for leaf in range(first, end):
         if count := int(counts[leaf]):
@@ -199,7 +200,7 @@ def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[list[An
 
 
 def _late(parts: Iterable[T]) -> Iterator[T]:
-    """Each part when the next one has come, and the last at the end."""
+    """Yield each part with a delay: after the next one has been produced."""
     waiting = list[T]()
     for part in parts:
         yield from waiting
@@ -208,7 +209,7 @@ def _late(parts: Iterable[T]) -> Iterator[T]:
 
 
 def made_files(folder: Path) -> frozenset[str] | None:
-    """The files of a streamed SOG folder that nanogs wrote; None for other folders."""
+    """Return the files of a streamed SOG folder that nanogs wrote; None for other folders."""
     from nanogs.io.sog import write as sog_write
 
     data = read_own(folder / LEVELS, "asset", "generator")
@@ -225,15 +226,15 @@ def made_files(folder: Path) -> frozenset[str] | None:
 
 
 def _runs(counts: I64, most: int, least: int) -> list[tuple[int, int]]:
-    """Ranges of leaves whose splats fit into a file together; one that does not has its own.
+    """Group consecutive leaves into files of at most `most` splats; a larger leaf has its own.
 
-    Neighbours of which one has too few for a file are divided anew, as evenly as leaves allow, or
-    are one file, if need be a larger one.
+    A range with too few splats is combined with a neighbour: both are divided again, as evenly as
+    leaves allow, or become one file, if necessary a larger one.
 
     Args:
         counts: (L,) splats of each leaf.
-        most: Splats of a file, at most.
-        least: Splats of a file, at least, unless all leaves have fewer.
+        most: Most splats of a file.
+        least: Least splats of a file, unless all leaves have fewer.
     """
     before = np.concatenate([[0], np.cumsum(counts)])
 
@@ -260,10 +261,12 @@ def _runs(counts: I64, most: int, least: int) -> list[tuple[int, int]]:
 
 
 def _evened(before: I64, first: int, most: int, least: int) -> list[tuple[int, int]]:
-    """A range of leaves as two files of about equal size, or as one where that cannot be.
+    """Divide a range of leaves into two files of about equal size.
+
+    It stays one file if that is not too large, or if the two would break the limits.
 
     Args:
-        before: (L + 1,) splats before each leaf, and before the one after the last.
+        before: (L + 1,) prefix sum of the number of splats per leaf.
         first: Number of the first leaf.
         most: As in `_runs`.
         least: As in `_runs`.
@@ -279,7 +282,7 @@ def _evened(before: I64, first: int, most: int, least: int) -> list[tuple[int, i
 
 
 def _bound(box: F64) -> dict[str, list[float]]:
-    """The box in single precision, rounded outwards."""
+    """Return the JSON of a box, in single precision and rounded outwards."""
     return {"min": _rounded(box[0], -np.inf), "max": _rounded(box[1], np.inf)}
 
 

@@ -1,14 +1,14 @@
-"""Writing 3D Tiles 1.1: a `tileset.json` over `.glb` files with KHR_gaussian_splatting.
+"""Writing 3D Tiles 1.1: a `tileset.json` that refers to `.glb` files with KHR_gaussian_splatting.
 
-Specification: https://docs.ogc.org/cs/22-025r4/22-025r4.html. Tiles of the coarsest level come
-first; each is replaced by its children, which are of the next finer level and fill its cell. The
-tileset's frame is that of 3D Tiles, z up; a viewer turns glTF's y there, and `io.gltf` turns the y
-of the model, which points down, to glTF's. The root's transform puts the scene into its place on
-Earth (`nanogs.place`); it is the identity where nobody says which. All else is in the scene's own
+Specification: https://docs.ogc.org/cs/22-025r4/22-025r4.html. Tiles of the coarsest level are at
+the top; each is replaced by its children, which are of the next finer level and fill its cell. The
+tileset's frame is that of 3D Tiles, z up; viewers rotate contents from glTF's y up to it, and
+`io.gltf` rotates the model, whose y points down, to glTF's frame. The root's transform places the
+scene on Earth (`nanogs.place`); it is the identity by default. All else is in the scene's own
 frame, near its origin, where single precision is finer than a splat.
 
-Contents are packed as SPZ, which is all that CesiumJS 1.145 draws (see `packed_write` there), or
-plain.
+Contents are packed as SPZ, the only encoding that CesiumJS 1.145 draws (see
+`io.gltf.packed_write`), or plain.
 """
 
 import io
@@ -37,14 +37,14 @@ from nanogs.progress import Parts
 from nanogs.splats import Splats
 from nanogs.switches import tile_pixel
 
-_DEVIATIONS = 3.0  # as far as rasterisers draw; what is outside of a box may be culled
-# A level's error is the width, in deviations, of what one sees of its splats: by the usual 16
-# pixels of error, a tile is replaced when they are wider than that.
+_DEVIATIONS = 3.0  # extent that rasterisers draw; anything outside of a box may be culled
+# Visible width of a splat in standard deviations. A tile's geometric error is that width: with the
+# default limit of 16 pixels, it is refined when its splats look wider than that.
 _WIDTH = 4.0
 
 
 def _plain_losses(splats: Splats) -> tuple[str, ...]:
-    """Name what `io.gltf.write` leaves out, and the comments, which would be in every tile."""
+    """Name the losses of `io.gltf.write`, and comments, which would be repeated in every tile."""
     from nanogs.io import limits
     from nanogs.io.gltf.primitives import MAX_DEGREE
 
@@ -54,7 +54,7 @@ def _plain_losses(splats: Splats) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """How contents are written, what they leave out, and the extensions that tell of them."""
+    """An encoding of tile contents: its writer, its losses, and the glTF extensions it uses."""
 
     write: Callable[[Splats, BinaryIO], None]
     losses: Callable[[Splats], tuple[str, ...]]
@@ -63,7 +63,7 @@ class Form:
 
 @cache
 def form_of(*, packed: bool) -> Form:
-    """How contents are made, packed as SPZ or not."""
+    """Return the encoding of contents, packed as SPZ or plain."""
     from nanogs.io.gltf import packed_write as gltf_spz
     from nanogs.io.gltf import write as gltf_write
     from nanogs.io.gltf.primitives import PACKED
@@ -78,14 +78,15 @@ def form_of(*, packed: bool) -> Form:
 
 @dataclass(frozen=True, slots=True)
 class Tiles(ChunkLayout):
-    """Levels as 3D Tiles. A chunk, as plain data, is a tile: node, file, box, width.
+    """The layout of 3D Tiles.
 
-    A tile without splats has no file, no box and the width 0.
+    The plain data of a chunk are a tile: node, file, box and visible width of its splats. A tile
+    without splats has no file, no box and the width 0.
 
     Attributes:
         packed: Whether contents are packed as SPZ.
-        place: The root's transform, 16 numbers column after column; None for the identity. Plain
-            data, as a job keeps them.
+        place: The root's transform, 16 numbers in column-major order; None for the identity. A
+            tuple because jobs store it as plain data.
     """
 
     packed: bool = True
@@ -120,7 +121,7 @@ class Tiles(ChunkLayout):
         """Write the contents of a tile.
 
         Raises:
-            OutputError: They cannot be written; where that is for how they are packed, it says so.
+            OutputError: They cannot be written; if the packing is the reason, the message says so.
         """
         try:
             form_of(packed=self.packed).write(part, file)
@@ -131,11 +132,11 @@ class Tiles(ChunkLayout):
             raise UnstorableError(text) from error
 
     def switch_pixel(self, level: int, deviation: float) -> float:  # noqa: ARG002 - by size
-        """As `ChunkLayout` says."""
+        """Return the size of a pixel at which a viewer switches to a level; see `ChunkLayout`."""
         return tile_pixel(_WIDTH * deviation)
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
-        """As `ChunkLayout` says."""
+        """Name the parts of a model that the contents leave out; see `ChunkLayout`."""
         return form_of(packed=self.packed).losses(splats)
 
     def describe(
@@ -144,13 +145,13 @@ class Tiles(ChunkLayout):
         counts: Sequence[int],
         environment: bool = False,  # noqa: ARG002 - tiles have none
     ) -> str:
-        """As `ChunkLayout` says."""
+        """Return the contents of `tileset.json`; see `ChunkLayout`."""
         place = None if self.place is None else from_columns(self.place)
         return describe(trees, len(counts), form_of(packed=self.packed).extensions, place)
 
 
 def made_files(folder: Path) -> frozenset[str] | None:
-    """The files of a tileset that nanogs wrote; None for other folders."""
+    """Return the files of a tileset that nanogs wrote; None for other folders."""
     data = read_own(folder / TILESET, "asset", "extras", "generator")
     if data is None:
         return None
@@ -167,5 +168,5 @@ def made_files(folder: Path) -> frozenset[str] | None:
 
 
 def _width(splats: Splats) -> float:
-    """The visible width of a typical splat along its longest axis, scene units."""
+    """Return the visible width of a typical splat along its longest axis, scene units."""
     return _WIDTH * float(np.median(splats.scales().max(axis=1)))

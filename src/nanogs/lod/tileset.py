@@ -1,4 +1,4 @@
-"""Describing 3D Tiles: the `tileset.json` over tiles that are cells of one tree or of several."""
+"""The `tileset.json` of 3D Tiles, whose tiles are cells of one or more trees."""
 
 import json
 import math
@@ -13,14 +13,17 @@ from nanogs.lod.cells import Cells
 from nanogs.lod.chunks import ChunkTree, generator
 from nanogs.place import columns
 
-# Runtimes learn from it which extensions the contents use; that glTF is a content is core in 1.1.
+# Lists the glTF extensions that contents use; glTF contents themselves need no extension in 1.1.
 _CONTENT = "3DTILES_content_gltf"
 
 
 class Tile(NamedTuple):
-    """A cell of one level: its file and the box around its splats, or neither, and their width.
+    """A cell of one level.
 
-    The width is what is visible of a typical splat, scene units; of the level's, without splats.
+    Attributes:
+        content: Name of its file; None without splats.
+        box: The box around its splats; None without splats.
+        width: Visible width of a typical splat in it, scene units; without splats, of the level.
     """
 
     content: str | None
@@ -34,15 +37,15 @@ def describe(
     extensions: Mapping[str, Sequence[str]],
     place: F64 | None = None,
 ) -> str:
-    """The contents of `tileset.json`.
+    """Return the contents of `tileset.json`.
 
-    Tiles of the coarsest level come first; each is replaced by those below it.
+    Tiles of the coarsest level are at the top; each is replaced by those below it.
 
     Args:
         trees: One or more, whose chunks are as `Tiles` describes them.
-        levels: Their number.
-        extensions: Those of glTF that the contents use and require.
-        place: (4, 4): the transform of the root; by default the identity.
+        levels: Number of levels.
+        extensions: The glTF extensions that the contents use and require.
+        place: (4, 4) transform of the root; by default the identity.
     """
     found = [_of_level([tree.levels[level] for tree in trees]) for level in range(levels)]
     tops = [
@@ -54,7 +57,7 @@ def describe(
     diagonal = float(np.linalg.norm(box[1] - box[0]))
     root = tops[0][0]
     if len(tops) > 1:
-        # Without a content, and so wrong by as much as there is to see.
+        # The common root has no content, so its error is the extent of the scene.
         children = [tile for tile, _ in tops]
         root = _described(box, max(diagonal, _error(children))) | {"children": children}
     transform = np.eye(4) if place is None else place
@@ -62,7 +65,7 @@ def describe(
         "asset": {"version": "1.1", "extras": {"generator": generator()}},
         "extensionsUsed": [_CONTENT],
         "extensions": {_CONTENT: extensions},
-        # Viewers enlarge errors as the transforms above do, but not this one.
+        # Viewers scale the errors of tiles by the transforms above them, but not this one.
         "geometricError": max(diagonal, root["geometricError"]) * _enlargement(transform),
         "root": {"transform": columns(transform), "refine": "REPLACE"} | root,
     }
@@ -70,7 +73,7 @@ def describe(
 
 
 def _of_level(trees: Sequence[Sequence[Any]]) -> list[dict[int, Tile]]:
-    """The tiles of a level in each tree; those without splats are as wide as others typically."""
+    """Return the tiles of a level by node, for each tree; empty ones get the median width."""
     typical = float(np.median([width for tree in trees for _, file, _, width in tree if file]))
     return [
         {
@@ -84,7 +87,7 @@ def _of_level(trees: Sequence[Sequence[Any]]) -> list[dict[int, Tile]]:
 def _tile(
     cells: Cells, levels: Sequence[Mapping[int, Tile]], node: int
 ) -> tuple[dict[str, Any], F64]:
-    """A tile of the last of some levels with all below it, and the box around all of that."""
+    """Return the JSON of a tile of the last level given, with all tiles below, and their box."""
     own, (first, end) = levels[-1][node], cells.leaves[node]
     finer = levels[-2] if len(levels) > 1 else {}
     below = [
@@ -99,7 +102,7 @@ def _tile(
 
 
 def _enlargement(transform: F64) -> float:
-    """How many times as long a transform makes what it makes longest; 1 for a turn."""
+    """Return the largest scale factor of a transform; exactly 1 for a rotation."""
     longest = float(np.linalg.norm(transform[:3, :3], axis=0).max())
     return 1.0 if math.isclose(longest, 1.0, rel_tol=1e-12) else longest
 
@@ -109,18 +112,18 @@ def _described(box: F64, error: float) -> dict[str, Any]:
 
 
 def _error(tiles: list[dict[str, Any]]) -> float:
-    """The largest error of some tiles: no child's is larger than its parent's."""
+    """Return the largest error of some tiles, which their parent's must reach."""
     return float(max((tile["geometricError"] for tile in tiles), default=0.0))
 
 
 def _volume(box: F64) -> list[float]:
-    """The centre and the three half axes of a box, in the frame of the tileset."""
+    """Return centre and three half-axes of a box as 12 numbers, in the frame of the tileset."""
     corners = np.stack([_turned(corner) for corner in box])
     centre, half = corners.mean(axis=0), np.abs(corners[1] - corners[0]) / 2
     return [*centre.tolist(), *np.diag(half).ravel().tolist()]
 
 
 def _turned(point: F64) -> F64:
-    """Turn from y down to z up: half a turn about z, then a quarter about x."""
+    """Rotate a point from y down to z up: half a turn about z, then a quarter about x."""
     x, y, z = point
     return np.array([-x, -z, -y])

@@ -1,13 +1,13 @@
-"""Levels of detail as one tree, in the order in which Spark wants its rows.
+"""Levels of detail as one tree, with rows in the order that Spark expects.
 
-From the coarsest level up, splats near each other are merged four by four until one is left, the
-root. A viewer draws some of a level beside some of others, whatever fits its number of splats; so
-that these fit each other, each splat that stands for others is made anew of all leaves below it, by
-their moments: what was fitted for a level as a whole would not show so.
+Above the coarsest level, neighbouring splats are merged four by four until one is left, the root. A
+viewer draws a cut through the tree that fits its budget of splats, so splats of different levels
+are next to each other. For these to match, each inner splat is computed from the moments of all
+leaves below it, not taken from its level, whose splats were fitted as a whole.
 
-Coarser rows come first, and within a level those near in space are near each other, children of one
-parent side by side: so that a viewer that fetches chunks of rows sees the whole scene with the
-first, and then what it needs of each region with few more.
+Coarser rows come first. Within a level, rows are sorted by position, and children of one parent are
+contiguous: a viewer that fetches chunks of rows gets the whole scene with the first one, and then
+needs few more for each region.
 """
 
 from collections.abc import Sequence
@@ -36,22 +36,23 @@ from nanogs.source import InMemory, Joined, Source
 from nanogs.splats import Splats, concatenate
 
 MOST_CHILDREN = (1 << 16) - 1
-_TOGETHER = 4  # splats that are merged above the coarsest level
-# Coarse splats are drawn where the scene is far away: the fewer pixels they are merged for, the
-# rounder. With 128 to 256 three scenes looked best, and with axes that may grow by two.
+_TOGETHER = 4  # number of splats merged into one above the coarsest level
+# Size in pixels of a splat's surroundings for `dilation`. Coarse splats are drawn far away: the
+# fewer pixels they are merged for, the rounder they become. With 128 to 256, and axes that may grow
+# by a factor of two, three scenes looked best.
 _PIXELS = 160
 _GROWTH = 2.0
-_SAMPLE = 1 << 16  # leaves that say what is usual
-_ROWS = 1 << 15  # that are merged at a time, but for those of one parent
+_SAMPLE = 1 << 16  # about the number of leaves from which `Units` are computed
+_ROWS = 1 << 15  # rows merged at a time; more if one parent has more children
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A level of the tree.
+    """A layer of the tree: the positions of its nodes and the links to their parents.
 
     Attributes:
-        means: (N, 3) float64 centres of its splats, which say what lies near what, scene units.
-        parents: (N,) the row of each one's parent in the next coarser layer; none of the last.
+        means: (N, 3) float64 centres of its splats, by which rows are sorted, scene units.
+        parents: (N,) the row of each one's parent in the next coarser layer; empty for the last.
     """
 
     means: F64
@@ -59,10 +60,12 @@ class Layer:
 
 
 class Linking:
-    """Links levels to each other as they come, of which only their shapes are held.
+    """An incremental builder of layers that links each level to the previous one.
+
+    Of the levels, only the `Shapes` of the last and the `Layer` of others are held.
 
     Args:
-        threads: To search with; None for all.
+        threads: Number of threads for the search; None for all.
         first: The number of the first level, for messages.
     """
 
@@ -72,15 +75,16 @@ class Linking:
         self._shapes: Shapes | None = None
 
     def add(self, level: Source) -> None:
-        """Link the next coarser level to the last one.
+        """Link the last level to the next coarser one.
 
-        Where it has more splats than that, as a part of a scene can, that is taken once more.
+        If that has more splats, as can happen for a block of a scene, the last level is repeated in
+        its place.
 
         Args:
-            level: One splat or more.
+            level: The next level, of one splat or more.
 
         Raises:
-            OptionError: A splat would stand for more others than a row can.
+            OptionError: A splat would have more than `MOST_CHILDREN`.
         """
         coarse, fine = shapes_of(level), self._shapes
         self._shapes = coarse
@@ -94,7 +98,7 @@ class Linking:
         self._layers.append(Layer(fine.means, parents))
 
     def finished(self, steps: int | None = None) -> list[Layer]:
-        """All levels, and those above the last one; no more can be added.
+        """Return the layers of all levels, and those above the last; no more can be added.
 
         Args:
             steps: As `above` takes it.
@@ -105,11 +109,11 @@ class Linking:
 
 
 def refuse_many(children: I64, level: int) -> None:
-    """Refuse what a row of a file cannot hold.
+    """Refuse numbers of children that exceed `MOST_CHILDREN`, the limit of a `.rad` file.
 
     Args:
-        children: How many splats of a level each of the next one stands for.
-        level: Its number.
+        children: Number of children in a level of each splat of the next coarser level.
+        level: Number of the level of the children.
 
     Raises:
         OptionError: One of these is too large.
@@ -128,7 +132,7 @@ def layers_of(
     first: int = 0,
     steps: int | None = None,
 ) -> list[Layer]:
-    """Link levels to each other, and add those above.
+    """Link levels to each other, add the layers above them, and return all layers.
 
     Args:
         levels: From the finest to the coarsest, each of 1 splat or more.
@@ -137,7 +141,7 @@ def layers_of(
         steps: As `above` takes it.
 
     Raises:
-        OptionError: A splat would stand for more others than a row can.
+        OptionError: A splat would have more than `MOST_CHILDREN`.
     """
     linking = Linking(threads, first)
     for level in levels:
@@ -146,12 +150,12 @@ def layers_of(
 
 
 def above(means: F64, steps: int | None = None) -> list[Layer]:
-    """The coarsest level and those above it, each of groups in the order of space.
+    """Return the layers of the coarsest level and above it, by grouping rows in Morton order.
 
     Args:
         means: (N, 3) centres of the coarsest level, scene units.
-        steps: How many there are above it, however few splats they have; by default up to one
-            splat.
+        steps: Number of layers above it, however few splats they have; by default as many as it
+            takes to reach one splat.
     """
     found: list[Layer] = []
     while len(means) > 1 if steps is None else len(found) < steps:
@@ -166,44 +170,44 @@ def above(means: F64, steps: int | None = None) -> list[Layer]:
 
 @dataclass(frozen=True, slots=True)
 class Tree:
-    """Which rows stand for which, of rows in the order of the file.
+    """The links of a tree from parents to children, with rows in the order of the file.
 
     Attributes:
-        counts: (N,) children of each, 0 of leaves.
+        counts: (N,) number of children of each row, 0 for leaves.
     """
 
     counts: I64
 
     @property
     def starts(self) -> I64:
-        """(N,) the first child of each; 0 of leaves."""
-        starts = np.cumsum(self.counts) - self.counts + 1  # they come in the order of their parents
+        """(N,) the first child of each row; 0 for leaves."""
+        starts = np.cumsum(self.counts) - self.counts + 1  # children are in the order of parents
         return np.where(self.counts > 0, starts, 0)
 
     def children(self, start: int, stop: int) -> I64:
-        """How many children rows have."""
+        """Return the number of children of rows `start` to `stop`."""
         return self.counts[start:stop]
 
 
 def as_rows(leaves: Source, layers: Sequence[Layer]) -> tuple[Source, Tree]:
-    """All splats of a tree as rows, the root first, and what says which stand for which.
+    """Build a tree; return all its splats as rows, the root first, and the links between them.
 
     Args:
         leaves: The finest level.
-        layers: From that to the root, as `layers_of` gives them.
+        layers: From that to the root, as `layers_of` returns them.
     """
     made = build(leaves, layers, units_of(leaves))
     return Joined(made.layers[::-1]), Tree(np.concatenate(made.children[::-1]))
 
 
 class Built(NamedTuple):
-    """Layers whose splats are there, each in the order of the file.
+    """The layers of a tree with their splats, each in the order of the file.
 
     Attributes:
-        layers: The splats of each, the finest first.
-        children: Of each, how many rows of the layer before each row stands for.
-        order: (N,) the row of the leaves, as they were given, that comes first, and so on.
-        nodes: Of the last layer, without features.
+        layers: The splats of each layer, the finest first.
+        children: For each layer, the number of children of each row in the next finer layer.
+        order: (N,) the permutation that sorted the leaves: input rows in the order of the file.
+        nodes: Nodes of the last layer, without features.
     """
 
     layers: Sequence[Source]
@@ -215,13 +219,13 @@ class Built(NamedTuple):
 def build(
     leaves: Source, layers: Sequence[Layer], units: "Units", nodes: Nodes | None = None
 ) -> Built:
-    """Make the splats that stand for others, by the moments of all leaves below them.
+    """Sort all layers and compute the inner splats from the moments of all leaves below them.
 
     Args:
         leaves: The finest layer.
         layers: From that to the last; the last may have several rows.
-        units: What nodes are made with.
-        nodes: Of the leaves, without features, if they stand for others themselves.
+        units: Values for converting splats to nodes.
+        nodes: Nodes of the leaves, without features, if these are inner splats of other trees.
     """
     orders, children = _places(layers)
     order = orders[0]
@@ -237,7 +241,7 @@ def build(
 
 
 def _places(layers: Sequence[Layer]) -> tuple[list[I64], list[I64]]:
-    """Of each layer its rows in the order of the file, and how many children each of these has."""
+    """Return, for each layer, its rows in the order of the file, and their numbers of children."""
     orders, children = [morton_order(layers[-1].means)], []
     for layer in reversed(layers[:-1]):
         places = np.empty(len(orders[-1]), np.int64)
@@ -250,16 +254,16 @@ def _places(layers: Sequence[Layer]) -> tuple[list[I64], list[I64]]:
 
 
 class Units(NamedTuple):
-    """Values by which splats are made nodes; see `activate_nodes`."""
+    """The values with which splats are converted to nodes; see `activate_nodes`."""
 
     origin: F64
     added: Dilation
     thinnest: float
-    usual: float  # coverage, square scene units
+    usual: float  # mean coverage, square scene units
 
 
 def units_of(leaves: Source) -> Units:
-    """By some of the leaves."""
+    """Compute `Units` from a sample of the leaves."""
     some = leaves.take(np.arange(0, leaves.count, leaves.count // _SAMPLE + 1))
     means = some.means.astype(np.float64)
     origin = means.mean(axis=0)
@@ -273,13 +277,13 @@ def units_of(leaves: Source) -> Units:
 def _standing_for(
     below: Source, moments: Nodes | None, counts: I64, units: Units
 ) -> tuple[Splats, Nodes]:
-    """The splats of a layer, of the rows of the next finer one.
+    """Compute the splats of a layer by merging the rows of the next finer one.
 
     Args:
-        below: That one, in the order of the file.
+        below: The finer layer, in the order of the file.
         moments: Its nodes, without features; None for leaves.
-        counts: How many rows each of the splats stands for, one after the other.
-        units: Values by which the rows are made nodes; see `activate_nodes`.
+        counts: Number of children of each splat; children of one parent are contiguous.
+        units: Values for converting rows to nodes; see `activate_nodes`.
 
     Returns:
         The splats, and their nodes without features.
@@ -293,27 +297,31 @@ def _standing_for(
         nodes = _nodes(splats, moments, rows, units)
         labels = np.repeat(np.arange(last - first, dtype=np.int32), counts[first:last])
         stored = store_groups(nodes, labels, splats, units.origin, units.added)
-        # Groups are stored in the order of their heaviest members, which is theirs here.
+        # `store_groups` sorts groups by their heaviest members: here this keeps their order.
         made.append(replace(stored.grown(_GROWTH), notes=()))
         found.append(without_features(gather(nodes, labels, last - first), slice(None)))
     return concatenate(made), joined_nodes(found)
 
 
 def joined_nodes(parts: Sequence[Nodes]) -> Nodes:
-    """Nodes without features, one after the other."""
+    """Concatenate nodes without features."""
     names = ("weights", "coverages", "means", "covariances")
     columns = {name: np.concatenate([getattr(each, name) for each in parts]) for name in names}
     return replace(parts[0], **columns)
 
 
 def _nodes(splats: Splats, moments: Nodes | None, rows: slice, units: Units) -> Nodes:
-    """Nodes of some rows, which weigh as much as they cover: then moments of moments are right."""
+    """Return the nodes of some rows, with weights in proportion to their coverage.
+
+    With these weights, moments that are merged from moments equal those merged from all leaves.
+    """
     own: I32 = np.arange(len(splats), dtype=np.int32)
     if moments is None:
         leaves = activate_nodes(splats, own, units.origin, units.added, units.thinnest)
         return replace(leaves, weights=np.maximum(leaves.coverages / units.usual, LIGHTEST))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
     some = without_features(moments, rows)
-    # Of many that cover nothing the least weights have added up, which `area_needs` tells them by.
+    # `area_needs` recognises rows without coverage by the least weight; in merged rows, several
+    # least weights have added up, so it is restored.
     weights = np.where(some.coverages <= LIGHTEST * units.usual, LIGHTEST, some.weights)
     return replace(some, weights=weights, features=features, rows=own)

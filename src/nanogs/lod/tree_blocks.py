@@ -1,8 +1,8 @@
-"""A tree of levels of detail from the trees of a scene's blocks, which are not held.
+"""Joining the trees of a scene's blocks to one tree of levels, without holding them in memory.
 
-Each block has a tree of its own levels, down from some roots. These are few, and above them a last
-tree is made as that of a model in memory. In the file's order the rows of a layer then follow the
-order of that tree, root by root: those below one root lie side by side in the tree of its block.
+Each block has a tree of its own levels with several roots. These are few, and the tree above them
+is built in memory. In the file, the rows of each layer below the roots follow the order of the
+roots in that tree; those below one root are contiguous in the tree of its block.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,22 +24,22 @@ from nanogs.source.base import joined_rows
 from nanogs.splats import Splats, concatenate
 
 _MOMENTS = ("weights", "coverages", "means", "covariances")
-_SEARCHED = 240  # bytes a splat of the finest level while it is linked to the next; measured
-_LAYER = 100  # bytes a splat of all layers: their order, links and moments; measured
-_WRITTEN = 6  # times the bytes of a chunk's rows while it is written
+_SEARCHED = 240  # bytes per splat of the finest level while it is linked to the next; measured
+_LAYER = 100  # bytes per splat of all layers: their order, links and moments; measured
+_WRITTEN = 6  # memory while a chunk is written, as a factor of its rows' size
 
 Children = Callable[[int, int], I64]
 
 
 @dataclass(frozen=True, slots=True)
 class Linked:
-    """The layout of levels that become one tree; see `block_layouts.Linked`."""
+    """The layout of levels as one tree; see `block_layouts.Linked`."""
 
     suffix: ClassVar[str] = ".rad"
     weight: ClassVar[float] = 9.0
 
     def link(self, levels: Sequence[Source], some: Splats, threads: int, steps: int) -> BlockTree:
-        """As `block_layouts.Linked` says."""
+        """Build the tree of a block; see `block_layouts.Linked`."""
         layers = layers_of(levels, threads, steps=steps)
         leaves = InMemory(levels[0].load())
         made = build(leaves, layers, units_of(InMemory(some)))
@@ -54,9 +54,9 @@ class Linked:
         splats: int,
         shares: Sequence[float],
     ) -> Encoding:
-        """As `block_layouts.Linked` says, from measurements."""
+        """Estimate memory and time for linking, from measurements; see `block_layouts.Linked`."""
         kept = [min(1.0, 2 * share) for share in shares]  # one block can keep more than others
-        # A layer is put together of parts that are held meanwhile.
+        # The parts of a layer are still held while they are concatenated.
         built = kept[0] * row + 1.5 * sum(kept[1:]) * row + sum(kept) * _LAYER
         return Encoding(
             each=max(kept[0] * _SEARCHED, built),
@@ -66,12 +66,12 @@ class Linked:
         )
 
     def whole(self, row: int) -> int:
-        """As `block_layouts.Linked` says."""
+        """Return the extra bytes per splat for a model in memory; see `block_layouts.Linked`."""
         return max(_SEARCHED, 3 * row + 2 * _LAYER)
 
 
 class _Run(NamedTuple):
-    """Rows of a layer of a block, which lie side by side in the file too."""
+    """A range of rows of a block's layer that are contiguous in the file too."""
 
     source: Source
     children: Children
@@ -80,11 +80,11 @@ class _Run(NamedTuple):
 
 
 class TreeRows(Source):
-    """The rows of a tree in the order of the file; see `io.rad.write.Tree`.
+    """A source of all rows of a tree in the order of the file; see `io.rad.write.Tree`.
 
     Args:
-        runs: All of them.
-        tell: Told how much has been read of all rows, which who writes them reads twice.
+        runs: The ranges that make up the rows.
+        tell: Progress callback for reading; the writer reads all rows twice.
     """
 
     def __init__(self, runs: Sequence[_Run], tell: Parts = untold) -> None:
@@ -93,19 +93,19 @@ class TreeRows(Source):
         self.count, self.columns = int(self._ends[-1]), runs[0].source.columns
 
     def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
+        """Read rows `start` to `stop`, and report progress; see `Source`."""
         self._tell(min(self._read, 2 * self.count), 2 * self.count)
         self._read += stop - start
         parts = [run.source.read(low, high) for run, low, high in self._within(start, stop)]
         return joined_rows(parts or [self._runs[0].source.read(0, 0)])
 
     def children(self, start: int, stop: int) -> I64:
-        """How many children rows have."""
+        """Return the number of children of rows `start` to `stop`."""
         parts = [run.children(low, high) for run, low, high in self._within(start, stop)]
         return np.concatenate(parts)
 
     def _within(self, start: int, stop: int) -> list[tuple[_Run, int, int]]:
-        """The runs that some rows lie in, and which of their rows."""
+        """Return the runs that contain rows `start` to `stop`, each with a range of its rows."""
         found = []
         number = int(np.searchsorted(self._ends, start, side="right")) - 1
         while start < stop:
@@ -119,17 +119,17 @@ class TreeRows(Source):
 def joined_trees(
     trees: Sequence[BlockTree], further: Sequence[Source], some: Splats, tell: Parts = untold
 ) -> TreeRows:
-    """All rows of a scene.
+    """Join the trees of blocks and return all rows of the scene's tree.
 
     Args:
-        trees: Of its blocks, of as many layers each.
-        further: Results that are coarser than the trees' levels, the finest first; with them roots
-            only say what is below them, and are no rows of the tree.
+        trees: The trees of the blocks, all with the same number of layers.
+        further: Results that are coarser than the trees' levels, the finest first. If there are
+            any, the roots only link to the rows below them, and are no rows of the tree themselves.
         some: As `block_layouts.Linked.link` took it.
         tell: As `TreeRows` takes it.
 
     Raises:
-        OptionError: A splat would stand for too many others.
+        OptionError: A splat would have too many children.
     """
     roots = InMemory(concatenate([tree.layers[-1].load() for tree in trees]))
     levels = len(trees[0].layers) - 1
@@ -159,7 +159,7 @@ def _nodes_of(trees: Sequence[BlockTree]) -> Nodes:
 
 
 def _bounds(trees: Sequence[BlockTree]) -> list[list[I64]]:
-    """Of each block and layer (R + 1,) where the rows below each root begin, and all end."""
+    """Return (R + 1,) offsets, by block and layer, of the rows below each of the block's roots."""
     found = []
     for tree in trees:
         ends = [np.arange(tree.layers[-1].count + 1)]
@@ -171,11 +171,11 @@ def _bounds(trees: Sequence[BlockTree]) -> list[list[I64]]:
 
 
 def _below(trees: Sequence[BlockTree], bounds: list[list[I64]], order: I64) -> list[_Run]:
-    """The layers below the roots, the coarsest first, in the order of the roots."""
+    """Return the runs of the layers below the roots, the coarsest first, in the order of roots."""
     sizes = [tree.layers[-1].count for tree in trees]
     blocks = np.repeat(np.arange(len(trees)), sizes)[order]
     own = order - (np.cumsum(sizes) - sizes)[blocks]
-    # Roots that follow each other in the tree of one block too are read at once.
+    # Roots that are consecutive in the tree of a block too make one run.
     begins = np.flatnonzero((np.diff(blocks) != 0) | (np.diff(own) != 1)) + 1
     together = list(pairwise([0, *begins.tolist(), len(order)]))
     runs = []

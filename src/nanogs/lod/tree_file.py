@@ -1,4 +1,4 @@
-"""The sink of levels that become one tree: Spark's `.rad`, a single file."""
+"""The sink for levels as one tree in a single file, Spark's `.rad`."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -23,13 +23,13 @@ from nanogs.switches import tree_pixel
 
 @dataclass(frozen=True, slots=True)
 class LevelsTree:
-    """A sink of levels; see `sink.Sink`.
+    """A sink that writes levels as one tree into a file; see `sink.Sink`.
 
     Attributes:
         place: The file to make.
-        overwrite: Whether a file that exists is replaced.
-        source: Name of the model for what is told of the levels.
-        chunks: How levels are linked where they are made in blocks.
+        overwrite: Whether an existing file is replaced.
+        source: Name of the model for the manifest.
+        chunks: The layout that links levels made in blocks.
     """
 
     place: Path
@@ -44,20 +44,20 @@ class LevelsTree:
         return OneFile(self.place, self.overwrite)
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
-        """As `Sink` says: blocks are linked each by itself, and what is written is not held."""
+        """Refuse nothing: blocks are linked separately and streamed to the file; see `Sink`."""
 
     def check(self) -> None:
-        """As `Sink` says."""
+        """Check that the file can be written; see `Sink`."""
         self._file.check()
 
     def open(self, making: Path, options: FormatOptions) -> "TreeFilling":  # noqa: ARG002
-        """As `Sink` says."""
+        """Start a new file at `making`; see `Sink`."""
         making.unlink(missing_ok=True)
         return TreeFilling(making, self.source)
 
     @contextmanager
     def filled(self) -> Iterator["TreeFilling"]:
-        """The sink opened beside its place, which it takes when the block ends without an error.
+        """Fill a temporary file in a `with` block, then move it to `place` if no error occurred.
 
         Raises:
             OutputError: The file may not be replaced, or it cannot be written.
@@ -66,16 +66,16 @@ class LevelsTree:
             yield self.open(made, {})
 
     def move(self, made: Path) -> None:
-        """As `Sink` says."""
+        """Move the finished file to `place`; see `Sink`."""
         self._file.move(made)
 
     def files(self, made: Path) -> Sequence[str]:
-        """As `Sink` says."""
+        """Return the single file; see `Sink`."""
         return self._file.files(made)
 
 
 class TreeFilling(Filling):
-    """Levels that wait for the coarsest one: only then is there a tree."""
+    """A collector of levels, which writes the tree when the coarsest level is known."""
 
     def __init__(self, making: Path, source: str) -> None:
         super().__init__()
@@ -90,11 +90,11 @@ class TreeFilling(Filling):
     def add_trees(
         self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = untold
     ) -> None:
-        """As `Filling` says."""
+        """Take the trees of blocks, for the levels added afterwards; see `Filling`."""
         self._trees, self._linked, self._some, self._tell = trees, levels, some, tell
 
     def add(self, model: Splats | Source, tell: Parts = untold) -> None:
-        """Link a level to the one before, unless blocks have been linked as far as that."""
+        """Link a level to the previous one, unless the trees of blocks include it already."""
         tell(0, 1)
         number, source = len(self.written), source_of(model)
         count = source.count
@@ -110,11 +110,11 @@ class TreeFilling(Filling):
         self.written.append(Written(count, (self._making.name,), 0, left_out))
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
-        """Write the tree, and measure each level.
+        """Write the tree, and measure the quality of each level.
 
         Args:
-            reports: Of each level.
-            judge: Measures levels.
+            reports: The report of each level.
+            judge: Measures levels; None to measure nothing.
         """
         count = self._write()
         size = self._making.stat().st_size
@@ -133,7 +133,7 @@ class TreeFilling(Filling):
         return replace(made, notes=(*made.notes, note))
 
     def _write(self) -> int:
-        """Write the file, and count its rows."""
+        """Write the file and return its number of rows."""
         with self._making.open("wb") as file:
             if self._some is not None:
                 rows = joined_trees(self._trees, self._further, self._some, self._tell)

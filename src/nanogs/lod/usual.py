@@ -1,28 +1,29 @@
-"""The levels that are made where nobody says which."""
+"""The default levels of detail."""
 
 from nanogs.errors import OptionError
 
-# Splats that a viewer draws at once on a phone: Spark 2.2 takes 1,000,000 on Android and 1,500,000
-# on an iPhone (500,000 on a Quest, 2,500,000 on a computer), supersplat-viewer 1.36 one to two
-# million on phones (two to four on computers).
+# Number of splats that viewers draw at once on a phone: Spark 2.2 draws 1,000,000 on Android and
+# 1,500,000 on an iPhone (500,000 on a Quest, 2,500,000 on a computer), supersplat-viewer 1.36 one
+# to two million on phones (two to four on computers).
 PHONE = 1_000_000
+# Number of times that the number of splats is halved.
 FEWEST_HALVES, MOST_HALVES = 3, 16
-# A tree is walked down from its root, and so begins coarser.
+# Viewers descend a tree from its root, so it needs coarser levels.
 FEWEST_HALVES_OF_A_TREE = 6
 
 
 def usual_ratios(splats: int, *, tree: bool = False) -> tuple[float, ...]:
-    """All splats, and halves of halves of them down to what a phone draws at once.
+    """Return the default ratios: 1, 1/2, 1/4 and so on, down to what a phone draws at once.
 
-    There are an eighth at least, or a 64th where levels are a tree, for models far away and
-    beside others.
+    The last is at most an eighth, or a 64th for a tree, for models that are far away or one of
+    many.
 
     Args:
-        splats: Of the model.
-        tree: Whether the levels are a tree, as in Spark's `.rad`.
+        splats: Number of splats of the model.
+        tree: Whether the levels become a tree, as in Spark's `.rad`.
 
     Raises:
-        OptionError: There are none.
+        OptionError: The model has no splats.
     """
     if splats < 1:
         raise OptionError("A model without splats has no levels of detail; name another one.")
