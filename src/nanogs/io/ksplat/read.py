@@ -93,7 +93,7 @@ def _blocks(
 
 
 def _buckets(file: Headers, section: Section, start: int, stop: int) -> tuple[F64, I64]:
-    """Return the buckets of rows `start` to `stop`: (B, 3) centres, and (B,) end rows.
+    """Return the buckets of rows `start` to `stop`: (B, 3) centres, (B,) the row after each's last.
 
     Full buckets come first; the others have various lengths, so that all lengths are summed up,
     some at a time. Only buckets that hold some of the rows are kept, so memory is bounded by them.

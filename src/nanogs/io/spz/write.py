@@ -240,7 +240,7 @@ def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
     fewer than 12 bits, and then none is spared by default.
 
     Raises:
-        OptionError: `precision.spare` exceeds the number of bits that there are.
+        OptionError: The `spare` of `precision` exceeds the number of bits that there are.
         OutputError: A value is NaN or infinite, or a centre is too far out for 24-bit integers.
     """
     source = source_of(model)
