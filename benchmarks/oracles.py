@@ -32,7 +32,7 @@ from scipy.spatial import cKDTree
 
 from measured import SCENES
 from nanogs import io
-from nanogs.io.rotations import least_turned
+from nanogs.io.rotations import minimise_rotation
 from nanogs.splats import Splats
 from nanogs.stored import SH_C0
 from rivals import ROOT, install, run_tool
@@ -239,7 +239,7 @@ def with_axes_of(model: Splats, other: Splats) -> Splats:
     """The other model, of the 24 ways to write each splat the one nearest to this model's."""
     own = model.unit_quats().astype(np.float64)
     between = product(own * [1, -1, -1, -1], other.unit_quats().astype(np.float64))
-    turned, scales = least_turned(replace(other, quats=between.astype(np.float32)))
+    turned, scales = minimise_rotation(replace(other, quats=between.astype(np.float32)))
     return replace(other, quats=product(own, turned).astype(np.float32), log_scales=scales)
 
 

@@ -13,7 +13,7 @@ from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.run import Here, run_tasks
+from nanogs.pipeline.run import InProcess, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.units import survey
 from nanogs.progress import Tracker
@@ -38,7 +38,7 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
         settings, _ = plan_job(request, None, size)
         units = survey(settings)
         done = run_tasks(
-            folder, settings, Here(), 2, StageClock(), Tracker(None, []), resumed=False
+            folder, settings, InProcess(), 2, StageClock(), Tracker(None, []), resumed=False
         )
         codes = units.codes(splats)
         of_block = np.empty(len(splats), np.int64)

@@ -89,7 +89,9 @@ def assert_written_alike(model, name, most):
     for options in ({}, {"bits": 5}):
         settled = io.settled(model, name, options)
         assert settled["spare_bits"] in range(1, most + 1)
-        plain, given = (io.as_packed(model, name, o) for o in (options, options | settled))
+        plain, given = (
+            io.round_trip_with_size(model, name, o) for o in (options, options | settled)
+        )
         assert_same(plain[0], given[0])
-        finer = io.as_packed(model, name, {**options, "spare_bits": 0})
+        finer = io.round_trip_with_size(model, name, {**options, "spare_bits": 0})
         assert finer[1] > plain[1] == given[1]

@@ -14,7 +14,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs import cleanup
-from nanogs.io import as_stored
+from nanogs.io import round_trip
 from nanogs.io.atomic import atomic_write
 from nanogs.io.folder import atomic_folder
 from nanogs.io.temporary import name_beside
@@ -301,7 +301,7 @@ def test_a_file_that_is_measured_leaves_nothing_when_the_run_is_ended(tmp_path, 
 
     splats = random_splats(5)
     monkeypatch.setattr("nanogs.io.load", ended)
-    assert as_stored(splats, "a.splat") is splats
+    assert round_trip(splats, "a.splat") is splats
 
 
 def test_the_end_waits_for_what_is_not_to_be_disturbed(monkeypatch):

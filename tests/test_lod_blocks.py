@@ -27,7 +27,7 @@ from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
 from nanogs.pipeline import run as scale_run
 from nanogs.pipeline import stages
-from nanogs.pipeline.chunked import joined_up
+from nanogs.pipeline.chunked import group_blocks
 from nanogs.pipeline.folder import MANIFEST
 from nanogs.pipeline.plan import plan_blocks
 from nanogs.pipeline.presets import PRESETS
@@ -162,7 +162,7 @@ def held_by_files(path):
 
 @given(counts=st.lists(st.integers(0, 20), min_size=1, max_size=40), fewest=st.integers(0, 30))
 def test_blocks_are_put_together_until_there_are_enough(counts, fewest):
-    groups = joined_up(counts, fewest)
+    groups = group_blocks(counts, fewest)
     assert [number for group in groups for number in group] == list(range(len(counts)))
     if fewest == 0:
         assert len(groups) == len(counts)

@@ -6,7 +6,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
-from nanogs.lod.usual import PHONE, usual_ratios
+from nanogs.lod.usual import PHONE, default_ratios
 
 
 @pytest.mark.parametrize(
@@ -14,13 +14,13 @@ from nanogs.lod.usual import PHONE, usual_ratios
     [(1, 3), (500_000, 3), (8 * PHONE, 3), (8 * PHONE + 1, 4), (10**8, 7), (10**15, 16)],
 )
 def test_halves_go_down_to_what_a_phone_draws(splats, halves):
-    assert usual_ratios(splats) == tuple(0.5**half for half in range(halves + 1))
-    assert usual_ratios(splats, tree=True)[-1] == 0.5 ** max(halves, 6)
+    assert default_ratios(splats) == tuple(0.5**half for half in range(halves + 1))
+    assert default_ratios(splats, tree=True)[-1] == 0.5 ** max(halves, 6)
 
 
 def test_a_model_without_splats_has_no_levels():
     with pytest.raises(OptionError, match="without splats"):
-        usual_ratios(0)
+        default_ratios(0)
 
 
 @pytest.mark.parametrize("max_memory", [None, "600MB"])

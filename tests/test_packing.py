@@ -14,7 +14,7 @@ from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.errors import ModelError, TooSmallError
 from nanogs.fit.shared import Shared
-from nanogs.io import as_packed
+from nanogs.io import round_trip_with_size
 from nanogs.pipeline.held_files import HeldFiles
 from nanogs.pipeline.packing import (
     FIRST_SHARE,
@@ -255,7 +255,7 @@ def test_a_size_chooses_how_it_is_packed(splats):
     small, report = nanogs.simplify(splats, size=30_000, format=".sog", **FEW)
     assert {each.sh_degree for each in report.packings} >= {1, 2}
     assert report.achieved_size <= 30_000
-    assert as_packed(small, "a.sog", report.format_options)[1] == report.achieved_size
+    assert round_trip_with_size(small, "a.sog", report.format_options)[1] == report.achieved_size
     assert all(each.bytes > 0 and each.psnr > 0 for each in report.packings)
     assert report.format_options["spare_bits"] in range(7)
     if small.sh_degree:
@@ -270,7 +270,7 @@ def test_what_the_user_fixes_is_not_chosen(splats):
     assert small.sh_degree == 1
     assert 40 <= sets_of(small) <= 50
     assert (report.packings, report.format_options) == ((), {})
-    assert as_packed(small, "a.sog", given_options)[1] == report.achieved_size
+    assert round_trip_with_size(small, "a.sog", given_options)[1] == report.achieved_size
     _, free = nanogs.simplify(splats, size=30_000, format=".sog", sh_degree=1, **FEW)
     assert {each.sh_degree for each in free.packings} == {1}
 
@@ -299,7 +299,7 @@ def test_formats_of_known_sizes_choose_the_degree(splats, suffix):
     assert small.sh_degree == 0
     assert {each.sh_degree for each in report.packings} == {0, 1, 2}
     assert any("above degree 0 are left out" in note for note in report.notes)
-    found = as_packed(small, f"a{suffix}")[1]
+    found = round_trip_with_size(small, f"a{suffix}")[1]
     assert 0.99 * size < found == report.achieved_size <= size
     kept, report = nanogs.simplify(dull, size=size, format=suffix, sh_degree=2, **FEW)
     assert (kept.sh_degree, report.packings) == (2, ())
@@ -312,7 +312,7 @@ def test_what_does_not_look_keeps_all_harmonics_and_packs_them_coarsely(splats, 
     options = report.format_options
     assert (small.sh_degree, report.packings, options["bits"]) == (2, (), bits)
     assert options["palette"] == len(small) // FIRST_SHARE
-    assert as_packed(small, f"a{suffix}", options)[1] == report.achieved_size <= 20_000
+    assert round_trip_with_size(small, f"a{suffix}", options)[1] == report.achieved_size <= 20_000
     fixed = {"bits": 8, "palette": 700}
     finer, report = nanogs.simplify(
         splats, size=20_000, format=suffix, preset="fast", format_options=fixed

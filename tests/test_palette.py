@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from nanogs.io import palette as palettes
 from nanogs.io.cells import by_label, nearby_cells
 from nanogs.io.palette import palette
-from nanogs.io.ward import _Nodes, _Table, merge_near, settle
+from nanogs.io.ward import _Nodes, _Table, merge_points, settle
 from nanogs.kernels.closest import LANES, TOGETHER, closest
 from nanogs.kernels.policy import kernel
 from nanogs.kernels.ward import NOBODY
@@ -147,7 +147,7 @@ def test_merging_many_at_a_time_is_nearly_as_good_as_one_by_one(size):
     rng = np.random.default_rng(4)
     points, weights = some_points(4, 130), rng.uniform(0.2, 5, 130).astype(np.float32)
     cells = np.zeros((130, 1), np.int32)
-    labels, home = merge_near(points, weights, cells, size, untold)
+    labels, home = merge_points(points, weights, cells, size, untold)
     assert np.array_equal(np.unique(labels), np.arange(size))
     assert home.tolist() == [0] * size
     error = squared_error(points, weights, labels)
@@ -185,7 +185,7 @@ def test_there_are_as_many_groups_as_asked_for(seed, cells, step, share):
     size = max(int(share * 300), 8 * cells)
     around = cells_in_any_order(seed, 300, cells)[:, : max(cells - 1, 1)]
     told = []
-    labels, home = merge_near(
+    labels, home = merge_points(
         points, np.ones(300, np.float32), around, size, lambda *parts: told.append(parts)
     )
     assert np.array_equal(np.unique(labels), np.arange(size))

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
-from nanogs.io.rotations import least_turned
+from nanogs.io.rotations import minimise_rotation
 from strategies import splats
 
 
@@ -15,7 +15,7 @@ def covariances(quats, log_scales):
 
 @given(model=splats(max_n=30, extras=False))
 def test_the_splat_stays_the_same(model):
-    quats, scales = least_turned(model)
+    quats, scales = minimise_rotation(model)
     before, after = covariances(model.unit_quats(), model.log_scales), covariances(quats, scales)
     largest = np.abs(before).max(axis=(1, 2), initial=0)[:, None, None]
     assert (np.abs(before - after) <= 1e-6 * largest).all()
@@ -25,7 +25,7 @@ def test_the_splat_stays_the_same(model):
 
 @given(model=splats(max_n=30, extras=False))
 def test_no_other_way_is_turned_less(model):
-    quats, _ = least_turned(model)
+    quats, _ = minimise_rotation(model)
     turns = Rotation.from_quat(quats[:, [1, 2, 3, 0]])
     others = [(turns * other).magnitude() for other in Rotation.create_group("O")]
     assert (turns.magnitude() <= np.min(others, axis=0) + 1e-6).all()

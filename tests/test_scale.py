@@ -29,10 +29,10 @@ from nanogs.pipeline.partition import partition
 from nanogs.pipeline.plan import held_bytes, plan_blocks
 from nanogs.pipeline.settings import (
     Access,
+    FilterCounts,
     InputFile,
     Segment,
     Settings,
-    Sieve,
     differences,
     in_words,
 )
@@ -226,7 +226,7 @@ def test_every_group_keeps_one_of_its_own(groups, more, seed):
 
 
 def test_settings_survive_json():
-    sieve = Sieve((("box", (0.1, 1 / 3)), ("opacity", (0.5,))), (60, 40), (30, 10))
+    sieve = FilterCounts((("box", (0.1, 1 / 3)), ("opacity", (0.5,))), (60, 40), (30, 10))
     job = settings(50, [30, 40], counts=(7,), ratios=(), filters=sieve, frame=("rub", "rdf"))
     before = json.loads(json.dumps(job.to_dict()))
     assert differences(before, job) == []

@@ -16,7 +16,7 @@ from nanogs.fit.rounds import fit
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.pipeline import fitting, run, stages
 from nanogs.pipeline import stored_job as job
-from nanogs.pipeline.asked import Asked
+from nanogs.pipeline.asked import RequestedViews
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.memory_blocks import FINE, ROUGH, block_stages, most_coarse
 from nanogs.pipeline.plan import plan_blocks
@@ -356,7 +356,7 @@ def test_given_cameras_are_those_that_blocks_are_looked_at_from(scene, splats, t
     plain = json.loads(json.dumps(jobs[0].to_dict()))
     assert differences(plain, jobs[0]) == []
     assert [camera.width for camera in jobs[0].asked.given()] == [120] * 5
-    assert jobs[1].asked == Asked("inside", (0.0, 0.0, 1.0))
+    assert jobs[1].asked == RequestedViews("inside", (0.0, 0.0, 1.0))
     assert differences(plain, jobs[1]) == ["asked"]
     with pytest.raises(OptionError, match="no camera file"):
         nanogs.simplify_blocks(scene, tmp_path / "c.ply", ratio=0.2, cameras="none.json", **BLOCKS)

@@ -33,7 +33,7 @@ from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.plan import held_bytes
 from nanogs.pipeline.presets import PRESETS
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.run import Here, run_tasks
+from nanogs.pipeline.run import InProcess, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.source import Layout
@@ -241,7 +241,7 @@ def test_a_worker_says_what_it_does_not_see(tmp_path):
         do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, "0.0.1")
     scratch = FolderScratch(tmp_path / "scratch")
     scratch.prepare()
-    run_tasks(scratch, settings, Here(), 1, StageClock(), Tracker(None, []),
+    run_tasks(scratch, settings, InProcess(), 1, StageClock(), Tracker(None, []),
               resumed=False)  # fmt: skip
     source.unlink()
     with pytest.raises(FormatError, match=r"in\.ply is not there; the caller and all workers"):

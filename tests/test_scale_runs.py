@@ -26,7 +26,7 @@ from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.plan import held_bytes
 from nanogs.pipeline.presets import PRESETS
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.run import Here, run_tasks
+from nanogs.pipeline.run import InProcess, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.units import survey
 from nanogs.progress import Tracker
@@ -261,7 +261,7 @@ def in_blocks(splats, folder, ratio, rounds):
     settings, _ = plan_job(request, None, 2600)
     scratch, clock = FolderScratch(folder / "scratch"), StageClock()
     scratch.prepare()
-    done = run_tasks(scratch, settings, Here(), 1, clock, Tracker(None, []), resumed=False)
+    done = run_tasks(scratch, settings, InProcess(), 1, clock, Tracker(None, []), resumed=False)
     found = done.work.partition
     sizes = [found.count(block) for block in range(found.blocks)]
     order = np.argsort(survey(settings).codes(splats), kind="stable")

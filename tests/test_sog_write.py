@@ -16,7 +16,7 @@ from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.palette import palette
 from nanogs.io.precision import visibility
-from nanogs.io.rotations import least_turned
+from nanogs.io.rotations import minimise_rotation
 from nanogs.io.sog import write as sog_write
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.splats import ExtraElement, RenderMode, Splats
@@ -58,7 +58,7 @@ def with_axes_of(model, other):
     """The other model, of the 24 ways to write each splat the one nearest to this model's."""
     own = model.unit_quats().astype(float)
     between = product(own * [1, -1, -1, -1], other.unit_quats().astype(float))
-    turned, scales = least_turned(replace(other, quats=between.astype(np.float32)))
+    turned, scales = minimise_rotation(replace(other, quats=between.astype(np.float32)))
     return replace(other, quats=product(own, turned).astype(np.float32), log_scales=scales)
 
 

@@ -20,7 +20,7 @@ from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.precision import Precision
-from nanogs.io.rotations import least_turned
+from nanogs.io.rotations import minimise_rotation
 from nanogs.io.spz import header as spz_header
 from nanogs.io.spz import write as spz_write
 from nanogs.splats import ExtraElement, RenderMode, Splats
@@ -457,7 +457,7 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
     fraction = spz_write.fraction_bits(model, Precision(bits))
     model = model.take(along_y(model, fraction))
     assert np.abs(again.means - model.means).max() <= 0.5 / 2**fraction + 1e-6
-    quats, log_scales = least_turned(model)  # which axes come first is told apart by nothing
+    quats, log_scales = minimise_rotation(model)  # which axes come first is told apart by nothing
     assert np.abs(again.log_scales - log_scales).max() <= step.scales / 32 + 1e-6
     assert np.abs(again.opacities() - model.opacities()).max() <= step.alphas / 510 + 1e-6
     inside = np.abs(model.sh[:, 0]) < 3
@@ -495,7 +495,7 @@ def test_rotations_of_other_versions_are_rounded_too(tmp_path, version):
         again = io.load(tmp_path / "a.spz")
         if bits < 8:
             fraction = spz_write.fraction_bits(model, Precision(bits))
-            quats, _ = least_turned(model.take(along_y(model, fraction)))
+            quats, _ = minimise_rotation(model.take(along_y(model, fraction)))
         else:
             quats = model.unit_quats()
         turned = 2 * np.arccos(np.abs((again.unit_quats() * quats).sum(axis=1)).clip(0, 1)).max()

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from builders import cloud_pair
 from nanogs.pipeline.target import Goal
 from nanogs.studio import asking
-from nanogs.studio.asking import QUICK, TRIES, UNSEEN, Answers
+from nanogs.studio.asking import QUICK, TRIES, UNSEEN, RequestHandler
 from nanogs.studio.choice import choice_of
 from nanogs.studio.curve import Curve, Point
-from nanogs.studio.held import Sifted
+from nanogs.studio.held import FilteredScene
 from nanogs.views.opening import opening_for
 
 
@@ -85,7 +85,7 @@ def answers(forest):
         roughly=lambda choice, progress: forest,
         fully=lambda choice, progress: forest, curve=lambda choice, grown: curve,
     )  # fmt: skip
-    return Answers(held, opening_for(forest.splats))
+    return RequestHandler(held, opening_for(forest.splats))
 
 
 def test_a_newer_request_has_its_draft_while_an_older_one_is_measured(answers, forest):
@@ -140,7 +140,7 @@ def test_a_page_that_draws_slowly_gets_few_splats_at_once(answers, forest, monke
 def test_a_page_that_sees_another_model_gets_it_and_the_points_of_its_curve(answers, forest):
     forest.go_on.set()
     stays, splats = np.arange(len(forest.splats)) > 0, forest.splats.take(slice(1, None))
-    answers._held.sifted = lambda choice: Sifted(splats, stays, ())
+    answers._held.sifted = lambda choice: FilteredScene(splats, stays, ())
     wish = {"wish": {"splats": 50}}
     for number, told in ((1, Told(1)), (2, Told(2))):
         told.page = f"page {number}"

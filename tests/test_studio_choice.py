@@ -18,8 +18,8 @@ from nanogs.errors import OptionError
 from nanogs.frames import change_between
 from nanogs.studio import turning
 from nanogs.studio.choice import PRESETS, UPS, choice_of
-from nanogs.studio.orders import LAYOUTS, Order, refuse_unfit, shown_path
-from nanogs.studio.scene import Manner, scene_of
+from nanogs.studio.orders import LAYOUTS, SaveRequest, refuse_unfit, shown_path
+from nanogs.studio.scene import StudioSettings, scene_of
 
 NUMBERS = st.floats(-1e6, 1e6, allow_nan=False) | st.integers(-1000, 1000)
 BOXES = st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS).map(
@@ -94,7 +94,7 @@ def test_the_command_asks_the_library_for_the_same(scene, data, monkeypatch_modu
     try:
         choice = choice_of(data)
         path = scene.path.parent / shown_path(scene, choice)
-        order = Order(scene, Manner(), choice, path)
+        order = SaveRequest(scene, StudioSettings(), choice, path)
     except OptionError as error:
         unfit = "SH degree" in str(error)
         assume(not unfit)
@@ -180,7 +180,7 @@ def test_what_the_scene_cannot_give_is_refused(scene, data, said):
 @pytest.mark.parametrize("path", ["out", "out.sog", "out.compressed.ply", "a/out.html"])
 def test_the_name_of_a_file_says_its_format(scene, path):
     with pytest.raises(OptionError, match="is no"):
-        Order(scene, Manner(), choice_of({"wish": {"splats": 5}}), Path(path))
+        SaveRequest(scene, StudioSettings(), choice_of({"wish": {"splats": 5}}), Path(path))
 
 
 def test_a_model_whose_file_says_its_frame_is_not_turned(tmp_path):
@@ -201,10 +201,10 @@ def test_frames_by_up_are_turns_that_put_it_up(up):
 
 
 def test_paths_that_look_like_options_are_typed_as_paths(scene):
-    order = Order(scene, Manner(), choice_of({"wish": {"splats": 5}}), Path("-w.ply"))
+    order = SaveRequest(scene, StudioSettings(), choice_of({"wish": {"splats": 5}}), Path("-w.ply"))
     assert order.words()[3] == "./-w.ply"
 
 
 def test_the_studio_has_no_preset_without_a_forest():
     with pytest.raises(OptionError, match="fast, default, best"):
-        Manner(preset="paper")
+        StudioSettings(preset="paper")

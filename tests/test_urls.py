@@ -23,7 +23,7 @@ import launch
 import nanogs
 from builders import random_splats
 from nanogs.errors import FormatError, OptionError, OutputError
-from nanogs.io.urls import Address, StandIn, is_url, place, said_of
+from nanogs.io.urls import Address, StandIn, is_url, place, redacted
 
 SECRETS = ("PASSWORD", "SIGNATURE")
 QUERY = "?X-Amz-Signature=SIGNATURE#part"
@@ -427,7 +427,7 @@ def test_addresses(user, word, path, query, kind):
     url = f"{plain.replace('://', f'://{user}:<pass{word}>@')}?key=<key{query}>"
     address = place(url)
     assert is_url(url)
-    assert (str(address), said_of(url)) == (plain, plain)
+    assert (str(address), redacted(url)) == (plain, plain)
     assert address.url == url
     assert address.name.endswith("ply")
     assert Path(address.name).name == address.name

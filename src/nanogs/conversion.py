@@ -15,9 +15,9 @@ from nanogs.findings import join_findings
 from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
 from nanogs.io import open as open_model
-from nanogs.io.frames import repeated
+from nanogs.io.frames import keep_stated_frame
 from nanogs.io.parts import FileSource, level_note
-from nanogs.io.stand_ins import at_hand
+from nanogs.io.stand_ins import local_copies
 from nanogs.io.urls import place
 from nanogs.pipeline.weights import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
@@ -112,17 +112,17 @@ def convert(
     given, wanted, filters = place(source), place(target), listed(filters)
     frame = checked_frames(frame)
     check_degree(sh_degree)
-    format_options = registry.framed(wanted, format_options, frame)
+    format_options = registry.add_target_frame(wanted, format_options, frame)
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(wanted, **saving)
     with (
         drawn(progress) as tell,
-        at_hand([given], wanted, overwrite=overwrite) as ([here], there),
+        local_copies([given], wanted, overwrite=overwrite) as ([here], there),
         open_model(here, level=level, render_mode=render_mode) as file,
     ):
         path = there or wanted
         unturned = () if frame else (file,)
-        saving["format_options"], said = repeated(wanted, format_options, unturned)
+        saving["format_options"], said = keep_stated_frame(wanted, format_options, unturned)
         allowed = None if max_memory is None else as_bytes(max_memory)
         _refuse_too_large(file, path, filters, format_options, allowed)
         typical = 1_000_000  # only how the two compare counts

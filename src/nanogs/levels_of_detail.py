@@ -26,7 +26,7 @@ from nanogs.lod.folder import PLY, LevelsFolder
 from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
-from nanogs.lod.usual import usual_ratios
+from nanogs.lod.usual import default_ratios
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.files import cameras_of, fitted_for, stated_frame
 from nanogs.pipeline.foreseen import levels_stages
@@ -79,7 +79,7 @@ def write_levels(
         model: The model, a source of it, a path, or paths of the parts of one scene.
         folder: The folder to make.
         ratios: As `levels` takes them; by default the original and halves of halves, see
-            `lod.usual.usual_ratios`.
+            `lod.usual.default_ratios`.
         source: Name of the model for the manifest; by default that of its files.
         layout: "files", one a level; "streamed sog" or "3d tiles"; or "streamed sog archive" or
             "spark tree", for which `folder` is the `.ssog` or `.rad` file to make.
@@ -149,7 +149,7 @@ LevelsSink = LevelsFolder | LevelsTree
 def usual_levels(
     model: Splats | Source | Sequence[str | PathLike[str]], layout: Layout | str
 ) -> tuple[float, ...]:
-    """The levels of a model where nobody says which; see `lod.usual.usual_ratios`.
+    """The levels of a model where nobody says which; see `lod.usual.default_ratios`.
 
     Args:
         model: The model, a source of it, or paths of the parts of one scene.
@@ -163,7 +163,7 @@ def usual_levels(
         splats = len(model)
     else:
         splats = sum(inspect(path).splats for path in model)
-    return usual_ratios(splats, tree=layout == Layout.TREE)
+    return default_ratios(splats, tree=layout == Layout.TREE)
 
 
 def sink_of(
@@ -220,7 +220,7 @@ def _written(
         made = without_environment(made)
         manifest = describe_levels(sink.source, made, written)
         return replace(manifest, notes=(*manifest.notes, *left_out)), tuple(made)
-    request.goes_on()
+    request.continues_job()
     sink.check()
     import_stages(request.parameters)
     stages = _stages(request, plan.splats, sink)

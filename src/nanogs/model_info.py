@@ -12,7 +12,7 @@ from nanogs.findings import join_findings
 from nanogs.io import FileInfo, registry
 from nanogs.io import open as open_model
 from nanogs.io.collect import model_in
-from nanogs.io.stand_ins import at_hand
+from nanogs.io.stand_ins import local_copies
 from nanogs.io.urls import place
 from nanogs.lod import manifest
 from nanogs.memory import allowed_memory, refuse_too_large
@@ -91,7 +91,7 @@ def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelI
             mode, or it takes more memory than is free.
     """
     given = place(path)
-    with at_hand([given]) as ([file], _):
+    with local_copies([given]) as ([file], _):
         return _described(model_in(file), given, render_mode)
 
 

@@ -123,7 +123,7 @@ def bench(
         ),
     ] = None,
     overwrite: options.Overwrite = False,
-    telling: options.Telling,
+    telling: options.TransferProgress,
 ) -> None:
     """Measure methods against each other: quality, time, memory and speed, scene by scene."""
     from nanogs.bench import scenes as known
@@ -175,7 +175,7 @@ def _run(
     out: Path | None,
     overwrite: bool,
     above: str,
-    telling: options.Telling,
+    telling: options.TransferProgress,
 ) -> "list[BenchRow]":
     """Measure, keep rows in the folder as they come, and show on stderr how it goes."""
     from nanogs.bench.output import ResultFolder, run_of

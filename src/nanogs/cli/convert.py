@@ -34,7 +34,7 @@ def convert(
     of_format: options.OfFormat,
     overwrite: options.Overwrite = False,
     max_memory: options.MaxMemory = None,
-    telling: options.Telling,
+    telling: options.TransferProgress,
     files: file_options.Files,
     edits: file_options.Edits,
 ) -> None:

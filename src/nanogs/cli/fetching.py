@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nanogs.cli.progress import shown
 from nanogs.io.collect import model_in
-from nanogs.io.stand_ins import Telling, at_hand
+from nanogs.io.stand_ins import TransferProgress, local_copies
 from nanogs.progress import Parts, Progress, Stage, Step, Tracker
 
 DOWNLOAD = "download it to a file with the suffix of its format"
@@ -17,13 +17,13 @@ def fetched(paths: Sequence[Path], *, quiet: bool) -> Iterator[list[Path]]:
     """Files in place of URLs and of folders with one model; other paths as they are.
 
     Raises:
-        NanogsError: As for `at_hand` and `model_in`.
+        NanogsError: As for `local_copies` and `model_in`.
     """
-    with at_hand(paths, telling=a_bar(quiet=quiet), remedy=DOWNLOAD) as (files, _):
+    with local_copies(paths, telling=a_bar(quiet=quiet), remedy=DOWNLOAD) as (files, _):
         yield [model_in(file) for file in files]
 
 
-def a_bar(*, quiet: bool) -> Telling:
+def a_bar(*, quiet: bool) -> TransferProgress:
     """Show each transfer by itself, where nothing else is shown."""
 
     @contextmanager
@@ -37,7 +37,7 @@ def a_bar(*, quiet: bool) -> Telling:
     return begun
 
 
-def within(told: Progress) -> Telling:
+def within(told: Progress) -> TransferProgress:
     """Show transfers as stages of a run that shows itself, and which they bring no further."""
 
     @contextmanager

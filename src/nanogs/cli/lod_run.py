@@ -57,7 +57,7 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
     if wishes.usual:
         wish = replace(wish, ratios=usual_levels(wish.inputs, output.layout))
     sink = sink_of(wish, suffix=output.suffix, layout=output.layout)
-    if not wish.goes_on():
+    if not wish.continues_job():
         sink.check()
     plan = plan_run(wish, method)
     if not method.hushed and (plan.divided or method.dry_run):

@@ -16,7 +16,7 @@ from nanogs.cli.console import fail, notes_about, print_json
 from nanogs.cli.failures import sentence_of
 from nanogs.cli.fetching import a_bar, within
 from nanogs.cli.file_options import Files
-from nanogs.cli.options import Telling
+from nanogs.cli.options import TransferProgress
 from nanogs.cli.progress import Watch, shown
 from nanogs.cli.streams import Streams
 from nanogs.cli.wording import wording
@@ -95,7 +95,7 @@ def run_all(
     pairs: list[Pair],
     run_one: Callable[[Pair, Progress], Run],
     show: Callable[[Run], None],
-    telling: Telling,
+    telling: TransferProgress,
     files: Files,
     *,
     writes: bool = True,
@@ -121,7 +121,7 @@ def run_all(
     if out_dir is None:
         bar = a_bar(quiet=telling.hushed)
         with (
-            streams.at_hand(pairs[0], bar, overwrite=overwrite) as near,
+            streams.local_copies(pairs[0], bar, overwrite=overwrite) as near,
             shown(quiet=telling.hushed) as watch,
             streams.opened(near) as real,
         ):
@@ -160,7 +160,7 @@ def _run_several(
         name = str(pair.source)
         try:
             told = watch.of_file(number, len(pairs))
-            with notes_about(name), streams.at_hand(pair, within(told)) as near:
+            with notes_about(name), streams.local_copies(pair, within(told)) as near:
                 registry.reader(near.source)  # which says so first where it is no model
                 runs.append(run_one(near, told))
                 if show:

@@ -72,7 +72,7 @@ def refuse_others(preset: str, given: dict[str, Any]) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Method(options.Telling):
+class Method(options.TransferProgress):
     """Options of `simplify` and `lod`."""
 
     preset: Annotated[

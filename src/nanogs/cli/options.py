@@ -252,7 +252,7 @@ Device = Annotated[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Telling:
+class TransferProgress:
     """The options `--json` and `--quiet`, and the end of a run told as they ask."""
 
     json: Json = False
@@ -278,7 +278,7 @@ class Telling:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Running(Telling):
+class Running(TransferProgress):
     """How a command that looks at models works, and what it says."""
 
     overwrite: Overwrite = False

@@ -65,7 +65,7 @@ def refit(
     from nanogs.cli.fetching import DOWNLOAD, a_bar
     from nanogs.io import check_writable, inspect
     from nanogs.io.collect import model_in
-    from nanogs.io.stand_ins import at_hand
+    from nanogs.io.stand_ins import local_copies
     from nanogs.needs import refit_bytes
 
     chosen = RefitParameters(**given)
@@ -73,7 +73,7 @@ def refit(
     check_writable(target, overwrite=run.overwrite)
     check_device(device)
     bar = a_bar(quiet=run.hushed)
-    with at_hand(
+    with local_copies(
         [original, small], target, overwrite=run.overwrite, telling=bar, remedy=DOWNLOAD
     ) as near:
         inputs, made = near

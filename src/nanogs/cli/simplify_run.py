@@ -61,10 +61,10 @@ def _plan(wishes: Wishes, pair: Pair) -> Plan:
     method, target = wishes.method, pair.target
     turn = frames_of(pair, method.edits.frame)
     inputs = wishes.joined or (pair.source,)
-    options = registry.framed(target, wishes.wish.format_options, turn)
+    options = registry.add_target_frame(target, wishes.wish.format_options, turn)
     wish = replace(wishes.wish, inputs=inputs, output=target, frame=turn, format_options=options)
     wish.check()
-    if not wish.goes_on() and not (method.dry_run and wishes.folder_later):
+    if not wish.continues_job() and not (method.dry_run and wishes.folder_later):
         check_writable(target, overwrite=wish.overwrite, format_options=wish.format_options)
     return plan_run(wish, method, piped=wishes.piped)
 

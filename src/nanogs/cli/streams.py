@@ -17,7 +17,7 @@ from nanogs.cli.fetching import a_bar
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.collect import Pair
-from nanogs.io.stand_ins import Telling, at_hand, suffix_told
+from nanogs.io.stand_ins import TransferProgress, detect_suffix, local_copies
 from nanogs.io.urls import Address, StandIn
 
 _REMEDY = "name it, as in --from splat"
@@ -91,11 +91,13 @@ class Streams:
             NanogsError: As for `opened`.
         """
         pair = Pair(source, Path("none"))
-        with self.at_hand(pair, a_bar(quiet=quiet)) as near, self.opened(near) as real:
+        with self.local_copies(pair, a_bar(quiet=quiet)) as near, self.opened(near) as real:
             yield real.source
 
     @contextmanager
-    def at_hand(self, pair: Pair, telling: Telling, *, overwrite: bool = False) -> Iterator[Pair]:
+    def local_copies(
+        self, pair: Pair, telling: TransferProgress, *, overwrite: bool = False
+    ) -> Iterator[Pair]:
         """Files in place of URLs; what was written for one is sent there at the end.
 
         Args:
@@ -108,7 +110,7 @@ class Streams:
         """
         self.check(pair)
         read_as = self.read_as if isinstance(pair.source, Address) else None
-        with at_hand(
+        with local_copies(
             [pair.source],
             pair.target,
             overwrite=overwrite,
@@ -143,7 +145,7 @@ class Streams:
             raise OutputError(f"stdin cannot be put into {place} ({reason}).") from error
         if not raw.stat().st_size:
             raise OptionError("stdin is empty; pipe a model into it.")
-        suffix = suffix_told(raw, "stdin", self.read_as, _REMEDY)
+        suffix = detect_suffix(raw, "stdin", self.read_as, _REMEDY)
         named = raw.with_name(f"stdin{suffix}")
         registry.reader(named)
         return raw.rename(named)

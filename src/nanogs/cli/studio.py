@@ -43,7 +43,7 @@ def studio(
     device: options.Device = "cpu",
     threads: options.Threads = None,
     max_memory: options.MaxMemory = None,
-    telling: options.Telling,
+    telling: options.TransferProgress,
 ) -> None:
     """Choose a smaller model in a browser: see every count, size and PSNR before it is saved.
 
@@ -53,13 +53,13 @@ def studio(
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.browsing import show_page
     from nanogs.cli.console import say
-    from nanogs.studio.scene import Manner, scene_of
+    from nanogs.studio.scene import StudioSettings, scene_of
     from nanogs.studio.server import Studio
     from nanogs.studio.turning import axis_of
     from nanogs.view.bundle import check_built
 
     check_built()
-    manner = Manner(
+    manner = StudioSettings(
         preset=preset, render_mode=render_mode, up=None if up is None else axis_of(up),
         threads=threads, max_memory=max_memory, device=device,
     )  # fmt: skip

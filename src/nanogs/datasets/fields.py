@@ -12,7 +12,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
-from nanogs.io.files import TOLD_BY, refuse_stand_in
+from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens
 
@@ -37,7 +37,7 @@ def read_text(path: Path) -> str:
         ) from error
     except ValueError as error:
         raise FormatError(f"{path}: is not UTF-8 text; export the cameras again") from error
-    refuse_stand_in(path, text[:TOLD_BY].encode())
+    refuse_stand_in(path, text[:HEAD_BYTES].encode())
     return text
 
 

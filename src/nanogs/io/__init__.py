@@ -10,14 +10,14 @@ from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError
 from nanogs.findings import join_findings
 from nanogs.io import atomic, registry
-from nanogs.io.around import Fetched
+from nanogs.io.around import Downloaded
 from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource
 from nanogs.io.retag import checked_mode, retagged
-from nanogs.io.stand_ins import at_hand, check_sendable
+from nanogs.io.stand_ins import check_sendable, local_copies
 from nanogs.io.urls import Address, place
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.source import Source, source_of
@@ -25,8 +25,6 @@ from nanogs.splats import Splats, refuse_other
 
 __all__ = [
     "FileInfo",
-    "as_packed",
-    "as_stored",
     "bytes_on_disk",
     "check_writable",
     "encoded_bytes",
@@ -34,6 +32,8 @@ __all__ = [
     "load",
     "losses",
     "open",
+    "round_trip",
+    "round_trip_with_size",
     "save",
 ]
 
@@ -110,9 +110,9 @@ def open(  # noqa: A001 - the usual name of this
     if not isinstance(path, Address):
         return _opened(path, level, format, render_mode)
     with ExitStack() as stack:
-        [file], _ = stack.enter_context(at_hand([path], format=format))
+        [file], _ = stack.enter_context(local_copies([path], format=format))
         opened = _opened(file, level, format, render_mode)
-        return Fetched(opened, stack.pop_all().close)
+        return Downloaded(opened, stack.pop_all().close)
 
 
 def _opened(
@@ -185,7 +185,7 @@ def save(
     known = registry.writable(named)
     if isinstance(path, Address):
         options: dict[str, Any] = {"format_options": format_options, "progress": progress}
-        with at_hand([], path, overwrite=overwrite, format=format) as (_, file):
+        with local_copies([], path, overwrite=overwrite, format=format) as (_, file):
             save(splats, file or path, format=format, **options)
         return
     if known.write_folder:
@@ -215,7 +215,7 @@ def encoded_bytes(
     return buffer.getbuffer().nbytes
 
 
-def as_stored(
+def round_trip(
     splats: Splats,
     path: str | PathLike[str],
     format_options: FormatOptions | None = None,
@@ -231,10 +231,10 @@ def as_stored(
     known = registry.writable(place(path))
     if known.suffix == ".ply" or not known.readable:
         return splats
-    return as_packed(splats, path, format_options)[0]
+    return round_trip_with_size(splats, path, format_options)[0]
 
 
-def as_packed(
+def round_trip_with_size(
     splats: Splats,
     path: str | PathLike[str],
     format_options: FormatOptions | None = None,

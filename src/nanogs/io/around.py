@@ -84,7 +84,7 @@ class Around(FileSource):
         self.file.close()
 
 
-class Fetched(Around):
+class Downloaded(Around):
     """The source of a downloaded file, which is removed on close or garbage collection.
 
     Args:

@@ -20,7 +20,7 @@ _SMALL_MODEL = 128 << 20
 _MAX_EXPANSION = 64
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _WEB_PAGE = (b"<!doctype", b"<html", b"<head", b"<body", b"<?xml")
-TOLD_BY = 256  # bytes at the start of a file that show whether it is a pointer or a web page
+HEAD_BYTES = 256  # bytes at the start of a file that show whether it is a pointer or a web page
 
 
 def input_size(path: Path) -> int:
@@ -43,7 +43,7 @@ def input_size(path: Path) -> int:
     if status.st_size == 0:
         raise FormatError(f"{path} is empty (0 bytes); export or download it again.")
     with reading(path) as file:
-        refuse_stand_in(path, file.read(TOLD_BY))
+        refuse_stand_in(path, file.read(HEAD_BYTES))
     return status.st_size
 
 

@@ -12,7 +12,7 @@ from nanogs.io.format import FormatOptions
 from nanogs.io.parts import FileSource
 
 
-def repeated(
+def keep_stated_frame(
     path: Path, options: FormatOptions | None, inputs: Sequence[FileSource]
 ) -> tuple[FormatOptions | None, tuple[str, ...]]:
     """Add the frame of the inputs to the format options of an output, or return a note instead.

@@ -104,13 +104,13 @@ def _keys(rows: F32) -> U64:
 def _cluster(points: F32, weights: F32, size: int, tell: Parts) -> tuple[F32, I32]:
     """Cluster distinct points; return the entries (size, D) and the entry of each point (N,)."""
     from nanogs.io.cells import by_label, nearby_cells
-    from nanogs.io.ward import merge_near, settle
+    from nanogs.io.ward import merge_points, settle
     from nanogs.kernels.kmeans import weighted_means
 
     scaled = _scaled(points)
     count = max(1, min(len(points) // _CELL, size // 8, _MOST_CELLS))
     cells = nearby_cells(scaled, count, _NEAR)
-    labels = settle(scaled, weights, cells, *merge_near(scaled, weights, cells, size, tell))
+    labels = settle(scaled, weights, cells, *merge_points(scaled, weights, cells, size, tell))
     means = np.empty((points.shape[1], size), np.float32)
     weighted_means(points, weights, *by_label(labels, size), means, np.empty(size, np.float32))
     return np.ascontiguousarray(means.T), labels

@@ -22,7 +22,7 @@ from nanogs._types import Array
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.files import BLOCK_ROWS, reading
 from nanogs.io.info import FileInfo
-from nanogs.io.temporary import no_room
+from nanogs.io.temporary import temporary_file_error
 from nanogs.source import Layout, Source
 from nanogs.splats import Splats
 
@@ -234,7 +234,7 @@ def _unpacked(packed: Packed) -> UnpackedColumns:
         for piece in packed.unpack(notes):
             file.write(np.ascontiguousarray(piece).data)
     except OSError as error:
-        raise no_room(f"{packed.path} cannot be unpacked", error) from error
+        raise temporary_file_error(f"{packed.path} cannot be unpacked", error) from error
 
     def column(name: str, start: int, stop: int) -> Array:
         shape = packed.stored[name].shape

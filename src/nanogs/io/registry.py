@@ -12,7 +12,7 @@ from nanogs.io.urls import Address
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
-_TOLD_BY = 8  # bytes at the start of a file from which the format is detected
+_HEAD_BYTES = 8  # bytes at the start of a file from which the format is detected
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
 ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
 
@@ -40,7 +40,7 @@ def sniff(path: Path) -> str | None:
         path: A file that can be read.
     """
     with path.open("rb") as file:
-        start = file.read(_TOLD_BY)
+        start = file.read(_HEAD_BYTES)
     depths = _zipped(path) if start.startswith(b"PK\x03\x04") else {}
     told = [known for known in formats() if known.starts and start.startswith(known.starts)]
     # A zip of a streamed model has whole models in its folders: the outermost manifest decides.
@@ -149,7 +149,7 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
     return chosen
 
 
-def framed(
+def add_target_frame(
     path: Path, options: FormatOptions | None, frame: tuple[str, str] | None
 ) -> FormatOptions | None:
     """Add the frame that a model is turned to to the options, if its format can state it.

@@ -38,7 +38,7 @@ def split_quats(quats: Array) -> tuple[I64, Array]:
     return largest, signed[np.arange(4) != largest[:, None]].reshape(-1, 3)
 
 
-def least_turned(splats: Splats) -> tuple[F64, F32]:
+def minimise_rotation(splats: Splats) -> tuple[F64, F32]:
     """Permute and flip the axes of each splat so that its rotation angle is as small as possible.
 
     An ellipsoid has 24 equivalent descriptions, which differ in the order and the signs of its
@@ -62,7 +62,7 @@ def least_turned(splats: Splats) -> tuple[F64, F32]:
 
 
 def _turned(quats: F64, log_scales: F32) -> tuple[F64, F32]:
-    """Compute `least_turned` for some rows of unit quaternions and log-scales."""
+    """Compute `minimise_rotation` for some rows of unit quaternions and log-scales."""
     nearest = _nearest_symmetry(quats)
     w, x, y, z = (quats * nearest).T  # `turned` is the product of quats and nearest's conjugate
     a, b, c, d = nearest.T

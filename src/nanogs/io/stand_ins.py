@@ -13,32 +13,32 @@ from nanogs.cleanup import temporary_folder
 from nanogs.errors import FormatError, NanogsError, OptionError
 from nanogs.io import registry
 from nanogs.io.collect import FILES
-from nanogs.io.files import TOLD_BY, refuse_stand_in
+from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 from nanogs.io.registry import sniff
 from nanogs.io.transfer import check_absent, fetch, upload
 from nanogs.io.urls import Address, StandIn
 from nanogs.progress import Parts, untold
 
-Telling = Callable[[str], AbstractContextManager[Parts]]
+TransferProgress = Callable[[str], AbstractContextManager[Parts]]
 """Begins "fetch" or "send"; what the block gets is told the bytes."""
 # Manifests whose model cannot be downloaded file by file: their files name further files, or have
 # to be there before the manifest can be opened.
 _MANIFESTS = (registry.LEVELS, registry.TILESET, FILES, ".lcc")
 
 
-def tell_nobody(_stage: str) -> AbstractContextManager[Parts]:
-    """Report no progress: a `Telling` for callers without a progress display."""
+def no_transfer_progress(_stage: str) -> AbstractContextManager[Parts]:
+    """Report no progress: a `TransferProgress` for callers without a progress display."""
     return nullcontext(untold)
 
 
 @contextmanager
-def at_hand(
+def local_copies(
     inputs: Sequence[Path],
     output: Path | None = None,
     *,
     overwrite: bool = False,
     format: str | None = None,  # noqa: A002 - the name in `load`
-    telling: Telling = tell_nobody,
+    telling: TransferProgress = no_transfer_progress,
     remedy: str = 'name it, as in nanogs.load(url, format=".splat")',
 ) -> Iterator[tuple[list[Path], Path | None]]:
     """Replace each URL by the path of a temporary file; other paths are returned unchanged.
@@ -120,7 +120,7 @@ def refuse_address(path: Path, remedy: str) -> None:
         raise OptionError(f"{path} is a URL; {remedy}.")
 
 
-def suffix_told(raw: Path, called: str, format: str | None, remedy: str) -> str:  # noqa: A002
+def detect_suffix(raw: Path, called: str, format: str | None, remedy: str) -> str:  # noqa: A002
     """Return the suffix of a file without a useful name: as given, or detected from its bytes.
 
     Args:
@@ -136,7 +136,7 @@ def suffix_told(raw: Path, called: str, format: str | None, remedy: str) -> str:
     suffix = registry.suffix_of(format) if format else sniff(raw)
     if suffix is None:
         with raw.open("rb") as file:
-            refuse_stand_in(StandIn(raw, called), file.read(TOLD_BY))
+            refuse_stand_in(StandIn(raw, called), file.read(HEAD_BYTES))
         raise OptionError(f"The first bytes of {called} are of no format that says so; {remedy}.")
     return suffix
 
@@ -162,7 +162,7 @@ def _fetched(
     folder: Path,
     places: dict[str, str],
     format: str | None,  # noqa: A002 - the name in `load`
-    telling: Telling,
+    telling: TransferProgress,
     remedy: str,
 ) -> Path:
     """Download the file of a URL, and the files that it refers to; other paths are unchanged."""
@@ -180,7 +180,7 @@ def _fetched(
     with telling("fetch") as tell:
         fetch(path, raw, tell)
     if format or registry.find(raw) is None:
-        told = suffix_told(raw, str(path), format, remedy)
+        told = detect_suffix(raw, str(path), format, remedy)
         raw = raw.rename(raw.with_name(f"{raw.name}{told}"))
     model = _stand_in(raw, path)
     for file in registry.reader(model).open(model).files[1:]:

@@ -48,7 +48,7 @@ def temporary(target: Path, make: Callable[[Path], None]) -> Iterator[Path]:
             yield path
 
 
-def no_room(what: str, error: OSError) -> OutputError:
+def temporary_file_error(what: str, error: OSError) -> OutputError:
     """Build the error for a temporary file that cannot be written, such as for a full disk.
 
     Args:

@@ -9,7 +9,7 @@ from typing import IO, Any
 
 from nanogs.errors import ExistsError, FormatError, NanogsError, OptionError, OutputError
 from nanogs.formatting import bytes_text
-from nanogs.io.temporary import no_room
+from nanogs.io.temporary import temporary_file_error
 from nanogs.io.urls import Address
 from nanogs.progress import Parts
 
@@ -204,7 +204,7 @@ def _put(out: IO[bytes], data: bytes, address: Address) -> None:
         out.write(data)
         out.flush()  # or a full disk would only raise when the file is closed
     except OSError as error:
-        raise no_room(f"{address} cannot be put", error) from None
+        raise temporary_file_error(f"{address} cannot be put", error) from None
 
 
 def _in_a_line(error: Exception) -> str:

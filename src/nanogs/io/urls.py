@@ -91,14 +91,14 @@ class Address(_Called):
 
     def __new__(cls, url: str, _called: str = "") -> Self:
         """Make an address from a complete URL."""
-        self = super().__new__(cls, _placed(url), said_of(url))
+        self = super().__new__(cls, _placed(url), redacted(url))
         self.url = url
         return self
 
     if sys.version_info >= (3, 12):
 
         def __init__(self, url: str, _called: str = "") -> None:
-            super().__init__(_placed(url), said_of(url))
+            super().__init__(_placed(url), redacted(url))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Address) and self.url == other.url
@@ -177,7 +177,7 @@ def place(given: str | PathLike[str]) -> Path:
     return Path(url2pathname(slash + path))
 
 
-def said_of(url: str) -> str:
+def redacted(url: str) -> str:
     """Return a URL without user, password, query and fragment."""
     parts = []
     for part in url.split("::"):
@@ -197,6 +197,6 @@ def _main(url: str) -> str:
 
 def _placed(url: str) -> str:
     """Return the path from which an `Address` takes its name and suffix, valid on every system."""
-    folder, _, last = _main(said_of(url)).rpartition("/")
+    folder, _, last = _main(redacted(url)).rpartition("/")
     name = _UNSAFE.sub("_", unquote(last))[-_LONGEST:].strip(" .") or "model"
     return f"{folder}/{name}"

@@ -28,7 +28,7 @@ _SHARE = 0.2  # most merges in a pass, relative to the number of remaining point
 _STALE = 0.7  # the table is rebuilt when fewer than this share of its points remain
 
 
-def merge_near(points: F32, weights: F32, cells: I32, size: int, tell: Parts) -> tuple[I32, I32]:
+def merge_points(points: F32, weights: F32, cells: I32, size: int, tell: Parts) -> tuple[I32, I32]:
     """Merge points until `size` groups remain, with a small squared error.
 
     This ends: while there are more groups than `size`, and so more than cells, some cell holds two,
@@ -73,7 +73,7 @@ def settle(points: F32, weights: F32, cells: I32, labels: I32, home: I32) -> I32
     No group becomes empty.
 
     Args:
-        points: (N, D), as for `merge_near`.
+        points: (N, D), as for `merge_points`.
         weights: (N,) positive.
         cells: (N, P) the cells that each point searches for a nearer mean.
         labels: (N,) the current group of each point, from 0 on.

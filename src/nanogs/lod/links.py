@@ -83,14 +83,14 @@ def _likeliest(fine: Shapes, coarse: Shapes, threads: int) -> I64:
         deltas = fine.means[rows, None] - coarse.means[candidates]
         blurred = coarse.covariances[candidates] + fine.covariances[rows, None]
         tints = fine.colours[rows, None] - coarse.colours[candidates]
-        unlikely = _unlikelihoods(deltas, blurred)
+        unlikely = _negative_log_likelihoods(deltas, blurred)
         unlikely += (tints.astype(np.float64) ** 2).sum(axis=-1) / _COLOUR**2
         best = unlikely.argmin(axis=1)
         parents[rows] = candidates[np.arange(len(best)), best]
     return parents
 
 
-def _unlikelihoods(deltas: F64, covariances: F64) -> F64:
+def _negative_log_likelihoods(deltas: F64, covariances: F64) -> F64:
     """Return (R, C) minus twice the log-density of Gaussians, up to a constant.
 
     Args:

@@ -69,17 +69,17 @@ class StreamedSog(ChunkLayout):
 
         runs = _runs(level.counts, self.chunks_a_file * self.most, self.least)
 
-        def begun() -> Iterator[tuple[str, list[Any], Callable[[], dict[str, bytes]]]]:
+        def start_encoding() -> Iterator[tuple[str, list[Any], Callable[[], dict[str, bytes]]]]:
             for number, (first, end) in enumerate(runs):
                 part, leaves = level.take(first, end)
                 places = list(_places(part, level.counts, first, end))
-                files = sog_write.begun(pool, part, leaves)
+                files = sog_write.start_encoding(pool, part, leaves)
                 tell(level.counts[:end].sum(), level.counts.sum())
                 yield f"{prefix}{number}", places, files
 
         with sog_write.encoders() as pool:
             # The textures of a model are encoded while the palette of the next is computed.
-            for folder, places, files in _late(begun()):
+            for folder, places, files in _one_behind(start_encoding()):
                 made = files()
                 yield [folder, places], {f"{folder}/{name}": made[name] for name in made}
 
@@ -199,7 +199,7 @@ def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[list[An
             offset += count
 
 
-def _late(parts: Iterable[T]) -> Iterator[T]:
+def _one_behind(parts: Iterable[T]) -> Iterator[T]:
     """Yield each part with a delay: after the next one has been produced."""
     waiting = list[T]()
     for part in parts:

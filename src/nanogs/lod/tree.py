@@ -232,7 +232,7 @@ def build(
     made: list[Source] = [in_order(leaves, order)]
     moments = None if nodes is None else without_features(nodes, order)
     for counts in children[1:]:
-        splats, moments = _standing_for(made[-1], moments, counts, units)
+        splats, moments = _merged_layer(made[-1], moments, counts, units)
         made.append(InMemory(splats))
     if moments is None:
         alone = _nodes(made[0].load(), None, slice(None), units)
@@ -274,7 +274,7 @@ def units_of(leaves: Source) -> Units:
     return Units(origin, added, thinnest, float(nodes.coverages.mean()) or 1.0)
 
 
-def _standing_for(
+def _merged_layer(
     below: Source, moments: Nodes | None, counts: I64, units: Units
 ) -> tuple[Splats, Nodes]:
     """Compute the splats of a layer by merging the rows of the next finer one.

@@ -12,7 +12,7 @@ FEWEST_HALVES, MOST_HALVES = 3, 16
 FEWEST_HALVES_OF_A_TREE = 6
 
 
-def usual_ratios(splats: int, *, tree: bool = False) -> tuple[float, ...]:
+def default_ratios(splats: int, *, tree: bool = False) -> tuple[float, ...]:
     """Return the default ratios: 1, 1/2, 1/4 and so on, down to what a phone draws at once.
 
     The last is at most an eighth, or a 64th for a tree, for models that are far away or one of

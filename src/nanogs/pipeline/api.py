@@ -31,7 +31,7 @@ from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.pipeline.held_files import HeldFiles
-    from nanogs.pipeline.wish import Wish
+    from nanogs.pipeline.wish import SizeRequest
     from nanogs.views.cameras import Cameras
 
 
@@ -252,7 +252,7 @@ def target_of(
     return count_for_size(available, goal.size, lambda count: file_bytes(like, count))
 
 
-def refuse_small(wish: "Wish", some: Splats, files: "HeldFiles") -> None:
+def refuse_small(wish: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
     """Raise, before anything is computed, if the file size asked for is far too small.
 
     Args:
@@ -277,11 +277,11 @@ def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracke
     from nanogs.pipeline.pack import Packer
     from nanogs.pipeline.results import HeldResults
     from nanogs.pipeline.sized import fill_size
-    from nanogs.pipeline.wish import Wish
+    from nanogs.pipeline.wish import SizeRequest
 
     usable, clock = job.splats.take(job.rows), files.clock
     known, looks = registry.writable(files.path), renders(job.parameters)
-    wish = Wish(size, known, files.given, job.sh_degree, looks=looks)
+    wish = SizeRequest(size, known, files.given, job.sh_degree, looks=looks)
     refuse_small(wish, usable, files)
     results = HeldResults(job.build(threads, clock, progress), clock)
     outcome, found = fill_size(Packer(results, wish, usable, files, progress))
@@ -298,10 +298,10 @@ def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracke
 
 
 def _reach(job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tracker) -> Outcome:
-    from nanogs.pipeline.pack import PackNear
+    from nanogs.pipeline.pack import PackingForPsnr
     from nanogs.pipeline.reach import reach_psnr
     from nanogs.pipeline.results import HeldResults
-    from nanogs.pipeline.wish import Wish
+    from nanogs.pipeline.wish import SizeRequest
     from nanogs.scoring.held_out import held_out
 
     clock = files.clock
@@ -317,8 +317,8 @@ def _reach(job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tr
             return views.psnr(stored(outcome))
 
     results = HeldResults(job.build(threads, clock, progress), clock)
-    wish = Wish(0, registry.writable(files.path), files.given, job.sh_degree)
-    pack = PackNear(results, wish, lambda: job.splats.take(job.rows), files, progress)
+    wish = SizeRequest(0, registry.writable(files.path), files.given, job.sh_degree)
+    pack = PackingForPsnr(results, wish, lambda: job.splats.take(job.rows), files, progress)
     outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack)
     if found.stop is StopReason.UNREACHED:  # then the whole model is written unchanged
         pack.packed = None
@@ -334,7 +334,7 @@ def _reach(job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tr
 def _lighten(
     job: Job, asked: float, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
-    from nanogs.pipeline.draw import meet_cost
+    from nanogs.pipeline.draw import search_draw_cost
     from nanogs.pipeline.results import HeldResults
     from nanogs.scoring.draw_views import draw_views
 
@@ -350,7 +350,7 @@ def _lighten(
 
     results = HeldResults(job.build(threads, clock, progress), clock)
     quick = partial(share_of, stored=False)
-    outcome, found = meet_cost(results, asked, share_of, quick, progress)
+    outcome, found = search_draw_cost(results, asked, share_of, quick, progress)
     with clock.time("measure"):
         cost = views.cost(files.stored(outcome.splats, {}))
     return replace(

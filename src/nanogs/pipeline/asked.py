@@ -19,7 +19,7 @@ AUTO = "auto"
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class RequestedViews:
     """The views that the user asked for: a named way to find cameras, or given cameras.
 
     Attributes:
@@ -37,10 +37,10 @@ class Asked:
         return [camera_of(json.loads(text)) for text in self.cameras]
 
 
-AUTOMATIC = Asked()
+AUTOMATIC = RequestedViews()
 
 
-def asked_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Asked:
+def requested_views(cameras: "Cameras | None", up: Sequence[float] | None) -> RequestedViews:
     """Check the views asked for; a file of cameras is read now, so that no worker needs it.
 
     Args:
@@ -59,12 +59,12 @@ def asked_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Asked:
         unit_up(up)
         direction = tuple(map(float, up))
     if cameras is None or (isinstance(cameras, str) and cameras in FOUND):
-        return Asked(cameras or AUTO, direction)
+        return RequestedViews(cameras or AUTO, direction)
     if isinstance(cameras, str | PathLike):
         found = cameras_from(os.fspath(cameras))
     else:
         found = given_cameras(cameras)
-    return Asked(cameras=tuple(json.dumps(plain_camera(camera)) for camera in found))
+    return RequestedViews(cameras=tuple(json.dumps(plain_camera(camera)) for camera in found))
 
 
 def plain_camera(camera: Camera) -> dict[str, Any]:

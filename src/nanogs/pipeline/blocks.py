@@ -73,7 +73,7 @@ def morton_rows(codes: U64) -> I64:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weighing:
+class Visibility:
     """The visibility of splats in the views, by which the weights of their nodes are scaled.
 
     Attributes:
@@ -91,7 +91,7 @@ def leaves_of(
     splats: Splats,
     rows: I64 | I32,
     units: Units,
-    weighing: Weighing | None = None,
+    weighing: Visibility | None = None,
     *,
     bare: bool = False,
 ) -> Nodes:

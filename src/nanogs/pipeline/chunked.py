@@ -89,13 +89,13 @@ def _together(work: "Work", block: int, level: int) -> list[int]:
     """
     holding = [each for each in range(work.partition.blocks) if _has_cells(work, each)]
     counts = [count_of_block(work, each, level) for each in holding]
-    for group in joined_up(counts, work.settings.chunked.fewest):
+    for group in group_blocks(counts, work.settings.chunked.fewest):
         if holding[group.start] == block:
             return holding[group.start : group.stop]
     return []
 
 
-def joined_up(counts: Sequence[int], fewest: int) -> list[range]:
+def group_blocks(counts: Sequence[int], fewest: int) -> list[range]:
     """Group consecutive blocks until each group has `fewest` splats, if there are that many.
 
     Args:

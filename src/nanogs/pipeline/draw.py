@@ -130,7 +130,7 @@ def _power(probes: "list[DrawProbeReport] | tuple[DrawProbeReport, ...]") -> flo
     return min(max(rise, POWERS[0]), POWERS[1])
 
 
-def meet_cost(
+def search_draw_cost(
     results: Results[T],
     asked: float,
     share_of: Callable[[T], float],

@@ -31,7 +31,7 @@ Tell = Callable[[Done, Sequence[Written]], list[SimplifyReport]]
 
 
 @dataclass(frozen=True, slots=True)
-class Ending:
+class ResultWriter:
     """Writes the results of a job whose tasks are done.
 
     Attributes:

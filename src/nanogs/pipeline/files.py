@@ -15,9 +15,9 @@ from nanogs.defaults import PATIENCE
 from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
-from nanogs.io.frames import repeated
+from nanogs.io.frames import keep_stated_frame
 from nanogs.io.limits import degree_left_out
-from nanogs.io.stand_ins import at_hand
+from nanogs.io.stand_ins import local_copies
 from nanogs.io.urls import place
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.cameras import chosen_cameras
@@ -154,11 +154,14 @@ def simplify_blocks(
         overwrite=overwrite, nan=nan, filters=filters, sh_degree=sh_degree, frame=frame,
         render_mode=render_mode, cameras=cameras, up=up, device=device, threads=threads,
         executor=executor, patience=patience,
-        format_options=registry.framed(Path(output), format_options, frame),
+        format_options=registry.add_target_frame(Path(output), format_options, frame),
     )  # fmt: skip
     request.check_addresses()
     inputs, target = request.inputs, request.output
-    with drawn(progress) as tell, at_hand(inputs, target, overwrite=overwrite) as (here, there):
+    with (
+        drawn(progress) as tell,
+        local_copies(inputs, target, overwrite=overwrite) as (here, there),
+    ):
         real = replace(request, inputs=tuple(here), output=there or target)
         return simplify_files(real, tell)
 
@@ -207,7 +210,9 @@ def fitted_for(request: Request, degree: int, output: Path) -> tuple[Request, tu
 
 
 def stated_frame(request: Request, output: Path) -> tuple["FormatOptions | None", tuple[str, ...]]:
-    """Return format options and notes to store the frame that the inputs state; see `repeated`.
+    """Return format options and notes to store the frame that the inputs state.
+
+    See `keep_stated_frame`.
 
     Args:
         request: All arguments of the call.
@@ -220,7 +225,7 @@ def stated_frame(request: Request, output: Path) -> tuple["FormatOptions | None"
         return request.format_options, ()
     with ExitStack() as stack:
         files = [stack.enter_context(open_model(path)) for path in request.inputs]
-        return repeated(output, request.format_options, files)
+        return keep_stated_frame(output, request.format_options, files)
 
 
 def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
@@ -253,7 +258,7 @@ def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
 def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
     """Read, simplify and write; the report has the seconds of the whole call."""
     start = time.perf_counter()
-    request.goes_on()
+    request.continues_job()
     check_writable(
         request.output, overwrite=request.overwrite, format_options=request.format_options
     )

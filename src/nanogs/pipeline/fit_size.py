@@ -34,7 +34,7 @@ Probe = SizeProbeReport | None
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class FittedSize:
     """The largest count found to fit, its bytes, the probes in order, and why the search ended."""
 
     count: int
@@ -50,7 +50,7 @@ class Fitted:
         return little_used(size, self.bytes, over, around)
 
 
-def part_of(size: float, share: float, around: int) -> float:
+def target_bytes(size: float, share: float, around: int) -> float:
     """Return the bytes of a file whose splats use a share of the size left by the overhead.
 
     Args:
@@ -74,7 +74,7 @@ def little_used(size: int, taken: int, over: Probe, around: int = 0) -> tuple[st
         over: The smallest file found too large, or None if the search ran out of probes.
         around: Fixed overhead in bytes of every file of the format.
     """
-    if taken >= part_of(size, ENOUGH, around):
+    if taken >= target_bytes(size, ENOUGH, around):
         return ()
     more = "enough others were tried to find a larger one"
     if over is not None:
@@ -106,7 +106,7 @@ def search_fit(
     available: int,
     enough: float | None = None,
     around: int = 0,
-) -> Fitted:
+) -> FittedSize:
     """Search by interpolation for a count whose file fits and takes most of the size.
 
     The file size grows with the count apart from noise, so that a slightly larger count than the
@@ -128,8 +128,8 @@ def search_fit(
     probes: list[SizeProbeReport] = []
     fits: Probe = None
     over: Probe = None
-    enough = part_of(size, ENOUGH, around) if enough is None else enough
-    aim = part_of(size, AIM, around)
+    enough = target_bytes(size, ENOUGH, around) if enough is None else enough
+    aim = target_bytes(size, AIM, around)
     count = min(max(guess, fewest), available)
     while True:
         probe = SizeProbeReport(count, bytes_of(count))
@@ -142,7 +142,7 @@ def search_fit(
             if count == fewest:
                 raise too_small(size, count, probe.bytes)
         elif stop := _stop(fits, over, enough, available, len(probes)):
-            return Fitted(fits.count, fits.bytes, tuple(probes), stop)
+            return FittedSize(fits.count, fits.bytes, tuple(probes), stop)
         count = _next(fits, over, aim, probes)
         count = min(max(count, fewest), available)
 
@@ -222,7 +222,7 @@ def guess_count(sample: Splats, available: int, size: int, encode: Encode, aroun
     least = _least(sample, encode)
     rows = np.arange(0, len(sample), -(-len(sample) // SAMPLE))
     each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
-    count = 1 + int((part_of(size, AIM, around) - least) / each) if each > 0 else available
+    count = 1 + int((target_bytes(size, AIM, around) - least) / each) if each > 0 else available
     return min(max(count, 1), available)
 
 
@@ -257,7 +257,7 @@ def fit_size(
     *,
     near: bool = False,
     around: int = 0,
-) -> tuple[T, Fitted]:
+) -> tuple[T, FittedSize]:
     """Make the largest result that the search finds to fit, one that takes most of the size.
 
     The count is searched for with plain cuts of the forest, which are quick. Only few full results,
@@ -284,7 +284,7 @@ def fit_size(
 
     limits = results.fewest, results.available
     probes: tuple[SizeProbeReport, ...] = ()
-    most = enough = part_of(size, ENOUGH, around)
+    most = enough = target_bytes(size, ENOUGH, around)
     otherwise = StopReason.TARGET
     if not near:
         progress.begin("search")
@@ -292,7 +292,7 @@ def fit_size(
         found = search_fit(quick, size, guess, *limits, around=around)
         probes, guess = found.probes, found.count
         if found.bytes < enough:  # no count uses up the size: aim for the bytes of this one
-            enough, otherwise = part_of(found.bytes, ENOUGH, around), found.stop
+            enough, otherwise = target_bytes(found.bytes, ENOUGH, around), found.stop
         if not results.looks:
             return quick.found(), found
         del quick  # frees the result that it holds

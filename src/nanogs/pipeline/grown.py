@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs.bar import drawn
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
-from nanogs.io import as_packed, encoded_bytes, registry
+from nanogs.io import encoded_bytes, registry, round_trip_with_size
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
@@ -158,7 +158,7 @@ class Grown:
             tracker.begin("encode")
             if registry.writable(path).readable:
                 told = tracker.passing()
-                stored, size = as_packed(splats, path, format_options, progress=told)
+                stored, size = round_trip_with_size(splats, path, format_options, progress=told)
             else:
                 stored, size = splats, encoded_bytes(splats, path, format_options)
             tracker.begin("score")

@@ -8,7 +8,7 @@ from typing import Any
 
 from nanogs.clock import StageClock
 from nanogs.frames import change_frame
-from nanogs.io import as_packed, as_stored, encoded_bytes, settled
+from nanogs.io import encoded_bytes, round_trip, round_trip_with_size, settled
 from nanogs.pipeline.outcome import Outcome
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import ToChooseBy, to_choose_by
@@ -63,7 +63,7 @@ class HeldFiles:
         with self.clock.time("encode"):
             bare = self._turned(result.splats.with_sh_degree(sh_degree))
             options = {**options, **settled(bare, self.path, {**self.given, **options})}
-            small, size = as_packed(bare, self.path, {**self.given, **options})
+            small, size = round_trip_with_size(bare, self.path, {**self.given, **options})
         with self.clock.time("measure"):
             psnr, ssim = self.views.judge(self._turned_back(small))
         return PackingReport(sh_degree, options, len(bare), size, psnr, ssim)
@@ -71,7 +71,7 @@ class HeldFiles:
     def stored(self, splats: Splats, options: Mapping[str, Any]) -> Splats:
         """Return splats as read back from their encoded file, in the frame of the original."""
         given = {**self.given, **options}
-        return self._turned_back(as_stored(self._turned(splats), self.path, given))
+        return self._turned_back(round_trip(self._turned(splats), self.path, given))
 
     def _turned(self, splats: Splats) -> Splats:
         return change_frame(splats, *self.frame) if self.frame else splats

@@ -22,13 +22,13 @@ from nanogs.pipeline.plan import (
 )
 from nanogs.pipeline.presets import parameters, renders
 from nanogs.pipeline.rows import (
+    count_filtered,
     look_at,
     open_parts,
     refuse_large_whole,
     segments_of,
-    sift,
 )
-from nanogs.pipeline.settings import Settings, Sought
+from nanogs.pipeline.settings import SearchTarget, Settings
 from nanogs.pipeline.target import Goal, count_for_size, target_count
 from nanogs.pipeline.unpack import cost_of
 from nanogs.progress import Progress
@@ -69,9 +69,9 @@ def fill_in_blocks(
     )  # fmt: skip
     settings, divided = plan_job(request, max_memory, block)
     # Imported here because these import Numba, which `--help` and `info` do without.
-    from nanogs.pipeline.ending import Ending
+    from nanogs.pipeline.ending import ResultWriter
     from nanogs.pipeline.job_report import report_of
-    from nanogs.pipeline.stored_job import BlockJob, Where
+    from nanogs.pipeline.stored_job import BlockJob, Execution
 
     if settings.search is None:
         most = count_of(goals[0], settings.splats, settings.result_layout, request.sizer)
@@ -92,9 +92,9 @@ def fill_in_blocks(
         search = Search(request.output, request.format_options, folder, max_memory).find
     measured = bool(request.measured) and request.goal.psnr is None
     costed = bool(request.measured) and request.goal.draw_cost is None
-    ending = Ending(sink, reports, measured, max_memory, costed)
+    ending = ResultWriter(sink, reports, measured, max_memory, costed)
     job = BlockJob(settings, folder, request.scratch, ending, search)
-    where = Where(request.threads, request.executor, request.patience)
+    where = Execution(request.threads, request.executor, request.patience)
     try:
         made = job.run(where, clock, told, resume=request.resume)
     except CrowdedError as error:
@@ -182,7 +182,7 @@ def plan_job(
 
     plan = planned(sum(each.splats for each in inputs))
     refuse_large_whole(inputs, plan.segment)
-    sieve = sift(inputs, layout, changes.filters)
+    sieve = count_filtered(inputs, layout, changes.filters)
     if sieve:
         plan = planned(sieve.left[-1])
     counted = () if sought else tuple(goal for goal in goals if goal.ratio is None)
@@ -206,7 +206,7 @@ def plan_job(
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
 
 
-def sought_by(request: "Request", layout: Layout, splats: int) -> Sought | None:
+def sought_by(request: "Request", layout: Layout, splats: int) -> SearchTarget | None:
     """Return the target of the search for a count; None if the count is known beforehand.
 
     Args:
@@ -225,7 +225,7 @@ def sought_by(request: "Request", layout: Layout, splats: int) -> Sought | None:
             return None
         count_of(goal, 1, layout.reduced(0), request.sizer)
     options = json.dumps(dict(request.format_options or {}), sort_keys=True, default=str)
-    return Sought(goal.size, goal.psnr, request.suffix, options, goal.draw_cost)
+    return SearchTarget(goal.size, goal.psnr, request.suffix, options, goal.draw_cost)
 
 
 def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> int:

@@ -11,7 +11,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.fit.views import choose_cameras
 from nanogs.method.visibility import Light, discovery_of, light_in, roaming_views, visibility_of
 from nanogs.metrics._ssim import LEAST
-from nanogs.pipeline.scene import Lit, Scene
+from nanogs.pipeline.scene import Scene, ViewLight
 from nanogs.pipeline.views import Views
 from nanogs.raster.lens import lens_notes
 from nanogs.raster.rendering import prepare, together
@@ -57,7 +57,7 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     own, views = scene.bare(number), scene.views
     count = len(own.splats)
     cameras = [*views.kept, *scene.closer_views(own)]
-    drawn = together(prepare(own.splats), scene.hiding(number)).in_turn()
+    drawn = together(prepare(own.splats), scene.occluders(number)).in_turn()
     looked, lights = Light(len(drawn)), []
     pictured = scene.pictured
     total = len(cameras) + len(pictured) + len(views.roaming)
@@ -66,7 +66,7 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
         view = scene.draw(drawn, camera)
         looked.add(view)
         assert view.contributions is not None  # noqa: S101 - asked for
-        lights.append(Lit(camera, float(view.contributions[:count].sum())))
+        lights.append(ViewLight(camera, float(view.contributions[:count].sum())))
         del view
     for done, camera in enumerate(pictured, len(cameras)):
         scene.tell(done, total)

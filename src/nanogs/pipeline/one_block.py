@@ -24,7 +24,7 @@ from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import DECIDING, Discovery, shown_share, visible_weights
 from nanogs.pipeline.partition import Partition
-from nanogs.pipeline.scene import LIGHT, ROUNDS, Block, FitViews, Lit, Members, Scene, Task
+from nanogs.pipeline.scene import LIGHT, ROUNDS, Block, FitViews, Members, Scene, Task, ViewLight
 from nanogs.pipeline.settings import Access, InputFile, Segment, Settings
 from nanogs.pipeline.units import viewers_of
 from nanogs.pipeline.views import Views
@@ -195,7 +195,7 @@ class OneBlock(Scene):
         """Return the block with its colours: views are kept as images here."""
         return self.open(block)
 
-    def hiding(self, block: int) -> None:
+    def occluders(self, block: int) -> None:
         """Return None: there are no other blocks."""
 
     def surroundings(self, block: int) -> None:
@@ -225,7 +225,7 @@ class OneBlock(Scene):
         self._pictures.append(make_target(drawn, camera, depth=False, wanted=wanted))
 
     def keep_look(
-        self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
+        self, name: str, own: Block, missed: Bool, lights: Sequence[ViewLight], discovery: Discovery
     ) -> Record:
         """Keep the visibility, and divide the views into fitted and deciding ones."""
         self.visible, self.missed, self.discovery = own.visible, missed, discovery

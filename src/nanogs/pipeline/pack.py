@@ -10,7 +10,7 @@ from nanogs.pipeline.packing import Choices, Look, Packing, choose_packing, slop
 from nanogs.pipeline.results import Results
 from nanogs.pipeline.target import count_for_size
 from nanogs.pipeline.weights import PACKINGS
-from nanogs.pipeline.wish import Files, Wish
+from nanogs.pipeline.wish import Files, SizeRequest
 from nanogs.progress import Stage, Tracker
 from nanogs.report import PackingReport
 from nanogs.splats import Splats
@@ -69,7 +69,7 @@ class Packer(Generic[T]):
     """
 
     results: Results[T]
-    wish: Wish
+    wish: SizeRequest
     sample: Splats
     files: Files[T]
     progress: Tracker
@@ -162,7 +162,7 @@ class Packer(Generic[T]):
 
 
 @dataclass(eq=False)
-class PackNear(Generic[T]):
+class PackingForPsnr(Generic[T]):
     """Chooses the packing of results that must reach a PSNR, once their size is about known.
 
     Attributes:
@@ -175,7 +175,7 @@ class PackNear(Generic[T]):
     """
 
     results: Results[T]
-    wish: Wish
+    wish: SizeRequest
     sample: Callable[[], Splats]
     files: Files[T]
     progress: Tracker

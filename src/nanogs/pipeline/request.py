@@ -19,7 +19,7 @@ from nanogs.io.retag import checked_mode
 from nanogs.io.stand_ins import refuse_address
 from nanogs.memory import Memory, allowed_memory
 from nanogs.pipeline.api import refuse_device, refuse_searches, refuse_small
-from nanogs.pipeline.asked import AUTO, asked_views
+from nanogs.pipeline.asked import AUTO, requested_views
 from nanogs.pipeline.cameras import refuse_unused_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
@@ -131,7 +131,7 @@ class Request:
     @property
     def changes(self) -> Changes:
         """The edits with the views that are asked for; a camera file is read at each access."""
-        return replace(self.edits, asked=asked_views(self.cameras, self.up))
+        return replace(self.edits, asked=requested_views(self.cameras, self.up))
 
     @property
     def suffix(self) -> str:
@@ -192,11 +192,11 @@ class Request:
         if self.goal.size is None:
             return
         from nanogs.pipeline.held_files import HeldFiles
-        from nanogs.pipeline.wish import Wish
+        from nanogs.pipeline.wish import SizeRequest
 
         known, given = registry.writable(self.output), self.format_options or {}
         looks = renders(self.parameters)
-        wish = Wish(self.goal.size, known, given, self.sh_degree, looks=looks)
+        wish = SizeRequest(self.goal.size, known, given, self.sh_degree, looks=looks)
         refuse_small(wish, some, HeldFiles(self.output, given, some, StageClock(), self.frame))
 
     def refuse_device_in_blocks(self) -> None:
@@ -224,7 +224,7 @@ class Request:
             for path in (*self.inputs, self.output):
                 refuse_address(path, f"leave `{name}` out, or name a file that stays in its place")
 
-    def goes_on(self) -> bool:
+    def continues_job(self) -> bool:
         """Whether there is a job to continue, which checks its output itself.
 
         Raises:

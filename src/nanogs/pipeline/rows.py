@@ -13,9 +13,9 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.filters import Filter, filter_of, refuse_whole
 from nanogs.io import open as open_model
 from nanogs.io.parts import FileSource
-from nanogs.pipeline.asked import AUTOMATIC, Asked
+from nanogs.pipeline.asked import AUTOMATIC, RequestedViews
 from nanogs.pipeline.inputs import Inputs, input_file
-from nanogs.pipeline.settings import Access, InputFile, Segment, Settings, Sieve
+from nanogs.pipeline.settings import Access, FilterCounts, InputFile, Segment, Settings
 from nanogs.pipeline.unpack import Unpacked
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
 from nanogs.splats import RenderMode, Splats, concatenate
@@ -38,7 +38,7 @@ class Changes:
     filters: Sequence[Filter] = ()
     sh_degree: int | None = None
     frame: tuple[str, str] | None = None
-    asked: Asked = AUTOMATIC
+    asked: RequestedViews = AUTOMATIC
     render_mode: RenderMode | None = None
 
     def check(self) -> None:
@@ -101,7 +101,9 @@ def open_parts(paths: Sequence[Path], render_mode: str | None) -> list[FileSourc
     return [open_model(path, render_mode=render_mode) for path in paths]
 
 
-def sift(files: Sequence[InputFile], layout: Layout, filters: Sequence[Filter]) -> Sieve | None:
+def count_filtered(
+    files: Sequence[InputFile], layout: Layout, filters: Sequence[Filter]
+) -> FilterCounts | None:
     """Apply filters to all rows of files and count the rows left; None without filters.
 
     Raises:
@@ -113,7 +115,7 @@ def sift(files: Sequence[InputFile], layout: Layout, filters: Sequence[Filter]) 
     with Inputs(files, None) as inputs:
         left = Filtered(Joined(inputs.parts, layout), filters)
         plain = tuple(each.plain for each in filters if each.plain is not None)
-        return Sieve(plain, tuple(report.left for report in left.reports), left.kept)
+        return FilterCounts(plain, tuple(report.left for report in left.reports), left.kept)
 
 
 def refuse_large_whole(files: Sequence[InputFile], rows: int) -> None:

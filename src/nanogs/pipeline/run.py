@@ -26,7 +26,7 @@ class Executor(Protocol):
         """Do tasks, in any order, and yield each when it is done."""
 
 
-class Here:
+class InProcess:
     """Does tasks in this process, one at a time, each on all threads."""
 
     def run(self, work: Scene, tasks: Sequence[Task]) -> Iterator[Task]:
@@ -91,7 +91,7 @@ class Run:
                 progress.begin(stage.name)
                 progress.part(len(tasks) - len(left), len(tasks))
                 # Units are computed in this process, while workers of this machine start.
-                doing = Here() if stage.name == "frame" else self.executor
+                doing = InProcess() if stage.name == "frame" else self.executor
                 for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
                     work.record(task)  # cached: the report is made after the scratch is gone
                     progress.part(done, len(tasks))

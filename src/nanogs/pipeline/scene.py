@@ -95,7 +95,7 @@ class FitViews:
     count: int
 
 
-class Lit(NamedTuple):
+class ViewLight(NamedTuple):
     """A view, and how much of a block it shows: the block's contributions, in pixels of alpha 1."""
 
     camera: Camera
@@ -174,7 +174,7 @@ class Scene(ABC):
         """Return the splats of a block for rendering visibility, which needs no colours."""
 
     @abstractmethod
-    def hiding(self, block: int) -> PreparedSplats | None:
+    def occluders(self, block: int) -> PreparedSplats | None:
         """Return splats of other blocks that may occlude a block; None if there are none."""
 
     @abstractmethod
@@ -199,7 +199,7 @@ class Scene(ABC):
 
     @abstractmethod
     def keep_look(
-        self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
+        self, name: str, own: Block, missed: Bool, lights: Sequence[ViewLight], discovery: Discovery
     ) -> Record:
         """Keep a block's visibility, how much of it each view shows, and what the views miss."""
 

@@ -11,17 +11,17 @@ from nanogs.clock import StageClock
 from nanogs.io import bytes_on_disk, encoded_bytes, registry, save, settled
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
-from nanogs.pipeline.draw import meet_cost
+from nanogs.pipeline.draw import search_draw_cost
 from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.fit_size import SAMPLE, WHOLE_FITS
 from nanogs.pipeline.job_results import JobResults, Result
-from nanogs.pipeline.pack import Packer, PackNear
+from nanogs.pipeline.pack import Packer, PackingForPsnr
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.reach import reach_psnr
 from nanogs.pipeline.rows import opened, sample
 from nanogs.pipeline.run import Done, Run
 from nanogs.pipeline.sized import fill_size
-from nanogs.pipeline.wish import Wish
+from nanogs.pipeline.wish import SizeRequest
 from nanogs.pipeline.work import SPAN, Work
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport, StopReason
@@ -97,7 +97,7 @@ class Search:
 
         files = _Files(self, work, clock)
         wish = self._wish(work, 0)
-        pack = PackNear(results, wish, partial(_sample, work), files, progress)
+        pack = PackingForPsnr(results, wish, partial(_sample, work), files, progress)
         result, found = reach_psnr(results, psnr, psnr_of, progress, pack)
         if found.stop is StopReason.UNREACHED:  # the whole model is written, without the packing
             pack.packed = None
@@ -123,7 +123,7 @@ class Search:
             with clock.time("measure"), result_of(result.work, result.level) as small:
                 return views.share(turned_back(small, result))
 
-        result, found = meet_cost(results, asked, share_of, quick_share_of, progress)
+        result, found = search_draw_cost(results, asked, share_of, quick_share_of, progress)
         results.verify(result, progress)
         with clock.time("measure"), self._stored(result, {}) as small:
             cost = views.cost(small)
@@ -144,9 +144,9 @@ class Search:
         entries |= {"stop": fitted.stop}
         return _Found(result, entries | packed.entries(files.count(result)), notes)
 
-    def _wish(self, work: Work, size: int) -> Wish:
+    def _wish(self, work: Work, size: int) -> SizeRequest:
         settings = work.settings
-        return Wish(
+        return SizeRequest(
             size,
             registry.writable(self.output),
             self.options or {},

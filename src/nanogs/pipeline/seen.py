@@ -10,7 +10,7 @@ from nanogs.method.nodes import prominence
 from nanogs.method.visibility import Discovery, shown_prominence
 from nanogs.pipeline.asked import camera_of, plain_camera
 from nanogs.pipeline.blocks import leaves_of
-from nanogs.pipeline.scene import LIGHT, Block, Lit
+from nanogs.pipeline.scene import LIGHT, Block, ViewLight
 from nanogs.pipeline.views import parts_of
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
@@ -29,7 +29,7 @@ def write_look(
     name: str,
     own: Block,
     missed: Bool,
-    lights: Sequence[Lit],
+    lights: Sequence[ViewLight],
     discovery: Discovery,
 ) -> Record:
     """Write the visibility of a block's splats, and how much of the block each view shows.
@@ -56,11 +56,11 @@ def write_look(
     return write_table(work.scratch, name, {VISIBLE: own.visible}, facts)
 
 
-def looks_at(work: "Work", block: int) -> list[Lit]:
+def looks_at(work: "Work", block: int) -> list[ViewLight]:
     """Return the views that a block was rendered from, and how much of it each shows."""
     facts = work.of_block("look", block).facts
     cameras = map(camera_of, facts["cameras"])
-    return list(map(Lit, cameras, map(float, facts[LIGHT])))
+    return list(map(ViewLight, cameras, map(float, facts[LIGHT])))
 
 
 def closer_views(work: "Work", own: Splats) -> list[Camera]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.filters import Plain
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.asked import AUTOMATIC, Asked
+from nanogs.pipeline.asked import AUTOMATIC, RequestedViews
 from nanogs.pipeline.presets import renders
 from nanogs.source import Layout
 
@@ -80,7 +80,7 @@ class Segment:
 
 
 @dataclass(frozen=True, slots=True)
-class Sieve:
+class FilterCounts:
     """The filters of a job, and the number of rows that they leave.
 
     Attributes:
@@ -95,7 +95,7 @@ class Sieve:
 
 
 @dataclass(frozen=True, slots=True)
-class Sought:
+class SearchTarget:
     """Target of a search for a count: one of three limits, on a file of a format.
 
     Attributes:
@@ -170,12 +170,12 @@ class Settings:
     block: int
     parameters: ForestParameters
     chunks: Chunked | Linked | None = None
-    filters: Sieve | None = None
+    filters: FilterCounts | None = None
     frame: tuple[str, str] | None = None
-    asked: Asked = AUTOMATIC
+    asked: RequestedViews = AUTOMATIC
     sh_degree: int | None = None
     sharing: Sharing | None = None
-    search: Sought | None = None
+    search: SearchTarget | None = None
     environment: str = ""
 
     @property

@@ -5,7 +5,7 @@ from functools import partial
 from typing import NamedTuple, TypeVar
 
 from nanogs.errors import TooSmallError
-from nanogs.pipeline.fit_size import Fitted, fit_size, too_small
+from nanogs.pipeline.fit_size import FittedSize, fit_size, too_small
 from nanogs.pipeline.pack import Packed, Packer
 from nanogs.pipeline.packing import Packing
 from nanogs.pipeline.target import count_for_size
@@ -24,7 +24,7 @@ class Filled(NamedTuple):
         packed: The packing.
     """
 
-    fitted: Fitted
+    fitted: FittedSize
     packed: Packed
 
 
@@ -87,7 +87,7 @@ def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
         like = packer.sample.with_sh_degree(packing.sh_degree)
         count = count_for_size(chosen.available, wish.size, lambda n: known(like, n))
         count = max(count, chosen.fewest)
-        fitted = Fitted(count, known(like, count), ())
+        fitted = FittedSize(count, known(like, count), ())
         if fitted.bytes > wish.size:
             raise too_small(wish.size, count, fitted.bytes)
         progress.begin("deliver")

@@ -18,7 +18,7 @@ from nanogs.errors import (
     TooSmallError,
     UnstorableError,
 )
-from nanogs.pipeline.ending import Ending
+from nanogs.pipeline.ending import ResultWriter
 from nanogs.pipeline.folder import (
     MANIFEST,
     SCRATCH,
@@ -28,7 +28,7 @@ from nanogs.pipeline.folder import (
     write_manifest,
 )
 from nanogs.pipeline.foreseen import job_stages
-from nanogs.pipeline.run import Done, Executor, Here, Search, run_tasks
+from nanogs.pipeline.run import Done, Executor, InProcess, Search, run_tasks
 from nanogs.pipeline.settings import Settings, differences, in_words
 from nanogs.pipeline.weights import measure_stage
 from nanogs.pipeline.workers import workers_of
@@ -42,12 +42,12 @@ if TYPE_CHECKING:
 
     from distributed import Client
 
-FUTILE = TooSmallError, CrowdedError, ModelError, UnstorableError
+UNRECOVERABLE = TooSmallError, CrowdedError, ModelError, UnstorableError
 """After these nothing can come of a job any more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Where:
+class Execution:
     """The workers that do the tasks of a job.
 
     Attributes:
@@ -70,7 +70,7 @@ class Where:
             OptionError: `executor` is neither a client nor an executor.
         """
         if self.executor is None:
-            return Here()
+            return InProcess()
         waiting = partial(progress.aside, WAITING)
         return workers_of(self.executor, self.threads, self.patience, waiting)
 
@@ -90,11 +90,11 @@ class BlockJob:
     settings: Settings
     folder: Path
     scratch: str | None
-    ending: Ending
+    ending: ResultWriter
     search: Search | None = None
 
     def run(
-        self, where: Where, clock: StageClock, told: Progress | None, *, resume: bool
+        self, where: Execution, clock: StageClock, told: Progress | None, *, resume: bool
     ) -> tuple[Done, list[Written]]:
         """Do what is left of the job.
 
@@ -130,7 +130,7 @@ class BlockJob:
                         scratch, self.settings, runner, threads, clock, progress, resumed=resumed,
                         search=self.search,
                     )  # fmt: skip
-                except FUTILE:
+                except UNRECOVERABLE:
                     self._remove(scratch)
                     raise
                 progress.begin("write")

@@ -40,7 +40,7 @@ class Files(Protocol[R_contra]):
         """
 
 
-class Wish(NamedTuple):
+class SizeRequest(NamedTuple):
     """A request for a file of a given size: what is fixed, apart from what can be chosen.
 
     Attributes:

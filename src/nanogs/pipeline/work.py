@@ -18,7 +18,7 @@ from nanogs.fit.targets import Target, as_target
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import SHOWN, Discovery
-from nanogs.pipeline.blocks import Weighing, leaves_of, morton_rows, read_block, with_codes
+from nanogs.pipeline.blocks import Visibility, leaves_of, morton_rows, read_block, with_codes
 from nanogs.pipeline.cameras import fit_cameras
 from nanogs.pipeline.coarse import coarse_scene, surroundings
 from nanogs.pipeline.cuts import LABELS, cut_block
@@ -29,7 +29,7 @@ from nanogs.pipeline.memory_blocks import FINE, ROUGH
 from nanogs.pipeline.partition import Partition, partition_of
 from nanogs.pipeline.parts import read_part
 from nanogs.pipeline.rows import sample
-from nanogs.pipeline.scene import Block, FitViews, Lit, Members, Scene, Task
+from nanogs.pipeline.scene import Block, FitViews, Members, Scene, Task, ViewLight
 from nanogs.pipeline.seen import (
     VISIBLE,
     closer_views,
@@ -172,12 +172,12 @@ class Work(Scene):
         """Read the splats of a block without colours, which occlusion does not need."""
         return Block(*self.block(block, self.settings.layout.bare()), None)
 
-    def weighing(self, visible: F64 | None) -> Weighing | None:
+    def weighing(self, visible: F64 | None) -> Visibility | None:
         """Return how nodes are weighed by visibility; None if nothing is measured."""
         if visible is None or not self.measures:
             return None
         hidden = hidden_weight(self)
-        return Weighing(visible, hidden, typical_weight(self, hidden))
+        return Visibility(visible, hidden, typical_weight(self, hidden))
 
     def visible(self, block: int) -> F64 | None:
         """Read (N,) the visibility of a block's splats; None if nothing was rendered."""
@@ -284,7 +284,7 @@ class Work(Scene):
         """Write the views that were chosen."""
         return self.write(name, {}, views.to_dict())
 
-    def hiding(self, block: int) -> PreparedSplats | None:
+    def occluders(self, block: int) -> PreparedSplats | None:
         """Return the coarse level `FINE` of all other blocks; None if there are none."""
         return surroundings(self, block, FINE)
 
@@ -301,7 +301,7 @@ class Work(Scene):
         return render(drawn, camera, contributions=True, sh_degree=0)
 
     def keep_look(
-        self, name: str, own: Block, missed: Bool, lights: Sequence[Lit], discovery: Discovery
+        self, name: str, own: Block, missed: Bool, lights: Sequence[ViewLight], discovery: Discovery
     ) -> Record:
         """Write a block's visibility, how much of it each view shows, and what the views miss."""
         return write_look(self, name, own, missed, lights, discovery)

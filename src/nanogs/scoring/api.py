@@ -96,10 +96,10 @@ def compare(
         NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
         OptionError: An argument is out of range, there is no such device, or no model is given.
     """
-    called, asked = _names(models, names), asked_views(cameras, pixels)
+    called, asked = _names(models, names), requested_views(cameras, pixels)
     views = None if views is None else view_count(views)
     background = None if background is None else plain_background(background)
-    chosen = views is not None or up is not None or asked != asked_views("auto", PIXELS)
+    chosen = views is not None or up is not None or asked != requested_views("auto", PIXELS)
     if photos is not None and chosen:
         raise OptionError("Photographs have views of their own; give no others beside `photos`.")
     if photos is None and (images is not None or split != "test"):
@@ -158,7 +158,7 @@ def compare(
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class RequestedViews:
     """The views that are asked for: cameras, or else where to find some and at which sizes."""
 
     cameras: "list[Camera]"
@@ -190,20 +190,20 @@ class Asked:
         return view_sets(model, self.sources, self.sizes, views=views, up=up)
 
 
-def asked_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> Asked:
+def requested_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> RequestedViews:
     """The views that are asked for; the arguments and errors are those of `compare`."""
     from nanogs.scoring.view_sets import parse_sources
 
     if isinstance(cameras, Camera):
-        return Asked([cameras])
+        return RequestedViews([cameras])
     names = [cameras] if isinstance(cameras, str | PathLike) else list(cameras)
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     if not sources or len(sources) < len(names):
         given = [camera for camera in names if isinstance(camera, Camera)]
-        return Asked(given_cameras(given if len(given) == len(names) else []))
+        return RequestedViews(given_cameras(given if len(given) == len(names) else []))
     sources = parse_sources(sources[0]) if len(sources) == 1 else sources
     several = pixels if isinstance(pixels, list) else [pixels]
-    return Asked([], sources, [picture_size(size) for size in several])
+    return RequestedViews([], sources, [picture_size(size) for size in several])
 
 
 def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:

@@ -23,7 +23,7 @@ from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
-from nanogs.scoring.api import Pixels, asked_views, file_name
+from nanogs.scoring.api import Pixels, file_name, requested_views
 from nanogs.views.cameras import Cameras, view_count
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def compare_mixed(
         refuse_address(path, "download the stream, and give the path of its file")
     called = _names(original, paths, names)
     _check(paths, budget)
-    asked = asked_views(cameras, pixels)
+    asked = requested_views(cameras, pixels)
     views = None if views is None else view_count(views)
     background = plain_background(background)
     limit = None if max_memory is None else as_bytes(max_memory)

@@ -9,7 +9,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import NanogsError, OptionError, OutputError
-from nanogs.store.scratch import MADE, SUFFIXES, write_hashed
+from nanogs.store.scratch import PARENT_MARKER, SUFFIXES, write_hashed
 
 # Object stores: they have no folders, so none is made or removed; for a name without slashes, that
 # would be a bucket.
@@ -57,7 +57,7 @@ class UrlScratch:
                 new = not self.files.exists(self.root.rpartition("/")[0])
                 self.files.makedirs(self.root, exist_ok=True)
                 if new:
-                    self.files.touch(f"{self.root}/{MADE}")
+                    self.files.touch(f"{self.root}/{PARENT_MARKER}")
         self.write(_PROBE, [np.zeros(1, np.uint8)])
         with self.open(_PROBE) as file:
             file.read()
@@ -108,7 +108,7 @@ class UrlScratch:
             if self.has_folders:
                 with suppress(OSError, NotImplementedError):
                     self.files.rmdir(self.root)
-                    if any(path.endswith(f"/{MADE}") for path in paths):
+                    if any(path.endswith(f"/{PARENT_MARKER}") for path in paths):
                         self.files.rmdir(self.root.rpartition("/")[0])
 
     def tidy(self) -> None:

@@ -17,7 +17,7 @@ from nanogs._types import Array
 from nanogs.io.atomic import output_error
 
 SUFFIXES = (".npy", ".json", ".tmp")
-MADE = "made.json"  # marks that `prepare` made the parent folder, not the user
+PARENT_MARKER = "made.json"  # marks that `prepare` made the parent folder, not the user
 _CHUNK = 1 << 22
 
 
@@ -92,7 +92,7 @@ class FolderScratch:
             new = not self.folder.parent.exists()
             self.folder.mkdir(parents=True, exist_ok=True)
             if new:
-                (self.folder / MADE).touch()
+                (self.folder / PARENT_MARKER).touch()
         except OSError as error:
             raise output_error(self.folder, error) from error
 
@@ -122,7 +122,7 @@ class FolderScratch:
 
     def remove(self) -> None:
         """Delete all files written here, and the folder; see `Scratch.remove`."""
-        made = (self.folder / MADE).exists()
+        made = (self.folder / PARENT_MARKER).exists()
         for path in self._files(SUFFIXES):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # unless something else is in it

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.splats import Splats
-from nanogs.studio.choice import Choice, Sifting
+from nanogs.studio.choice import Choice, FilterChoice
 from nanogs.studio.curve import Curve, Point
-from nanogs.studio.held import Held, ModelKey, Sifted, grown_key, model_key
+from nanogs.studio.held import FilteredScene, ModelKey, WorkerCache, grown_key, model_key
 from nanogs.studio.showing import MOST_SHOWN, Shown, few, marked, show
 
 if TYPE_CHECKING:
@@ -57,14 +57,14 @@ class Telling(Protocol):
         """Ignore a newer request in the context if `useful` says that the work serves it too."""
 
 
-class Answers:
+class RequestHandler:
     """Answers the requests of pages, for a scene that is open.
 
     A lock lets one thread use the forest at a time. While a result is measured, which needs no
     forest, another thread may make the draft of a newer request (`sooner`).
     """
 
-    def __init__(self, held: Held, start: "Opening") -> None:
+    def __init__(self, held: WorkerCache, start: "Opening") -> None:
         """Begin with nothing sent yet.
 
         Args:
@@ -173,7 +173,7 @@ class Answers:
 
     def _filter(self, choice: Choice, tell: Telling) -> None:
         """Filter the scene, and send the filtered one if the page shows another as its scene."""
-        key, opened = model_key(choice), (self._held.manner.render_mode, Sifting())
+        key, opened = model_key(choice), (self._held.manner.render_mode, FilterChoice())
         if self._shown.get(tell.page, opened) == key:
             return
         self._begin_filters(tell)
@@ -254,7 +254,7 @@ def _estimated(kind: str, grown: "Grown", curve: Curve, count: int) -> Event:
     }  # fmt: skip
 
 
-def _filtered(found: Sifted, *, preview: bool) -> Event:
+def _filtered(found: FilteredScene, *, preview: bool) -> Event:
     took = [asdict(report) for report in found.reports]
     left = int(found.stays.sum())
     return {"type": "filtered", "took": took, "left": left, "preview": preview}

@@ -15,7 +15,7 @@ _WISHES = {"splats": "count", "bytes": "size", "psnr": "psnr"}  # JSON name: fie
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sifting:
+class FilterChoice:
     """Filters that remove splats before the model is simplified.
 
     Attributes:
@@ -48,7 +48,7 @@ class Choice:
     format: str = ".ply"
     preset: str = "default"
     sh_degree: int | None = None
-    filters: Sifting = field(default_factory=Sifting)
+    filters: FilterChoice = field(default_factory=FilterChoice)
     render_mode: str | None = None
     up: str | None = None
     levels: tuple[float, ...] | None = None
@@ -103,8 +103,8 @@ def _goal(data: object) -> Goal:
     return Goal(count=int(number)) if name == "splats" else Goal(size=int(number))
 
 
-def _sifting(data: object) -> Sifting:
-    given = _entries(data or {}, "filters", tuple(Sifting.__dataclass_fields__))
+def _sifting(data: object) -> FilterChoice:
+    given = _entries(data or {}, "filters", tuple(FilterChoice.__dataclass_fields__))
     box, alpha, floaters = (given.get(name) for name in ("box", "min_opacity", "floaters"))
     if box is not None and (not isinstance(box, list) or len(box) != 6):
         raise OptionError("A box is six numbers: x, y, z of its lowest corner and its highest.")
@@ -116,7 +116,7 @@ def _sifting(data: object) -> Sifting:
     lowest = None if alpha is None else _number(alpha, "min_opacity")
     if lowest is not None and not 0 <= lowest <= 1:
         raise OptionError(f"The lowest opacity must be from 0 to 1, not {lowest:g}.")
-    return Sifting(box=corners, min_opacity=lowest, floaters=bool(floaters))
+    return FilterChoice(box=corners, min_opacity=lowest, floaters=bool(floaters))
 
 
 def _levels(data: object) -> tuple[float, ...] | None:

@@ -7,24 +7,24 @@ from nanogs.kernels.compiling import when_compiling
 from nanogs.pipeline.presets import DEFAULT_PRESET
 from nanogs.progress import Stage, Tracker
 from nanogs.studio import opening, saving
-from nanogs.studio.asking import Answers, Telling
-from nanogs.studio.held import Held
+from nanogs.studio.asking import RequestHandler, Telling
+from nanogs.studio.held import WorkerCache
 from nanogs.studio.jobs import Job
-from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.scene import Scene, StudioSettings
 
 
-class Desk:
+class JobHandler:
     """Handles the jobs of a scene, which the first job opens."""
 
-    def __init__(self, scene: Scene, manner: Manner) -> None:
+    def __init__(self, scene: Scene, manner: StudioSettings) -> None:
         """Prepare; the scene is not opened yet.
 
         Args:
             scene: The scene to open.
             manner: Settings of the studio.
         """
-        self._held = Held(scene, manner)
-        self._answers: Answers | None = None
+        self._held = WorkerCache(scene, manner)
+        self._answers: RequestHandler | None = None
 
     def do(self, job: Job, tell: Telling) -> None:
         """Do a job, and send its events.
@@ -64,7 +64,7 @@ class Desk:
         whole = held.whole(held.manner.render_mode)
         tracker.begin("show")
         event, start, shown = opening.opened(held.scene, held.manner, whole)
-        self._answers = Answers(held, start)
+        self._answers = RequestHandler(held, start)
         tell(event, shown)
 
     def _saved(self, order: Any, tell: Telling) -> dict[str, Any]:  # noqa: ANN401 - an `Order`

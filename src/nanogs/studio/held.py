@@ -11,10 +11,10 @@ from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.presets import PRESETS, renders
 from nanogs.progress import Progress
 from nanogs.splats import Splats
-from nanogs.studio.choice import Choice, Sifting
+from nanogs.studio.choice import Choice, FilterChoice
 from nanogs.studio.curve import Curve
 from nanogs.studio.orders import filters_of
-from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.scene import Scene, StudioSettings
 from nanogs.studio.turning import direction_of
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _SAMPLE = 4096  # splats of the sample file that is written to estimate bytes pe
 QUICKEST = "fast"  # the preset whose forest is grown the quickest
 _CURVES = 32  # most curves that are kept
 
-ModelKey: TypeAlias = tuple[str | None, Sifting]
+ModelKey: TypeAlias = tuple[str | None, FilterChoice]
 GrownKey: TypeAlias = tuple[ModelKey, str, int | None, str | None]
 
 
@@ -40,7 +40,7 @@ def grown_key(choice: Choice) -> GrownKey:
 
 
 @dataclass(frozen=True, slots=True)
-class Sifted:
+class FilteredScene:
     """The scene after filtering.
 
     Attributes:
@@ -54,10 +54,10 @@ class Sifted:
     reports: tuple[FilterReport, ...]
 
 
-class Held:
+class WorkerCache:
     """A cache of one scene, one filtered scene, one forest, and the latest curves."""
 
-    def __init__(self, scene: Scene, manner: Manner) -> None:
+    def __init__(self, scene: Scene, manner: StudioSettings) -> None:
         """Begin with an empty cache.
 
         Args:
@@ -66,7 +66,7 @@ class Held:
         """
         self.scene, self.manner = scene, manner
         self._whole: tuple[str | None, Splats] | None = None
-        self._sifted: tuple[ModelKey, Sifted] | None = None
+        self._sifted: tuple[ModelKey, FilteredScene] | None = None
         self.grown: tuple[GrownKey, Grown] | None = None
         self._curves: dict[tuple[GrownKey, str], Curve] = {}
 
@@ -77,7 +77,7 @@ class Held:
             self._whole = render_mode, load(self.scene.path, render_mode=render_mode)
         return self._whole[1]
 
-    def sifted(self, choice: Choice) -> Sifted:
+    def sifted(self, choice: Choice) -> FilteredScene:
         """Return the scene filtered by a choice, and keep it; the forest of another is dropped.
 
         Raises:
@@ -86,11 +86,11 @@ class Held:
         key = model_key(choice)
         if self._sifted is None or self._sifted[0] != key:
             whole = self.whole(choice.render_mode)
-            found = Sifted(*sift(whole, filters_of(choice.filters)))
+            found = FilteredScene(*sift(whole, filters_of(choice.filters)))
             self._sifted, self.grown = (key, found), None
         return self._sifted[1]
 
-    def previewed(self, choice: Choice) -> Sifted:
+    def previewed(self, choice: Choice) -> FilteredScene:
         """Return the scene filtered by a choice, without keeping it in the cache.
 
         Raises:
@@ -98,7 +98,7 @@ class Held:
         """
         if self.is_shown(choice):
             return self.sifted(choice)
-        return Sifted(*sift(self.whole(choice.render_mode), filters_of(choice.filters)))
+        return FilteredScene(*sift(self.whole(choice.render_mode), filters_of(choice.filters)))
 
     def is_shown(self, choice: Choice) -> bool:
         """Return whether the filtered scene of a choice is the one in the cache."""

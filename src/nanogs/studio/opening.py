@@ -9,7 +9,7 @@ from nanogs.io import registry
 from nanogs.splats import Splats
 from nanogs.studio.choice import PRESETS
 from nanogs.studio.orders import LAYOUTS
-from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.scene import Scene, StudioSettings
 from nanogs.studio.showing import MOST_SHOWN, Shown, few, show
 from nanogs.studio.turning import direction_of, up_of
 from nanogs.view.pack import DISTANCE, camera_in_page
@@ -18,7 +18,9 @@ from nanogs.views.opening import Opening, opening_for
 _CORE = 1.0  # percentage of the splats that `core` leaves out on each side of each axis
 
 
-def opened(scene: Scene, manner: Manner, whole: Splats) -> tuple[dict[str, Any], Opening, Shown]:
+def opened(
+    scene: Scene, manner: StudioSettings, whole: Splats
+) -> tuple[dict[str, Any], Opening, Shown]:
     """Return the event that describes a scene, the first camera, and the model to show.
 
     Raises:

@@ -14,8 +14,8 @@ from nanogs.lod.layout import Output, chunks_of, output_of
 from nanogs.pipeline.presets import DEFAULT_PRESET, PRESETS, renders
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.target import Goal
-from nanogs.studio.choice import Choice, Sifting
-from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.choice import Choice, FilterChoice
+from nanogs.studio.scene import Scene, StudioSettings
 from nanogs.studio.turning import direction_of, frames_to, refuse_stated, turned
 
 LAYOUTS = {
@@ -28,7 +28,7 @@ LAYOUTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class SaveRequest:
     """A request to write a file, or levels of detail, for a choice.
 
     Attributes:
@@ -43,7 +43,7 @@ class Order:
     """
 
     scene: Scene
-    manner: Manner
+    manner: StudioSettings
     choice: Choice
     path: Path
     overwrite: bool = False
@@ -179,7 +179,7 @@ def refuse_unfit(scene: Scene, choice: Choice) -> None:
         raise refuse_stated(scene.path.name)
 
 
-def filters_of(chosen: Sifting) -> list[filters.Filter]:
+def filters_of(chosen: FilterChoice) -> list[filters.Filter]:
     """Return the filters of a choice, in the order in which the command applies them."""
     regions = [] if chosen.box is None else [filters.box(chosen.box[:3], chosen.box[3:])]
     return filters.in_order(regions, chosen.min_opacity, floaters=chosen.floaters)

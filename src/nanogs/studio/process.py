@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from nanogs.cleanup import clean_at_end, starting_processes
-from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.scene import Scene, StudioSettings
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
@@ -20,7 +20,7 @@ _GRACE = 2.0  # seconds to clean up after SIGTERM
 class Process:
     """The worker process, which is started by the constructor."""
 
-    def __init__(self, scene: Scene, manner: Manner, told: Callable[[Any], None]) -> None:
+    def __init__(self, scene: Scene, manner: StudioSettings, told: Callable[[Any], None]) -> None:
         """Start the process.
 
         Args:

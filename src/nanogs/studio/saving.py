@@ -12,13 +12,13 @@ from nanogs.pipeline.request import Request, plan_files
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress
 from nanogs.report import SimplifyReport, stop_text
-from nanogs.studio.held import Held
-from nanogs.studio.orders import Order
+from nanogs.studio.held import WorkerCache
+from nanogs.studio.orders import SaveRequest
 
 Event = dict[str, Any]
 
 
-def save(order: Order, held: Held, progress: Progress) -> Event:
+def save(order: SaveRequest, held: WorkerCache, progress: Progress) -> Event:
     """Write the output of an order, and return the event that reports it.
 
     Raises:
@@ -62,7 +62,7 @@ def _all_bytes(path: Path) -> int:
     return sum(each.stat().st_size for each in files)
 
 
-def _make_room(order: Order, held: Held) -> None:
+def _make_room(order: SaveRequest, held: WorkerCache) -> None:
     """Free the scene and its forest if saving needs the memory.
 
     They are freed if a limit is set, or if the model would otherwise be simplified in blocks.

@@ -41,7 +41,7 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Manner:
+class StudioSettings:
     """Settings of a studio: the initial options of its page, and the resources to use.
 
     Attributes:

@@ -19,11 +19,11 @@ from nanogs.formatting import utf8
 from nanogs.studio.choice import Choice, choice_of
 from nanogs.studio.jobs import Job
 from nanogs.studio.listing import Folder
-from nanogs.studio.orders import Order, refuse_unfit, shown_path
+from nanogs.studio.orders import SaveRequest, refuse_unfit, shown_path
 from nanogs.studio.pages import Pages
 from nanogs.studio.safety import Guard
-from nanogs.studio.scene import Manner, Scene
-from nanogs.studio.workshop import Workshop
+from nanogs.studio.scene import Scene, StudioSettings
+from nanogs.studio.workshop import WorkerSupervisor
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -43,7 +43,13 @@ class Studio:
     """The server of a studio: the constructor opens the port, `run` answers requests."""
 
     def __init__(
-        self, scene: Scene, manner: Manner, *, folder: Path, port: int = 0, idle: float = 60.0
+        self,
+        scene: Scene,
+        manner: StudioSettings,
+        *,
+        folder: Path,
+        port: int = 0,
+        idle: float = 60.0,
     ) -> None:
         """Listen on a port of this machine.
 
@@ -64,7 +70,7 @@ class Studio:
         self._port: int = self._socket.getsockname()[1]
         self._token = token_urlsafe(24)
         self._pages = Pages()
-        self._workshop = Workshop(scene, manner, self._pages.deliver)
+        self._workshop = WorkerSupervisor(scene, manner, self._pages.deliver)
         self._stop: Callable[[], None] = lambda: None
 
     @property
@@ -216,7 +222,7 @@ class Studio:
             message = str(error)
         return _json({"command": command, "message": message, "exists": exists})
 
-    def _order(self, data: dict[str, Any]) -> Order:
+    def _order(self, data: dict[str, Any]) -> SaveRequest:
         """Make the order to save the choice of a page, with a path relative to the folder.
 
         Raises:
@@ -229,12 +235,12 @@ class Studio:
             raise OptionError(f"{data['path']} is the scene that is open; choose another name.")
         path = target.relative_to(self._folder.root)
         overwrite = bool(data.get("overwrite", False))
-        return Order(self._scene, self._manner, self._chosen(data), path, overwrite)
+        return SaveRequest(self._scene, self._manner, self._chosen(data), path, overwrite)
 
-    def _unnamed(self, data: dict[str, Any]) -> Order:
+    def _unnamed(self, data: dict[str, Any]) -> SaveRequest:
         """Make the order for the choice of a page with a placeholder path; see `_order`."""
         choice = self._chosen(data)
-        return Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
+        return SaveRequest(self._scene, self._manner, choice, shown_path(self._scene, choice))
 
     def _chosen(self, data: dict[str, Any]) -> Choice:
         choice = choice_of(data.get("choice"))

@@ -18,11 +18,11 @@ from nanogs.errors import NanogsError
 from nanogs.progress import Progress, Step
 from nanogs.studio.choice import Choice
 from nanogs.studio.jobs import Job
-from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.scene import Scene, StudioSettings
 from nanogs.studio.showing import Shown
 
 if TYPE_CHECKING:
-    from nanogs.studio.desk import Desk
+    from nanogs.studio.desk import JobHandler
 
 EVERY = 0.1  # least seconds between two progress events of the same stage
 
@@ -115,7 +115,7 @@ class Inbox:
             self._news.notify_all()
 
 
-class Teller:
+class WorkerChannel:
     """Sends the events of a job to the server; see `Telling`."""
 
     def __init__(self, line: Line, inbox: Inbox, job: Job) -> None:
@@ -192,7 +192,7 @@ class Teller:
         self.check()
 
 
-def work(connection: Connection, scene: Scene, manner: Manner) -> None:
+def work(connection: Connection, scene: Scene, manner: StudioSettings) -> None:
     """Run the worker process: do jobs until the server ends; the first opens the scene.
 
     Args:
@@ -204,18 +204,18 @@ def work(connection: Connection, scene: Scene, manner: Manner) -> None:
     signal.signal(signal.SIGTERM, _stop)
     line = Line(connection)
     inbox = Inbox(line)
-    from nanogs.studio.desk import Desk  # imported here because it imports Numba
+    from nanogs.studio.desk import JobHandler  # imported here because it imports Numba
 
     keep_freed_memory()
-    desk = Desk(scene, manner)
+    desk = JobHandler(scene, manner)
     threading.Thread(target=_draft_sooner, args=(desk, line, inbox), daemon=True).start()
     while True:
         job = inbox.jobs.get()
         inbox.begin(job)
-        line.send(("done", *_outcome(desk, job, Teller(line, inbox, job))))
+        line.send(("done", *_outcome(desk, job, WorkerChannel(line, inbox, job))))
 
 
-def _draft_sooner(desk: "Desk", line: Line, inbox: Inbox) -> None:
+def _draft_sooner(desk: "JobHandler", line: Line, inbox: Inbox) -> None:
     """Make drafts of newer requests while the job that they replace is still stopping.
 
     Of several requests only the latest gets a draft. Errors are ignored here: they are raised again
@@ -226,10 +226,12 @@ def _draft_sooner(desk: "Desk", line: Line, inbox: Inbox) -> None:
         while not inbox.successors.empty():
             job = inbox.successors.get()
         with suppress(NanogsError, MemoryError, OSError, Cancelled):
-            desk.sooner(job, Teller(line, inbox, job))
+            desk.sooner(job, WorkerChannel(line, inbox, job))
 
 
-def _outcome(desk: "Desk", job: Job, tell: Teller) -> tuple[str, dict[str, Any] | None]:
+def _outcome(
+    desk: "JobHandler", job: Job, tell: WorkerChannel
+) -> tuple[str, dict[str, Any] | None]:
     """Do a job, and return how it ended and, unless it succeeded, the event that reports it."""
     try:
         tell.check()

@@ -8,9 +8,9 @@ from typing import Any
 
 from nanogs.io.temporary import sweep
 from nanogs.studio.jobs import Job, Kind, Queue
-from nanogs.studio.orders import Order
+from nanogs.studio.orders import SaveRequest
 from nanogs.studio.process import Process
-from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.scene import Scene, StudioSettings
 
 Event = dict[str, Any]
 Deliver = Callable[[str, Event, dict[str, bytes]], None]
@@ -20,10 +20,10 @@ PATIENCE = 5.0  # seconds that a cancelled job has to stop, before the worker is
 PATIENCE_REPLACED = 30.0  # the same for a job replaced by a newer one, counted from its last event
 
 
-class Workshop:
+class WorkerSupervisor:
     """The worker and its job queue; all methods are called in the thread of the event loop."""
 
-    def __init__(self, scene: Scene, manner: Manner, deliver: Deliver) -> None:
+    def __init__(self, scene: Scene, manner: StudioSettings, deliver: Deliver) -> None:
         """Prepare; `open` starts the worker.
 
         Args:
@@ -205,6 +205,6 @@ class Workshop:
     def _sweep(self) -> None:
         """Remove the temporary files of a save that was interrupted."""
         job = self.queue.running
-        if job is not None and isinstance(job.work, Order):
+        if job is not None and isinstance(job.work, SaveRequest):
             target = job.work.path if job.work.choice.levels is None else job.work.output.folder
             sweep(Path(target))

@@ -29,7 +29,7 @@ _AGAIN = "export or download it again."
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class JsonObject:
     """An object of the JSON, with methods that read its fields by type.
 
     Attributes:
@@ -68,14 +68,14 @@ class Part:
             raise refused(self._at(key), "must be a text")
         return value
 
-    def part(self, key: str) -> "Part":
+    def part(self, key: str) -> "JsonObject":
         """Return a field that is an object, or an empty object if it is missing.
 
         Raises:
             FormatError: It is not an object.
         """
         value = table(self.data.get(key, {}), self._at(key))
-        return Part(self.path, f"{self.where}.{key}", value)
+        return JsonObject(self.path, f"{self.where}.{key}", value)
 
     def items(self, key: str) -> list[Any]:
         """Return a field that is an array, or an empty array if it is missing.
@@ -93,7 +93,7 @@ class Part:
         """
         return [integer(value, self._at(key), 0) for value in self.items(key)]
 
-    def at(self, key: str, index: int) -> "Part":
+    def at(self, key: str, index: int) -> "JsonObject":
         """Return the object at an index of an array field.
 
         Raises:
@@ -102,7 +102,7 @@ class Part:
         values = self.items(key)
         if index >= len(values) or not isinstance(values[index], dict):
             raise self.error(f"has no object {index} in {key!r}, which is referred to")
-        return Part(self.path, f"{key}[{index}]", values[index])
+        return JsonObject(self.path, f"{key}[{index}]", values[index])
 
     def numbers(self, key: str, default: tuple[float, ...]) -> F64:
         """Return an array of as many finite numbers as the default has.
@@ -114,7 +114,7 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
-class Lifted:
+class SkippedUri:
     """The location of a `data:` URI that was skipped when the JSON was read.
 
     Attributes:
@@ -140,9 +140,9 @@ class Document:
     """
 
     path: Path
-    root: Part
+    root: JsonObject
     body: Section | None = None
-    lifted: dict[str, Lifted] = field(default_factory=dict)
+    lifted: dict[str, SkippedUri] = field(default_factory=dict)
     _buffers: dict[int, Section] = field(default_factory=dict)
 
     @property
@@ -191,7 +191,7 @@ class Document:
         buffer, start, end = self._span(self.root.at("bufferViews", index))
         return self._buffers[buffer].part(start, end - start)
 
-    def _span(self, view: Part) -> tuple[int, int, int]:
+    def _span(self, view: JsonObject) -> tuple[int, int, int]:
         """Return the buffer index of a buffer view, and its start and end in bytes there."""
         if packed := [name for name in view.part("extensions").data if "compression" in name]:
             raise view.error(f"is packed with {packed[0]}, which nanogs does not read")
@@ -204,7 +204,7 @@ class Document:
             raise view.error("does not fit into its buffer")
         return number, start, start + length
 
-    def _located(self, buffer: Part, *, first: bool) -> Section:
+    def _located(self, buffer: JsonObject, *, first: bool) -> Section:
         """Return the section of the file that holds a buffer, or its decoded bytes."""
         uri = buffer.text("uri")
         if not uri:
@@ -212,7 +212,7 @@ class Document:
                 raise buffer.error("has no URI")
             return self.body
         if (lifted := self.lifted.get(uri)) is not None:
-            return _lying(self.path, buffer, lifted)
+            return _skipped_uri_section(self.path, buffer, lifted)
         if uri.startswith(DATA):
             data = _decoded(buffer, uri.encode("utf-8", "replace"))
             return Section(self.path, 0, len(data), data)
@@ -220,7 +220,7 @@ class Document:
         return Section(path, 0, input_size(path))
 
 
-def _lying(path: Path, buffer: Part, lifted: Lifted) -> Section:
+def _skipped_uri_section(path: Path, buffer: JsonObject, lifted: SkippedUri) -> Section:
     """Return the bytes of a skipped `data:` URI: in the file, decoded later unless escaped."""
     with reading(path) as file:
         file.seek(lifted.start)
@@ -236,7 +236,7 @@ def _lying(path: Path, buffer: Part, lifted: Lifted) -> Section:
     return Section(path, 0, 3 * groups - padding, text=lifted.start + before)
 
 
-def _head(buffer: Part, uri: bytes) -> bytes:
+def _head(buffer: JsonObject, uri: bytes) -> bytes:
     """Return the part of a `data:` URI before its comma, which has to end with ";base64"."""
     head, comma, _ = uri.partition(b",")
     if not comma or not head.endswith(b";base64"):
@@ -244,7 +244,7 @@ def _head(buffer: Part, uri: bytes) -> bytes:
     return head
 
 
-def _decoded(buffer: Part, uri: bytes) -> bytes:
+def _decoded(buffer: JsonObject, uri: bytes) -> bytes:
     """Decode the payload of a `data:` URI."""
     payload = uri[len(_head(buffer, uri)) + 1 :]
     try:
@@ -271,7 +271,7 @@ def check_length(path: Path, size: int) -> None:
         )
 
 
-def parsed(path: Path, text: bytes) -> Part:
+def parsed(path: Path, text: bytes) -> JsonObject:
     """Parse the JSON of a document and return its root object.
 
     Raises:
@@ -284,7 +284,7 @@ def parsed(path: Path, text: bytes) -> Part:
         raise damaged(path, f"its JSON cannot be read ({reason})") from None
     if not isinstance(data, dict):
         raise damaged(path, "its JSON is no object")
-    return Part(path, "glTF", data)
+    return JsonObject(path, "glTF", data)
 
 
 def _refuse(name: str) -> NoReturn:

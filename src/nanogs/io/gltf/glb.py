@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size, reading
-from nanogs.io.gltf.document import DATA, Document, Lifted, check_length, damaged, parsed
+from nanogs.io.gltf.document import DATA, Document, SkippedUri, check_length, damaged, parsed
 from nanogs.io.section import Section
 
 MAGIC = b"glTF"
@@ -49,7 +49,7 @@ def _read_text(path: Path, file: BinaryIO) -> Document:
     return Document(path, root, lifted=lifted)
 
 
-def _lift(path: Path, file: BinaryIO) -> tuple[bytes, dict[str, Lifted]]:
+def _lift(path: Path, file: BinaryIO) -> tuple[bytes, dict[str, SkippedUri]]:
     """Read the text of a file with a placeholder for every long `data:` URI.
 
     Returns:
@@ -58,7 +58,7 @@ def _lift(path: Path, file: BinaryIO) -> tuple[bytes, dict[str, Lifted]]:
     Raises:
         FormatError: The text without the URIs is too long.
     """
-    rest, lifted = bytearray(), dict[str, Lifted]()
+    rest, lifted = bytearray(), dict[str, SkippedUri]()
     held, place = b"", 0  # bytes read but not processed, and their offset in the file
     begin, escaped = -1, False  # of the URI being skipped; -1 outside of one
     while piece := file.read(_PIECE):
@@ -86,7 +86,7 @@ def _lift(path: Path, file: BinaryIO) -> tuple[bytes, dict[str, Lifted]]:
                 break
             if (length := place + at - begin) > _LONG:
                 name = f"{DATA}{len(lifted)}"
-                lifted[name] = Lifted(begin, length, escaped)
+                lifted[name] = SkippedUri(begin, length, escaped)
                 rest += name.encode()
             else:
                 rest += text

@@ -33,7 +33,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
     """
     splats = splats.with_sh_degree(MAX_DEGREE)
     packed = io.BytesIO()
-    spz_write.write(replace(splats, elements=()), packed, version=spz_write.USUAL)
+    spz_write.write(replace(splats, elements=()), packed, version=spz_write.DEFAULT_VERSION)
     body = _padded(packed.getvalue(), b"\0")
     document = _document(splats, len(packed.getvalue()))
     text = _padded(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), b" ")

@@ -13,9 +13,9 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.gltf.colours import to_display
-from nanogs.io.gltf.document import Document, Part
-from nanogs.io.gltf.rows import Accessor, Body
-from nanogs.io.gltf.scene import EXTENSION, Placed, Pose
+from nanogs.io.gltf.document import Document, JsonObject
+from nanogs.io.gltf.rows import Accessor, BufferReader
+from nanogs.io.gltf.scene import EXTENSION, PlacedPrimitive, Pose
 from nanogs.io.info import FileInfo
 from nanogs.io.spz import read as spz
 from nanogs.io.spz.header import read_header
@@ -58,7 +58,7 @@ class Rows:
     accessors: dict[str, Accessor]
     info: FileInfo
 
-    def holds_logarithms(self, body: Body) -> bool:
+    def holds_logarithms(self, body: BufferReader) -> bool:
         """Return whether any scale is negative, so that scales are stored as logarithms."""
         scales = self.accessors[attribute("SCALE")]
         for start in range(0, scales.count, BLOCK_ROWS):
@@ -66,7 +66,7 @@ class Rows:
                 return True
         return False
 
-    def decode(self, body: Body, out: dict[str, Any], first: int, logarithms: bool) -> None:
+    def decode(self, body: BufferReader, out: dict[str, Any], first: int, logarithms: bool) -> None:
         """Fill the arrays of `out` with the rows from `first` on, block by block."""
         count = len(out["means"])
         for start in range(0, count, BLOCK_ROWS):
@@ -124,7 +124,7 @@ class Packed:
 Primitive = Rows | Packed
 
 
-def primitive_of(document: Document, placed: Placed, linear: bool) -> Primitive:
+def primitive_of(document: Document, placed: PlacedPrimitive, linear: bool) -> Primitive:
     """Make a primitive of splats ready for reading, after checking it against the file.
 
     Raises:
@@ -145,7 +145,7 @@ def primitive_of(document: Document, placed: Placed, linear: bool) -> Primitive:
     return _rows(document, placed, linear)
 
 
-def _rows(document: Document, placed: Placed, linear: bool) -> Rows:
+def _rows(document: Document, placed: PlacedPrimitive, linear: bool) -> Rows:
     """Return an unpacked primitive, its attributes checked against each other and the file."""
     attributes = placed.primitive.part("attributes")
     degree = _degree(attributes)
@@ -170,7 +170,7 @@ def _rows(document: Document, placed: Placed, linear: bool) -> Rows:
     return Rows(placed.pose, linear, accessors, info)
 
 
-def _degree(attributes: Part) -> int:
+def _degree(attributes: JsonObject) -> int:
     """Return the highest SH degree with any attribute; that none is missing is checked later."""
     for degree in range(MAX_DEGREE, 0, -1):
         names = set(coefficients(degree)) - set(coefficients(degree - 1))

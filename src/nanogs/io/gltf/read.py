@@ -23,7 +23,7 @@ from nanogs.formatting import counted
 from nanogs.io.files import check_expansion, splat_bytes
 from nanogs.io.gltf import rows as gltf_rows
 from nanogs.io.gltf.colours import LINEAR
-from nanogs.io.gltf.document import Document, Part
+from nanogs.io.gltf.document import Document, JsonObject
 from nanogs.io.gltf.glb import read_document
 from nanogs.io.gltf.primitives import (
     MAX_DEGREE,
@@ -130,7 +130,7 @@ class _Rows(FileSource):
         return (path, *(p for p in self._scene.document.paths() if p != path))
 
     @contextmanager
-    def _body(self) -> Iterator[gltf_rows.Body]:
+    def _body(self) -> Iterator[gltf_rows.BufferReader]:
         document = self._scene.document
         with gltf_rows.opened(document.path, document.buffers()) as body:
             yield body
@@ -207,7 +207,7 @@ def _check_memory(scene: _Scene) -> None:
         )
 
 
-def _colour_space(scene: _Scene, primitive: Part) -> bool:
+def _colour_space(scene: _Scene, primitive: JsonObject) -> bool:
     """Return whether the colours of a primitive are linear light, and note a conversion."""
     splatting = primitive.part("extensions").part(EXTENSION)
     space = splatting.text("colorSpace", COLOUR_SPACE)
@@ -221,7 +221,7 @@ def _colour_space(scene: _Scene, primitive: Part) -> bool:
     return space in _LINEAR
 
 
-def _describe(scene: _Scene, primitive: Part, info: FileInfo) -> None:
+def _describe(scene: _Scene, primitive: JsonObject, info: FileInfo) -> None:
     """Add a primitive's render mode, comments and unsupported properties to the scene.
 
     Args:

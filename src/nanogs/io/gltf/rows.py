@@ -38,7 +38,7 @@ class Accessor:
     stride: int
     view: tuple[int, int]
 
-    def values(self, body: "Body", start: int, stop: int) -> Array:
+    def values(self, body: "BufferReader", start: int, stop: int) -> Array:
         """Read the stored numbers of rows `start` to `stop`, (R, components).
 
         Raises:
@@ -63,7 +63,7 @@ class Accessor:
         return values
 
 
-class Body:
+class BufferReader:
     """The bytes of open buffers, with a cache of the range read last."""
 
     def __init__(self, path: Path, files: Mapping[int, BinaryIO]) -> None:
@@ -84,7 +84,7 @@ class Body:
 
 
 @contextmanager
-def opened(path: Path, buffers: Mapping[int, Section]) -> Iterator[Body]:
+def opened(path: Path, buffers: Mapping[int, Section]) -> Iterator[BufferReader]:
     """Open the buffers of a document, for the length of a `with` block.
 
     Raises:
@@ -93,6 +93,6 @@ def opened(path: Path, buffers: Mapping[int, Section]) -> Iterator[Body]:
     with ExitStack() as stack:
         try:
             files = {n: stack.enter_context(each.opened()) for n, each in buffers.items()}
-            yield Body(path, files)
+            yield BufferReader(path, files)
         except OSError as error:
             raise unreadable(path, error) from error

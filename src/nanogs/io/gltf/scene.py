@@ -13,7 +13,7 @@ import numpy as np
 
 from nanogs._types import F32, F64
 from nanogs.errors import FormatError
-from nanogs.io.gltf.document import Document, Part
+from nanogs.io.gltf.document import Document, JsonObject
 from nanogs.sh import basis
 from nanogs.stored import quaternions, rotations
 
@@ -102,14 +102,14 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedPrimitive:
     """A primitive of splats and its transform to the frame of `.ply` files."""
 
-    primitive: Part
+    primitive: JsonObject
     pose: Pose
 
 
-def placed_splats(document: Document, above: F64) -> tuple[list[Placed], int]:
+def placed_splats(document: Document, above: F64) -> tuple[list[PlacedPrimitive], int]:
     """Return the splat primitives of the scene, and the number of other primitives.
 
     Args:
@@ -130,7 +130,7 @@ def placed_splats(document: Document, above: F64) -> tuple[list[Placed], int]:
             if EXTENSION not in primitive.part("extensions").data:
                 others += 1
                 continue
-            found.append(Placed(primitive, pose_of(matrix, node.error)))
+            found.append(PlacedPrimitive(primitive, pose_of(matrix, node.error)))
             if len(found) > _MAX_PRIMITIVES:
                 raise node.error(f"is one of too many: nanogs reads {_MAX_PRIMITIVES} primitives")
     if not found:
@@ -150,7 +150,7 @@ def _without_splats(document: Document) -> FormatError:
     )
 
 
-def _nodes(root: Part, above: F64) -> Iterator[tuple[Part, F64]]:
+def _nodes(root: JsonObject, above: F64) -> Iterator[tuple[JsonObject, F64]]:
     """Yield the nodes of the scene with their global matrices, parents first."""
     if not root.items("scenes"):
         raise root.error("has no scene")
@@ -169,7 +169,7 @@ def _nodes(root: Part, above: F64) -> Iterator[tuple[Part, F64]]:
         waiting += [(child, matrix) for child in reversed(node.indices("children"))]
 
 
-def _local(node: Part) -> F64:
+def _local(node: JsonObject) -> F64:
     """Return the (4, 4) local matrix of a node."""
     if "matrix" in node.data:
         return node.numbers("matrix", _IDENTITY).reshape(4, 4).T

@@ -239,7 +239,7 @@ def _read(path: Path) -> _Tileset:
         place = _place_of(tree)
         if place is None:
             return _Tileset(path, tree, ())
-        near = _seen_from(tree, place, np.linalg.inv(place).astype(np.float64))
+        near = _in_frame_of(tree, place, np.linalg.inv(place).astype(np.float64))
     except RecursionError:
         raise refused(str(path), "has tiles in each other without end") from None
     except np.linalg.LinAlgError:
@@ -257,9 +257,9 @@ def _place_of(root: _Tile) -> F64 | None:
     return next(far, None)
 
 
-def _seen_from(root: _Tile, place: F64, back: F64) -> _Tile:
+def _in_frame_of(root: _Tile, place: F64, back: F64) -> _Tile:
     """Transform a tree to the local frame of `place`; `back` is the inverse of its transform."""
-    children = tuple(_seen_from(tile, place, back) for tile in root.children)
+    children = tuple(_in_frame_of(tile, place, back) for tile in root.children)
     # A tile with no other transform gets exactly the identity, without rounding.
     same = np.array_equal(root.above, place)
     with np.errstate(all="ignore"):  # overflow is refused by `pose_of`

@@ -54,7 +54,7 @@ class Ranges:
 
 
 @dataclass(frozen=True, slots=True)
-class Runs:
+class LevelLocation:
     """The location of the splats of a level, cell by cell.
 
     Attributes:
@@ -152,7 +152,7 @@ class Model:
         edges = [numbers(found.get(edge), f"{where}, {edge}", 3) for edge in ("min", "max")]
         return np.array(edges)
 
-    def _levels(self, depth: int) -> list[Runs]:
+    def _levels(self, depth: int) -> list[LevelLocation]:
         """Read the locations of each level's splats and check them against the files."""
         path = self.beside(INDEX)
         place = np.dtype([("count", "<i4"), ("offset", "<i8"), ("size", "<i4")])
@@ -182,7 +182,7 @@ class Model:
                     f"{path} has {counted(int(counts.sum()), 'splat')} in level {level}, and the"
                     f" .lcc says {stated:,}; {_AGAIN}"
                 )
-            found.append(Runs(offsets, np.append(0, np.cumsum(counts))))
+            found.append(LevelLocation(offsets, np.append(0, np.cumsum(counts))))
         return found
 
     def _sizes(self) -> list[int]:

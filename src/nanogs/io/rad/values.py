@@ -206,7 +206,7 @@ def octahedral_points(axes: F64) -> F64:
     return unfolded
 
 
-def turns(quats: F64) -> U8:
+def encode_oct88r8(quats: F64) -> U8:
     """Encode (R, 4) unit wxyz with w of 0 or more as `oct88r8`, (R, 3) bytes."""
     sine = np.linalg.norm(quats[:, 1:], axis=1)
     angle = 2 * np.arctan2(sine, quats[:, 0])

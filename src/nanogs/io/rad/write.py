@@ -32,8 +32,8 @@ from nanogs.io.rad.header import (
     VERSION,
     padded,
 )
-from nanogs.io.rad.values import by_byte, by_component, differences, turns
-from nanogs.io.rotations import least_turned
+from nanogs.io.rad.values import by_byte, by_component, differences, encode_oct88r8
+from nanogs.io.rotations import minimise_rotation
 from nanogs.io.texts import as_utf8
 from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
@@ -204,11 +204,11 @@ def _columns(block: Splats, degree: int) -> Iterator[tuple[dict[str, Any], bytes
     opacities = rounded_bytes(alphas(block.opacity_logits) * 255)[:, None]
     yield _entry("alpha", "r8", 0.0, 1.0), by_component(opacities)
     yield _coloured(_colours(block))
-    quats, logs = least_turned(block)
+    quats, logs = minimise_rotation(block)
     finite = np.clip(logs, -_LARGEST_HALF, _LARGEST_HALF)
     logs = np.where(np.isneginf(logs), logs, finite)
     yield _entry("scales", "ln_f16"), by_component(logs.astype("<f2"))
-    yield _entry("orientation", "oct88r8"), turns(quats).tobytes()
+    yield _entry("orientation", "oct88r8"), encode_oct88r8(quats).tobytes()
     for name, (first, last) in zip(BANDS, _bands(degree), strict=False):
         yield _band(name, block.sh[:, first:last].reshape(len(block), -1))
 

@@ -28,7 +28,7 @@ from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
 from nanogs.io.precision import Precision, visibility
-from nanogs.io.rotations import least_turned, split_quats
+from nanogs.io.rotations import minimise_rotation, split_quats
 from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.meta import CODES, LAST_CODE
@@ -151,7 +151,7 @@ def contents(
         OutputError: As for `write`.
     """
     with encoders() as pool:
-        return begun(pool, splats, groups, tell, packing)()
+        return start_encoding(pool, splats, groups, tell, packing)()
 
 
 def encoders() -> ThreadPoolExecutor:
@@ -161,7 +161,7 @@ def encoders() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(numba.get_num_threads())
 
 
-def begun(
+def start_encoding(
     pool: ThreadPoolExecutor,
     splats: Splats,
     groups: I64 | None = None,
@@ -248,7 +248,7 @@ def _encode(
     submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
     submit("means_u.webp", _picture((codes >> 8).astype(np.uint8)))
     splats, fine = splats.take(rows), packing.precision
-    quats, log_scales = least_turned(splats)
+    quats, log_scales = minimise_rotation(splats)
     submit("quats.webp", _picture(_quats(quats, fine.rotation_step)))
     scales, colours = _codebooks((log_scales, fine.scales), (splats.sh[:, 0], fine.colours))
     submit("scales.webp", _picture(nearest(log_scales, scales)))

@@ -28,7 +28,7 @@ def _settled(source: Source, options: FormatOptions) -> FormatOptions:
 
 def _check_options(options: FormatOptions) -> None:
     if options.get("frame"):
-        write.check_states(_version(options), "states its frame")
+        write.check_holds_records(_version(options), "states its frame")
 
 
 FORMATS = (
@@ -47,7 +47,7 @@ FORMATS = (
             "spare_bits": WriteOption("spare", range(MOST_SPARE_BITS + 1)),
             "frame": WriteOption("frame", RECORDED_FRAMES),
         },
-        states_frame=lambda options: _version(options) == write.STATING,
+        states_frame=lambda options: _version(options) == write.VERSION_WITH_FRAME,
         check_options=_check_options,
         settled=_settled,
         tells=True,

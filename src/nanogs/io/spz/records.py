@@ -53,7 +53,7 @@ def without_records(splats: Splats) -> Splats:
     return replace(splats, elements=[each for each in splats.elements if not is_record(each)])
 
 
-def of_splats(elements: Iterable[ExtraElement], count: int) -> bool:
+def has_per_splat_record(elements: Iterable[ExtraElement], count: int) -> bool:
     """Return whether any record has one row per splat, so that splats must keep their order."""
     return any(is_record(each) and len(each.rows) == count for each in elements)
 

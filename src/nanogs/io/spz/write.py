@@ -30,7 +30,7 @@ from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
 from nanogs.io.palette import palette
 from nanogs.io.precision import FINEST, MOST_BITS, Precision, visibility
-from nanogs.io.rotations import least_turned, split_quats
+from nanogs.io.rotations import minimise_rotation, split_quats
 from nanogs.io.spz.body import frame_record
 from nanogs.io.spz.header import (
     ANTIALIASED,
@@ -44,7 +44,7 @@ from nanogs.io.spz.header import (
 )
 from nanogs.io.spz.packing import BEST, is_small, sorted_columns, write_gzip
 from nanogs.io.spz.read import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
-from nanogs.io.spz.records import of_splats, packed, without_records
+from nanogs.io.spz.records import has_per_splat_record, packed, without_records
 from nanogs.progress import Parts, untold
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import RenderMode, Splats
@@ -53,7 +53,7 @@ from nanogs.stored import rounded_bytes
 SUFFIX = ".spz"
 SH_BITS = 5  # bits kept of an SH coefficient of degree 1; of a higher degree, one less
 # File versions: the default, the one with 3-byte rotations, and the one that can state a frame.
-USUAL, ROUNDED, STATING = 3, 2, 4
+DEFAULT_VERSION, VERSION_SHORT_ROTATIONS, VERSION_WITH_FRAME = 3, 2, 4
 MOST_ENTRIES = 1 << 20  # of a palette
 USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
@@ -142,12 +142,12 @@ def write(
     version = version or usual_version(bits, stating=bool(records))
     if records:
         what = "states its frame" if frame else "holds the extension records of the model"
-        check_states(version, what)
+        check_holds_records(version, what)
     degree, count = source.columns.sh_degree, source.count
     fraction = fraction_bits(source, Precision(bits, spare))
-    movable, groups = not of_splats(elements, count), None
+    movable, groups = not has_per_splat_record(elements, count), None
     if palette_size is not None and degree and count:
-        source, groups = _sharing(source.load(), palette_size, tell, movable=movable)
+        source, groups = _with_palette(source.load(), palette_size, tell, movable=movable)
     flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
     flags |= EXTENSIONS if records else 0
     start = (MAGIC, version, count, degree, fraction, flags)
@@ -159,9 +159,9 @@ def write(
     size = count * sum(widths)
     if movable and (bits < MOST_BITS or groups is not None) and is_small(size):
         columns = sorted_columns(columns, widths, count, groups)
-    if ROUNDED <= version <= LAST_GZIP:
+    if VERSION_SHORT_ROTATIONS <= version <= LAST_GZIP:
         write_gzip(file, LEGACY_HEADER.pack(*start, 0), columns, size, gzip_level)
-    elif version == STATING:
+    elif version == VERSION_WITH_FRAME:
         streams = [_compressed(column) for column in columns]
         file.write(HEADER.pack(*start, len(streams), HEADER.size + len(records)) + records)
         sizes = zip(streams, widths, strict=True)
@@ -171,20 +171,20 @@ def write(
         raise OutputError(f".spz version {version} is not written; choose 2, 3 or 4.")
 
 
-def check_states(version: int, what: str) -> None:
+def check_holds_records(version: int, what: str) -> None:
     """Refuse a file version that cannot hold extension records.
 
     Args:
         version: The version that is to be written.
-        what: The feature that only version `STATING` has, for the message.
+        what: The feature that only version `VERSION_WITH_FRAME` has, for the message.
 
     Raises:
-        OptionError: It is not version `STATING`.
+        OptionError: It is not version `VERSION_WITH_FRAME`.
     """
-    if version != STATING:
+    if version != VERSION_WITH_FRAME:
         raise OptionError(
-            f"Only .spz of version {STATING} {what}; leave `spz_version={version}` out, or give"
-            f" {STATING}."
+            f"Only .spz of version {VERSION_WITH_FRAME} {what}; leave"
+            f" `spz_version={version}` out, or give {VERSION_WITH_FRAME}."
         )
 
 
@@ -196,8 +196,8 @@ def usual_version(bits: int = MOST_BITS, *, stating: bool = False) -> int:
         stating: Whether there are extension records, that of a frame included.
     """
     if stating:
-        return STATING
-    return USUAL if bits == MOST_BITS else ROUNDED
+        return VERSION_WITH_FRAME
+    return DEFAULT_VERSION if bits == MOST_BITS else VERSION_SHORT_ROTATIONS
 
 
 def losses(splats: Splats, *, records: bool = True) -> tuple[str, ...]:
@@ -295,7 +295,7 @@ def _bits(reach: float) -> int:
     return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
 
 
-def _sharing(
+def _with_palette(
     splats: Splats, size: int, tell: Parts, *, movable: bool
 ) -> tuple[InMemory, I64 | None]:
     """Replace the higher SH coefficients by at most `size` palette entries.
@@ -318,11 +318,11 @@ def _sharing(
 def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Encoder]:
     """Return the functions that encode a block of rows, one for each column of the file."""
     steps = STEPS[bits]
-    if version == ROUNDED:
+    if version == VERSION_SHORT_ROTATIONS:
         pack = partial(_xyz_rotations, step=steps.rotations)
     else:
         pack = partial(_rotations, step=steps.magnitudes)
-    turned = _least_turned if bits < MOST_BITS else _as_they_are
+    turned = _smallest_rotations if bits < MOST_BITS else _as_they_are
     encoders: list[Encoder] = [
         lambda block: _positions(block.means, fraction),
         lambda block: _alphas(block, steps.alphas),
@@ -356,9 +356,9 @@ def _as_they_are(block: Splats) -> tuple[F32, F32]:
     return block.unit_quats(), block.log_scales
 
 
-def _least_turned(block: Splats) -> tuple[F32, F32]:
+def _smallest_rotations(block: Splats) -> tuple[F32, F32]:
     """Return rotations and log-scales with the axes reordered so that rotations are small."""
-    quats, log_scales = least_turned(block)
+    quats, log_scales = minimise_rotation(block)
     return quats.astype(np.float32), log_scales
 
 

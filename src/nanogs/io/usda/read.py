@@ -112,7 +112,7 @@ def _decoded(layer: Layer, given: _Field) -> Splats:
     """Decode the splats of one prim, in the frame of `.ply` files."""
     columns = {name: _column(layer, given, name) for name in _WIDTHS}
     out = empty_arrays(given.count, given.degree)
-    pose = pose_of(_placed(layer, given.prim), layer.error)
+    pose = pose_of(_to_stage(layer, given.prim), layer.error)
     scales, alphas = columns["scales"], columns["opacities"][:, 0]
     with np.errstate(all="ignore"):
         out["opacity_logits"][:] = logit(alphas)
@@ -164,7 +164,7 @@ def _parsed(layer: Layer, span: tuple[int, int], name: str) -> F64:
         raise layer.error(f"{name} holds something that is no number") from None
 
 
-def _placed(layer: Layer, prim: Prim) -> F64:
+def _to_stage(layer: Layer, prim: Prim) -> F64:
     """Return the (4, 4) float64 transform from a prim to the stage, y up."""
     up = layer.metadata.get("upAxis", "Y")
     if up not in ("Y", "Z"):
