@@ -1,4 +1,4 @@
-"""`nanogs.refit`: a small model, fitted to renders of the original, and a report."""
+"""`nanogs.refit`: fit a small model to renders of the original, and report on it."""
 
 import time
 from collections.abc import Iterable, Sequence
@@ -35,19 +35,19 @@ def refit(
 ) -> tuple[Splats, RefitReport]:
     """Fit a small model's centres, scales, rotations, opacities and colours to the original.
 
-    The original is rendered from a few cameras; some of these views are kept apart, in groups by
-    picture size and distance, and what does not bring them nearer is taken back. So the result is
-    never worse there than the input, in the mean of any group.
+    The original is rendered from a number of cameras. Some of these views are held out for
+    validation, in groups by picture size and distance, and changes that do not improve them are
+    undone. So the result is never worse than the input there, in the mean of any group.
 
     Args:
-        original: The model to look like, or a path.
+        original: The model to fit to, or a path.
         small: The model to fit, from any tool, or a path; its count, degree and further columns
             are kept.
         cameras: Views of the scene, of any sizes and distances; by default they are chosen from the
             original.
         parameters: See `RefitParameters`.
-        device: Where it is rendered and fitted, as `nanogs.simplify` takes it.
-        threads: Threads to use; all by default. The result does not depend on it.
+        device: The device that renders and fits, as in `nanogs.simplify`.
+        threads: Number of threads; all by default. The result does not depend on it.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`, from "render" and "fit" to the last, whose
             fraction is 1.
@@ -59,12 +59,12 @@ def refit(
         FormatError: A path cannot be read as a model.
         OptionError: An option is out of range, there are fewer than two cameras, or there is no
             such device.
-        ModelError: A model holds nothing that can be seen, or the two are not of one scene.
+        ModelError: A model has no visible splat, or the two do not show the same scene.
     """
     begin, clock = time.perf_counter(), StageClock()
     chosen = parameters or RefitParameters()
     cameras = None if cameras is None else _listed(cameras)
-    # Here and not above: these bring Numba, which `--help` does without.
+    # Imported here because these import Numba, which `--help` must not wait for.
     from nanogs.fit.views import view_targets
     from nanogs.raster.lens import lens_notes
     from nanogs.threads import use_threads
@@ -104,13 +104,13 @@ def fit_to_views(
 
     Args:
         small: The model.
-        fitting: Views of the original to fit to, at least one, kept or to be drawn.
-        deciding: Groups of others, which decide what is kept, at least one.
+        fitting: Views of the original to fit to, at least one, kept or to be rendered.
+        deciding: Groups of validation views, at least one, which decide how much is kept.
         parameters: See `RefitParameters`.
-        original_count: Splats of the original, for the report.
-        threads: Threads in use, for the report.
-        tell: Told of the steps made.
-        sets: Of higher harmonics that splats are to share, if they are.
+        original_count: Number of splats of the original, for the report.
+        threads: Number of threads in use, for the report.
+        tell: Progress callback: number of steps made, and their largest possible number.
+        sets: Palette of higher harmonics that the splats are to share; None for no palette.
     """
     from nanogs.fit.rounds import fit
     from nanogs.fit.shared import fit_shared
@@ -142,12 +142,12 @@ def fit_to_views(
 
 
 def _listed(cameras: "Sequence[Camera] | Camera") -> "list[Camera]":
-    """Cameras as a caller gives them, which are gone through more than once.
+    """Return the cameras that a caller gives as a list, because they are iterated repeatedly.
 
     Raises:
-        OptionError: They are none.
+        OptionError: They are not cameras.
     """
-    from nanogs.raster.camera import Camera  # `--help` does without
+    from nanogs.raster.camera import Camera  # not needed by `--help`
 
     given = [cameras] if isinstance(cameras, Camera) else cameras
     found = list(given) if isinstance(given, Iterable) else [given]

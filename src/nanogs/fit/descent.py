@@ -1,8 +1,8 @@
-"""Steps of a refit: damped Newton steps, splat by splat, on one view at a time.
+"""The steps of a refit: a damped Newton step for each splat, on one view at a time.
 
-Each step follows the pull of one view and is scaled by curvatures averaged over the views in which
-the splat was seen. As every splat of the view takes its whole step at the same time, the curvatures
-are those of a separable surrogate (see `nanogs.kernels.backward`).
+Each step uses the gradient of one view's squared error, and curvatures averaged over the views in
+which the splat was seen. Because all splats of the view take their whole steps at the same time,
+the curvatures are those of a separable surrogate (see `nanogs.kernels.backward`).
 """
 
 import math
@@ -25,19 +25,20 @@ from nanogs.splats import RenderMode, Splats
 if TYPE_CHECKING:
     from nanogs.fit.shared import Shared
 
-# Largest steps: centres in standard deviations, log-scales, turns in radians, logit of the opacity.
+# Largest step of each parameter: centre in standard deviations, log-scales, rotation in radians,
+# logit of the opacity.
 LIMITS = (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.5)
-WARM_UP = 4  # steps until the rate is reached: the first curvatures come from few views
-SLOWEST = 0.3  # of the rate, at the end of the schedule, where states are averaged
+WARM_UP = 4  # steps until the full learning rate: the first curvatures come from few views
+SLOWEST = 0.3  # share of the learning rate at the end of the schedule, where states are averaged
 FITTED = ("centres", "scales", "rotations", "opacities", "colours")
 
 
 class Descent:
-    """Moves a state, view by view.
+    """Fits the parameters of splats to views: each step follows the gradient of one view.
 
     Args:
-        splats: The input; ridges pull back to its colours.
-        views: The views to fit to, each in its turn; a view is drawn when its turn comes.
+        splats: The model to start from; ridges pull colours back to its colours.
+        views: The views to fit to, in random order; those not kept are rendered when needed.
         parameters: Steps, damping, floor, ridges and seed; see `RefitParameters`.
         shared: Which splats share their higher harmonics; by default each has its own.
     """
@@ -59,23 +60,24 @@ class Descent:
         self._limits = np.array([*LIMITS, LOWEST_LOGIT, HIGHEST_LOGIT])
         self._random = np.random.default_rng(parameters.seed)
         self._queue: list[int] = []
-        self._turns = 0  # how often all views have come
+        self._turns = 0  # passes over all views begun so far
         self.begin(start(splats))
 
     @property
     def state(self) -> State:
-        """The splats as they are now; further steps move the same arrays."""
+        """The current parameters; later steps change the same arrays."""
         return self._state
 
     def begin(self, state: State) -> None:
-        """Go on from a state, which stays as it is, with no memory of any view."""
+        """Continue from a copy of a state, and forget the curvatures of all views."""
         n = len(self.splats)
         self._state = state.copy()
         self._active = activate(self._state, self.splats, self.finite)
         if self.views.surroundings is not None:
             model = together(self._active.model, self.views.surroundings)
             self._active = replace(self._active, model=model)
-            self._state = replace(self._state, sh=model.sh[:n])  # one array for both, as it was
+            # State and model share one array of coefficients, as they do without surroundings.
+            self._state = replace(self._state, sh=model.sh[:n])
         self._seen = np.zeros(n, np.int32)
         self._blocks = np.zeros((n, PACKED), np.float32)
         self._weights = np.zeros(n, np.float32)
@@ -83,22 +85,22 @@ class Descent:
         self._count = 0
 
     def averaging(self) -> "Averaging":
-        """A mean of states of this descent, which adds the present one whenever it is told to."""
+        """Return an empty running mean of the states; its `add` includes the current one."""
         return MeanOf(self)
 
     def rest(self) -> None:
-        """Free the memory that only steps need; before further steps, call `begin`."""
+        """Free the memory that only steps need; `begin` must be called before further steps."""
         del self._state, self._active, self._seen, self._blocks, self._weights, self._ways
 
     def step(self, rate: float, share: float) -> float:
-        """Move the state by one step.
+        """Take one step, on the next view.
 
         Args:
-            rate: Length of the first steps.
-            share: How much of the schedule is over, in [0, 1].
+            rate: Learning rate at the start of the schedule.
+            share: Fraction of the schedule that is done, in [0, 1].
 
         Returns:
-            The mean squared error of the step's view before it.
+            The mean squared error of the step's view before the step.
         """
         self._count += 1
         rate *= min(1.0, self._count / WARM_UP)
@@ -109,11 +111,11 @@ class Descent:
         return error
 
     def _level(self, shared: "Shared") -> None:
-        """Give the splats of each entry of a palette the same harmonics."""
+        """Replace the harmonics of all splats of a palette entry by their mean."""
         shared.level(self._state.sh)
 
     def _next(self) -> tuple[Target, int]:
-        """A view, and the blocks of its tiles that the step follows."""
+        """Return the next view, and a bit mask of the blocks of each tile that the step uses."""
         if not self._queue:
             self._queue = self._random.permutation(len(self.views)).tolist()
             self._turns += 1
@@ -123,11 +125,12 @@ class Descent:
         return target, wanted if target.blocks == ALL_BLOCKS else target.blocks
 
     def _follow(self, target: Target, wanted: int, rate: float) -> float:
-        """Move what a view shows in some blocks, and return their error before that."""
+        """Take a step on some blocks of a view, and return their mean squared error before it."""
         state, active, model = self._state, self._active, self._active.model
         view = pull(model, target, wanted)
         advance_splats(
-            np.flatnonzero(view.view.boxes[: len(self.splats)]),  # HIDDEN is 0; no surroundings
+            # The rows that are drawn (HIDDEN is 0), without those of the surroundings.
+            np.flatnonzero(view.view.boxes[: len(self.splats)]),
             view.view.geometry,
             view.view.features,
             view.totals,
@@ -164,36 +167,36 @@ class Descent:
 
 
 class Averaging(Protocol):
-    """The mean of states that a descent passes through."""
+    """A running mean of the states of a descent."""
 
     def add(self) -> None:
-        """Add the state as it is now."""
+        """Include the current state."""
 
     def state(self) -> State:
-        """The mean, with unit quaternions; of at least one state."""
+        """Return the mean, with unit quaternions; needs at least one `add`."""
 
 
 class MeanOf:
-    """The mean of states of a descent; see `Averaging`."""
+    """A running mean of the states of a descent on the CPU; see `Averaging`."""
 
     def __init__(self, descent: Descent) -> None:
         self._descent, self._mean = descent, MeanState()
 
     def add(self) -> None:
-        """Add the state as it is now."""
+        """Include the current state."""
         self._mean.add(self._descent.state)
 
     def state(self) -> State:
-        """The mean, with unit quaternions; of at least one state."""
+        """Return the mean, with unit quaternions; needs at least one `add`."""
         return self._mean.state()
 
 
 def _bands(degree: int, parameters: RefitParameters) -> F64:
-    """(K, 2) curvature and ridge of the coefficients of a splat of weight 1.
+    """(K, 2) curvature and ridge of each spherical-harmonic coefficient of a splat of weight 1.
 
-    All coefficients move at once, so each takes a share p of the change of colour and the curvature
-    Y² / p: half of it for the base colour, equal parts of the other half for the other bands, and
-    within a band shares as Y², whose sum over the band is (2 l + 1) / 4 pi in every direction.
+    All coefficients move at once, so each is given a share p of the change of colour and the
+    curvature Y² / p: the base colour gets half, the other bands equal parts of the other half, and
+    within a band shares are proportional to Y², whose sum is (2 l + 1) / 4 pi in every direction.
     """
     shares = [1.0] if degree == 0 else [0.5] + [0.5 / degree] * degree
     sizes = [2 * band + 1 for band in range(degree + 1)]

@@ -1,4 +1,4 @@
-"""Views that decide, in groups by picture size and distance: a fit must serve each of them."""
+"""Validation views in groups by picture size and distance; a fit must not harm any group."""
 
 import math
 from collections.abc import Sequence
@@ -10,17 +10,17 @@ from nanogs.fit.targets import Target, squared_error
 from nanogs.raster.camera import evenly
 from nanogs.raster.rendering import PreparedSplats
 
-FEWEST = 4  # views that make a group of their own
-RANGE = 4.0  # largest footprint of a pixel over the least, from which near and far are two groups
-EXACT = 2e-6  # mean squared error below which a view counts as equal: what 8 bits leave, 57 dB
+FEWEST = 4  # views needed for a group of its own
+RANGE = 4.0  # ratio of the largest to the least pixel footprint that splits near from far views
+EXACT = 2e-6  # mean squared error below which a view counts as equal: rounding to 8 bits, 57 dB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """Views of about one picture size and distance.
+    """Validation views of similar picture size and distance.
 
     Attributes:
-        name: For the report.
+        name: The group's name in the report.
         targets: The views, one or more.
     """
 
@@ -28,15 +28,15 @@ class Group:
     targets: tuple[Target, ...]
 
     def psnr(self, model: PreparedSplats) -> float:
-        """Mean over the views, dB: a view of large errors does not drown the others."""
+        """Mean PSNR over the views, dB, so that a view with large errors does not dominate."""
         errors = [squared_error(model, target) for target in self.targets]
         return float(-10 * np.log10(np.maximum(errors, EXACT)).mean())
 
 
 def grouped(targets: Sequence[Target]) -> list[Group]:
-    """Sort views by picture size and, where distances differ much, into a near and a far half.
+    """Group views by picture size and, if distances differ much, into a near and a far half.
 
-    Distance is the footprint of a pixel at the median depth of what is seen.
+    The distance is measured by the footprint of a pixel at the median depth of the visible splats.
     """
     groups = []
     for views in _by_size(targets):
@@ -53,15 +53,15 @@ def grouped(targets: Sequence[Target]) -> list[Group]:
 
 
 def pixels_text(targets: Sequence[Target]) -> str:
-    """Pixels along the longer sides of views, of the smallest to the largest: "512 to 900"."""
+    """Say the range of the lengths of the views' longer sides in pixels: "512 to 900"."""
     sizes = sorted({_longer(target) for target in targets})
     return " to ".join(str(size) for size in sizes[:: max(1, len(sizes) - 1)])
 
 
 def hold_out(groups: Sequence[Group], count: int) -> list[Group]:
-    """The part of each group that decides, together about `count` views.
+    """Select validation views from each group, together about `count`.
 
-    At least one and at most a quarter of the group; two or more where that allows it.
+    At least one and at most a quarter of each group; two or more if that allows it.
     """
     held = []
     for group in groups:
@@ -72,9 +72,9 @@ def hold_out(groups: Sequence[Group], count: int) -> list[Group]:
 
 
 def split(targets: Sequence[Target], count: int) -> tuple[tuple[Target, ...], tuple[Group, ...]]:
-    """Views to fit to, and about `count` others that decide, in groups; each view is in one part.
+    """Split views into those to fit to and about `count` validation views, in groups.
 
-    Of a single view none is left to fit to.
+    Each view is in one part. If there is only one view, none is left to fit to.
     """
     deciding = tuple(hold_out(grouped(targets), count))
     held = [target for group in deciding for target in group.targets]
@@ -82,7 +82,7 @@ def split(targets: Sequence[Target], count: int) -> tuple[tuple[Target, ...], tu
 
 
 def _by_size(targets: Sequence[Target]) -> list[list[Target]]:
-    """Views by the longer side of their pictures, to the nearest power of two; few join others."""
+    """Group views by their longer side, to the nearest power of two; small groups are joined."""
     sizes: dict[int, list[Target]] = {}
     for target in targets:
         sizes.setdefault(round(math.log2(_longer(target))), []).append(target)

@@ -1,4 +1,4 @@
-"""Steps of a refit on a graphics card, where the splats stay from one step to the next."""
+"""The steps of a refit on a graphics card; the splats stay in its memory between steps."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class CardDescent(Descent):
-    """Moves a state, view by view, on a device; see `Descent`."""
+    """A `Descent` whose splats are on a device, which also computes the steps."""
 
     def __init__(
         self,
@@ -36,11 +36,11 @@ class CardDescent(Descent):
 
     @property
     def state(self) -> State:
-        """The splats as they are now, fetched from the device."""
+        """The current parameters, copied from the device."""
         return State(*self._moving.columns())
 
     def begin(self, state: State) -> None:
-        """Go on from a state, which is brought to the device."""
+        """Continue from a state, which is copied to the device; see `Descent.begin`."""
         from nanogs.card.fitting import MovingModel, Pace
 
         super().begin(state)
@@ -63,7 +63,7 @@ class CardDescent(Descent):
         )
 
     def averaging(self) -> "CardAveraging":
-        """A mean of states of this descent, on the device; it adds the present one when told to."""
+        """Return an empty running mean on the device; its `add` includes the current state."""
         return CardAveraging(self._moving)
 
     def _level(self, shared: "Shared") -> None:
@@ -78,7 +78,7 @@ class CardDescent(Descent):
 
 
 class CardAveraging:
-    """The mean of states that a descent comes by, on a device; see `fit.state.MeanState`."""
+    """A running mean of the states of a descent on a device; see `fit.state.MeanState`."""
 
     def __init__(self, moving: "MovingModel") -> None:
         self._moving = moving
@@ -86,7 +86,7 @@ class CardAveraging:
         self._count = 0
 
     def add(self) -> None:
-        """Count the state as it is."""
+        """Include the current state."""
         self._count += 1
         if self._mean is None:
             self._mean = self._moving.begin_mean()
@@ -94,8 +94,8 @@ class CardAveraging:
             self._moving.add_to_mean(self._mean, 1 / self._count)
 
     def state(self) -> State:
-        """The mean, with unit quaternions; of at least one state."""
-        assert self._mean is not None  # noqa: S101 - whoever asks has added some
+        """Return the mean, with unit quaternions; needs at least one `add`."""
+        assert self._mean is not None  # noqa: S101 - callers have added a state
         mean = State(*self._moving.columns(self._mean))
         lengths = np.linalg.norm(mean.quats, axis=1, keepdims=True)
         return replace(mean, quats=mean.quats / lengths)
@@ -107,7 +107,7 @@ def descent_for(
     parameters: RefitParameters,
     shared: "Shared | None" = None,
 ) -> Descent:
-    """Begin a fit on the device in use; the arguments are those of `Descent`."""
+    """Create the `Descent` for the device in use; the arguments are those of `Descent`."""
     engine = engine_in_use()
     if engine is None:
         return Descent(splats, views, parameters, shared)

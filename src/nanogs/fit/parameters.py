@@ -1,10 +1,10 @@
-"""Parameters of a refit; every number is without unit, so none depends on a scene's scale."""
+"""Parameters of a refit; none is in scene units, so that none depends on a scene's scale."""
 
 from dataclasses import dataclass
 
 from nanogs.ranges import check_ranges, parameter
 
-KEPT = 64  # views in memory at the most: of 512 pixels 67 MB
+KEPT = 64  # views in memory at most: 67 MB for 512 x 512 pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,23 +12,26 @@ class RefitParameters:
     """Parameters of `nanogs.refit`.
 
     Attributes:
-        views: Views of the original to fit to, by default one for every step; of given cameras, at
-            most so many.
-        validation: Further views that only decide what is kept, at most; see `held`.
+        views: Number of views of the original to fit to, by default one for every step; of given
+            cameras, at most this many are used.
+        validation: Number of further views, at most, that only decide how much of each round is
+            kept; see `held`.
         size: Pixels along the longer side of a view; larger given cameras are reduced to it.
-        rounds: Rounds at most; of each is kept what brings the validation views nearer.
-        steps: Steps a round, each on one view.
-        rate: Length of the first steps, above 0; 1 for the whole way to the minimum of their
-            quadratic.
-        damping: Share of each curvature added to it.
-        floor: Share of a splat's largest curvature added to all of its parameters of shape, above
-            0: what no view determines stays where it is.
-        ridge: Pull of the base colour back to the input's, as a share of its weight.
+        rounds: Rounds at most; of each, the part is kept that improves the validation views.
+        steps: Steps per round, each on one view.
+        rate: Initial learning rate, above 0; 1 goes the whole way to the minimum of the quadratic
+            model.
+        damping: Fraction of each diagonal curvature that is added to it.
+        floor: Fraction of a splat's largest curvature that is added to the diagonal curvatures of
+            all of its shape parameters, above 0, so that a parameter that no view determines does
+            not move.
+        ridge: Strength of the pull of the base colour back to the input's, as a fraction of the
+            splat's weight.
         band_ridge: The same for the higher harmonics.
-        halves: Whether a step follows half of its view's pixels, every other block of 4 x 4, and
-            the other half when the view comes again: half of the work, and little is lost where
-            views come again.
-        seed: Order of the views.
+        halves: Whether a step uses only half of its view's pixels, every other block of 4 x 4, and
+            the other half when the view is used again: half of the work, and little is lost if
+            views are used more than once.
+        seed: Random seed of the order of the views.
     """
 
     views: int = parameter(320, 1, views=True, help="Number of automatic views.")
@@ -48,15 +51,15 @@ class RefitParameters:
     seed: int = parameter(0)
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
+        """Refuse values that are out of range."""
         check_ranges(self)
 
     @property
     def kept(self) -> int:
-        """Views to fit to that stay in memory; more are drawn whenever their turn comes."""
+        """Number of views to fit to that stay in memory; the others are rendered when used."""
         return min(self.views, KEPT)
 
     @property
     def held(self) -> int:
-        """Views that decide: a third of those fitted to where these are few."""
+        """Number of validation views: `validation`, but at most a third of `views` (at least 1)."""
         return min(self.validation, max(1, self.views // 3))

@@ -1,4 +1,4 @@
-"""The report of a refit: frozen dataclasses that become JSON as they stand."""
+"""The report of a refit: frozen dataclasses that convert to JSON directly."""
 
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -6,10 +6,10 @@ from typing import Any
 
 
 class RefitStop(StrEnum):
-    """Why the rounds ended."""
+    """The reason why a refit stopped."""
 
-    ROUNDS = "rounds"  # all of them were made
-    OPTIMUM = "optimum"  # steps of less than a fifth of the first length did not help either
+    ROUNDS = "rounds"  # all rounds were made
+    OPTIMUM = "optimum"  # even a learning rate below a fifth of the first brought no improvement
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,13 +18,15 @@ class RoundReport:
 
     Attributes:
         fitted: Groups of parameters that moved.
-        steps: Steps made.
-        rate: Length of its first step.
-        fit_psnr: Of the mean of the squared errors before each step, of the step's own view, dB.
-        psnr_before: On the validation views before it, dB, as in `RefitReport`.
-        psnr_after: On the validation views after what was kept of it, dB.
-        share: How much of its way was kept, from the state before it (0) to that after it (1).
-        seconds: The round, seconds.
+        steps: Number of steps.
+        rate: Learning rate of the round.
+        fit_psnr: PSNR on the views fitted to, dB: of the mean over the steps of the squared error
+            of each step's view before the step.
+        psnr_before: PSNR on the validation views before the round, dB, as in `RefitReport`.
+        psnr_after: PSNR on the validation views after the part of the round that was kept, dB.
+        share: The part of the round that was kept, from 0, the state before it, to 1, the state
+            after it.
+        seconds: Duration of the round, seconds.
     """
 
     fitted: tuple[str, ...]
@@ -39,14 +41,14 @@ class RoundReport:
 
 @dataclass(frozen=True, slots=True)
 class GroupReport:
-    """Validation views of about one picture size and distance.
+    """The result on validation views of similar picture size and distance.
 
     Attributes:
-        name: Size of the pictures in pixels, and near or far where distances differ much.
+        name: Size of the pictures in pixels, and "near" or "far" if distances differ much.
         views: Names of the cameras.
-        psnr_before: Mean of the input over them, dB, over black and white alike.
+        psnr_before: Mean PSNR of the input over the views, dB, over black and white backgrounds.
         psnr_after: The same of the result; never below `psnr_before`.
-        pixels: Along the longer sides of these pictures: "512", or "512 to 900".
+        pixels: Length of the longer sides of these pictures: "512", or "512 to 900".
     """
 
     name: str
@@ -58,25 +60,25 @@ class GroupReport:
 
 @dataclass(frozen=True, slots=True)
 class RefitReport:
-    """The report of `refit`: what it was given, what it gained, and why it stopped.
+    """The report of `refit`: its input, the improvement, and why it stopped.
 
     Attributes:
         parameters: Every parameter by name.
-        original_count: Splats in the original.
-        count: Splats in the small model, before and after.
+        original_count: Number of splats in the original.
+        count: Number of splats in the small model, before and after.
         fit_views: Names of the cameras fitted to.
-        validation_views: Names of the cameras that decided.
-        groups: What was gained on each group of the validation views.
-        psnr_before: What the fit begins with on the validation views, mean over the groups, dB: the
-            input, whose splats share harmonics already where the file will have a palette.
-        psnr_after: The result on them, dB; never below `psnr_before`.
-        improved: False where nothing was moved.
+        validation_views: Names of the cameras of the validation views.
+        groups: The improvement on each group of the validation views.
+        psnr_before: PSNR of the input on the validation views, mean over the groups, dB. If the
+            file will have a palette, the input's splats share harmonics already.
+        psnr_after: PSNR of the result on these views, dB; never below `psnr_before`.
+        improved: False if nothing was changed.
         rounds: The rounds in order.
-        stop: Why it stopped.
+        stop: The reason why it stopped.
         seconds: Time by stage, seconds.
-        total_seconds: The whole call, seconds.
-        threads: Threads used.
-        notes: What else the user should know, one sentence each.
+        total_seconds: Time of the whole call, seconds.
+        threads: Number of threads used.
+        notes: Further remarks for the user, one sentence each.
     """
 
     parameters: dict[str, float | int]
@@ -97,10 +99,10 @@ class RefitReport:
 
     @property
     def text(self) -> str:
-        """Say what was gained, and why it ended."""
+        """The PSNR before and after, and the reason why it stopped, as one clause."""
         before, after = self.psnr_before, self.psnr_after
         return f"{before:.2f} to {after:.2f} dB on the views that decide, stopped by: {self.stop}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Convert to plain dictionaries, lists, numbers and strings."""
         return asdict(self)

@@ -1,4 +1,4 @@
-"""Rounds of steps; of each, the part is kept that brings the validation views nearer."""
+"""Rounds of steps; of each round, the part is kept that improves the validation views."""
 
 import math
 import time
@@ -22,12 +22,13 @@ from nanogs.splats import Splats
 if TYPE_CHECKING:
     from nanogs.fit.shared import Shared
 
-# Shares of the way from the best state to the end of a round: the first that helps is kept.
+# Backtracking line search: shares of the way from the best state to the end of a round; the first
+# that improves the validation views is kept.
 SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 AVERAGED = 0.2  # share of all steps, the last ones, whose states are averaged; one round at most
-SHORTER = 0.7  # factor of the rate after a round of which only a part was kept
+SHORTER = 0.7  # factor of the learning rate after a round of which only a part was kept
 SHORTEST = 0.25  # the same after a round of which nothing was kept
-LEAST = 0.05  # of the first rate: where nothing was kept and the next would be less, it ends
+LEAST = 0.05  # of the first learning rate: the fit ends if nothing was kept and the next is less
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +45,15 @@ class Outcome:
 
 
 class Guard:
-    """Judges states on the validation views, stored as the models that would be delivered.
+    """Accepts or rejects states by their PSNR on the validation views.
 
-    A state is better if the mean over the groups is higher and no group is below the input.
+    States are compared as the models that would be delivered, values as stored. A state is better
+    if the mean PSNR over the groups is higher and no group is below the input.
 
     Args:
         small: The input.
-        groups: The views that decide.
-        surroundings: What is drawn with every model, if anything.
+        groups: The validation views.
+        surroundings: Splats that are drawn together with every model, if any.
     """
 
     def __init__(
@@ -64,7 +66,7 @@ class Guard:
         self.best = self.before
 
     def accepts(self, state: State) -> bool:
-        """Whether the state is better than the best so far, which it then is."""
+        """Return whether the state is better than the best so far; if so, remember its PSNRs."""
         psnrs = self._psnrs(store(state, self.small))
         better = _mean(psnrs) > _mean(self.best)
         if better and all(new >= old for new, old in zip(psnrs, self.before, strict=True)):
@@ -73,7 +75,7 @@ class Guard:
         return False
 
     def reports(self) -> tuple[GroupReport, ...]:
-        """The gain on each group."""
+        """Report the PSNR of each group before and after."""
         return tuple(
             GroupReport(
                 group.name,
@@ -98,23 +100,23 @@ def fit(
     tell: Parts,
     shared: "Shared | None" = None,
 ) -> tuple[Splats, Outcome]:
-    """Fit the model in rounds.
+    """Fit a model in rounds.
 
     Args:
         small: The model.
         fitting: Views to fit to.
-        deciding: Views that decide what is kept.
+        deciding: Validation views, which decide how much of each round is kept.
         parameters: Rounds, steps, rate, damping and ridges; see `RefitParameters`.
-        tell: Told of the steps made, and of how many there may be.
-        shared: Which splats share their higher harmonics, as the model's do already; by default
-            each has its own.
+        tell: Progress callback: number of steps made, and their largest possible number.
+        shared: Which splats share their higher harmonics, as they must do in `small` already; by
+            default each has its own.
 
     Returns:
-        The fitted model, or the input itself where nothing helped, and what happened.
+        The fitted model, or the input itself if nothing improved it, and the outcome.
     """
     guard = Guard(small, deciding, fitting.surroundings)
     descent = descent_for(small, fitting, parameters, shared)
-    best: State | None = None  # the input, which is its own state
+    best: State | None = None  # None is the input
     rate = parameters.rate
     reports: list[RoundReport] = []
     stop = RefitStop.ROUNDS
@@ -126,7 +128,7 @@ def fit(
             descent.rest()
         best, share = _furthest(guard, best, small, reached)
         if best is not None and not last and share == 1:
-            best = best.copy()  # since the descent goes on to change its state in place
+            best = best.copy()  # because the descent continues to change its state in place
         seconds = time.perf_counter() - begin
         psnrs = _psnr(_mean(errors)), before, _mean(guard.best)
         reports.append(RoundReport(FITTED, len(errors), rate, *psnrs, share, seconds))
@@ -155,16 +157,16 @@ def fit(
 def _furthest(
     guard: Guard, best: State | None, small: Splats, state: State
 ) -> tuple[State | None, float]:
-    """Go from the best state towards another, as far as the guard accepts.
+    """Search from the end of a round back to the best state for a state that the guard accepts.
 
     Args:
-        guard: Judges the states.
-        best: The best state so far; None for that of the input.
+        guard: Accepts or rejects states.
+        best: The best state so far; None is the input.
         small: The input.
-        state: Where a round has ended.
+        state: The state at the end of the round.
 
     Returns:
-        The best state now, and the share of the way to it: 0 where nothing was accepted.
+        The new best state, and its share of the way to `state`: 0 if nothing was accepted.
     """
     for share in SHARES:
         between = state if share == 1 else (best or start(small)).towards(state, share)
@@ -174,9 +176,9 @@ def _furthest(
 
 
 def _round(descent: Descent, rate: float, number: int, tell: Parts) -> tuple[State, list[float]]:
-    """Do the steps of one round; return the state they lead to, and the error at each step.
+    """Take the steps of one round; return the state at its end, and the error at each step.
 
-    The schedule of their lengths spans all rounds; the last states of the last one are averaged.
+    The learning-rate schedule spans all rounds; the last states of the last round are averaged.
     """
     steps = descent.parameters.steps
     total = steps * descent.parameters.rounds

@@ -1,9 +1,8 @@
-"""Harmonics that many splats share, as files with a palette hold them, and their fit.
+"""The fit of models whose splats share their higher harmonics, as files with a palette store them.
 
-A palette that is found for a finished model takes away what the fit has gained. Here the palette is
-found first, and every step moves an entry by what all of its splats ask for, weighed by how much of
-them is seen; base colours and shapes, which are each splat's own, make good what a shared entry
-cannot show.
+Building the palette after a fit would undo what the fit has improved. Here the palette is built
+first, and every step moves an entry by the weighted mean of the steps of all its splats; base
+colours and shapes, which are each splat's own, compensate for what a shared entry cannot show.
 """
 
 from collections.abc import Sequence
@@ -25,11 +24,11 @@ from nanogs.splats import Splats
 
 
 class Sets(NamedTuple):
-    """Sets of higher harmonics that splats are to share.
+    """The palette to build: how many sets of higher harmonics the splats are to share.
 
     Attributes:
-        most: How many there are at most.
-        weights: (N,) float64, positive, how much an error of each splat's colour counts.
+        most: Largest number of sets, the palette's entries.
+        weights: (N,) float64, positive, weight of an error of each splat's colour.
     """
 
     most: int
@@ -38,13 +37,13 @@ class Sets(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shared:
-    """Which splats share their higher harmonics.
+    """Which splats share their higher harmonics: the palette entry of each.
 
     Attributes:
-        labels: (N,) int32, the entry of each splat, from 0 on; each entry has some.
+        labels: (N,) int32, the palette entry of each splat, from 0; no entry is without splats.
         starts: (K + 1,) int64, where the splats of each entry begin in `order`.
-        order: (N,) int64, splats by their entry.
-        weights: (N,) float32, positive, how much a splat counts for its entry.
+        order: (N,) int64, rows of the splats, sorted by entry.
+        weights: (N,) float32, positive, weight of a splat in the mean of its entry.
     """
 
     labels: I32
@@ -54,11 +53,15 @@ class Shared:
 
     @classmethod
     def of(cls, labels: I32, entries: int, weights: F64) -> "Shared":
-        """Splats by the entry that they have."""
+        """Sort splats by their palette entry."""
         return cls(labels, *by_label(labels, entries), weights.astype(np.float32))
 
     def level(self, sh: F32) -> None:
-        """Give all splats of an entry the mean of their higher harmonics, (N, K, 3), in place."""
+        """Replace the higher harmonics of the splats of each entry by their mean, in place.
+
+        Args:
+            sh: (N, K, 3), all coefficients of each splat.
+        """
         points = sh[:, 1:].reshape(len(sh), -1)  # a copy
         means = np.zeros((points.shape[1], len(self.starts) - 1), np.float32)
         squares = np.empty(means.shape[1], np.float32)
@@ -74,24 +77,24 @@ def fit_shared(
     parameters: RefitParameters,
     tell: Parts,
 ) -> tuple[Splats, Outcome]:
-    """Let splats share their higher harmonics, and fit the model that this leaves.
+    """Build a palette of higher harmonics, apply it to a model, and fit the result.
 
     Args:
         small: N splats with harmonics.
-        sets: Of harmonics that they share.
+        sets: Size and weights of the palette.
         fitting: Views to fit to.
-        deciding: Views that decide what is kept.
-        parameters: Of the fit.
-        tell: Told of the steps made, and of how many there may be.
+        deciding: Validation views, which decide how much of each round is kept.
+        parameters: Parameters of the fit.
+        tell: Progress callback: number of steps made, and their largest possible number.
 
     Returns:
-        The fitted model, of so many sets of higher harmonics at most, and what happened.
+        The fitted model, with at most `sets.most` sets of higher harmonics, and the outcome.
     """
     found = palette(small.sh[:, 1:].reshape(len(small), -1), sets.most, sets.weights)
     shared = Shared.of(found.labels, len(found.entries), sets.weights)
     begun = _with(small, found.entries[found.labels])
     fitted, outcome = fit(begun, fitting, deciding, parameters, tell, shared)
-    # Rows that no view has moved kept what their entry was at the beginning.
+    # Rows that never moved still have the entry of before the fit: all get the fitted one.
     moved = np.flatnonzero((fitted.sh[:, 1:] != begun.sh[:, 1:]).any(axis=(1, 2)))
     last = found.entries.copy()
     last[found.labels[moved]] = fitted.sh[moved, 1:].reshape(-1, last.shape[1])
@@ -99,7 +102,7 @@ def fit_shared(
 
 
 def _with(splats: Splats, harmonics: F32) -> Splats:
-    """The model with other higher harmonics, (N, 3 * (K - 1))."""
+    """Return the model with its higher harmonics replaced by (N, 3 * (K - 1)) others."""
     sh = splats.sh.copy()
     sh[:, 1:] = harmonics.reshape(len(splats), -1, 3)
     return replace(splats, sh=sh)

@@ -1,16 +1,16 @@
-"""The stages of a refit, and how long each takes beside the others."""
+"""The stages of a refit and their expected durations, for progress reports."""
 
 from nanogs.fit.parameters import RefitParameters
 from nanogs.progress import Stage
 
 
 def refit_stages(parameters: RefitParameters, original: int, count: int) -> list[Stage]:
-    """The stages of `refit`.
+    """Return the stages of `refit`, each with its expected duration relative to the other.
 
     Args:
-        parameters: Of the fit.
-        original: Splats of the original.
-        count: Splats of the model that is fitted.
+        parameters: Parameters of the fit.
+        original: Number of splats of the original.
+        count: Number of splats of the model that is fitted.
     """
     pixels = (parameters.size / 512) ** 2
     seen = parameters.kept + parameters.held

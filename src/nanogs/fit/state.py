@@ -1,4 +1,4 @@
-"""The parameters that a refit moves, and how they become a model again."""
+"""The parameters that a refit optimises, and their conversion from and to a model."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -12,15 +12,16 @@ from nanogs.raster.rendering import PreparedSplats
 from nanogs.splats import Splats
 from nanogs.stored import alphas, rotations
 
-# Alpha is held at 0.99 when drawn: from a logit far above, an opacity would take long to come down,
-# and a splat that falls below 1/255 is not drawn and could never come back.
+# Bounds of the opacity's logit. Alpha is clamped to 0.99 when drawn, so that it would take many
+# steps to reduce an opacity from a much larger logit; and a splat that falls below 1/255 is not
+# drawn, has no gradient and could never come back.
 HIGHEST_LOGIT = 7.0
 LOWEST_LOGIT = -5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """N splats on their way; a descent moves them in place.
+    """The parameters of N splats during a fit; a descent changes them in place.
 
     Attributes:
         means: (N, 3) float64, scene units.
@@ -28,7 +29,7 @@ class State:
         quats: (N, 4) float64, wxyz, unit.
         logits: (N,) float64.
         sh: (N, K, 3) float32.
-        touched: (N,) bool, which have moved.
+        touched: (N,) bool, true for splats that have moved.
     """
 
     means: F64
@@ -39,11 +40,11 @@ class State:
     touched: Bool
 
     def copy(self) -> "State":
-        """The same numbers in arrays of their own."""
+        """Return a copy of all arrays."""
         return State(*(getattr(self, field.name).copy() for field in fields(self)))
 
     def towards(self, other: "State", share: float) -> "State":
-        """The state at a share, in [0, 1], of the way to a later one of the same descent."""
+        """Interpolate, by a share in [0, 1], towards a later state of the same descent."""
         left = 1 - share
         quats = left * self.quats + share * _facing(other.quats, self.quats)
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
@@ -51,17 +52,17 @@ class State:
             means=left * self.means + share * other.means,
             log_scales=left * self.log_scales + share * other.log_scales,
             quats=quats,
-            logits=left * self.logits + share * other.logits,  # what is infinite stays so
+            logits=left * self.logits + share * other.logits,  # infinite ones stay infinite
             sh=np.float32(left) * self.sh + np.float32(share) * other.sh,
             touched=other.touched.copy(),
         )
 
 
 class MeanState:
-    """The mean of states that a descent passes through (Polyak and Juditsky, 1992).
+    """The running mean of the states of a descent (Polyak and Juditsky, 1992).
 
-    Each step follows one view, and states go to and fro between what views ask for; their mean
-    does not.
+    Each step follows one view, so that states oscillate between the optima of single views; their
+    mean does not.
     """
 
     def __init__(self) -> None:
@@ -78,7 +79,7 @@ class MeanState:
         for mean, new in (
             (self._mean.means, state.means),
             (self._mean.log_scales, state.log_scales),
-            (self._mean.quats, state.quats),  # turns are small, so that none has changed its sign
+            (self._mean.quats, state.quats),  # steps are small, so that none has changed its sign
             (self._mean.logits, state.logits),
             (self._mean.sh, state.sh),
         ):
@@ -87,18 +88,18 @@ class MeanState:
         np.logical_or(self._mean.touched, state.touched, out=self._mean.touched)
 
     def state(self) -> State:
-        """The mean, with unit quaternions; of at least one state."""
-        assert self._mean is not None  # noqa: S101 - whoever asks has added some
+        """Return the mean, with unit quaternions; needs at least one `add`."""
+        assert self._mean is not None  # noqa: S101 - callers have added a state
         self._mean.quats[:] /= np.linalg.norm(self._mean.quats, axis=1, keepdims=True)
         return self._mean
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Active:
-    """A state as the kernels take it.
+    """A state, activated for the kernels.
 
     Attributes:
-        model: What `project` takes; its coefficients are the state's own.
+        model: The model as `project` takes it; it shares the coefficients with the state.
         axes: (N, 3, 3) float32, rotation matrices.
         scales: (N, 3) float32, scene units.
     """
@@ -109,7 +110,7 @@ class Active:
 
 
 def start(splats: Splats) -> State:
-    """The state that a model starts from."""
+    """Convert a model to the state that a fit starts from."""
     return State(
         means=splats.means.astype(np.float64),
         log_scales=splats.log_scales.astype(np.float64),
@@ -121,9 +122,10 @@ def start(splats: Splats) -> State:
 
 
 def ways_of(state: State, splats: Splats) -> F32:
-    """(N, WAY) how far a state is from the model that it started from, of which nothing is told.
+    """(N, WAY) displacement of each parameter from the model that the state started from.
 
-    See `nanogs.kernels.advance`; 0 where the model has infinite opacities.
+    See `nanogs.kernels.advance`, also for the last column, which is 0 here. The displacement from a
+    value that is not finite, such as the logit of opacity 0, is 0.
     """
     ways = np.zeros((len(splats), WAY), np.float32)
     if not state.touched.any():
@@ -141,13 +143,13 @@ def ways_of(state: State, splats: Splats) -> F32:
 
 
 def activate(state: State, splats: Splats, finite: Bool) -> Active:
-    """Arrays for the kernels; tags and everything that does not move from `splats`."""
+    """Activate a state for the kernels; degree, render mode and dtype are those of `splats`."""
     axes = rotations(state.quats).astype(np.float32)
     opacities = alphas(state.logits).astype(np.float32)
     with np.errstate(over="ignore"):
         scales = np.exp(state.log_scales).astype(np.float32)
     model = PreparedSplats(
-        means=state.means.astype(splats.means.dtype),  # as they are stored, and drawn elsewhere
+        means=state.means.astype(splats.means.dtype),  # rounded as in the model to be stored
         factors=axes * scales[:, None, :],
         opacities=opacities,
         reaches=reaches_of(opacities),
@@ -161,10 +163,10 @@ def activate(state: State, splats: Splats, finite: Bool) -> Active:
 
 
 def store(state: State, splats: Splats) -> Splats:
-    """The model with the state's parameters.
+    """Return the model with the state's parameters.
 
-    Rows that never moved keep their bytes, and so do those that left the range of float32: not
-    drawn at all, they could pass for a gain.
+    Rows that never moved keep their bytes. So do rows that left the range of float32: these would
+    not be drawn at all, which could pass for an improvement.
     """
     columns: dict[str, Array] = {
         "means": state.means,
@@ -186,6 +188,6 @@ def store(state: State, splats: Splats) -> Splats:
 
 
 def _facing(quats: F64, others: F64) -> F64:
-    """(N, 4) the same rotations by that one of q and -q which is nearer to the other."""
+    """(N, 4) the same rotations: q or -q, whichever is nearer to the quaternion in `others`."""
     dots = np.einsum("ni,ni->n", quats, others)[:, None]
     return np.where(dots < 0, -quats, quats)

@@ -1,4 +1,4 @@
-"""The targets of a refit: renders of the original, and how far a model is from them."""
+"""The targets of a refit: renders of the original, and a model's error and gradient on them."""
 
 import math
 from collections.abc import Sequence
@@ -22,26 +22,26 @@ from nanogs.raster.rendering import (
     view_on,
 )
 
-# Viewers show a model over any background. Over black and white alike the mean squared error of
-# a pixel with errors dc in its colours and da in its alpha is, for each channel,
+# Viewers show a model over any background, so errors are means over a black and a white one. For a
+# pixel with errors dc in its colour over black and da in its alpha this is, for each channel,
 # (dc² + (dc - da)²) / 2 = (dc - da / 2)² + (da / 2)².
-WHITE = 0.5  # weight of white beside black; subtracted from colours before they are blended
-ALPHA = math.sqrt(3 * WHITE * (1 - WHITE))  # the fourth channel: alpha times this
+WHITE = 0.5  # weight of the white background; subtracted from colours before they are blended
+ALPHA = math.sqrt(3 * WHITE * (1 - WHITE))  # the fourth channel is alpha times this
 
-ROWS = 32  # of an image that become bytes at once: they fit a processor's cache
+ROWS = 32  # of an image that are converted to bytes at a time: they fit a processor's cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """One view of the original.
+    """A rendered view of the original.
 
     Attributes:
         camera: The camera.
-        image: (H, W, 4) uint8, the colours as a screen shows them over black, and alpha; 255 for 1:
-            a quarter of the memory of float32.
-        footprint: Width of a pixel at the median depth of what is seen, scene units; infinite where
-            nothing is seen, or where it was not asked for.
-        blocks: Its set bits are the blocks of every tile that are drawn; the others are empty.
+        image: (H, W, 4) uint8, the colours over black, clipped as on a screen, and alpha; 255 is 1.
+            This takes a quarter of the memory of float32.
+        footprint: Width of a pixel at the median depth of the visible splats, scene units; infinite
+            if nothing is visible, or if it was not asked for.
+        blocks: Bit mask of the blocks of each tile that are drawn; the others are empty.
     """
 
     camera: Camera
@@ -52,14 +52,14 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitting:
-    """The views to fit to: some are kept, the others drawn whenever they are asked for.
+    """The views to fit to: some are kept in memory, the others are rendered each time.
 
     Attributes:
         kept: Views that are rendered already.
-        original: The model that the others are drawn from; None where there are none.
-        further: Cameras of the others.
-        surroundings: Splats that are drawn with the model, and not changed; the views show them,
-            too.
+        original: The model that the other views are rendered from; None if there are none.
+        further: Cameras of the other views.
+        surroundings: Splats that are drawn together with the model but not changed; the views show
+            them, too.
     """
 
     kept: Sequence[Target]
@@ -69,7 +69,7 @@ class Fitting:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all cameras, in their order."""
+        """The names of all cameras, in their order."""
         cameras = [*(target.camera for target in self.kept), *self.further]
         return tuple(camera.name for camera in cameras)
 
@@ -77,22 +77,23 @@ class Fitting:
         return len(self.kept) + len(self.further)
 
     def take(self, index: int, wanted: int = ALL_BLOCKS) -> Target:
-        """One of the views; one that is not kept is drawn now, in the wanted blocks alone."""
+        """Return a view; one that is not kept is rendered now, and only in the wanted blocks."""
         if index < len(self.kept):
             return self.kept[index]
-        assert self.original is not None  # noqa: S101 - whoever gives cameras gives what they show
+        assert self.original is not None  # noqa: S101 - given with the further cameras
         camera = self.further[index - len(self.kept)]
         return make_target(self.original, camera, depth=False, wanted=wanted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pull:
-    """How a view's pixels pull at the splats.
+    """Gradient and curvature of a view's squared error, summed over the pixels for each splat.
 
     Attributes:
         view: The projection.
-        totals: (N, 25) float32, see `nanogs.kernels.backward.pull_tiles`; junk where not drawn.
-        error: Mean squared error, as `squared_error` gives it.
+        totals: (N, 25) float32, see `nanogs.kernels.backward.pull_tiles`; 0 for a splat that is
+            not drawn.
+        error: Mean squared error of the pixels that count, as in `squared_error`.
     """
 
     view: Projection
@@ -103,20 +104,20 @@ class Pull:
 def make_target(
     original: PreparedSplats, camera: Camera, *, depth: bool = True, wanted: int = ALL_BLOCKS
 ) -> Target:
-    """Render the original from a camera; without depth the footprint stays unknown.
+    """Render the original from a camera as a target.
 
     Args:
         original: The model.
-        camera: Where to look from.
-        depth: Whether to find the footprint.
-        wanted: Its set bits are the blocks of every tile to draw; the others stay empty.
+        camera: The camera.
+        depth: Whether to compute the footprint, which is infinite otherwise.
+        wanted: Bit mask of the blocks of each tile to draw; the others stay empty.
     """
     drawn = render(original, camera, depth=depth, wanted=wanted)
     return replace(as_target(drawn, camera), blocks=wanted)
 
 
 def as_target(rendering: Rendering, camera: Camera) -> Target:
-    """A rendering of the original over black, with its depth or without."""
+    """Convert a rendering of the original over black to a target; the footprint needs its depth."""
     fixed = np.empty((*rendering.alpha.shape, 4), np.uint8)
 
     def fill(rows: slice) -> None:
@@ -133,7 +134,7 @@ def as_target(rendering: Rendering, camera: Camera) -> Target:
 
 
 def _in_bytes(values: F32) -> F32:
-    """Values in [0, 1], those outside held to it, as whole numbers up to 255."""
+    """Clip values to [0, 1] and scale them to whole numbers from 0 to 255, still as float32."""
     scaled = np.clip(values, 0, 1)
     scaled *= np.float32(255)
     np.rint(scaled, out=scaled)
@@ -143,9 +144,9 @@ def _in_bytes(values: F32) -> F32:
 def _blend(
     model: PreparedSplats, camera: Camera, wanted: int = ALL_BLOCKS
 ) -> tuple[Projection, F32, F32]:
-    """The projection, what is blended (N, 4), and the image (H, W, 4)."""
+    """Render four channels: return the projection, the features (N, 4) and the image (H, W, 4)."""
     view = project(model, camera)
-    with np.errstate(invalid="ignore"):  # rows that are not drawn hold junk
+    with np.errstate(invalid="ignore"):  # rows that are not drawn are not initialised
         features = view.features - np.array([WHITE, WHITE, WHITE, 0], np.float32)
     features[:, 3] = ALPHA
     image, _, _ = blend(view, camera, features, np.zeros(4, np.float32), wanted=wanted)
@@ -153,7 +154,7 @@ def _blend(
 
 
 def _weigh(target: Target, image: F32, wanted: int = ALL_BLOCKS) -> tuple[F32, F32, float]:
-    """(H, W, 4) wanted change of the image, (H, W) its alpha, and the mean squared error."""
+    """Return the residual (H, W, 4), the image's alpha (H, W) and the mean squared error."""
     residual = np.empty_like(image)
     precision = np.empty(image.shape[:2], np.float32)
     errors = np.empty((len(image), 2))
@@ -163,7 +164,7 @@ def _weigh(target: Target, image: F32, wanted: int = ALL_BLOCKS) -> tuple[F32, F
 
 
 def squared_error(model: PreparedSplats, target: Target) -> float:
-    """Mean squared error of one view over black and white alike, a channel."""
+    """Mean squared error per channel of a view, the mean over black and white backgrounds."""
     engine = engine_in_use()
     if engine is not None:
         view = view_on(engine, model, target.camera)
@@ -173,12 +174,12 @@ def squared_error(model: PreparedSplats, target: Target) -> float:
 
 
 def pull(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Pull:
-    """Render a view and sum up how it pulls at each splat.
+    """Render a view, and sum gradient and curvature of its squared error for each splat.
 
     Args:
         model: The splats.
         target: The view.
-        wanted: Its set bits are the blocks of every tile whose pixels pull.
+        wanted: Bit mask of the blocks of each tile whose pixels count.
     """
     view, features, image = _blend(model, target.camera, wanted)
     residual, precision, error = _weigh(target, image, wanted)
@@ -188,7 +189,10 @@ def pull(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Pul
 def sum_pulls(
     view: Projection, features: F32, image: F32, residual: F32, precision: F32, wanted: int
 ) -> F32:
-    """(N, 25) float32, see `nanogs.kernels.backward.pull_tiles`, whose arguments these are."""
+    """Return the (N, 25) float32 sums of `nanogs.kernels.backward.pull_tiles` for each splat.
+
+    The arguments are those of that kernel.
+    """
     partial = np.empty((len(view.entries), pulls.SUMS), np.float32)
     backward.pull_tiles(
         view.geometry,

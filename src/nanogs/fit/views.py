@@ -1,4 +1,4 @@
-"""The views of a refit: which cameras, which of them decide, and what the original shows there."""
+"""The views of a refit: choose cameras, render the original, hold out validation views."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
 
-OVERLAP = 0.02  # least share of the original's alpha that the small model must cover
+OVERLAP = 0.02  # smallest share of the original's alpha that the small model must cover
 
 
 def view_targets(
@@ -24,11 +24,13 @@ def view_targets(
     parameters: RefitParameters,
     tell: Parts,
 ) -> tuple[Fitting, tuple[Group, ...], tuple[str, ...]]:
-    """Views to fit to, views that decide, in groups by picture size and distance, and notes.
+    """Return the views to fit to, the groups of validation views, and notes for the report.
+
+    Validation views are in groups by picture size and distance.
 
     Raises:
         OptionError: There are fewer than two cameras.
-        ModelError: No two views show the original, or the small model is elsewhere.
+        ModelError: Fewer than two views show the original, or the small model is elsewhere.
     """
     if cameras is not None and len(cameras) < 2:
         raise OptionError(
@@ -57,14 +59,16 @@ def view_targets(
 def choose_cameras(
     splats: Splats, cameras: Sequence[Camera] | None, kept: int, further: int, size: int
 ) -> tuple[list[Camera], list[Camera]]:
-    """Those whose views are kept, and more to fit to: the user's, evenly, or automatic ones.
+    """Choose the cameras whose views are kept in memory, and further ones to fit to.
+
+    Both are spread evenly over the user's cameras, or are automatic ones.
 
     Args:
         splats: The original.
-        cameras: The user's; automatic ones are chosen where there are none.
-        kept: How many of the first kind at most.
-        further: How many of the second at most.
-        size: Pixels along the longer side of a view at most.
+        cameras: The user's cameras; if there are none, automatic ones are found.
+        kept: Number of cameras whose views are kept, at most.
+        further: Number of further cameras, at most.
+        size: Pixels along the longer side of a view, at most.
     """
     if cameras:
         return apart([camera.reduced(size) for camera in evenly(cameras, kept + further)], kept)
@@ -73,7 +77,7 @@ def choose_cameras(
 
 
 def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:
-    """The small model must be seen where the original is."""
+    """Raise `ModelError` if the small model does not cover the pixels of the original."""
     prepared = prepare(small)
     shared = total = 0.0
     for target in targets:
