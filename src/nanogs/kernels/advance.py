@@ -1,8 +1,7 @@
-"""The kernel that moves every splat of a view: one damped Newton step on all of its parameters.
+"""The kernel that takes one damped Newton step on all parameters of every splat of a view.
 
-All that a splat's step needs is at hand when its row is read: how the view's pixels pull at it, the
-curvatures of earlier views, its parameters. So it is taken at once, and nothing of the size of the
-model is written in between.
+Gradient, mean curvatures and parameters of a splat are read once, and its step is taken at once, so
+that no intermediate array of the size of the model is written.
 """
 
 import math
@@ -25,16 +24,16 @@ from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.project import MIN_ALPHA, guard_bounds, reach_of
 from nanogs.kernels.quaternion import rotation_matrix
 
-LEAST_WEIGHT = 1e-6  # curvature of the colour, pixels: less teaches nothing
-# A splat's way since it started: of its centre, log-scales, quaternion and logit, then the most
-# that a view has told of it.
+LEAST_WEIGHT = 1e-6  # least curvature of the colour, in pixels, at which a splat is moved
+# Columns of `ways`: a splat's displacement since the fit began, of its centre, log-scales,
+# quaternion and logit, then the largest `told` of all views so far.
 WAY = 12
 LOGIT, MOST = 10, 11
 
 
 @inline
 def _turn(quat: F64, x: float, y: float, z: float) -> None:
-    """Turn a unit quaternion by (x, y, z), radians, about its own axes."""
+    """Rotate a unit quaternion in place by (x, y, z), radians, about its own axes."""
     angle = math.sqrt(x * x + y * y + z * z)
     factor = math.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
     a, b, c, d = math.cos(0.5 * angle), factor * x, factor * y, factor * z
@@ -53,7 +52,7 @@ def _turn(quat: F64, x: float, y: float, z: float) -> None:
 def _reshape(
     step: F64, rate: float, mean: F64, log_scales: F64, quat: F64, axes: F32, scales: F32
 ) -> None:
-    """Move a splat's centre, scales and rotation by a step in its own frame."""
+    """Apply a step, given in the splat's own frame, to its centre, scales and rotation."""
     for r in range(3):
         for k in range(3):
             mean[r] += rate * step[k] * axes[r, k] * scales[k]
@@ -63,7 +62,7 @@ def _reshape(
 
 @inline
 def _start(mean: F64, log_scales: F64, quat: F64, logit: float, way: F32, start: F64) -> None:
-    """Write where a splat started, (11,), from where it is and its way until now."""
+    """Write the parameters, (11,), that a splat began with: the current ones less its way."""
     for r in range(3):
         start[r] = mean[r] - way[r]
         start[3 + r] = log_scales[r] - way[3 + r]
@@ -76,7 +75,7 @@ def _start(mean: F64, log_scales: F64, quat: F64, logit: float, way: F32, start:
 def _go_back(
     share: float, start: F64, mean: F64, log_scales: F64, quat: F64, logit: float, way: F32
 ) -> float:
-    """Move a splat by a share of its way back to its start, write its way, and return its logit."""
+    """Undo a share of a splat's displacement, update the displacement, and return the logit."""
     length = 0.0
     for r in range(4):
         quat[r] += share * (start[6 + r] - quat[r])
@@ -96,7 +95,7 @@ def _go_back(
 
 @inline
 def _activate(log_scales: F64, quat: F64, axes: F32, scales: F32, factors: F32) -> None:
-    """Write a splat's axes, which are its rotation matrix, its scales, and their products."""
+    """Compute a splat's axes, which are its rotation matrix, its scales, and their products."""
     first, second, third = rotation_matrix(quat)
     for k in range(3):
         axes[0, k], axes[1, k], axes[2, k] = first[k], second[k], third[k]
@@ -119,7 +118,7 @@ def _recolour(
     given: F32,
     sh: F32,
 ) -> None:
-    """Move a splat's coefficients (K, 3); a channel cut off at black is pulled upwards only."""
+    """Apply a step to a splat's coefficients (K, 3); a channel clipped at black only brightens."""
     distance = math.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
     sh_basis(point[0] / distance, point[1] / distance, point[2] / distance, degree, basis)
     for k in range(len(sh)):
@@ -170,15 +169,16 @@ def advance_splats(
     weights: F32,
     ways: F32,
 ) -> None:
-    """Move what a view shows by one step, and activate it for the next view.
+    """Take one step on each splat that a view shows, and activate it for the next view.
 
-    A splat's curvatures are means over the views that showed it. Where it has more pixels in this
-    view than it had in those, they are scaled up as the weight of its colour is: no view alone
-    moves it farther than the view's own curvatures allow, nor than it can tell (`chain.told`). Of
-    what no view has told much of, each step takes back a part of all steps (`chain.way_back`).
+    A splat's curvatures are means over the views that showed it. If it has more pixels in this view
+    than on average, which the weight of its colour measures, they are scaled up by that ratio, so
+    that no single view moves it farther than the view's own curvatures allow. The step is also
+    shortened by how well the view determines the splat (`chain.told`); and if no view has
+    determined a splat well, each step undoes a part of all earlier steps (`chain.way_back`).
 
     Args:
-        start: First place in the order of the range.
+        start: First place in `order` of the range.
         stop: The place after its last.
         order: (M,) rows that were drawn, each once.
         geometry: (N, 8) rows of projected splats.
@@ -189,14 +189,14 @@ def advance_splats(
         lens: (11,) as `nanogs.kernels.project.project_splats` takes it.
         mip: Whether opacities were compensated for the dilation.
         degree: Spherical-harmonic degree, of which `sh` has all coefficients.
-        rate: Length of the step, 1 for the whole way to the minimum of the quadratic; of what the
-            view does not tell apart from its dilation, less.
+        rate: Learning rate, 1 for the whole way to the minimum of the quadratic model; `told`
+            reduces it further for each splat.
         damping: See `damped_steps`.
         floor: See `damped_steps`.
-        memory: Views of a splat that its mean curvatures remember, about.
+        memory: Number of views, about, over which a splat's curvatures are averaged.
         sizes: SIZES of `damped`.
-        limits: (12,) largest steps of the ten parameters of shape, then least and most of the
-            opacity's logit; a logit that starts below the least may stay there.
+        limits: (12,) largest steps of the ten parameters of shape, then least and largest logit of
+            the opacity; a logit that starts below the least may stay there.
         bands: (K, 2) curvature of each coefficient for a weight of 1, and its ridge.
         given: (N, K, 3) coefficients that the ridges pull back to.
         means: (N, 3) in and out, scene units.
@@ -204,18 +204,19 @@ def advance_splats(
         quats: (N, 4) in and out, wxyz, unit.
         logits: (N,) in and out, of the opacity.
         sh: (N, K, 3) in and out.
-        touched: (N,) out, true for what moves.
-        centres: (N, 3) out, the means as they are drawn.
+        touched: (N,) out, set to true for splats that are moved.
+        centres: (N, 3) out, the means in the precision in which they are drawn.
         axes: (N, 3, 3) in and out, rotation matrices.
         scales: (N, 3) in and out, scene units.
         factors: (N, 3, 3) out, axes times scales.
         opacities: (N,) in and out.
         reaches: (N,) out, see `project.reaches_of`.
         keep: (N,) out, whether the splat is to be drawn.
-        seen: (N,) in and out, views that taught the splat.
-        blocks: (N, 55) in and out, mean curvatures of shape, lower triangles.
+        seen: (N,) in and out, number of views that have moved the splat.
+        blocks: (N, 55) in and out, mean Gauss-Newton matrix of the shape, lower triangle.
         weights: (N,) in and out, mean curvature of the colours.
-        ways: (N, WAY) in and out, how far the splat is from where it started, and what was told.
+        ways: (N, WAY) in and out, the splat's displacement since the fit began, and the largest
+            `told` so far.
     """
     bounds = guard_bounds(lens)
     point, basis = np.empty(3), np.empty(25)
@@ -243,7 +244,7 @@ def advance_splats(
                 sums[k, lane] = totals[i, k]
             seen[i] += 1
             touched[i] = True
-            # Rounded last: never to 0.
+            # Computed in float64 and rounded only at the end, so that it is never 0.
             weights[i] = weights[i] + (weight - weights[i]) / min(seen[i], memory)
             excesses[lane] = max(weight / weights[i], 1.0)
             share = told(geometry[i])

@@ -1,19 +1,21 @@
-"""Kernels that walk a rendering backwards: how each splat on screen would change the pixels.
+"""Kernels of the rasteriser's backward pass: gradients and curvatures for each splat on screen.
 
 Derivatives of the blending of Kerbl, Kopanas, Leimkühler, Drettakis, "3D Gaussian Splatting", 2023
-[K], eq. 3, written for least squares: with T the light that reaches splat k and w = T alpha,
+[K], eq. 3, for least squares: with T the transmittance in front of splat k and w = T alpha,
 
     d pixel / d colour_k    = w
     d pixel / d ln alpha_k  = w (colour_k - behind_k),
 
-where behind_k is the colour that shows through splat k from behind it. In the splat's own frame on
-screen, where the Gaussian is exp(-(p² + q²) / 2) (see `nanogs.kernels.project`), moving, stretching
-and fading it changes ln alpha by a combination of the six monomials 1, p, q, p², pq, q²: all that a
-fit needs of a view are sums of these over the pixels.
+where behind_k is the colour blended from all splats behind k. In the splat's own frame on screen,
+where the Gaussian is exp(-(p² + q²) / 2) (see `nanogs.kernels.project`), moving, stretching and
+fading it changes ln alpha by a combination of the six monomials 1, p, q, p², pq, q². So all that a
+fit needs of a view are sums over the pixels: of the gradient by ln alpha times these monomials, and
+of its curvature times the products of two of them.
 
-Each splat's own curvature is not enough where many splats share pixels and are all moved at once:
-the sums use w A in place of w², A being the pixel's alpha. As the w of a pixel add up to A, the
-quadratic with these blocks lies above the true one (the separable surrogates of De Pierro, 1995).
+If many splats share pixels and all move at once, the curvature of each splat alone is too small. So
+the sums use w A in place of w², where A is the pixel's alpha. Because the w of a pixel add up to A,
+the quadratic with one such block for each splat is an upper bound of the true one (the separable
+surrogates of De Pierro, 1995).
 """
 
 import numpy as np
@@ -50,21 +52,22 @@ def weigh_pixels(
     precision: F32,
     errors: F64,
 ) -> None:
-    """How far an image is from its goal.
+    """Compute the residual of an image, which is the target minus the image.
 
-    A colour that is brighter than a screen in both is not wanted to change.
+    Colours are clipped at 1, as on a screen, so that one that is brighter in both has no residual.
 
     Args:
         start: First row of the range.
         stop: The row after its last.
         image: (H, W, 4) blended colours less `white`, and alpha times `alpha_scale`.
-        goal: (H, W, 4) colours over black and alpha, 255 for 1.
-        white: Share of white in the background that errors are taken over.
+        goal: (H, W, 4) the target: colours over black and alpha, 255 is 1.
+        white: Weight of the white background among those that errors are averaged over.
         alpha_scale: Weight of an error in alpha.
-        wanted: Its set bits are the blocks of every tile that count; the others stay as they are.
-        residual: (H, W, 4) out, wanted change of the image.
-        precision: (H, W) out, alpha.
-        errors: (H, 2) out, of each row the sum of the squared residuals, and how many pixels count.
+        wanted: Bit mask of the blocks of each tile that count; the others are not written.
+        residual: (H, W, 4) out, the target minus the image, in the channels of `image`.
+        precision: (H, W) out, alpha of the image.
+        errors: (H, 2) out, for each row the sum of the squared residuals, and the number of pixels
+            that count.
     """
     width = image.shape[1]
     for y in range(start, stop):
@@ -101,22 +104,25 @@ def pull_tiles(
     precision: F32,
     partial: F32,
 ) -> None:
-    """Sums that say how each tile's pixels pull at its splats.
+    """Sum gradient and curvature over the pixels of each tile, for each of its splats.
+
+    Gradients are negative ones, the direction of descent, of half the sum of squares.
 
     Args:
         start: First tile of the range.
         stop: The tile after its last.
         geometry: (N, 8) rows of projected splats.
-        features: (N, 4) what was blended.
+        features: (N, 4) the features that were blended.
         starts: (T + 1,) from `list_tiles`.
         entries: (E,) from `list_tiles`.
-        wanted: Its set bits are the blocks of every tile whose pixels pull.
-        image: (H, W, 4) what `blend_tiles` made of these.
-        residual: (H, W, 4) wanted change of the pixels, times their precision.
-        precision: (H, W) weight of a pixel in the sum of squares, times its alpha.
-        partial: (E, 25) out, for each entry: 0 to 2 the pulls on the first three channels, 3 the
-            sum of w x precision; 4 to 9 the pulls on ln alpha times 1, p, q, p², pq, q²; 10 to 24
-            the curvature of ln alpha times p^a q^b for a + b <= 4, b running fastest.
+        wanted: Bit mask of the blocks of each tile whose pixels count.
+        image: (H, W, 4) the result of `blend_tiles` for these.
+        residual: (H, W, 4) residual of each pixel, times the pixel's weight in the sum of squares.
+        precision: (H, W) that weight of each pixel, times its alpha.
+        partial: (E, 25) out, for each entry: 0 to 2 the gradient by the first three channels, 3 the
+            sum of w x precision, their curvature; 4 to 9 the gradient by ln alpha times 1, p, q,
+            p², pq, q²; 10 to 24 the curvature of ln alpha times p^a q^b for a + b <= 4, b running
+            fastest.
     """
     height, width = image.shape[0], image.shape[1]
     tiles_x = (width + TILE - 1) // TILE
@@ -126,7 +132,7 @@ def pull_tiles(
     trust = np.zeros((LANES, LANES), np.float32)
     shapes = np.empty((BATCH, SHAPE), np.float32)
     values = np.empty((BATCH, CHANNELS), np.float32)
-    marks = np.zeros(LANES, np.uint32)  # of no use here
+    marks = np.zeros(LANES, np.uint32)  # taken by `mark_blocks`, not used here
     for tile in range(start, min(stop, len(starts) - 1)):
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         end = starts[tile + 1]

@@ -1,4 +1,4 @@
-"""Blending splats into a block of 4 x 4 pixels; see `blocks.py`, and `simd/blending.py`."""
+"""Blend splats into a block of 4 x 4 pixels; see `blocks.py`, and `simd/blending.py`."""
 
 import numpy as np
 
@@ -11,15 +11,15 @@ from nanogs.kernels.policy import two_ways
 def blend_block(
     mark: int, block: int, shapes: F32, values: F32, left: F32, weights: F32, planes: F32
 ) -> None:
-    """Blend splats into a block, in their order, and tell their weights; see `shade_pixel`.
+    """Blend splats into a block, in their order, and store their weights; see `shade_pixel`.
 
     Args:
-        mark: Its set bits are the splats.
+        mark: Bit mask of the splats to blend.
         block: 0 to 15.
-        shapes: (BATCH, 8) of the splats.
-        values: (BATCH, 3 or more) what to blend; three of them are.
+        shapes: (BATCH, 8) shapes of the splats.
+        values: (BATCH, 3 or more) features; the first three are blended.
         left: (16, 16) transmittances of the tile's blocks, in and out.
-        weights: (BATCH, 16) out, of these splats.
+        weights: (BATCH, 16) out, weights T alpha of these splats.
         planes: (3 or more, 16, 16) sums for the tile's blocks, in and out.
     """
     for j in range(BATCH):
@@ -35,9 +35,9 @@ def blend_block(
 
 @two_ways
 def add_block(mark: int, block: int, weights: F32, values: F32, c: int, planes: F32) -> None:
-    """Add the weights of splats times one of their values to a block; as `blend_block` for three.
+    """Blend one more feature, number `c`, into a block, with the weights from `blend_block`.
 
-    mark: its set bits are the splats; weights: (BATCH, 16); values: (BATCH, more than c); planes:
+    mark: bit mask of the splats; weights: (BATCH, 16); values: (BATCH, more than c); planes:
     (more than c, 16, 16), in and out.
     """
     for j in range(BATCH):
@@ -48,10 +48,10 @@ def add_block(mark: int, block: int, weights: F32, values: F32, c: int, planes: 
 
 @two_ways
 def probe_block(mark: int, block: int, weights: F32, probes: F32, p: int, sums: F32) -> None:
-    """Add the weights of splats in a block times a probe of its pixels to sums, pixel by pixel.
+    """Add each splat's weights in a block, times probe `p` of the pixels, to `sums`, by pixel.
 
-    mark: its set bits are the splats; weights: (BATCH, 16); probes: (P, 16, 16); sums:
-    (P, BATCH, 16), in and out.
+    mark: bit mask of the splats; weights: (BATCH, 16); probes: (P, 16, 16); sums: (P, BATCH, 16),
+    in and out.
     """
     for j in range(BATCH):
         if int(mark) >> j & 1 == 1:
@@ -61,7 +61,7 @@ def probe_block(mark: int, block: int, weights: F32, probes: F32, p: int, sums: 
 
 @two_ways
 def total(sums: F32, p: int, j: int) -> Single:
-    """The sum of row j of table p, which is overwritten; sums: (P, BATCH, 16)."""
+    """Return the sum of row j of table p, which is overwritten; sums: (P, BATCH, 16)."""
     width = LANES // 2
     while width > 0:
         for lane in range(width):

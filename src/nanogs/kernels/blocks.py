@@ -1,15 +1,15 @@
-"""The blocks of 4 x 4 pixels of a tile, and splats in them, 16 at a time; also `simd/blocks.py`.
+"""Splats in the blocks of a tile, each of 4 x 4 pixels that are shaded together.
 
-Blending takes the blocks of a tile one after the other, and in each its splats, so that the
-transmittances and colours of its pixels stay in registers. The numbers of a block lie side by
-side, row by row, and a tile has 4 x 4 blocks, row by row.
+Blending loops over the blocks of a tile, and in each block over its splats, so that the
+transmittances and colours of its pixels stay in registers. The 16 numbers of a block are
+contiguous, row by row, and a tile has 4 x 4 blocks, row by row. See also `simd/blocks.py`.
 
 With (x, y) from the middle of the tile to a pixel, the alpha of a splat there is exp(-16 s), where
 
     s = (start + across x + along y)² + (height + rise y)² + faint:
 
-the exponent of `nanogs.kernels.project` over 16, as this is how the exponential is taken. These
-six numbers are the splat's shape in the tile.
+the exponent of `nanogs.kernels.project` over 16, because the exponential is computed as a 16th
+power. These six coefficients are called the splat's shape in the tile.
 """
 
 import math
@@ -23,21 +23,21 @@ from nanogs.kernels.policy import inline, two_ways
 Single: TypeAlias = np.float32
 
 TILE = 16  # pixels along each side of a tile
-SIDE = 4  # and of a block
+SIDE = 4  # pixels along each side of a block
 LANES = SIDE * SIDE  # pixels of a block, and blocks of a tile
-BATCH = 32  # splats that are looked at together, one bit of a number for each
+BATCH = 32  # splats that are processed together, each one bit of a mask
 START, ACROSS, ALONG, HEIGHT, RISE, FAINT = range(6)
-SHAPE = 8
-ALL_BLOCKS = 0xFFFF  # of a tile, as the bits of a number
-FIELDS = (0xA5A5, 0x5A5A)  # one colour of a chessboard, and the other
+SHAPE = 8  # columns of a table of shapes; the last two are not used
+ALL_BLOCKS = 0xFFFF  # bit mask of all blocks of a tile
+FIELDS = (0xA5A5, 0x5A5A)  # bit masks of the two colours of a chessboard of blocks
 
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
-UNIT = math.sqrt(32.0)  # p and q of `nanogs.kernels.project` over those whose squares make s
+UNIT = math.sqrt(32.0)  # ratio of p and q in `nanogs.kernels.backward` to the roots of the squares
 FAINTEST = math.log(255.0) / 16.0  # the s of alpha 1/255
-MARGIN = 1e-4  # of s when blocks are told apart, so that rounding never loses a pixel
+MARGIN = 1e-4  # added to the largest s when testing blocks, so that rounding never loses a pixel
 
-# exp(-16 s) = P(s)^16 for s in [0, 3/8]: least squares over P(0) = 1, relative error below 2e-6.
+# exp(-16 s) = P(s)^16 for s in [0, 3/8]: least squares with P(0) = 1, relative error below 2e-6.
 POLYNOMIAL = (
     1.0,
     -0.999999749030319,
@@ -49,10 +49,10 @@ POLYNOMIAL = (
 
 _PLACES = np.arange(LANES)
 COLUMNS, ROWS = (_PLACES % SIDE).astype(np.float32), (_PLACES // SIDE).astype(np.float32)
-MIDDLE = (TILE - 1) / 2  # of a tile, from its first pixel
+MIDDLE = (TILE - 1) / 2  # from the first pixel of a tile to its middle
 
 
-# The numbers above as they are taken beside float32, which nothing of float64 must widen.
+# The constants above as float32, because float64 constants would promote float32 arithmetic.
 _HALF, _ZERO = np.float32((SIDE - 1) / 2), np.float32(0.0)
 _FAINTEST, _REACHED = np.float32(FAINTEST), np.float32(FAINTEST + MARGIN)
 _MAX_ALPHA, _MIN_TRANSMITTANCE = np.float32(MAX_ALPHA), np.float32(MIN_TRANSMITTANCE)
@@ -65,18 +65,18 @@ PIXELS_Y: F32 = (SIDE * ROWS[:, None] + ROWS - MIDDLE).astype(np.float32)
 
 @two_ways
 def mark_blocks(shapes: F32, j: int, marks: U32) -> int:
-    """Set bit j of the mark of each block that the splat may reach.
+    """Find the blocks that a splat may reach, and set bit j of their marks.
 
-    Whether it does is asked of the sum of the least squares over the block, each on its own: that
-    is never more than the least sum.
+    The test is conservative: the least value of each square over the block is found separately, and
+    their sum is never more than the least sum.
 
     Args:
-        shapes: (BATCH, 8) of the splats.
-        j: The splat, 0 to 31.
-        marks: (16,) of the blocks, in and out.
+        shapes: (BATCH, 8) shapes of the splats.
+        j: The splat's row in the batch, 0 to 31.
+        marks: (16,) bit mask of splats for each block, in and out.
 
     Returns:
-        A number whose bits are these blocks.
+        Bit mask of these blocks.
     """
     across, along, rise = shapes[j, ACROSS], shapes[j, ALONG], shapes[j, RISE]
     wide = abs(across) + abs(along)
@@ -85,7 +85,7 @@ def mark_blocks(shapes: F32, j: int, marks: U32) -> int:
         x, y = _MIDDLES_X[block], _MIDDLES_Y[block]
         p = abs(shapes[j, START] + across * x + along * y) - _HALF * wide
         q = abs(shapes[j, HEIGHT] + rise * y) - _HALF * rise
-        p = _ZERO if p < _ZERO else p  # noqa: FURB136 - NaN stays, and reaches nothing
+        p = _ZERO if p < _ZERO else p  # noqa: FURB136 - keeps NaN, which reaches nothing
         q = _ZERO if q < _ZERO else q  # noqa: FURB136
         if shapes[j, FAINT] + p * p + q * q <= _REACHED:
             marks[block] |= np.uint32(1 << j)
@@ -97,20 +97,20 @@ def mark_blocks(shapes: F32, j: int, marks: U32) -> int:
 def shade_pixel(
     shapes: F32, j: int, x: Single, y: Single, before: Single
 ) -> tuple[Single, Single, Single, Single]:
-    """Take the light of splat j from a pixel.
+    """Compute the weight of splat j in a pixel, and the transmittance behind it.
 
-    A pixel that is full keeps its transmittance with a negative sign, which makes every later
-    weight zero without a branch.
+    A pixel whose transmittance would fall below MIN_TRANSMITTANCE is full: it keeps the
+    transmittance with a negative sign, which makes every later weight zero without a branch.
 
     Args:
-        shapes: (BATCH, 8) of the splats.
-        j: The splat.
-        x: From the middle of the tile to the right, pixels.
-        y: And downwards.
+        shapes: (BATCH, 8) shapes of the splats.
+        j: The splat's row in the batch.
+        x: Offset of the pixel from the middle of the tile to the right, pixels.
+        y: The same downwards.
         before: The pixel's transmittance T.
 
     Returns:
-        The weight T alpha, T after it, and the roots of the two squares of s.
+        The weight T alpha, T behind the splat, and the roots of the two squares of s.
     """
     p = shapes[j, START] + shapes[j, ACROSS] * x + shapes[j, ALONG] * y
     q = shapes[j, HEIGHT] + shapes[j, RISE] * y
@@ -131,7 +131,7 @@ def shade_pixel(
 
 @two_ways
 def open_blocks(left: F32) -> int:
-    """A number whose bits are the blocks with a pixel that still takes light; left: (16, 16)."""
+    """Return a bit mask of the blocks with a pixel that is not full; left: (16, 16)."""
     found = 0
     for block in range(LANES):
         for lane in range(LANES):
@@ -142,7 +142,7 @@ def open_blocks(left: F32) -> int:
 
 @two_ways
 def prefetch(array: Array, row: int) -> None:
-    """Ask for the first 64 bytes of a row of a two-dimensional array; changes nothing.
+    """Prefetch the first 64 bytes of a row of a two-dimensional array into the cache.
 
-    An array of three dimensions counts as one of two, of as many columns as its second one.
+    An array of three dimensions is treated as one of two, with the second one's number of columns.
     """

@@ -1,14 +1,14 @@
-"""From a view's sums on screen to what they say of a splat's parameters of shape.
+"""The chain rule from a view's sums on screen to a splat's parameters of shape.
 
-There are ten of them, all without unit:
+There are ten of these parameters, all dimensionless:
 
     0 to 2  its centre along its own axes, in standard deviations along them
     3 to 5  its log-scales
-    6 to 8  a turn about its own axes, radians
+    6 to 8  a rotation about its own axes, radians
     9       the logit of its opacity
 
-Projection as in `nanogs.kernels.project`, whose derivatives these are. A Jacobian is made for one
-splat at a time, all that follows for many side by side (see `nanogs.kernels.damped`).
+The Jacobians are derivatives of the projection in `nanogs.kernels.project`. They are computed for
+one splat at a time, and all that follows for many side by side (see `nanogs.kernels.damped`).
 """
 
 import math
@@ -27,17 +27,18 @@ Bounds: TypeAlias = tuple[float, float, float, float]
 SHAPE = 10
 PACKED = 55  # lower triangle of a 10 x 10 matrix, row by row
 SCREEN = 6
-# Where the parameters after those of the centre begin, and the opacity; and the first monomial of
+# Number of parameters of the centre, index of the opacity, and index of the first monomial of
 # second order.
 CENTRE, OPACITY, SPREAD = 3, 9, 3
-# Share of its way that a splat of which views tell nothing goes back in each step of full length.
+# Share of its displacement that each step of full length undoes if views determine nothing of a
+# splat.
 BACK = 0.2
-# Which monomials each parameter changes. Only the centre moves a splat on screen: the linear ones
-# are its alone. Only opacity changes alpha alike everywhere.
+# Which monomials each parameter changes. Only the centre moves a splat on screen, so that only it
+# changes the linear ones. The opacity changes only the constant.
 CHANGES = np.ones((SHAPE, SCREEN), np.bool_)
 CHANGES[CENTRE:OPACITY, 1:SPREAD] = CHANGES[OPACITY, 1:] = False
 
-# Where the product of two of the monomials 1, p, q, p², pq, q² stands among the moments.
+# Index, among a splat's 25 sums, of the moment of the product of two of 1, p, q, p², pq, q².
 PRODUCTS = np.array(
     [
         [10, 15, 11, 19, 16, 12],
@@ -52,25 +53,26 @@ PRODUCTS = np.array(
 
 @inline
 def new_chains(shape: int, screen: int, lanes: int) -> tuple[F64, F64, F64]:
-    """Allocate what `pulls_and_blocks` takes and works in: Jacobians, sums, products."""
-    # The opacity's row of a Jacobian stays 0 but for one place.
+    """Allocate the arrays of `pulls_and_blocks`: Jacobians, sums, and scratch for products."""
+    # Zeros, because only one entry of the opacity's row of a Jacobian is ever written.
     return np.zeros((shape, screen, lanes)), np.zeros((SUMS, lanes)), np.zeros((screen, lanes))
 
 
 @inline
 def told(row: F64) -> float:
-    """How far a view tells what a splat is like, in [0, 1].
+    """Return how well a view determines a splat, in [0, 1]: the share of its step to take.
 
-    It shows the splat's own covariance on screen and the rasteriser's dilation as one. Where that
-    is made the unit matrix, own are the eigenvalues of the first part: 1 for a splat of many
-    pixels, 0 for a point. From nearer by the dilation goes, and the error of a change there is to
-    that here as 1 to own². If the splat is right there, both are least together a share own² of the
-    way that this view alone asks for. It is the mean over both axes.
+    A view shows only the sum of the splat's own covariance on screen and the rasteriser's dilation.
+    In the frame where this sum is the unit matrix, let own be the eigenvalues of the splat's part:
+    1 for a splat of many pixels, 0 for a point. Seen from nearer, the dilation vanishes, and the
+    error of a change there is to that here as 1 to own². The splat is assumed to be right there, so
+    that only a share own² of the step that this view alone asks for should be taken. The result is
+    the mean of own² over both axes.
 
     Args:
         row: (8,) the projected splat.
     """
-    # Of the dilation where the covariance is the unit matrix: half the trace, and the determinant.
+    # Half the trace, and the determinant, of the dilation in the frame of the unit matrix.
     middle = 0.5 * DILATION * (row[2] * row[2] * (1.0 + row[3] * row[3]) + row[4])
     det = DILATION * DILATION * row[2] * row[2] * row[4]
     share: float = 1.0 - 2.0 * middle + 2.0 * middle * middle - det
@@ -79,13 +81,13 @@ def told(row: F64) -> float:
 
 @inline
 def way_back(told_most: float) -> float:
-    """Share of its way from where a splat started that it goes back in a step of full length.
+    """Return the share of a splat's displacement since its start that a step of full length undoes.
 
-    Short steps go far where they are many: what views cannot tell apart from the dilation they
-    would let drift.
+    Short steps add up to long ways if there are many. Without this, parameters that no view can
+    distinguish from the dilation would drift.
 
     Args:
-        told_most: The most that any view so far has told of it, in [0, 1].
+        told_most: The largest `told` of all views so far, in [0, 1].
     """
     untold = 1.0 - told_most
     return BACK * untold * untold
@@ -95,11 +97,11 @@ def way_back(told_most: float) -> float:
 def _to_monomials(
     p: float, q: float, pp: float, pq: float, qq: float, mip: bool, bare: Triple, out: F64
 ) -> None:
-    """Change of ln alpha as six coefficients of 1, p, q, p², pq, q².
+    """Write a change of ln alpha as six coefficients, of 1, p, q, p², pq, q².
 
-    In the splat's own frame on screen, where its covariance is the unit matrix: (p, q) is the
-    change of its centre, (pp, pq, qq) that of its covariance, and bare that covariance without the
-    dilation (pp, pq, qq).
+    All is in the splat's own frame on screen, where its covariance is the unit matrix: (p, q) is
+    the change of its centre, (pp, pq, qq) that of its covariance, and `bare` (pp, pq, qq) is its
+    covariance without the dilation.
     """
     fade = 0.0
     if mip:  # ln of sqrt(det bare / det covariance)
@@ -112,7 +114,7 @@ def _to_monomials(
 
 @inline
 def _turned(rotation: F64, x: float, y: float, z: float) -> Triple:
-    """A vector in camera space."""
+    """Rotate a vector from world to camera space."""
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
         rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
@@ -131,7 +133,7 @@ def _flattened(
     slope: float,
     inv_h: float,
 ) -> tuple[float, float]:
-    """A vector of camera space as it lies on screen, in the splat's own frame."""
+    """Project a vector in camera space to the splat's own frame on screen."""
     y = jy * (axis[1] - ty * axis[2])
     return inv_w * (jx * (axis[0] - tx * axis[2]) - slope * y), inv_h * y
 
@@ -149,7 +151,7 @@ def screen_jacobian(
     mip: bool,
     jacobian: F64,
 ) -> None:
-    """Write how a splat's ten parameters of shape change ln alpha on screen.
+    """Compute the Jacobian of ln alpha on screen by a splat's ten parameters of shape.
 
     Args:
         row: (8,) the projected splat.
@@ -159,7 +161,7 @@ def screen_jacobian(
         opacity: In [0, 1], before any compensation.
         rotation: (3, 3), world to camera.
         lens: (2 or more,) fx and fy in pixels.
-        bounds: Of x / z and y / z, see `guard_bounds`.
+        bounds: Bounds of x / z and y / z, see `guard_bounds`.
         mip: Whether opacities were compensated for the dilation.
         jacobian: (10, 6) out, coefficients of 1, p, q, p², pq, q²; of the opacity's row the first
             alone is written, the others are 0.
@@ -173,8 +175,8 @@ def screen_jacobian(
     jx, jy = fx * per_depth, fy * per_depth
     slides_x, slides_y = (jx if tx == xz else 0.0), (jy if ty == yz else 0.0)
 
-    # Along each axis: a unit's way on screen in the splat's own frame (p, q), in depth, and the
-    # square of the scale.
+    # For each axis: its unit vector in camera space, the projection of that to the splat's own
+    # frame on screen (p, q), and the scale.
     first = _turned(rotation, axes[0, 0], axes[1, 0], axes[2, 0])
     second = _turned(rotation, axes[0, 1], axes[1, 1], axes[2, 1])
     third = _turned(rotation, axes[0, 2], axes[1, 2], axes[2, 2])
@@ -225,28 +227,28 @@ def screen_jacobian(
 
 @exact_inline
 def _add_products(out: F64, a: F64, b: F64) -> None:
-    """Add one product for each splat."""
+    """Add a product elementwise, one for each splat."""
     for lane in range(len(out)):
         out[lane] += a[lane] * b[lane]
 
 
 @exact_inline
 def _clear(out: F64) -> None:
-    """Begin a sum for each splat; an assignment to all of a row takes longer to compile."""
+    """Set a sum to 0 for each splat; a loop, because assigning a slice takes longer to compile."""
     for lane in range(len(out)):
         out[lane] = 0.0
 
 
 @exact_inline
 def pulls_and_blocks(jacobians: F64, sums: F64, products: F64, pulls: F64, blocks: F64) -> None:
-    """The pulls J g of splats side by side, and of their blocks J M Jᵀ the lower triangles.
+    """Compute gradients J g and Gauss-Newton matrices J M Jᵀ of splats side by side.
 
     Args:
         jacobians: (10, 6, L) from `screen_jacobian`.
         sums: (25, L) from `gather_entries`.
         products: (6, L) scratch.
-        pulls: (10, L) out.
-        blocks: (55, L) out.
+        pulls: (10, L) out, the gradients, negative as in `sums`.
+        blocks: (55, L) out, lower triangles of the matrices.
     """
     screen = len(products)
     for a in range(len(pulls)):

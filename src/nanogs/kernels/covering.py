@@ -1,6 +1,6 @@
-"""Kernel that counts the splats which cover each pixel.
+"""Kernel that counts the splats that cover each pixel (overdraw).
 
-What a row of `geometry` holds is said in `nanogs.kernels.project`.
+The columns of `geometry` are described in `nanogs.kernels.project`.
 """
 
 import math
@@ -17,21 +17,22 @@ from nanogs.kernels.project import SLACK
 def cover_tiles(
     start: int, stop: int, geometry: F64, starts: I64, entries: I32, counts: I32
 ) -> None:
-    """Add to each pixel how many splats have an alpha of 1/255 or more there, in any order.
+    """Add to each pixel the number of splats with an alpha of 1/255 or more there, in any order.
 
-    In a row of pixels these are the ones between the two where the ellipse of alpha 1/255 cuts it.
+    In a row of pixels, a splat covers those between the two points where the ellipse of alpha 1/255
+    crosses the row.
 
     Args:
         start: First tile of the range.
         stop: The tile after its last.
         geometry: (N, 8) rows of projected splats.
         starts: (T + 1,) from `listing.list_tiles`.
-        entries: (E,) from there.
+        entries: (E,) from `listing.list_tiles`.
         counts: (H, W) in and out.
     """
     height, width = counts.shape
     tiles_x = (width + TILE - 1) // TILE
-    steps = np.empty((TILE, TILE + 1), np.int32)  # by how many the pixel has more than its left
+    steps = np.empty((TILE, TILE + 1), np.int32)  # the count of a pixel less that of its left one
     for tile in range(start, min(stop, len(starts) - 1)):
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         across, down = min(TILE, width - x0), min(TILE, height - y0)
@@ -41,7 +42,7 @@ def cover_tiles(
             u, v, sigma, slope, inv_yy = row[0] - x0, row[1] - y0, 1.0 / row[2], row[3], row[4]
             reach, rise = row[5] - SLACK, row[7]
             top, bottom = max(v - rise - 0.5, 0.0), min(v + rise - 0.5, down - 1.0)
-            if not top <= bottom:  # before rounding: too large a number makes no integer
+            if not top <= bottom:  # tested before rounding, which fails for too large numbers
                 continue
             for y in range(math.ceil(top), math.floor(bottom) + 1):
                 dy = y + 0.5 - v

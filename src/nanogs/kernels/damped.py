@@ -1,10 +1,11 @@
 """Damped Newton steps of many splats side by side: ten equations each (Levenberg and Marquardt).
 
-Every sum of one splat waits for the one before it, so that a processor that solves splat by splat
-mostly waits. Here the innermost loop runs over splats, which do not wait for each other and fill
-the processor's vectors: ten times as fast. Its length is not known to the compiler, which would
-write a known one out and then not find the vectors. Sums keep their order: the end of a loop is
-compiled apart, and with liberties it could round a splat's step by where the splat stands.
+Within one splat, every operation depends on the one before it, so that a processor that solves
+splat by splat mostly waits. Here the innermost loop runs over splats, which are independent and
+fill the vector registers: ten times as fast. The length of that loop is not a constant, because the
+compiler would unroll it and then not vectorise it. Operations are kept in the order written: the
+remainder of a loop is compiled separately, and if it could reorder them, the rounding of a splat's
+step would depend on its lane.
 """
 
 import math
@@ -15,18 +16,18 @@ from nanogs._types import F64, Bool
 from nanogs.kernels.chain import SCREEN, SHAPE
 from nanogs.kernels.policy import exact_inline
 
-# Splats side by side: their blocks fill 14 kB of the first cache.
+# Splats side by side: their matrices take 14 kB of the first-level cache.
 LANES = 32
-# Parameters, monomials and splats side by side, for a kernel to take: loops of lengths that LLVM
-# knows are written out, and it takes seconds to compile what comes of that.
+# Numbers of parameters, monomials and splats side by side, passed to kernels as arguments: LLVM
+# would unroll loops of constant length, and take seconds to compile the result.
 SIZES = SHAPE, SCREEN, LANES
 
 
 @exact_inline
 def new_lanes(shape: int, lanes: int) -> tuple[F64, F64, Bool]:
-    """Allocate what `damped_steps` takes: the pulls, the blocks, and which splats have a step.
+    """Allocate the arrays of `damped_steps`: gradients, matrices, and which splats have a step.
 
-    Lanes that stay empty are solved too: as what nothing bends.
+    Lanes that stay empty are solved, too: their matrices are 0, which gives no step.
     """
     packed = shape * (shape + 1) // 2
     return np.zeros((shape, lanes)), np.zeros((packed, lanes)), np.zeros(lanes, np.bool_)
@@ -36,7 +37,7 @@ def new_lanes(shape: int, lanes: int) -> tuple[F64, F64, Bool]:
 def _lift_diagonal(
     shape: int, blocks: F64, damping: float, floor: float, lifts: F64, moves: Bool
 ) -> None:
-    """Damp the blocks, and note what the floor adds to each; 1 where nothing bends."""
+    """Damp the matrices, and store what the floor adds to each diagonal; 1 for a matrix of 0."""
     lanes = len(lifts)
     for lane in range(lanes):
         largest = 0.0
@@ -52,7 +53,7 @@ def _lift_diagonal(
 
 @exact_inline
 def _factorise(shape: int, lower: F64, lifts: F64) -> None:
-    """Cholesky's lower factors in place of the blocks, with the inverses of their diagonals."""
+    """Replace the matrices by their lower Cholesky factors, whose diagonals are inverted."""
     lanes = len(lifts)
     for a in range(shape):
         row = a * (a + 1) // 2
@@ -65,13 +66,13 @@ def _factorise(shape: int, lower: F64, lifts: F64) -> None:
                 for lane in range(lanes):
                     lower[row + b, lane] *= lower[other + b, lane]
         for lane in range(lanes):
-            # Rounding alone could make it less than what was added.
+            # The pivot is at least what was added to the diagonal, but for rounding.
             lower[row + a, lane] = 1.0 / math.sqrt(max(lower[row + a, lane], lifts[lane]))
 
 
 @exact_inline
 def _substitute(lower: F64, steps: F64) -> None:
-    """Solve for the steps in place, with the factors of `_factorise`."""
+    """Solve for the steps in place, by substitution with the factors of `_factorise`."""
     shape, lanes = steps.shape
     for a in range(shape):
         row = a * (a + 1) // 2
@@ -91,7 +92,7 @@ def _substitute(lower: F64, steps: F64) -> None:
 
 @exact_inline
 def _shorten(steps: F64, limits: F64, moves: Bool) -> None:
-    """Hold every step to its limits; what is past all bounds is none."""
+    """Shorten every step to its limits; one that is not finite is none."""
     for lane in range(steps.shape[1]):
         excess, length = 1.0, 0.0
         for a in range(len(steps)):
@@ -106,21 +107,21 @@ def _shorten(steps: F64, limits: F64, moves: Bool) -> None:
 def damped_steps(
     pulls: F64, blocks: F64, damping: float, floor: float, limits: F64, lifts: F64, moves: Bool
 ) -> None:
-    """Solve the equations of L splats and hold the steps to their limits.
+    """Solve the equations of L splats, and shorten the steps to their limits.
 
-    All L are solved, whatever some of them hold: what a splat comes to does not depend on how many
-    there are beside it.
+    All L lanes are solved, used or not, so that a splat's step does not depend on the number of
+    splats beside it.
 
     Args:
-        pulls: (10, L) in; the steps out.
-        blocks: (55, L) lower triangles, row by row; overwritten.
-        damping: Share of the diagonal added to it.
-        floor: Share of the largest curvature added to all of the diagonal, more than 0: what
-            nothing determines stays where it is.
+        pulls: (10, L) negative gradients in; the steps out.
+        blocks: (55, L) lower triangles of the matrices, row by row; overwritten.
+        damping: Fraction of the diagonal that is added to it.
+        floor: Fraction of the largest diagonal entry that is added to all of the diagonal, more
+            than 0, so that a parameter that nothing determines does not move.
         limits: (10 or more,) largest steps, above 0; a longer step is shortened as a whole.
         lifts: (L,) scratch.
-        moves: (L,) out, whether there is a step: not where nothing bends, or where numbers are past
-            all bounds.
+        moves: (L,) out, whether there is a step: false if the matrix is 0 or the step is not
+            finite.
     """
     _lift_diagonal(len(pulls), blocks, damping, floor, lifts, moves)
     _factorise(len(pulls), blocks, lifts)

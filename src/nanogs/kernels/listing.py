@@ -1,6 +1,6 @@
 """Kernels of the rasteriser that list the projected splats of each tile, nearest first.
 
-What a row of `geometry` holds is said in `nanogs.kernels.project`.
+The columns of `geometry` are described in `nanogs.kernels.project`.
 """
 
 import math
@@ -15,21 +15,21 @@ from nanogs.kernels.project import HIDDEN, pack_box, unpack_box
 from nanogs.slices import SLICE_STEPS, slices
 
 CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
-SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
-HIGHEST, WIDEST = 4, 254  # tiles of the largest box whose spans are remembered
-AHEAD = 16  # places of the order whose rows are asked for before they are read
+SMALL = 2  # tiles a side up to which a box is listed whole: tiles not reached draw nothing
+HIGHEST, WIDEST = 4, 254  # rows and columns of tiles of the largest box whose spans are stored
+AHEAD = 16  # rows are prefetched this many places of the order before they are read
 WHOLE, UNKNOWN = np.uint64(0), np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-# Exact, as two kernels must find the same.
+# Exact floating point, because two kernels must find the same tiles.
 @exact_inline
 def _tile_span(
     row: F64, lowest: float, left_tile: int, across: int, ty: int, width: int, height: int
 ) -> tuple[int, int]:
-    """Tiles [first, end) of tile row ty that hold a pixel centre inside a splat's ellipse.
+    """Return the tiles [first, end) of row ty that have a pixel centre inside a splat's ellipse.
 
-    row: of geometry; lowest: the height above the centre at which it is leftmost, in pixels;
-    left_tile and across: the box of tiles that has all of them.
+    row: of `geometry`; lowest: from `_lowest`; left_tile and across: first column and number of
+    columns of the splat's box of tiles, to which the result is limited.
     """
     u, v, sigma = row[0], row[1], 1.0 / row[2]
     slope, inv_yy, reach = row[3], row[4], row[5]
@@ -40,7 +40,7 @@ def _tile_span(
     left = slope * left_y - math.sqrt(max(0.0, reach - left_y * left_y * inv_yy)) * sigma
     right = slope * right_y + math.sqrt(max(0.0, reach - right_y * right_y * inv_yy)) * sigma
     low, high = max(u + left - 0.5, 0.0), min(u + right - 0.5, width - 1.0)
-    if not low <= high:  # before rounding: too large a number makes no integer
+    if not low <= high:  # tested before rounding, which fails for numbers that are too large
         return left_tile, left_tile
     first, last = math.ceil(low), math.floor(high)
     if last < first:
@@ -50,7 +50,7 @@ def _tile_span(
 
 @exact_inline
 def _lowest(row: F64) -> float:
-    """The height above the centre at which a splat is leftmost, in pixels."""
+    """Return the y offset from a splat's centre to its leftmost point, in pixels."""
     drift = row[3] * row[2]
     height: float = -row[7] * drift / math.sqrt(drift * drift + row[4])
     return height
@@ -60,12 +60,12 @@ def _lowest(row: F64) -> float:
 def depth_keys(
     start: int, stop: int, features: F32, boxes: I64, bounds: I64, places: I64, keys: U64
 ) -> None:
-    """Write sort keys of the splats that are drawn: depth above, index below.
+    """Write a sort key for each splat that is drawn: depth in the upper half, index in the lower.
 
     Args:
         start: First run of rows of the range.
         stop: The run after its last.
-        features: (N, 4), the last one the depth, above 0, whose bits sort as its values do.
+        features: (N, 4), the last column is the depth, above 0, whose bits sort as its values do.
         boxes: (N,) from `project_splats`.
         bounds: (runs + 1,) where each run begins.
         places: (runs,) where the keys of each run begin.
@@ -82,8 +82,9 @@ def depth_keys(
 
 @kernel
 def extent_of(boxes: I64) -> tuple[int, int, int, int]:
-    """The tiles that hold all boxes: first column and row, and those after the last; 0 of none.
+    """Return the bounding box of all boxes of tiles.
 
+    These are its first column and row, and those after its last; 0 if there is no box.
     boxes: (N,) from `project_splats`.
     """
     left = top = right = bottom = 0
@@ -102,7 +103,7 @@ def extent_of(boxes: I64) -> tuple[int, int, int, int]:
 def cut_boxes(
     boxes: I64, left: int, top: int, right: int, bottom: int, rows: I64, cut: I64
 ) -> tuple[int, int, int]:
-    """Find the splats that may reach some part of a picture, and the tiles of it around each.
+    """Find the splats that may reach a part of a picture, and clip their boxes of tiles to it.
 
     Args:
         boxes: (N,) from `project_splats`.
@@ -110,12 +111,12 @@ def cut_boxes(
         top: Its first row of tiles.
         right: The column after its last.
         bottom: The row after its last.
-        rows: (N,) out, first those that may reach it, in their order.
-        cut: (N,) out, their boxes, cut to the part.
+        rows: (N,) out, in its first places the splats that may reach the part, in their order.
+        cut: (N,) out, their boxes, clipped to the part.
 
     Returns:
-        How many these are, how many tiles their boxes have in all, and how many of all have the
-        corner of their box in the part: of the parts of a picture, one has it.
+        The number of these splats, the number of tiles of their clipped boxes, and the number of
+        splats whose box has its corner in the part: of all parts of a picture, exactly one.
     """
     count = tiles = corners = 0
     for i in range(len(boxes)):
@@ -145,20 +146,20 @@ def span_tiles(
     spans: U64,
     counts: I64,
 ) -> None:
-    """Find the tiles that the splats of each run of the depth order meet, and count them.
+    """Find the tiles that the splats of each run of the depth order meet, and count the splats.
 
     Args:
         start: First run of the range.
         stop: The run after its last.
         geometry: (N, 8) rows of projected splats.
-        boxes: (M,) the tiles around each, in this order.
+        boxes: (M,) the box of tiles of each splat, in the order of `order`.
         order: (M,) indices of the drawn splats, nearest first.
         width: Image width in pixels.
         height: Image height in pixels.
-        spans: (M,) out, for each place of the order the first tile and the end in up to four rows
-            of the box, in bytes counted from its left; 0 for a box that is met whole, and
-            `UNKNOWN` for one that does not fit.
-        counts: (runs, T) out, for each run of the order and tile.
+        spans: (M,) out, for each splat in this order the first tile and the end in up to four rows
+            of its box, one byte each, counted from the left of the box; 0 for a box that is listed
+            whole, and `UNKNOWN` for one that does not fit.
+        counts: (runs, T) out, number of splats for each run and tile.
     """
     tiles_x = (width + TILE - 1) // TILE
     size = (len(order) + len(counts) - 1) // len(counts)
@@ -205,12 +206,12 @@ def list_runs(
         start: First run of the range.
         stop: The run after its last.
         geometry: (N, 8) rows of projected splats.
-        boxes: (M,) the tiles around each, in this order.
+        boxes: (M,) the box of tiles of each splat, in the order of `order`.
         order: (M,) indices of the drawn splats, nearest first.
         width: Image width in pixels.
         height: Image height in pixels.
         spans: (M,) from `span_tiles`.
-        cursors: (runs, T) where each run begins in each tile's list, moved to its end.
+        cursors: (runs, T) in, where each run begins in each tile's list; out, where it ends.
         entries: (E,) out.
     """
     tiles_x = (width + TILE - 1) // TILE
@@ -238,7 +239,7 @@ def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -
 
     Args:
         geometry: (N, 8) rows of projected splats.
-        boxes: (N,) the tiles around each, from `project_splats`.
+        boxes: (N,) the box of tiles of each splat, from `project_splats`.
         order: (M,) indices of the drawn splats, nearest first.
         width: Image width in pixels.
         height: Image height in pixels.
@@ -249,7 +250,7 @@ def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -
     """
     tiles = (-(-width // TILE)) * (-(-height // TILE))
     counts = np.empty((CHUNKS, tiles), np.int64)
-    boxes = _taken(boxes, order)  # at once: reads of far memory then wait at the same time
+    boxes = _taken(boxes, order)  # all at once, so that cache misses overlap
     spans = np.empty(len(order), np.uint64)
     span_tiles(geometry, boxes, order, width, height, spans, counts)
     ends = np.cumsum(counts.T).reshape(tiles, CHUNKS)
@@ -261,7 +262,7 @@ def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -
 
 
 def _taken(boxes: I64, order: I64) -> I64:
-    """(M,) int64, the boxes of these rows."""
+    """Gather the boxes of the rows in `order`: (M,) int64."""
     taken = np.empty(len(order), np.int64)
 
     def take(part: slice) -> None:

@@ -7,15 +7,15 @@ A projected splat is one row of `geometry`, eight float64 (one cache line):
 
     0, 1  u, v    centre in pixels
     2     inv_w   1 / standard deviation of x given y, 1/pixels
-    3     slope   cov_xy / cov_yy, the drift of x's mean with y
+    3     slope   cov_xy / cov_yy, the change of x's conditional mean with y
     4     inv_yy  1 / cov_yy, 1/pixels²
     5     reach   2 ln(255 opacity): the squared radius at which alpha falls to 1/255, plus SLACK
     6     opacity, in [0, 1], after the compensation of MIP models
-    7     rise    half the height of the box around what has alpha 1/255 or more, pixels
+    7     rise    half the height of the bounding box of the ellipse of alpha 1/255, pixels
 
 With (dx, dy) from the centre to a pixel, the Gaussian's exponent is
--((inv_w (dx - slope dy))² + inv_yy dy²) / 2: a sum of squares, which float32 can hold for any
-needle, where the usual a dx² + 2 b dx dy + c dy² cancels.
+-((inv_w (dx - slope dy))² + inv_yy dy²) / 2: a sum of squares, which float32 can represent for any
+needle. The usual conic, a dx² + 2 b dx dy + c dy², suffers cancellation there.
 """
 
 import math
@@ -29,12 +29,12 @@ from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
 
 DILATION = 0.3  # pixels², added to both variances on screen ([K]'s rasteriser)
-GUARD = 1.3  # x/z and y/z in the Jacobian stay within this many half fields of view
+GUARD = 1.3  # x/z and y/z in the Jacobian are clamped to this many half fields of view
 MIN_ALPHA = 1.0 / 255.0
-WIDER = 1.001  # than a bound, so that rounding makes it no less
+WIDER = 1.001  # factor that widens a bound, so that rounding does not make it too small
 SLACK = 1e-4  # widens bounds only, so that rounding never loses a pixel: alpha is tested exactly
-AHEAD = 8  # splats whose rows are asked for before they are read or written
-HIDDEN = 0  # stands for the tiles of a splat that reaches no pixel
+AHEAD = 8  # rows are prefetched this many splats before they are read or written
+HIDDEN = 0  # the packed box of tiles of a splat that reaches no pixel
 LARGEST = 32767 * TILE  # pixels along a side of an image: a box of tiles is packed into 64 bits
 
 
@@ -49,13 +49,14 @@ def _project_gaussian(
     bounds: tuple[float, float, float, float],
     row: F64,
 ) -> tuple[float, float, float]:
-    """Centre and 2D covariance of one splat ([Z] eqs. 26 to 31).
+    """Compute centre and 2D covariance of one splat ([Z] eqs. 26 to 31).
 
     factor is R diag(s), so that Sigma = factor factorᵀ; (x, y, z) is the centre in camera space.
-    The covariance stays in its factor J W R diag(s), whose rows give it without cancellation.
+    The covariance is computed from its factor J W R diag(s), whose rows give it without
+    cancellation.
 
     Returns:
-        The variances of x and y on screen, and det before / after the dilation.
+        The variances of x and y on screen, and the determinant before over that after the dilation.
     """
     inv_z = 1.0 / z
     xz, yz = x * inv_z, y * inv_z
@@ -91,19 +92,19 @@ def _project_gaussian(
 
 @inline
 def _tile_box(u: float, v: float, ex: float, ey: float, width: float, height: float) -> int:
-    """Tiles that the box around all pixel centres with alpha 1/255 or more meets, packed.
+    """Return the packed box of the tiles with pixel centres in the bounding box of a splat.
 
-    (u, v) is the centre, ex and ey are half the sides of the box, all in pixels.
+    (u, v) is the centre, ex and ey are half the sides of the bounding box, all in pixels.
     """
     inside_x = u + ex >= 0.5 and u - ex <= width - 0.5
     inside_y = v + ey >= 0.5 and v - ey <= height - 0.5
-    if not (inside_x and inside_y):  # nor is NaN
+    if not (inside_x and inside_y):  # NaN is not inside
         return HIDDEN
     left = math.ceil(max(u - ex - 0.5, 0.0))
     right = math.floor(min(u + ex - 0.5, width - 1.0))
     top = math.ceil(max(v - ey - 0.5, 0.0))
     bottom = math.floor(min(v + ey - 0.5, height - 1.0))
-    if right < left or bottom < top:  # between the pixels
+    if right < left or bottom < top:  # no pixel centre is inside
         return HIDDEN
     x, y = left // TILE, top // TILE
     return pack_box(x, y, right // TILE + 1 - x, bottom // TILE + 1 - y)
@@ -111,7 +112,7 @@ def _tile_box(u: float, v: float, ex: float, ey: float, width: float, height: fl
 
 @inline
 def pack_box(x: int, y: int, across: int, down: int) -> int:
-    """A box of tiles, its corner and its size, in one number above 0."""
+    """Pack a box of tiles, its corner and its size, into one number above 0."""
     return (down << 48) | (across << 32) | (y << 16) | x
 
 
@@ -131,11 +132,12 @@ def _beside(
     lens: F64,
     steepest: tuple[float, float],
 ) -> bool:
-    """Whether a splat lies beside the picture however it is turned, as `_tile_box` would find.
+    """Return whether a splat is outside the picture in any orientation: cheap frustum culling.
 
-    Its deviation on screen along x is at most that of its longest axis in space, fx / z times as
-    long and slanted by the steepest x / z of the Jacobian; all squared, and times z². The sum of
-    the squared axes stands for the longest one.
+    It culls no splat for which `_tile_box` would find tiles. The standard deviation on screen along
+    x is at most that of the longest axis in space times fx / z, times the factor by which the
+    steepest x / z of the Jacobian lengthens it; everything is squared, and multiplied by z². The
+    sum of the squared axes serves as a bound of the longest one.
     """
     square = 0.0
     for r in range(3):
@@ -161,7 +163,7 @@ reach_of = inline(_reach)  # of a number, in kernels
 
 
 def reaches_of(opacities: F32) -> F32:
-    """(N,) float32, the reach of each splat; that of 1/255 where the opacity is less."""
+    """(N,) float32, the reach of each splat; that of opacity 1/255 if the splat's is less."""
     seen = np.maximum(opacities, np.float32(MIN_ALPHA)).astype(np.float64)
     reaches: F32 = _reach(seen).astype(np.float32)
     return reaches
@@ -169,7 +171,10 @@ def reaches_of(opacities: F32) -> F32:
 
 @inline
 def guard_bounds(lens: F64) -> tuple[float, float, float, float]:
-    """Least and most x/z and y/z of the Jacobian ([K]), by the whole picture; lens as below."""
+    """Return the bounds of x/z and y/z in the Jacobian ([K]), from the size of the whole picture.
+
+    lens: as `project_splats` takes it. The order is least and largest x/z, least and largest y/z.
+    """
     fx, fy, cx, cy, width, height = lens[0], lens[1], lens[7], lens[8], lens[9], lens[10]
     margin_x = (GUARD - 1.0) * 0.5 * width / fx
     margin_y = (GUARD - 1.0) * 0.5 * height / fy
@@ -198,7 +203,7 @@ def project_splats(
     features: F32,
     boxes: I64,
 ) -> None:
-    """Project N splats and evaluate their colour.
+    """Project N splats to the screen and evaluate their colour.
 
     Args:
         start: First splat of the range.
@@ -206,19 +211,20 @@ def project_splats(
         means: (N, 3), scene units.
         factors: (N, 3, 3), R diag(s), scene units.
         opacities: (N,) in [0, 1].
-        reaches: (N,) see `reaches_of`; of MIP models, bounds of what they have on screen.
-        keep: (N,) false for rows that are not to be drawn, those of opacity below 1/255 among them.
+        reaches: (N,) see `reaches_of`; for MIP models, upper bounds of the reaches on screen.
+        keep: (N,) false for rows that are not to be drawn, such as those of opacity below 1/255.
         sh: (N, K, 3) with K >= (degree + 1)².
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.
         lens: (11,) fx, fy, cx, cy, width, height in pixels, near in scene units, and cx, cy, width
-            and height of the picture that this is a part of.
+            and height of the whole picture that this is a part of.
         mip: Multiply opacities by sqrt(det before / det after dilation).
         degree: Spherical-harmonic degree to evaluate.
-        geometry: (N, 8) out, see the module.
+        geometry: (N, 8) out, see the module's docstring.
         features: (N, 4) out, red, green, blue and depth.
-        boxes: (N,) out, the tiles around the pixels it can reach, see `unpack_box`; HIDDEN for one
-            that can reach none, whose rows of the other outputs are junk.
+        boxes: (N,) out, packed box of the tiles around the pixels that the splat can reach, see
+            `unpack_box`; HIDDEN for one that can reach none, whose rows of the other outputs are
+            undefined.
     """
     coefficients = (degree + 1) ** 2
     basis = np.empty(25, np.float32)
@@ -233,12 +239,12 @@ def project_splats(
     for i in range(start, stop):
         ahead = min(i + AHEAD, len(means) - 1)
         prefetch(geometry, ahead)
-        for third in range(3):  # of what a splat has, (K, 3)
+        for third in range(3):  # a splat's 3 K numbers, which `prefetch` treats as 3 rows of K
             prefetch(sh, 3 * ahead + third)
         boxes[i] = HIDDEN
         if not keep[i]:
             continue
-        # Subtracted in double precision: scenes in map coordinates lie far from the origin.
+        # Subtracted in float64, because scenes in map coordinates are far from the origin.
         dx = np.float64(means[i, 0]) - px
         dy = np.float64(means[i, 1]) - py
         dz = np.float64(means[i, 2]) - pz

@@ -1,4 +1,7 @@
-"""How a block of 4 x 4 pixels pulls at a splat; see `backward.py`, and `simd/pulls.py`."""
+"""Gradient and curvature for a splat from blocks of 4 x 4 pixels; see `backward.py`.
+
+`simd/pulls.py` has the same in vectors.
+"""
 
 import numpy as np
 
@@ -7,9 +10,9 @@ from nanogs.kernels.blocks import LANES, PIXELS_X, PIXELS_Y, UNIT, Single, shade
 from nanogs.kernels.policy import inline, two_ways
 
 CHANNELS = 4
-SATURATED = 98.9  # T alpha over what is left of T: beyond it alpha is held at 0.99
-PULLS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]  # powers of p and q
-BENDS = [(a, b) for a in range(5) for b in range(5 - a)]
+SATURATED = 98.9  # ratio of T alpha to the T that is left; above it, alpha is clamped to 0.99
+PULLS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]  # powers of p and q, of gradients
+BENDS = [(a, b) for a in range(5) for b in range(5 - a)]  # of curvatures
 SUMS = 4 + len(PULLS) + len(BENDS)
 SCALES = np.array([1.0] * 4 + [UNIT ** (a + b) for a, b in PULLS + BENDS], np.float32)
 _SATURATED, _ZERO = np.float32(SATURATED), np.float32(0.0)
@@ -17,7 +20,7 @@ _SATURATED, _ZERO = np.float32(SATURATED), np.float32(0.0)
 
 @inline
 def _add_moments(sums: F32, lane: int, pull: Single, bend: Single, p: Single, q: Single) -> None:
-    """Add the pull and the bend times the powers of p and q; sums: (25, 16)."""
+    """Add a gradient (`pull`) and curvature (`bend`) times powers of p and q; sums: (25, 16)."""
     sums[4, lane] += pull
     sums[5, lane] += pull * p
     sums[6, lane] += pull * q
@@ -36,7 +39,10 @@ def _add_moments(sums: F32, lane: int, pull: Single, bend: Single, p: Single, q:
 
 @inline
 def _write_sums(sums: F32, partial: F32, e: int) -> None:
-    """Write the sum of each row of (25, 16) into row e; they are overwritten."""
+    """Reduce each row of (25, 16) to its sum, and write them, scaled, into row e of `partial`.
+
+    The rows are overwritten.
+    """
     for k in range(SUMS):
         width = LANES // 2
         while width > 0:
@@ -51,17 +57,18 @@ def pull_blocks(
     mark: int, j: int, shapes: F32, values: F32, left: F32, behind: F32, wanted: F32, trust: F32,
     partial: F32, e: int,
 ) -> None:  # fmt: skip
-    """Sums over the pixels of a tile that say how they pull at a splat.
+    """Sum gradient and curvature for a splat over the pixels of a tile.
 
     Args:
-        mark: Its set bits are the blocks that the splat may reach.
-        j: The splat.
+        mark: Bit mask of the blocks that the splat may reach.
+        j: The splat's row in the batch.
         shapes: (BATCH, 8) see `blocks`.
-        values: (BATCH, 4) what was blended.
+        values: (BATCH, 4) the features that were blended.
         left: (16, 16) transmittances of the tile's blocks, in and out.
-        behind: (4, 16, 16) what splats from this one on blended; out, what those after it did.
-        wanted: (4, 16, 16) wanted change of the pixels, times their precision.
-        trust: (16, 16) their precision times their alpha.
+        behind: (4, 16, 16) in, what this splat and those behind it add to the pixels; out, what
+            those behind it add.
+        wanted: (4, 16, 16) residuals of the pixels, times their weight in the sum of squares.
+        trust: (16, 16) that weight, times the pixel's alpha.
         partial: (E, 25) out, in row e, see `backward.pull_tiles`.
         e: The row.
     """

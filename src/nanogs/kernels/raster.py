@@ -1,7 +1,7 @@
-"""Kernels of the rasteriser that blend the splats of each tile; `listing` tells which they are.
+"""Kernels of the rasteriser that blend the splats of each tile, as listed by `listing`.
 
-Source: Kerbl, Kopanas, Leimkühler, Drettakis, "3D Gaussian Splatting", 2023 [K]. What a row of
-`geometry` holds is said in `nanogs.kernels.project`.
+Source: Kerbl, Kopanas, Leimkühler, Drettakis, "3D Gaussian Splatting", 2023 [K]. The columns of
+`geometry` are described in `nanogs.kernels.project`.
 """
 
 import math
@@ -32,13 +32,13 @@ LOG_255 = math.log(255.0)
 
 @inline
 def place_in_tile(x: int, y: int) -> tuple[int, int]:
-    """Which block of a tile a pixel of it lies in, and which of the block's pixels it is."""
+    """Return the block that a pixel of a tile is in, and the pixel's index in that block."""
     return y // SIDE * SIDE + x // SIDE, y % SIDE * SIDE + x % SIDE
 
 
 @inline
 def start_tile(left: F32, x0: int, y0: int, width: int, height: int, wanted: int) -> None:
-    """Set the transmittances of a tile's blocks: 1 on the image, full outside or if not wanted."""
+    """Set the transmittances of a tile's blocks: 1, or -1 outside the image and if not wanted."""
     for y in range(TILE):
         for x in range(TILE):
             block, lane = place_in_tile(x, y)
@@ -67,7 +67,7 @@ def fetch(
     shapes: F32,
     values: F32,
 ) -> None:
-    """Write the shape of splat i in a tile and what of it is blended to place j; see `blocks`.
+    """Write the shape of splat i in a tile, and its features, to row j of a batch; see `blocks`.
 
     (x0, y0): the tile's corner, in pixels.
     """
@@ -101,7 +101,7 @@ def _write_tile(
 
 @inline
 def _read_tile(probes: F32, x0: int, y0: int, planes: F32) -> None:
-    """Copy a tile of (P, H, W) probes into (P, 16, 16) blocks, 0 beside the image."""
+    """Copy a tile of (P, H, W) probes into (P, 16, 16) blocks, 0 outside the image."""
     _clear(planes)
     for p in range(len(probes)):
         for y in range(min(TILE, probes.shape[1] - y0)):
@@ -115,7 +115,7 @@ def _blend_batch(
     light: int, marks: U32, shapes: F32, values: F32, channels: int, left: F32, weights: F32,
     planes: F32, probes: F32, sums: F32,
 ) -> None:  # fmt: skip
-    """Blend some splats into the blocks of a tile that take light, and probe their weights."""
+    """Blend a batch of splats into the blocks in `light`, and sum their weights times probes."""
     for block in range(LANES):
         if marks[block] == 0 or light >> block & 1 == 0:
             continue
@@ -128,7 +128,7 @@ def _blend_batch(
 
 @inline
 def _add_up(sums: F32, partial: F32, first: int, count: int) -> None:
-    """Write the sums (P, BATCH, 16) of some splats and all probes into partial (E, P)."""
+    """Sum (P, BATCH, 16) of a batch over the last axis, and write the result to partial (E, P)."""
     for j in range(count):
         for p in range(partial.shape[1]):
             partial[first + j, p] = blending.total(sums, p, j)
@@ -149,21 +149,21 @@ def blend_tiles(
     probes: F32,
     partial: F32,
 ) -> None:
-    """Blend every tile's splats front to back ([K] eq. 3), and probe their weights.
+    """Blend every tile's splats front to back ([K] eq. 3), and sum their weights times probes.
 
     Args:
         start: First tile of the range.
         stop: The tile after its last.
         geometry: (N, 8) rows of projected splats.
-        features: (N, C or more) what to blend.
+        features: (N, C or more) features to blend.
         starts: (T + 1,) from `list_tiles`.
         entries: (E,) from `list_tiles`.
-        wanted: Its set bits are the blocks of every tile to blend; others show the background.
-        background: (C,) added with the transmittance that is left.
+        wanted: Bit mask of the blocks of each tile to blend; others show the background.
+        background: (C,) added, weighted by the final transmittance.
         image: (H, W, C) out.
-        transmittance: (H, W) out, what is left of the light.
-        probes: (P, H, W) what the weights T alpha are multiplied by; P may be 0.
-        partial: (E, P) out, sums of these products for each entry over its tile.
+        transmittance: (H, W) out, the final transmittance.
+        probes: (P, H, W) images that the weights T alpha are multiplied by; P may be 0.
+        partial: (E, P) out, for each entry the sums of these products over its tile.
     """
     height, width, channels = image.shape
     tiles_x = (width + TILE - 1) // TILE
@@ -219,8 +219,8 @@ def sum_entries(
         stop: The run after its last.
         entries: (E,) from `list_tiles`.
         partial: (E, P) from `blend_tiles`.
-        bounds: (runs + 1,) where each run begins.
-        totals: (runs, N, P) in and out, those of each run.
+        bounds: (runs + 1,) where each run begins in `entries`.
+        totals: (runs, N, P) in and out, separate totals for each run.
     """
     for run in range(start, stop):
         for e in range(bounds[run], bounds[run + 1]):
@@ -233,7 +233,9 @@ def sum_entries(
 def add_unhidden(
     start: int, stop: int, geometry: F64, boxes: I64, width: int, height: int, totals: F64
 ) -> None:
-    """Add 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image, in pixels.
+    """Add each splat's contribution if nothing were in front of it, where its centre is visible.
+
+    This is 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image, in pixels.
 
     Args:
         start: First splat of the range.

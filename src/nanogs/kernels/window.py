@@ -1,4 +1,4 @@
-"""Kernel of structural similarity: Gaussian windows over two images at once."""
+"""Kernel of the structural similarity (SSIM) of two images, with a Gaussian window."""
 
 import numpy as np
 
@@ -12,25 +12,25 @@ MOMENTS = 4  # a, b, a² + b², ab
 def similarity_rows(
     start: int, stop: int, a: F64, b: F64, channels: int, taps: F64, c1: float, c2: float, sums: F64
 ) -> None:
-    """Add up the structural similarity of the windows of each row that lie inside the image.
+    """Sum the structural similarity over the windows of each row that are inside the image.
 
     Source: Wang, Bovik, Sheikh, Simoncelli, 2004, eq. 13.
 
     Args:
         start: First row of the range.
         stop: The row after its last.
-        a: (H, W C) an image, the channels of a pixel side by side.
-        b: Of the same shape.
+        a: (H, W C) an image, with interleaved channels.
+        b: The other image, of the same shape.
         channels: C.
         taps: (K,) weights of the window along either axis, sum 1; symmetric, K odd.
-        c1: Constant of the luminance.
-        c2: Constant of the structure.
+        c1: Constant of the luminance term.
+        c2: Constant of the structure term.
         sums: (H - K + 1,) out, over the (W - K + 1) C windows of a row.
     """
     width, last = a.shape[1], len(taps) - 1
     inside = width - last * channels
     down, means = np.empty((MOMENTS, width)), np.empty((MOMENTS, inside))
-    # Two taps that weigh alike are added in one; the middle one is its own fellow.
+    # Pixels of two taps of equal weight are added first; the middle tap is paired with itself.
     weights = taps[: last // 2 + 1].copy()
     weights[last // 2] /= 2
     for row in range(start, stop):
@@ -50,7 +50,7 @@ def similarity_rows(
         sums[row] = _sum_similarities(means[0], means[1], means[2], means[3], c1, c2)
 
 
-# Loops of a few arrays each, which LLVM makes vectors of; of more arrays it does not.
+# Separate loops over a few arrays each, because LLVM does not vectorise loops over more arrays.
 
 
 @inline
