@@ -7,14 +7,14 @@ from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.symmetric3 import Symmetric3, resolved
 
-_LEAST = 1e-6  # variance over the sum of all three, as of the flattest splats
+_LEAST = 1e-6  # least variance over the sum of all three, as of the flattest splats
 
 
 @inline
 def _inverse(s: Symmetric3) -> tuple[Symmetric3, float]:
-    """Inverse and log determinant of a covariance, by cofactors.
+    """Compute inverse and log determinant of a covariance, by cofactors.
 
-    Where rounding has taken its short axes, they become a small share of the long ones.
+    If its short axes are lost to rounding, a small share of the trace is added to the diagonal.
     """
     xx, xy, xz, yy, yz, zz = s
     if not resolved(s):
@@ -31,7 +31,7 @@ def _inverse(s: Symmetric3) -> tuple[Symmetric3, float]:
 def invert_covariances(
     start: int, stop: int, covariances: F64, inverses: F64, log_dets: F64
 ) -> None:
-    """Inverse and log determinant. covariances, inverses: (G, 6); log_dets: (G,)."""
+    """Compute inverses and log determinants; covariances, inverses: (G, 6); log_dets: (G,)."""
     for g in range(start, stop):
         inverse, log_dets[g] = _inverse(symmetric(covariances, g))
         for entry in range(6):
@@ -45,14 +45,14 @@ def assign_nearest(
     centres: F64, inverses: F64, log_dets: F64, colours: F32, lambda_app: float,
     out: I32, distances: F64,
 ) -> None:  # fmt: skip
-    """Give every splat to the best cluster among its own and that one's neighbours.
+    """Assign every splat to the best cluster among its own and that one's neighbours.
 
-    Least ½ [(mu - mu_c)^T S (mu - mu_c) + tr(S Sigma) + log |Sigma_c|] + lambda |f - f_c|², with
-    S = Sigma_c^-1: the splat's expected negative log likelihood under the cluster; ties to the
-    earlier candidate.
+    The best has the least ½ [(mu - mu_c)^T S (mu - mu_c) + tr(S Sigma) + log |Sigma_c|]
+    + lambda |f - f_c|², with S = Sigma_c^-1: the splat's expected negative log likelihood under the
+    cluster; ties go to the earlier candidate.
     labels: (N,); candidates: (G, k) clusters; means: (N, 3); covariances: (N, 6); features:
     (F, C); rows: (N,) of the features; centres: (G, 3); inverses: (G, 6); log_dets: (G,);
-    colours: (G, C); out: (N,) new labels; distances: (N,) the least.
+    colours: (G, C); out: (N,) new labels; distances: (N,) out, the least values.
     """
     for i in range(start, stop):
         xx, xy, xz, yy, yz, zz = symmetric(covariances, i)

@@ -1,8 +1,9 @@
-"""Kernels on disk: kept while no kernel's source changes, and loaded without a compiler's tools.
+"""The cache of compiled kernels on disk: valid until any kernel's source changes.
 
-Numba keys what it keeps by the file of the function that is called. Kernels inline helpers of other
-files, so here the key covers the sources of them all. Processes that start at once compile nothing
-twice: who needs what another compiles waits for it.
+Numba's own cache depends on the file of the function that is called only. Kernels inline helpers of
+other files, so here it depends on the sources of all kernels. Kernels are loaded without
+initialising the compiler. Processes that start at the same time compile nothing twice: one that
+needs a kernel that another one compiles waits for it.
 """
 
 import hashlib
@@ -28,20 +29,20 @@ except ImportError:  # Windows: each process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
-TWO_WAYS = "two_ways"  # set on functions of which `policy` makes vectors or plain code
+TWO_WAYS = "two_ways"  # attribute of functions that `policy` compiles as vectors or plain code
 
 
 def cached(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba's own
-    """Have Numba compile a function when it is called, unless it is on disk, where it is kept."""
+    """Compile a function with Numba when it is called, or load it from the cache on disk."""
     compiled = numba.njit(function, **options)
-    if compiled is not function:  # as it is with NUMBA_DISABLE_JIT=1
+    if compiled is not function:  # they are the same with NUMBA_DISABLE_JIT=1
         compiled._cache = kept = _Cache(function)  # noqa: SLF001 - what `cache=True` sets
         compiled.compile = _once(compiled, kept)
     return cast("Kernel", compiled)
 
 
 def _once(compiled: Any, kept: "_Cache") -> Callable[[Any], Any]:  # noqa: ANN401
-    """Compile for a signature, unless another process does: then load what it has compiled."""
+    """Wrap `compile`: if another process compiles the kernel, wait and load the result."""
     compile_now = compiled.compile
 
     @wraps(compile_now)
@@ -56,7 +57,7 @@ def _once(compiled: Any, kept: "_Cache") -> Callable[[Any], Any]:  # noqa: ANN40
 
 @cache
 def sources_digest(folder: Path = Path(__file__).parent) -> str:
-    """SHA-256 of all Python files in a folder, with their names; here of all kernels."""
+    """SHA-256 of all Python files in a folder, with their names; by default of all kernels."""
     digest = hashlib.sha256()
     for source in sorted(folder.rglob("*.py")):
         content = source.read_bytes()
@@ -67,9 +68,9 @@ def sources_digest(folder: Path = Path(__file__).parent) -> str:
 
 @cache
 def _has_two_ways(function: Callable[..., Any]) -> bool:
-    """Whether a kernel, or what it calls, is compiled in one of two ways; see `simd/choice.py`.
+    """Return whether a kernel, or a function that it calls, has a vector and a plain version.
 
-    The others can be compiled before it is known which.
+    Kernels that have not can be compiled before `simd/choice.py` chooses between the two.
     """
     names, known = function.__code__.co_names, function.__globals__
     called = [known[name] for name in names if name in known]
@@ -83,22 +84,22 @@ def _has_two_ways(function: Callable[..., Any]) -> bool:
 
 
 class _AsItIs:
-    """Makes a locator find its folder where it cannot be written to: to load from it."""
+    """Makes a cache locator accept a folder that is read-only, to load from it."""
 
     def ensure_cache_path(self) -> None:
-        """Ask for nothing."""
+        """Skip Numba's test that the folder can be written to."""
 
 
 class _OwnFolder(_AsItIs, caching.UserProvidedCacheLocator):
-    """The folder NUMBA_CACHE_DIR, as it is."""
+    """The folder NUMBA_CACHE_DIR, even if it is read-only."""
 
 
 class _InTree(_AsItIs, caching.InTreeCacheLocator):
-    """The folder `__pycache__` beside the sources, as it is."""
+    """The folder `__pycache__` beside the sources, even if it is read-only."""
 
 
 class _Place(caching.CompileResultCacheImpl):
-    """Where a kernel is kept: where Numba would, or, if it can write nowhere, where it may read."""
+    """The folder of a kernel's cache: Numba's choice, or a read-only one if none is writable."""
 
     _locator_classes = [*caching.CacheImpl._locator_classes, _OwnFolder, _InTree]  # noqa: RUF012, SLF001
 
@@ -113,19 +114,19 @@ class _Disk(caching.FunctionCache):
         self._cache_file._source_stamp = sources_digest()  # noqa: SLF001
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:  # noqa: ANN401
-        """As Numba's; with checks of bounds or without, and each way of `simd`, are kept apart."""
+        """Numba's key, with entries of their own for bounds checks and for each way of `simd`."""
         key = super()._index_key(sig, codegen)  # type: ignore[no-untyped-call]
         way = chosen().value if _has_two_ways(self._py_func) else ""
         return (*key, bool(config.BOUNDSCHECK), way)  # type: ignore[attr-defined]
 
     def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401
-        """Keep a kernel; where that is impossible, the next process compiles it again."""
+        """Save a kernel; if that is impossible, the next process compiles it again."""
         with suppress(OSError):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
 
 class _Cache:
-    """A kernel's place on disk, found when the kernel is first called: many never are."""
+    """The cache of one kernel, opened when it is first called: many kernels never are."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
@@ -138,8 +139,8 @@ class _Cache:
         return getattr(self._disk, name)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:  # noqa: ANN401
-        """The code kept for a signature, or None; under Numba's lock, as all that compiles."""
-        rtsys.initialize(target_context)  # for the arrays that it makes
+        """Load the code for a signature, or None; called under Numba's compiler lock."""
+        rtsys.initialize(target_context)  # the runtime that allocates a kernel's arrays
         target_context.refresh = lambda: None
         try:
             return self._disk.load_overload(sig, target_context)
@@ -147,13 +148,13 @@ class _Cache:
             vars(target_context).pop("refresh", None)
 
     def holds(self, sig: Any, codegen: Any) -> bool:  # noqa: ANN401
-        """Whether there is code for a signature."""
+        """Return whether there is code for a signature."""
         key = self._disk._index_key(sig, codegen)  # noqa: SLF001
         return key in self._disk._cache_file._load_index()  # noqa: SLF001
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Be the only process that compiles this kernel; where that cannot be, one of several."""
+        """Keep other processes from compiling this kernel; without effect if locking fails."""
         lock = None
         with suppress(OSError):
             self._disk._impl.locator.ensure_cache_path()  # noqa: SLF001
@@ -165,7 +166,7 @@ class _Cache:
                 fcntl.lockf(lock, fcntl.LOCK_UN, 1, self._place)
 
     def free(self) -> bool:
-        """Whether no other process compiles this kernel just now, as far as can be told."""
+        """Return whether no other process is compiling this kernel, as far as locks can show."""
         if not fcntl:
             return True
         try:
@@ -182,18 +183,18 @@ class _Cache:
 
     @property
     def _place(self) -> int:
-        """The kernel's byte in the file of locks."""
+        """The kernel's byte offset in the lock file."""
         return zlib.crc32(f"{self._function.__module__}.{self._function.__qualname__}".encode())
 
 
 @cache
 def _lock_file(folder: Path) -> int:
-    """A file in which each kernel has a byte to lock; open until the process ends."""
+    """Open the lock file, in which each kernel has one byte; it is closed when the process ends."""
     return os.open(folder / "nanogs.lock", os.O_RDWR | os.O_CREAT, 0o666)
 
 
 def _lock(folder: Path, place: int) -> int | None:
-    """Lock a byte as soon as no other process has; a wait is one for a compiler too."""
+    """Lock a byte, and wait while another process has it; waiting is reported as compiling."""
     if not fcntl:
         return None
     file = _lock_file(folder)

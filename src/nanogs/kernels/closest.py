@@ -1,4 +1,4 @@
-"""The least of many sums, for 4 points and 16 columns at a time; `simd/closest.py` has vectors."""
+"""Nearest columns of a matrix, 4 points and 16 columns at a time; `simd/closest.py` has vectors."""
 
 import numpy as np
 
@@ -13,17 +13,18 @@ TOGETHER = 4
 def closest(
     factors: F32, columns: F32, squares: F32, tiles: int, least: F32, second: F32, places: I32
 ) -> None:
-    """The least and the second least of square + factors . column, of each lane of the columns.
+    """Find the least and the second least square + factors . column in each lane of the columns.
 
-    Lane l, from 0 to 15, has the columns l, 16 + l, 32 + l and so on, one of each tile.
+    With factors -2 x and squares |c|² this is the squared distance from x to c, less |x|². Lane l,
+    from 0 to 15, has the columns l, 16 + l, 32 + l and so on, one of each tile of 16 columns.
 
     Args:
-        factors: (4, D) of the points, D a multiple of three.
+        factors: (4, D), a row for each point, D a multiple of three.
         columns: (D, W), W a multiple of 16.
-        squares: (W,) what is added.
-        tiles: How many to look at, from 1 to W / 16.
-        least: (4, 16) out.
-        second: (4, 16) out; infinite where there is but one tile.
+        squares: (W,) added to the products.
+        tiles: Number of tiles to search, from 1 to W / 16.
+        least: (4, 16) out, the least sums.
+        second: (4, 16) out, the second least; infinite if there is only one tile.
         places: (4, 16) out, the tile of the least.
     """
     count = tiles * LANES

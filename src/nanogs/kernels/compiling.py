@@ -1,4 +1,4 @@
-"""Whom to tell when kernels are compiled rather than taken from the cache; imports no Numba."""
+"""Callbacks for when kernels are compiled rather than loaded from the cache; imports no Numba."""
 
 import logging
 from collections.abc import Callable, Iterator
@@ -9,20 +9,20 @@ _log = logging.getLogger("nanogs")
 _lock = Lock()
 _waiting: list[Callable[[], None]] = []
 _watching: list[Callable[[bool], None]] = []
-_running = 0  # kernels that are being compiled, one within the other
+_running = 0  # number of kernels being compiled; nested if one calls another
 _logged = False
 
 
 def when_compiling(callback: Callable[[], None]) -> None:
-    """Have a function called once, should a kernel not be in the cache and so take seconds."""
+    """Register a function to be called once, before the next compilation, which takes seconds."""
     _waiting.append(callback)
 
 
 @contextmanager
 def watching(callback: Callable[[bool], None]) -> Iterator[None]:
-    """Have a function called with True when compiling begins and with False when it ends.
+    """Within the block, call a function with True when compiling begins and False when it ends.
 
-    Who watches tells it, so that nothing is logged.
+    The caller is expected to report it, so that no warning is logged.
     """
     _watching.append(callback)
     try:
@@ -32,7 +32,7 @@ def watching(callback: Callable[[bool], None]) -> Iterator[None]:
 
 
 def begin() -> None:
-    """A kernel is being compiled."""
+    """Record that a kernel is being compiled, and call the callbacks that wait for that."""
     global _running  # noqa: PLW0603
     with _lock:
         _running += 1
@@ -44,7 +44,7 @@ def begin() -> None:
 
 
 def end() -> None:
-    """A kernel has been compiled."""
+    """Record that a kernel has been compiled; if it was the last, call those of `watching`."""
     global _running  # noqa: PLW0603
     with _lock:
         _running -= 1

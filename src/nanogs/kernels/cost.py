@@ -45,7 +45,7 @@ def _expected_log_mixture(
     other: Matrix3, u: Row3, log_det_u: float, log_other_share: float,
     offset: Row3, normals: F64,
 ) -> float:  # fmt: skip
-    """Mean over the draws of log p, p the mixture, x drawn from the first component.
+    """Monte Carlo mean of log p(x), p the mixture and x drawn from the first component.
 
     offset: from the other component's mean to the first one's.
     """
@@ -96,8 +96,8 @@ def published_costs(
             pi, covariance(ri, vi[0], vi[1], vi[2]), pj, covariance(rj, vj[0], vj[1], vj[2]),
             pi * pj, (x, y, z),
         )  # fmt: skip
-        # E_p[-log q] is closed, since q has the mixture's own mean and covariance; it is jittered
-        # like every other covariance.
+        # E_p[-log q] has a closed form, because q has the mixture's own mean and covariance; it is
+        # jittered like every other covariance.
         xx, xy, xz, yy, yz, zz = merged
         single = (xx + jitter, xy, xz, yy + jitter, yz, zz + jitter)
         kl = 0.5 * (3.0 * LOG_2PI + log_det(single, jitter) + 3.0)

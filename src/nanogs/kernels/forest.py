@@ -1,4 +1,4 @@
-"""Kernels of the merge forest: what a merge adds to the error, and sums over subtrees.
+"""Kernels of the merge forest: the increase in error of each merge, and sums over subtrees.
 
 Sources: Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 2007 [R] for the
 geometry; Ward, "Hierarchical grouping to optimize an objective function", 1963 [W] for the colour.
@@ -17,7 +17,7 @@ LARGEST = float(np.finfo(np.float32).max)
 
 @parallel_kernel("covariances")
 def log_determinants(start: int, stop: int, covariances: F64, out: F64) -> None:
-    """Log |Sigma| of every covariance. covariances: (N, 6); out: (N,)."""
+    """Compute log |Sigma| of every covariance; covariances: (N, 6); out: (N,)."""
     for i in range(start, stop):
         out[i] = log_determinant(symmetric(covariances, i))
 
@@ -28,7 +28,7 @@ def merge_increments(
     pairs: I32, weights: F64, means: F64, covariances: F64, log_dets: F64,
     features: F32, rows: I32, seconds: I32, shares: F64, out: F32,
 ) -> None:  # fmt: skip
-    """Write what merging each pair adds to the error of colour and of geometry.
+    """For each pair, write the increase in colour and geometry error that merging it would cause.
 
     Colour: w_i w_j / (w_i + w_j) |f_i - f_j|² [W]. Geometry: (w_i + w_j) ½ (log |Sigma_m|
     - pi log |Sigma_i| - (1 - pi) log |Sigma_j|), pi = w_i / (w_i + w_j): the upper bound on the
@@ -61,7 +61,7 @@ def merge_increments(
 
 @kernel
 def subtree_sums(children: I32, increments: F64, sums: F64) -> None:
-    """Sum over every merge and the merges below it.
+    """Sum the increments of every merge and all merges below it.
 
     children: (M, 2) nodes, a splat's row below N, N + merge above, children before parents;
     increments: (M,); sums: (N + M,) zeros, filled.
@@ -73,7 +73,7 @@ def subtree_sums(children: I32, increments: F64, sums: F64) -> None:
 
 @kernel
 def raise_to_children(children: I32, scores: F64) -> None:
-    """Make no node's score lower than its children's. scores: (N + M,), in place."""
+    """Raise every node's score to at least its children's; scores: (N + M,), in place."""
     first = len(scores) - len(children)
     for m in range(len(children)):
         below = max(scores[children[m, 0]], scores[children[m, 1]])
@@ -82,10 +82,10 @@ def raise_to_children(children: I32, scores: F64) -> None:
 
 @kernel
 def root_of_each(children: I32, merged: Bool, roots: I32) -> None:
-    """The highest node above every splat that is reached by chosen merges alone.
+    """Find the highest node above every splat that is reached by chosen merges alone.
 
-    children: (M, 2); merged: (M,), with every chosen merge those below it are chosen; roots:
-    (N + M,) each node's own index, changed: the first N are the answer.
+    children: (M, 2); merged: (M,) chosen merges; all merges below a chosen one must be chosen, too;
+    roots: (N + M,) each node's own index, changed: the first N are the result.
     """
     first = len(roots) - len(children)
     for m in range(len(children) - 1, -1, -1):

@@ -30,7 +30,7 @@ C4 = (
 
 @inline
 def sh_basis(x: float, y: float, z: float, degree: int, basis: F) -> None:
-    """Write Y_lm(x, y, z) for l = 0 .. degree into basis, which has room for (degree + 1)².
+    """Write Y_lm(x, y, z) for l = 0 .. degree into basis, of at least (degree + 1)² entries.
 
     (x, y, z) is a unit vector; in 3DGS it points from the camera to the splat.
     """

@@ -1,12 +1,12 @@
-"""Small functions of which Numba makes no machine code: they exist in the kernels that call them.
+"""Small functions without machine code of their own: they are only inlined into kernels.
 
-What Numba compiles it optimises whole, turns into machine code and wraps for Python. For a function
-that is inlined wherever it is called all this is done again with its caller, and alone it is done
-for nobody: a fifth of what compiling took.
+Numba optimises each function that it compiles, turns it into machine code and wraps it for Python.
+For a function that is inlined into all its callers this is done again with each caller, and its own
+machine code is never used: that took a fifth of the time of compiling.
 
-Where floating-point operations may be reordered and fused, what comes of them depends on what was
-optimised before it was inlined. So such functions are optimised alone all the same: last bits stay
-as they were.
+If floating-point operations may be reordered and fused, results depend on whether a function was
+optimised before it was inlined. So such functions are still optimised by themselves, and the last
+bits of results stay the same.
 """
 
 from collections.abc import Callable
@@ -23,12 +23,12 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
 class _Source(JITCodeLibrary):
-    """A function's code for LLVM to inline; nothing can run it."""
+    """The LLVM code of a function that is only inlined; it cannot be run."""
 
     liberal = False  # whether floating-point operations may be reordered
 
     def _optimize_functions(self, ll_module: Any) -> None:  # noqa: ANN401 - Numba's own
-        """Tidy up as Numba does, but not the many functions that are only named."""
+        """Run Numba's function passes, but not on the many functions that are only declared."""
         codegen = self._codegen
         ll_module.data_layout = codegen._data_layout  # noqa: SLF001
         for function in ll_module.functions:
@@ -37,7 +37,7 @@ class _Source(JITCodeLibrary):
                 passes.run(function, builder)
 
     def _optimize_final_module(self) -> None:
-        """Leave it to who inlines it, where that comes to the same."""
+        """Optimise only if `liberal`; otherwise optimising the caller gives the same result."""
         if self.liberal:
             super()._optimize_final_module()  # type: ignore[no-untyped-call]
 
@@ -45,22 +45,22 @@ class _Source(JITCodeLibrary):
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """None: there is no machine code."""
+        """Return 0, because there is no machine code."""
         del name
         self._ensure_finalized()  # type: ignore[no-untyped-call]
         return 0
 
     @property
     def codegen(self) -> "_Source":
-        """Who is told of the function's environment, which only machine code has."""
+        """This object, whose `set_env` drops the environment, which only machine code needs."""
         return self
 
     def set_env(self, name: str, environment: object) -> None:
-        """Nobody looks for it."""
+        """Ignore the environment, because nothing reads it."""
 
 
 class SourceCompiler(Compiler):
-    """Numba's compiler, up to the code for LLVM."""
+    """Numba's compiler, stopped before machine code is made."""
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:  # noqa: ANN401
         """Compile one function."""
@@ -70,7 +70,7 @@ class SourceCompiler(Compiler):
         return super().compile_extra(func)  # type: ignore[no-untyped-call]
 
 
-# For Numba's decorators, of what is inlined.
+# Options of Numba's decorators for functions that are inlined.
 OPTIONS: dict[str, Any] = {
     "forceinline": True,
     "no_cpython_wrapper": True,
@@ -79,7 +79,7 @@ OPTIONS: dict[str, Any] = {
 
 
 class _Inlined(registry.CPUDispatcher):
-    """A function that kernels inline; called from Python, as by tests, it is compiled alone."""
+    """A function that kernels inline; if Python calls it, as tests do, it is compiled by itself."""
 
     @cached_property
     def _alone(self) -> Callable[..., Any]:
@@ -92,7 +92,7 @@ class _Inlined(registry.CPUDispatcher):
 
 
 def inlined(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401
-    """Have a function inlined into the kernels that call it, and compiled nowhere else."""
+    """Mark a function to be inlined into the kernels that call it, and compiled nowhere else."""
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
     given = options | OPTIONS | {"nopython": True, "boundscheck": None}

@@ -1,8 +1,8 @@
 """Kernels of k-means: the nearest centres of points, and the means of the points of each.
 
-Source: Lloyd, "Least squares quantization in PCM", 1982. Distances lack the point's own square,
-which is the same for all centres. Ties go to the earlier. The number D of dimensions is a multiple
-of three, as there are three channels.
+Source: Lloyd, "Least squares quantization in PCM", 1982. The point's own square, which is the same
+for all centres, is left out of distances. Ties go to the earlier centre. The number D of dimensions
+is a multiple of three, because there are three channels.
 """
 
 import math
@@ -12,14 +12,14 @@ import numpy as np
 from nanogs._types import F32, I32, I64
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 
-_ROWS = 64  # points that are worth a range of their own
+_ROWS = 64  # least number of points of a range
 TWO = np.float32(2)
 
 
 @inline
 def _distances(point: F32, columns: F32, squares: F32, start: int, stop: int, out: F32) -> None:
-    """|c|² - 2 x.c to the centres from `start` to `stop`, which lie in the columns."""
-    # Three rows a pass, and slices from zero on: this is what becomes vector instructions.
+    """Compute |c|² - 2 x.c for the centres [start, stop), which are the columns."""
+    # Three rows per pass, and slices that begin at zero: LLVM vectorises loops of this form.
     count = stop - start
     own = squares[start:stop]
     for c in range(count):
@@ -37,7 +37,7 @@ def _distances(point: F32, columns: F32, squares: F32, start: int, stop: int, ou
 def nearest_cells(
     start: int, stop: int, points: F32, columns: F32, squares: F32, cells: I32
 ) -> None:
-    """The nearest centres of each point, the nearest first.
+    """Find the nearest centres of each point, the nearest first.
 
     points: (N, D); columns: (D, C) the centres; squares: (C,) their squared lengths; cells:
     (N, P) out, P up to C.

@@ -1,12 +1,13 @@
 """Exact k nearest neighbours, 16 queries at a time.
 
-The 16 points of a leaf of the tree search it together, from their own leaf outwards. For each of
-them the k smallest keys of distances are kept (`lanes.py`), so that a candidate enters all lists
-by vector minima and maxima alone; candidates that entered some list are noted. The largest key of
-a list bounds which of the noted can be among the nearest: the few within it are compared in full,
-by (squared distance, row). Keys lose the lower bits of a number but never reverse an order, and
-boxes are measured with the same operations as points, each of which rounds monotonically: what a
-box or a key rules out is farther, rounding included.
+The 16 points of a leaf of the tree are queries that search it together, from their own leaf
+outwards. Each has a list of the k smallest keys of distances (`lanes.py`), into which candidates
+are inserted by vector minima and maxima alone; a candidate that entered any list is noted. The
+largest key of a list bounds which noted candidates can be among the nearest: the few within it are
+compared exactly, by (squared distance, row). Keys drop the lower bits of a number but never reverse
+an order, and distances to boxes are computed with the same operations as distances to points, each
+of which rounds monotonically. So a candidate that is excluded by a box or a key is farther,
+rounding included.
 """
 
 import numpy as np
@@ -16,20 +17,20 @@ from nanogs.kernels.lanes import LANES, box_keys, distance_keys, insert, lowest_
 from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
 
 _FAR = 0x7FF00000  # the key of infinity
-_CLOSED = -1  # bound of a query that needs nothing: below every key
-_NOTES = 512  # candidates noted before the nearest of them are selected
-_DEEPEST = 64  # nodes that can wait on the way down a tree of 2^31 points: one a level, and a few
+_CLOSED = -1  # bound of a query that is finished: below every key
+_NOTES = 512  # candidates that are noted before the nearest of them are selected
+_DEEPEST = 64  # size of the stack for a tree of 2^31 points: one node per level, and a few
 
 
 @exact_inline
 def _square(x: float, y: float, z: float) -> float:
-    """As in `lanes.py`, so that equal pairs give equal numbers."""
+    """Squared length, computed as in `lanes.py`, so that equal pairs give equal numbers."""
     return x * x + y * y + z * z
 
 
 @exact_inline
 def _box_to_box(boxes: F64, a: int, b: int) -> float:
-    """Squared distance of two nodes."""
+    """Squared distance between the boxes of two nodes."""
     x = max(0.0, boxes[a, 0] - boxes[b, 3], boxes[b, 0] - boxes[a, 3])
     y = max(0.0, boxes[a, 1] - boxes[b, 4], boxes[b, 1] - boxes[a, 4])
     z = max(0.0, boxes[a, 2] - boxes[b, 5], boxes[b, 2] - boxes[a, 5])
@@ -43,7 +44,8 @@ def _keep_nearest(
     """Sort a query's candidates by (squared distance, row) and keep the first k.
 
     found: places of points, `count` from place `at`, reordered; full: (room,) and ids: (2 room,)
-    scratch. Each counts those before it: no branch to mispredict, and the loop is vectorised.
+    scratch. The rank of a candidate is the number of those before it: counting has no branches to
+    mispredict, and is vectorised.
     """
     n = len(rows)
     x, y, z = points[query], points[n + query], points[2 * n + query]
@@ -66,10 +68,10 @@ def _take_noted(
     noted: I32, keys: I32, notes: int, bounds: I32, k: int, first: int,
     found: I32, counts: I64, points: F64, rows: I32, full: F64, ids: I32,
 ) -> None:  # fmt: skip
-    """Give each query the noted candidates that are within its bound.
+    """Append the noted candidates within a query's bound to the candidates found for it.
 
     noted: (notes,) places of points; keys: (notes * 16,); bounds: (16,) and more; first: place of
-    the first query; found: (16 * room,), counts: (16,), what each query has so far.
+    the first query; found: (16 * room,), counts: (16,), candidates of each query so far.
     """
     room = len(full)
     for note in range(notes):
@@ -88,7 +90,7 @@ def _take_noted(
 
 @exact_inline
 def _load_queries(leaf: int, points: F64, rows: I32, queries: F64, lists: I32, counts: I64) -> int:
-    """The points of a leaf and their empty lists; returns how many there are."""
+    """Load the points of a leaf as queries with empty lists; return the number of points."""
     n = len(rows)
     first = leaf * LANES
     lanes = min(LANES, n - first)
@@ -116,7 +118,7 @@ def _push(stack: I64, waiting: int, node: int, first: int, last: int) -> int:
 def _push_children(
     boxes: F64, home: int, node: int, first: int, last: int, stack: I64, gaps: F64, waiting: int
 ) -> int:
-    """Stack a node's children and their distances, the nearer one on top."""
+    """Push a node's children and their distances on the stack, the nearer one on top."""
     middle = (first + last) // 2
     left = _box_to_box(boxes, home, 2 * node)
     right = _box_to_box(boxes, home, 2 * node + 1)
@@ -130,7 +132,7 @@ def _push_children(
 
 @exact_inline
 def _path_to(leaf: int, leaves: int, boxes: F64, stack: I64, gaps: F64) -> int:
-    """Stack the siblings of all nodes from the root to a leaf, and the leaf; how many."""
+    """Push the siblings of all nodes from the root to a leaf, and the leaf; return the number."""
     node, first, last, waiting = 1, 0, leaves, 0
     while last - first > 1:
         middle = (first + last) // 2
@@ -148,10 +150,10 @@ def _path_to(leaf: int, leaves: int, boxes: F64, stack: I64, gaps: F64) -> int:
 
 @exact_inline
 def _close(bounds: I32) -> int:
-    """Close queries that have k neighbours at distance zero; returns the highest bound.
+    """Finish queries that have k neighbours at distance zero; return the highest bound.
 
-    Nothing can be nearer, and whether more are as near is for the caller to find out: in a large
-    group of coincident points all would have to visit all.
+    Nothing can be nearer, and the caller has to find out whether more are as near: in a large group
+    of coincident points, each would have to visit all others.
     """
     highest = _CLOSED
     for lane in range(LANES):
@@ -171,10 +173,11 @@ def _write(found: I32, at: int, rows: I32, out: I32, row: int) -> None:
 def search_tree(
     start: int, stop: int, points: F64, rows: I32, boxes: F64, out: I32, crowded: Bool
 ) -> None:
-    """The k points nearest to every point, by (squared distance, row), itself left out.
+    """Find the k nearest neighbours of every point, by (squared distance, row), without itself.
 
     points: (3 N,), rows: (N,) and boxes: (nodes, 6) from `build_tree`; out: (N, k) rows, nearest
-    first, k < N; crowded: (N,), whether a row has k others at distance zero: its `out` stays empty.
+    first, k < N; crowded: (N,) out, whether a row has k others at distance zero: its row of `out`
+    is then not written.
     """
     n, k = out.shape
     room = 2 * k + 32
@@ -216,7 +219,7 @@ def search_tree(
                 at = notes * LANES
                 distance_keys(queries, points[p], points[n + p], points[2 * n + p], keys, at)
                 if node == home:
-                    keys[at + p - begin] = _FAR + 1  # a point is no neighbour of its own
+                    keys[at + p - begin] = _FAR + 1  # a point is not its own neighbour
                 if within(keys, at, lists) != 0:
                     insert(lists, keys, at, k)
                     noted[notes] = p

@@ -2,8 +2,8 @@
 
 Node 1 is the root and covers all leaves; node i that covers leaves [first, last) has the children
 2 i over [first, middle) and 2 i + 1 over [middle, last), middle = (first + last) // 2. Leaf l holds
-points [16 l, 16 l + 16) of the reordered arrays. Every node has the tight box of its points, so
-that a few points far away cost only the nodes that hold them.
+points [16 l, 16 l + 16) of the reordered arrays. Every node has the tight bounding box of its
+points, so that a few points far away affect only the nodes that hold them.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from nanogs._types import F64, I32, I64
 from nanogs.kernels.lanes import LANES
 from nanogs.kernels.policy import exact_inline, exact_kernel, exact_parallel_kernel
 
-_SAMPLE = 31  # points of which a pivot is chosen where many are split
+_SAMPLE = 31  # size of the sample that a pivot is chosen from, if many points are split
 
 
 @exact_inline
@@ -26,10 +26,11 @@ def _swap(points: F64, rows: I32, i: int, j: int) -> None:
 
 @exact_inline
 def _pivot(points: F64, low: int, high: int, middle: int, sample: F64) -> float:
-    """A value that is likely a little beyond the one that belongs in the middle.
+    """Return a pivot that is likely a little beyond the value that belongs at `middle`.
 
-    Of a sorted sample of [low, high], the one whose rank in it is that of the middle, one nearer
-    to the sample's own: the part kept is then the smaller one (Floyd and Rivest 1975).
+    In a sorted sample of [low, high], it is the value at the rank of `middle`, moved by one rank
+    towards the sample's median: the part that has to be searched is then likely the smaller one
+    (Floyd and Rivest 1975).
     """
     span = high - low
     size = 3 if span < 64 else (7 if span < 1024 else _SAMPLE)
@@ -53,7 +54,7 @@ def _pivot(points: F64, low: int, high: int, middle: int, sample: F64) -> float:
 def _select(
     points: F64, rows: I32, axis: int, low: int, high: int, middle: int, sample: F64
 ) -> None:
-    """Reorder points [low, high) by one coordinate around the one in the middle (Hoare's find)."""
+    """Partition points [low, high) by one coordinate around that at `middle` (quickselect)."""
     base = axis * len(rows)
     high -= 1
     while low < high:
@@ -78,7 +79,10 @@ def _select(
 
 @exact_inline
 def _bound(points: F64, n: int, low: int, high: int, boxes: F64, node: int) -> None:
-    """Box of points [low, high). All axes in one loop: minima in a chain wait for each other."""
+    """Compute the bounding box of points [low, high).
+
+    All axes are in one loop, because successive minima of one axis depend on each other.
+    """
     x0 = x1 = points[low]
     y0 = y1 = points[n + low]
     z0 = z1 = points[2 * n + low]
@@ -94,7 +98,7 @@ def _bound(points: F64, n: int, low: int, high: int, boxes: F64, node: int) -> N
 def _split(
     points: F64, rows: I32, boxes: F64, node: int, first: int, last: int, sample: F64
 ) -> None:
-    """Box of a node, and its points reordered into those of its two children."""
+    """Compute a node's box, and partition its points into those of its two children."""
     low, high = first * LANES, min(last * LANES, len(rows))
     _bound(points, len(rows), low, high, boxes, node)
     widest, axis = 0.0, -1
@@ -108,7 +112,7 @@ def _split(
 
 @exact_inline
 def _leaves_below(node: int, leaves: int) -> tuple[int, int]:
-    """First and last leaf of a node, or (0, 0) where a node above it is a leaf already."""
+    """Return the leaves [first, last) of a node, or (0, 0) if a node above it is a leaf already."""
     first, last, level = 0, leaves, 0
     while node >> level > 1:
         level += 1
@@ -146,7 +150,7 @@ def _split_all(points: F64, rows: I32, boxes: F64, node: int, first: int, last: 
 
 @exact_kernel
 def _split_top(points: F64, rows: I32, boxes: F64, top: int) -> None:
-    """Split the nodes of the first levels, one after the other."""
+    """Split the nodes of the first `top` levels, serially."""
     leaves = (len(rows) + LANES - 1) // LANES
     sample = np.empty(_SAMPLE)
     for node in range(1, 1 << top):
@@ -157,7 +161,7 @@ def _split_top(points: F64, rows: I32, boxes: F64, top: int) -> None:
 
 @exact_parallel_kernel("nodes", least=1)
 def _split_below(start: int, stop: int, points: F64, rows: I32, boxes: F64, nodes: I64) -> None:
-    """Split some nodes of one level and all nodes below them."""
+    """Split nodes of one level and all nodes below them."""
     leaves = (len(rows) + LANES - 1) // LANES
     for place in range(start, stop):
         first, last = _leaves_below(nodes[place], leaves)
@@ -166,11 +170,11 @@ def _split_below(start: int, stop: int, points: F64, rows: I32, boxes: F64, node
 
 
 def build_tree(points: F64, rows: I32, boxes: F64, top: int) -> None:
-    """Sort points into leaves; fill the boxes of all nodes.
+    """Build the tree: sort points into leaves and compute the boxes of all nodes.
 
     points: (3 N,) all x, all y, all z, reordered; rows: (N,) int32, reordered alike; boxes:
-    (nodes, 6) lowest x, y, z and highest x, y, z, filled; top: levels split one node after the
-    other, before the 2^top subtrees below them are split in parallel. It changes no result.
+    (nodes, 6) lowest x, y, z and highest x, y, z, filled; top: number of levels that are split
+    serially, before the 2^top subtrees below them are split in parallel. It changes no result.
     """
     _split_top(points, rows, boxes, top)
     _split_below(points, rows, boxes, np.arange(1 << top, 2 << top))

@@ -1,6 +1,6 @@
-"""Distances and lists of neighbours across 16 lanes; `simd/lanes.py` has the same in vectors.
+"""Distances and lists of neighbours for 16 queries; `simd/lanes.py` has the same in vectors.
 
-A key is the upper half of the bits of a float64 that is not negative. Keys sort like the numbers.
+A key is the upper half of the bits of a non-negative float64, as int32. Keys sort like the numbers.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ LANES = 16
 
 @exact_two_ways
 def distance_keys(points: F64, x: float, y: float, z: float, keys: I32, at: int) -> None:
-    """Keys of the squared distances of 16 points and one.
+    """Compute keys of the squared distances from 16 points to one.
 
     points: (48,) 16 x, 16 y, 16 z; keys: filled from place `at`.
     """
@@ -24,7 +24,10 @@ def distance_keys(points: F64, x: float, y: float, z: float, keys: I32, at: int)
 
 @exact_two_ways
 def box_keys(points: F64, boxes: F64, node: int, keys: I32) -> None:
-    """Keys of the squared distances of 16 points and a box. points: (48,); keys: (16,) or more."""
+    """Compute keys of the squared distances from 16 points to the box of a node.
+
+    points: (48,); keys: (16,) or more, filled.
+    """
     for lane in range(LANES):
         square = 0.0
         for axis in range(3):
@@ -37,7 +40,7 @@ def box_keys(points: F64, boxes: F64, node: int, keys: I32) -> None:
 
 @exact_two_ways
 def within(keys: I32, at: int, bounds: I32) -> int:
-    """Bit l is set where keys[at + l] <= bounds[l], l from 0 to 15."""
+    """Return a bit mask: bit l is set if keys[at + l] <= bounds[l], l from 0 to 15."""
     mask = 0
     for lane in range(LANES):
         mask |= int(keys[at + lane] <= bounds[lane]) << lane
@@ -46,7 +49,7 @@ def within(keys: I32, at: int, bounds: I32) -> int:
 
 @exact_two_ways
 def lowest_bit(mask: int) -> int:
-    """Place of the lowest bit set, of one at least."""
+    """Return the index of the lowest bit set in a mask that is not 0."""
     place = 0
     while mask >> place & 1 == 0:
         place += 1
@@ -55,7 +58,7 @@ def lowest_bit(mask: int) -> int:
 
 @exact_two_ways
 def insert(lists: I32, keys: I32, at: int, k: int) -> None:
-    """Put keys[at + l] into list l, which loses its largest, for the 16 lists.
+    """Insert keys[at + l] into list l and drop that list's largest key, for all 16 lists.
 
     lists: (16 k,), list l in places l, 16 + l, ..., descending.
     """

@@ -1,4 +1,4 @@
-"""Shares of mass from logarithms: products of scales leave float range long before scales do."""
+"""Shares of mass from logarithms, because products of scales overflow long before scales do."""
 
 import math
 
@@ -7,7 +7,7 @@ from nanogs.kernels.policy import inline
 
 @inline
 def mass_fraction(log_first: float, log_second: float) -> float:
-    """The first mass over the sum of both; one half where both are zero."""
+    """Return the first mass over the sum of both; one half if both are zero."""
     if log_first == -math.inf and log_second == -math.inf:
         return 0.5
     difference = log_second - log_first

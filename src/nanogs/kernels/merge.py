@@ -41,7 +41,7 @@ def merge_pairs(
         longest = max(variances[0], variances[1], variances[2])
         for axis in range(3):
             new_scales[row, axis] = deviation(variances[axis], longest)
-            # From i by a fraction of the difference: the mean stays between the two.
+            # From i by a fraction of the difference, so that the mean is between the two.
             new_means[row, axis] = means[i, axis] - wj * (means[i, axis] - means[j, axis])
         for part in range(4):
             new_quats[row, part] = q[part]

@@ -1,10 +1,11 @@
-"""Features that need not be stored: the mean of two rows of a table.
+"""Features that are not stored but computed when used: the weighted mean of two rows of a table.
 
-Those of the second generation would take nearly half the memory of the model's own. They are
-computed from these where they are needed instead, with the rounding that storing them would bring.
+The features of nodes that a first pass of merges makes would take nearly half the memory of the
+model's own. Instead they are computed from these when needed, with the rounding to float32 that
+storing them would bring.
 
-Throughout, features: (F, C); rows: (N,) row of each of N splats; seconds: (N,) another row of each,
-or (0,) where they have one alone; shares: (N, 2) weights of both, or (0, 2).
+Throughout, features: (F, C); rows: (N,) row of each of N splats; seconds: (N,) second row of each,
+or (0,) if each has only one; shares: (N, 2) weights of both, or (0, 2).
 """
 
 import numpy as np
@@ -17,7 +18,7 @@ from nanogs.kernels.policy import inline, parallel_kernel
 def feature(
     features: F32, rows: I32, seconds: I32, shares: F64, splat: int, channel: int
 ) -> np.float32:  # fmt: skip
-    """One channel of a splat."""
+    """Return one channel of a splat's features."""
     if len(seconds) == 0:
         return np.float32(features[rows[splat], channel])
     first, second = features[rows[splat], channel], features[seconds[splat], channel]
@@ -30,7 +31,7 @@ def mean_features(
     features: F32, rows: I32, seconds: I32, shares: F64,
     firsts: I32, others: I32, weights: F64, out: F32,
 ) -> None:  # fmt: skip
-    """Means of the features of two splats each.
+    """Compute weighted means of the features of pairs of splats.
 
     firsts, others: (M,) the splats; weights: (M, 2); out: (M, C).
     """

@@ -1,4 +1,4 @@
-"""The nearest point of a tree to places that are none of its points."""
+"""Nearest neighbours of query positions among the points of a tree."""
 
 import math
 
@@ -8,7 +8,7 @@ from nanogs._types import F64, I32
 from nanogs.kernels.lanes import LANES
 from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
 
-_DEEPEST = 64  # nodes that can wait on the way down a tree of 2^31 points: one a level, and a few
+_DEEPEST = 64  # size of the stack for a tree of 2^31 points: one node per level, and a few
 
 
 @exact_inline
@@ -18,7 +18,7 @@ def _square(x: float, y: float, z: float) -> float:
 
 @exact_inline
 def _to_box(x: float, y: float, z: float, boxes: F64, node: int) -> float:
-    """Squared distance of a place and a node."""
+    """Squared distance between a position and the box of a node."""
     return _square(
         max(0.0, boxes[node, 0] - x, x - boxes[node, 3]),
         max(0.0, boxes[node, 1] - y, y - boxes[node, 4]),
@@ -31,9 +31,10 @@ def find_nearest(
     start: int, stop: int,
     places: F64, points: F64, rows: I32, boxes: F64, distances: F64, nearest: I32,
 ) -> None:  # fmt: skip
-    """Fill the nearest point of each place, by (squared distance, row), and how far it is.
+    """Find the nearest point to each position, by (squared distance, row), and its distance.
 
-    places: (Q, 3); points (3 N,), rows (N,), boxes: from `build_tree`; distances, nearest: (Q,).
+    places: (Q, 3) positions; points (3 N,), rows (N,), boxes: from `build_tree`; distances,
+    nearest: (Q,) out.
     """
     n = len(rows)
     stack = np.empty(3 * _DEEPEST, dtype=np.int64)

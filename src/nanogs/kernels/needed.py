@@ -1,6 +1,6 @@
-"""Which kernels runs need, and for which types: `signatures.txt`, in the order of their need.
+"""The kernels that runs need, with their argument types, from `signatures.txt` in order of use.
 
-So that they can be compiled without a model, in any order and in several processes.
+Thus kernels can be compiled without a model, in any order and in several processes.
 """
 
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from typing import Any
 
 from numba.core import sigutils
 
-PRESETS = {"f": "fast", "d": "default", "p": "paper"}  # as the table marks them
+PRESETS = {"f": "fast", "d": "default", "p": "paper"}  # by their mark in the table
 
 
 @dataclass(frozen=True, slots=True)
 class Needed:
-    """A kernel for some types of its arguments.
+    """A kernel to be compiled for given argument types.
 
     Attributes:
-        name: Of the module in this package and of the function, such as `radix.radix_sort`.
-        types: Of the arguments, such as `(uint64[::1], uint64[::1])`.
-        presets: Those that need it.
+        name: Module in this package and function, such as `radix.radix_sort`.
+        types: Types of the arguments, such as `(uint64[::1], uint64[::1])`.
+        presets: The presets that need it.
     """
 
     name: str
@@ -40,25 +40,25 @@ class Needed:
 
     @property
     def processor(self) -> str:
-        """Which it is compiled for, as LLVM names it: kernels for others are kept apart."""
+        """LLVM's name of the processor it is compiled for; each has its own cache entry."""
         _system, name, _features = self._kernel.targetctx.codegen().magic_tuple()
         return str(name)
 
     @property
     def folder(self) -> str:
-        """Where it is kept, or would be."""
+        """The folder of the disk cache that it is in, or would be."""
         return str(self._kernel._cache.cache_path)  # noqa: SLF001
 
     def held(self) -> bool:
-        """Whether it is on the disk."""
+        """Return whether it is in the cache on disk."""
         kernel = self._kernel
         return bool(kernel._cache.holds(self._signature, kernel.targetctx.codegen()))  # noqa: SLF001
 
     def compile(self, *, wait: bool = True) -> bool:
-        """Compile it and keep it, unless it is on the disk.
+        """Compile it into the cache on disk, unless it is there.
 
         Args:
-            wait: For another process that compiles it; otherwise it is left to that one.
+            wait: Whether to wait if another process is compiling it; otherwise return at once.
 
         Returns:
             Whether it was compiled here.
@@ -71,7 +71,7 @@ class Needed:
 
 
 def needed(preset: str | None = None) -> list[Needed]:
-    """The kernels that a preset needs, those that it needs first first; by default all."""
+    """Return the kernels that a preset needs, in order of use; by default all kernels."""
     text = files("nanogs.kernels").joinpath("signatures.txt").read_text(encoding="utf-8")
     found = []
     for line in text.splitlines():

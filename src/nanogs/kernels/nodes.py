@@ -1,4 +1,4 @@
-"""Moments of groups of splats: covariances, their sums, and the way back to scales and rotations.
+"""Moments of groups of splats: covariances, their means, and conversion to scales and rotations.
 
 A covariance is a row of six float64 in the order xx, xy, xz, yy, yz, zz.
 """
@@ -14,7 +14,7 @@ from nanogs.kernels.symmetric3 import Symmetric3, covariance, deviation, eigen
 
 @inline
 def symmetric(covariances: F64, row: int) -> Symmetric3:
-    """A row of an (N, 6) array of covariances."""
+    """Return a row of an (N, 6) array of covariances as a tuple."""
     return (
         covariances[row, 0], covariances[row, 1], covariances[row, 2],
         covariances[row, 3], covariances[row, 4], covariances[row, 5],
@@ -25,7 +25,7 @@ def symmetric(covariances: F64, row: int) -> Symmetric3:
 def covariances_of(
     start: int, stop: int, scales: F32, quats: F32, flattest: float, least: float, out: F64
 ) -> None:
-    """R diag(s²) Rᵀ, no axis thinner than `flattest` times the longest, nor than `least`.
+    """Compute R diag(s²) Rᵀ, no axis thinner than `flattest` times the longest, nor than `least`.
 
     scales: (N, 3) and least: scene units; quats: (N, 4) wxyz unit; out: (N, 6).
     """
@@ -40,7 +40,7 @@ def covariances_of(
 
 @kernel
 def group_members(labels: I32, starts: I64, members: I32) -> None:
-    """List the rows of every group, ascending.
+    """List the rows of every group, ascending, by counting sort.
 
     labels: (N,) in [0, G); starts: (G + 1,) zeros, filled; members: (N,) filled: group g holds
     members[starts[g]:starts[g + 1]].
@@ -59,12 +59,12 @@ def group_members(labels: I32, starts: I64, members: I32) -> None:
 def join_pairs_of_nodes(
     pairs: I32, made: int, ids: I32, merges: I32, children: I32, starts: I64, members: I32
 ) -> None:  # fmt: skip
-    """Give every pair of rows one row, in the place of its smaller one, and list their members.
+    """Replace every pair of rows by one row, at the smaller one, and list the new rows' members.
 
     pairs: (P, 2) rows, i < j, none twice; made: number of the node that the first pair makes; ids:
-    (N,) numbers of the rows' nodes, those of the N - P rows to come in their place afterwards;
-    merges: (N,) all -1, changed; children: (P, 2) out, numbers of what each pair joins; starts:
-    (N - P + 1,) and members: (N,) filled, as `group_members` does.
+    (N,) node numbers of the rows; out, those of the N - P new rows in the first places; merges:
+    (N,) all -1, changed; children: (P, 2) out, numbers of the two nodes that each pair joins;
+    starts: (N - P + 1,) and members: (N,) filled, as `group_members` does.
     """
     for merge in range(len(pairs)):
         i, j = pairs[merge, 0], pairs[merge, 1]
@@ -89,7 +89,7 @@ def join_pairs_of_nodes(
 
 @kernel
 def heaviest_members(labels: I32, weights: F64, members: I64) -> None:
-    """The first member of largest weight of every group.
+    """Find the first member of largest weight of every group.
 
     labels: (N,) in [0, G); weights: (N,); members: (G,) all -1, filled.
     """
@@ -107,7 +107,7 @@ def gather_moments(
     features: F32, rows: I32, seconds: I32, shares: F64,
     new_weights: F64, new_coverages: F64, new_means: F64, new_covariances: F64, new_features: F32,
 ) -> None:  # fmt: skip
-    """Weighted mean, covariance and features of every group; sums of weights and coverages.
+    """Compute weighted mean, covariance and features of every group; sum weights and coverages.
 
     mu_m = sum w mu / W, Sigma_m = sum w (Sigma + (mu - mu_m)(mu - mu_m)^T) / W, f_m = sum w f / W.
     starts (G + 1,) and members (N,): from `group_members`; weights: (N,), all above 0; coverages:
@@ -124,7 +124,7 @@ def gather_moments(
             w = weights[row]
             total += w
             covered += coverages[row]
-            # From the first member: the mean keeps its digits far from the origin.
+            # Relative to the first member: the mean keeps its precision far from the origin.
             x += w * (means[row, 0] - means[anchor, 0])
             y += w * (means[row, 1] - means[anchor, 1])
             z += w * (means[row, 2] - means[anchor, 2])
@@ -156,7 +156,7 @@ def gather_moments(
 
 @parallel_kernel("covariances")
 def principal_axes(start: int, stop: int, covariances: F64, scales: F32, quats: F32) -> None:
-    """Standard deviations and rotation of every covariance.
+    """Compute standard deviations and rotation of every covariance.
 
     covariances: (N, 6); scales: (N, 3) out, scene units; quats: (N, 4) out, wxyz unit.
     """

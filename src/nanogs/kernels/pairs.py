@@ -1,26 +1,26 @@
-"""From neighbour lists to candidate pairs, and from costs to a matching."""
+"""Kernels of the matching: candidate pairs from neighbour lists, and a matching from costs."""
 
 import numpy as np
 
 from nanogs._types import F32, I32, I64, U32, U64, Bool
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 
-_LEAST = 1 << 13  # smaller rows that a thread looks through all neighbours for
+_LEAST = 1 << 13  # least number of smaller rows for which a thread scans all neighbours
 
 
 @inline
 def _lists(neighbours: I32, row: int, value: int) -> bool:
-    """Whether a row's neighbours hold a value; without an early exit, the loop is vectorised."""
+    """Return whether a row's neighbours include a value; vectorised, since it has no early exit."""
     hits = 0
     for place in range(neighbours.shape[1]):
-        # Another thread may be marking the row.
+        # The complement, too: another thread may be marking the row.
         hits += (neighbours[row, place] == value) | (neighbours[row, place] == ~value)
     return hits != 0
 
 
 @parallel_kernel("neighbours")
 def _count_larger(start: int, stop: int, neighbours: I32, starts: I64) -> None:
-    """How many of each row's neighbours are larger; marks those of `count_pairs`."""
+    """Count the larger neighbours of each row, and mark neighbours as `count_pairs` says."""
     for i in range(start, stop):
         larger = 0
         for place in range(neighbours.shape[1]):
@@ -33,23 +33,24 @@ def _count_larger(start: int, stop: int, neighbours: I32, starts: I64) -> None:
 
 @parallel_kernel("starts", least=_LEAST, each=1)
 def _add_marked(start: int, stop: int, starts: I64, neighbours: I32) -> None:
-    """Add the pairs that only their larger row lists, for some smaller rows.
+    """Count the pairs that only their larger row lists, for a range of smaller rows.
 
-    Every thread looks through all neighbours: a list of those that are marked would take memory
-    where it is scarcest.
+    Every thread scans all neighbours: a list of the marked ones would take memory at the peak of
+    its use.
     """
     for i in range(len(neighbours)):
         for place in range(neighbours.shape[1]):
             j = ~neighbours[i, place]
-            if start <= j < stop:  # not marked is below 0
+            if start <= j < stop:  # below 0 if not marked
                 starts[j + 1] += 1
 
 
 def count_pairs(neighbours: I32, starts: I64) -> None:
     """Find where the pairs of each row start; a pair belongs to its smaller row.
 
-    neighbours: (N, k), those marked by their complement that are the smaller row and do not have
-    this row among their own; starts: (N + 1,), filled, the last is the number of pairs.
+    neighbours: (N, k), changed: a neighbour is marked, by its complement, if it is the smaller row
+    and does not have this row among its own neighbours; starts: (N + 1,), filled, the last is the
+    number of pairs.
     """
     _count_larger(neighbours, starts)
     starts[0] = 0
@@ -59,7 +60,7 @@ def count_pairs(neighbours: I32, starts: I64) -> None:
 
 @parallel_kernel("nexts", least=_LEAST, each=1)
 def _fill_marked(start: int, stop: int, neighbours: I32, nexts: U32 | I64, seconds: I32) -> None:
-    """The larger rows of the pairs that only these list, for some smaller rows."""
+    """Write the larger rows of pairs that only their larger row lists, for some smaller rows."""
     for i in range(len(neighbours)):  # the rows ascend, and so do those given to each smaller one
         for place in range(neighbours.shape[1]):
             j = ~neighbours[i, place]
@@ -72,7 +73,7 @@ def _fill_marked(start: int, stop: int, neighbours: I32, nexts: U32 | I64, secon
 def _fill_larger(
     start: int, stop: int, neighbours: I32, starts: I64, nexts: U32 | I64, seconds: I32
 ) -> None:
-    """The other pairs, sorted in among those of their row."""
+    """Insert the larger rows of all other pairs, in order, among those of their smaller row."""
     for i in range(start, stop):
         count = np.int64(nexts[i])
         for place in range(neighbours.shape[1]):
@@ -87,7 +88,7 @@ def _fill_larger(
 
 
 def fill_seconds(neighbours: I32, starts: I64, nexts: U32 | I64, seconds: I32) -> None:
-    """The larger row of each unordered pair of the union of both directions, ascending.
+    """Write the larger row of each pair of neighbours, in either direction, once and ascending.
 
     neighbours, starts: from `count_pairs`; nexts: (N,) a copy of the starts, changed;
     seconds: (E,), filled: those of row i from starts[i] to starts[i + 1].
@@ -98,7 +99,7 @@ def fill_seconds(neighbours: I32, starts: I64, nexts: U32 | I64, seconds: I32) -
 
 @parallel_kernel("starts")
 def fill_firsts(start: int, stop: int, starts: I64, firsts: I32) -> None:
-    """The smaller row of each pair. starts: (N + 1,) from `count_pairs`; firsts: (E,), filled."""
+    """Write the smaller row of each pair; starts: (N + 1,) from `count_pairs`; firsts: (E,)."""
     for i in range(start, min(stop, len(starts) - 1)):
         for pair in range(starts[i], starts[i + 1]):
             firsts[pair] = i
@@ -106,7 +107,7 @@ def fill_firsts(start: int, stop: int, starts: I64, firsts: I32) -> None:
 
 @inline
 def _sortable(cost: np.float32) -> np.uint32:
-    """An integer that sorts like a cost; -0.0 ties with 0.0."""
+    """Return an integer that sorts like a cost; -0.0 ties with 0.0."""
     bits = np.float32(cost).view(np.uint32)
     if bits == np.uint32(0x80000000):
         return bits
@@ -118,7 +119,7 @@ NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 @inline
 def _key(costs: F32, edge: int) -> np.uint64:
-    """An integer that sorts like (cost, row of the pair)."""
+    """Return an integer that sorts like (cost, row of the pair)."""
     bits = _sortable(costs[edge])
     return np.uint64(bits) << np.uint64(32) | np.uint64(edge)
 
@@ -139,20 +140,20 @@ def offer_pairs(
 ) -> None:
     """Find the cheapest free pair of every row.
 
-    A stretch writes to its own rows alone: it shows them the pairs of its smaller rows, and those
-    of smaller rows before it whose larger row it has.
+    A stretch is a range of rows, and writes to its own rows alone. It considers the pairs whose
+    smaller row is in it, and those from earlier stretches whose larger row is in it.
 
     Args:
         start: First stretch of the range.
         stop: The stretch after its last.
         firsts: (E,) the smaller row of each pair, ascending.
         seconds: (E,) the larger.
-        costs: (E,) of the pairs; one that is NaN is no candidate.
-        taken: (N,) rows that are not free.
+        costs: (E,) costs of the pairs; one whose cost is NaN is no candidate.
+        taken: (N,) true for rows that are not free.
         bounds: (stretches + 1,) where the pairs of each stretch's smaller rows begin.
-        crossing: (C,) pairs whose rows are in two stretches, by that of the larger row.
-        reached: (stretches + 1,) where those of each stretch begin.
-        size: Rows of a stretch.
+        crossing: (C,) pairs whose rows are in two stretches, sorted by that of the larger row.
+        reached: (stretches + 1,) where the pairs of each stretch begin in `crossing`.
+        size: Number of rows of a stretch.
         bests: (N,) out, `_key` of the pair, or NONE.
     """
     for stretch in range(start, min(stop, len(bounds) - 1)):
@@ -176,10 +177,10 @@ def offer_pairs(
 def join_pairs(
     start: int, stop: int, firsts: I32, seconds: I32, bests: U64, taken: Bool, joined: U64
 ) -> None:
-    """Take the pairs that are the cheapest of both their rows.
+    """Match the pairs that are the cheapest of both their rows.
 
     firsts, seconds, bests: from `offer_pairs`; taken: (N,), changed; joined: (N,) the key of the
-    pair that each smaller row is in, changed.
+    matched pair of each smaller row, changed.
     """
     for i in range(start, stop):
         if bests[i] != NONE:
@@ -192,10 +193,10 @@ def join_pairs(
 
 @kernel
 def tally_free(firsts: I32, seconds: I32, costs: F32, taken: Bool, counts: I64) -> None:
-    """Count the pairs whose ends are both free by the upper half of their cost's bits.
+    """Count the pairs whose rows are both free in a histogram of the upper 16 bits of their costs.
 
-    firsts, seconds, costs: (E,), those without a number left out; taken: (N,); counts: (65536,)
-    zeros, filled.
+    firsts, seconds, costs: (E,), pairs whose cost is NaN are not counted; taken: (N,); counts:
+    (65536,) zeros, filled.
     """
     for edge in range(len(costs)):
         if not (taken[firsts[edge]] or taken[seconds[edge]] or np.isnan(costs[edge])):
@@ -208,12 +209,12 @@ def collect_free(
     firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64, end: int,
     places: I64, without: I64, keys: U64,
 ) -> None:  # fmt: skip
-    """Integers that sort like (cost, row of the pair), of pairs whose ends are both free.
+    """Write the keys, which sort like (cost, row of the pair), of pairs whose rows are both free.
 
-    firsts, seconds, costs, taken, bounds: as `offer_pairs` takes them; end: the first upper half of
-    a cost's bits that is too high; places: (stretches,) where the keys of each stretch begin,
-    becomes where they end; without: (stretches,), filled: pairs that have no cost; keys: filled, or
-    empty, and they are only counted.
+    firsts, seconds, costs, taken, bounds: as `offer_pairs` takes them; end: the least value of the
+    upper 16 bits of a cost that is too high; places: (stretches,) where the keys of each stretch
+    begin; out, where they end; without: (stretches,), filled: number of pairs whose cost is NaN;
+    keys: filled; if it is empty, keys are only counted.
     """
     for stretch in range(start, min(stop, len(bounds) - 1)):
         at, numberless = places[stretch], 0
@@ -233,10 +234,10 @@ def collect_free(
 def greedy_matching(
     firsts: I32, seconds: I32, keys: U64, taken: Bool, chosen: U64, count: int
 ) -> int:  # fmt: skip
-    """Walk the pairs in order and choose those whose ends are both free, until there is no room.
+    """Match greedily: choose pairs in order if both their rows are free, until there is no room.
 
     firsts, seconds: (E,); keys: from `collect_free`, sorted; taken: (N,), changed; chosen: (limit,)
-    keys of pairs, filled from place `count`. Returns how many there are.
+    keys of pairs, filled from place `count`. Returns the number of chosen pairs.
     """
     for key in keys:
         if count == len(chosen):

@@ -1,8 +1,8 @@
-"""The one place for compile options of every kernel.
+"""Decorators for kernels, and the compile options of all of them.
 
-No flag assumes that NaN or infinity are absent (`nnan`, `ninf` stay out): infinite opacities are
-data. `error_model="numpy"` divides as IEEE does; kernels guard their divisions all the same, so
-that they also run with `NUMBA_DISABLE_JIT=1`.
+No flag assumes that NaN or infinity are absent (`nnan` and `ninf` are not set), because infinite
+opacities are valid data. `error_model="numpy"` divides as IEEE does; kernels guard their divisions
+nevertheless, so that they also run with `NUMBA_DISABLE_JIT=1`.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ P = ParamSpec("P")
 Ranged = Callable[Concatenate[int, int, P], None]
 
 FASTMATH = {"nsz", "arcp", "contract", "reassoc"}
-# Numba wraps a function for callers in C: there are none, and it is quicker to compile without.
+# No wrapper for callers in C, because there are none, and compiling is faster without it.
 CALLED: dict[str, Any] = {
     "nogil": True,
     "error_model": "numpy",
@@ -39,7 +39,7 @@ def kernel(function: Kernel) -> Kernel:
 
 
 def exact_kernel(function: Kernel) -> Kernel:
-    """Compile a serial kernel whose floating-point operations are those written, as in IEEE."""
+    """Compile a serial kernel with strict IEEE floating point: nothing is reordered or fused."""
     return cached(function, **CALLED)
 
 
@@ -48,13 +48,13 @@ def parallel_kernel(
 ) -> Callable[[Ranged[P]], spread.Spread[P]]:
     """Compile a kernel whose ranges run on all threads, cached on disk.
 
-    It takes the range [start, stop) first, which its callers leave to `nanogs.spread`. What it
-    does for one number of the range must not touch what it does for another: results then do not
-    depend on the thread count.
+    Its first two arguments are the range [start, stop), which `nanogs.spread` adds to those of the
+    caller. Iterations must not write to the same places, so that results do not depend on the
+    number of threads.
 
     Args:
-        over: The argument that the range numbers the rows of.
-        least: Numbers that are worth a range of their own.
+        over: The argument whose rows are iterated over.
+        least: Least number of iterations in a range.
         each: Ranges for each thread, so that none waits long for the others.
     """
 
@@ -67,7 +67,7 @@ def parallel_kernel(
 def exact_parallel_kernel(
     over: str, least: int = 1024, each: int = 8
 ) -> Callable[[Ranged[P]], spread.Spread[P]]:
-    """As `parallel_kernel`; its floating-point operations are those written, as in IEEE."""
+    """Compile as `parallel_kernel` does, with strict IEEE floating point."""
 
     def compiled(function: Ranged[P]) -> spread.Spread[P]:
         return spread.Spread(function, exact_kernel(function), over, least, each)
@@ -76,35 +76,36 @@ def exact_parallel_kernel(
 
 
 def inline(function: Kernel) -> Kernel:
-    """Compile a small function that LLVM is to inline into the kernels that call it."""
+    """Mark a small function to be inlined into the kernels that call it."""
     return inlined(function, fastmath=FASTMATH, **CALLED)
 
 
 def exact_inline(function: Kernel) -> Kernel:
-    """Compile a small function to be inlined, without any liberty: for the exact kernels."""
+    """Mark a small function to be inlined, with strict IEEE floating point, for exact kernels."""
     return inlined(function, **CALLED)
 
 
 def two_ways(function: Kernel) -> Kernel:
-    """Compile a small function as vectors of `nanogs.kernels.simd`, or as it is written here.
+    """Compile a small function as vectors of `nanogs.kernels.simd`, or as it is written.
 
-    The former is the function of the same name in the module of the same name there. Which it is,
-    `simd/choice.py` says for all.
+    The vector version is the function of the same name in the module of the same name there.
+    `simd/choice.py` makes the choice for all functions.
     """
     return _two_ways(function, fastmath=FASTMATH, **CALLED)
 
 
 def exact_two_ways(function: Kernel) -> Kernel:
-    """As `two_ways`; its floating-point operations are those written, as in IEEE."""
+    """Compile as `two_ways` does, with strict IEEE floating point."""
     return _two_ways(function, **CALLED)
 
 
 def _two_ways(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba's own
-    given: Any = options | OPTIONS  # of the type that Numba keeps for itself
+    given: Any = options | OPTIONS  # `Any`, because Numba does not export the type
 
     @wraps(function)
     def python(*args: Any) -> Any:  # noqa: ANN401 - of any kernel
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # as compiled
+        # Compiled kernels give no such warnings.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return function(*args)
 
     def implementation(*args: Any) -> Callable[..., Any]:  # noqa: ANN401 - types of Numba's
@@ -125,7 +126,7 @@ def _two_ways(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Num
 
 
 class _Listener(event.Listener):
-    """Passes on when something is compiled; what the cache holds makes no such event."""
+    """Forwards Numba's compile events to `compiling`; loading from the cache makes none."""
 
     def on_start(self, event: event.Event) -> None:
         del event

@@ -1,4 +1,4 @@
-"""Kernel of the optimal quantiser of one-dimensional data."""
+"""Kernel of optimal scalar quantisation (one-dimensional k-means)."""
 
 import math
 
@@ -10,7 +10,7 @@ from nanogs.kernels.policy import inline, kernel
 
 @inline
 def _cost(w: F64, wx: F64, wxx: F64, first: int, stop: int) -> float:
-    """Squared error of the bins from `first` to before `stop` about their mean."""
+    """Squared error of the bins [first, stop) about their mean, from prefix sums."""
     weight = w[stop] - w[first]
     if weight <= 0.0:
         return 0.0
@@ -24,15 +24,15 @@ def optimal_cuts(centres: F64, weights: F64, cuts: I64) -> None:
     """Cut sorted bins into runs of least squared error, by dynamic programming.
 
     Source: Grønlund et al., "Fast exact k-means, k-medians and Bregman divergence clustering in
-    1D", 2017: the best last cut ascends with the number of bins, so each row is filled by divide
-    and conquer.
+    1D", 2017: the best last cut ascends with the number of bins, so that each row of the table is
+    filled by divide and conquer.
 
     centres: (H,) ascending; weights: (H,) positive; cuts: (K + 1,) out, from 0 to H, K up to H.
     """
     bins, runs = len(centres), len(cuts) - 1
     w, wx, wxx = np.zeros(bins + 1), np.zeros(bins + 1), np.zeros(bins + 1)
     for b in range(bins):
-        x = centres[b] - centres[bins // 2]  # nearer to zero: less is lost in the differences
+        x = centres[b] - centres[bins // 2]  # relative to the middle, against cancellation
         w[b + 1] = w[b] + weights[b]
         wx[b + 1] = wx[b] + weights[b] * x
         wxx[b + 1] = wxx[b] + weights[b] * x * x

@@ -13,7 +13,7 @@ Matrix3 = tuple[Row3, Row3, Row3]
 
 @inline
 def row3(array: F32, row: int) -> Row3:
-    """A row of an (N, 3) array in double precision: thin splats need it in every product."""
+    """Return a row of an (N, 3) array in float64, which products of thin splats need."""
     return np.float64(array[row, 0]), np.float64(array[row, 1]), np.float64(array[row, 2])
 
 
@@ -33,7 +33,7 @@ def rotation_matrix(quat: F) -> Matrix3:
 def unit_quaternion(rows: Matrix3) -> tuple[float, float, float, float]:
     """Unit quaternion of a rotation matrix, wxyz with w >= 0 (Shepperd 1978).
 
-    The branch takes the largest of the four candidates for the divisor, so none is near zero.
+    Of four formulas, the one with the largest divisor is used, which is never near zero.
     """
     (a, b, c), (d, e, f), (g, h, i) = rows
     trace = a + e + i

@@ -7,7 +7,7 @@ from nanogs._types import I64, U64
 from nanogs.kernels.policy import parallel_kernel
 
 DIGITS, VALUES = 3, 2048  # of 11 bits each
-_LEAST = 1 << 14  # keys that are worth a run of their own
+_LEAST = 1 << 14  # least number of keys of a run
 
 
 @parallel_kernel("counts", least=1)
@@ -19,7 +19,7 @@ def count_digits(start: int, stop: int, keys: U64, bounds: I64, digit: int, coun
         stop: The run after its last.
         keys: (E,).
         bounds: (runs + 1,) where each run begins.
-        digit: From 0, the lowest of the upper half.
+        digit: Index of the digit, from 0 for the lowest of the upper half.
         counts: (runs, VALUES) out.
     """
     shift = np.uint64(32 + 11 * digit)
@@ -33,15 +33,15 @@ def count_digits(start: int, stop: int, keys: U64, bounds: I64, digit: int, coun
 def move_keys(
     start: int, stop: int, keys: U64, bounds: I64, digit: int, places: I64, moved: U64
 ) -> None:
-    """Move each run of keys to where their digits belong, those of equal digits as they come.
+    """Move each run of keys to the places of their digits, keys of equal digits in order.
 
     Args:
         start: First run of the range.
         stop: The run after its last.
         keys: (E,).
         bounds: (runs + 1,) where each run begins.
-        digit: From 0, the lowest of the upper half.
-        places: (runs, VALUES) where the first key of each value goes; moved to the end.
+        digit: Index of the digit, from 0 for the lowest of the upper half.
+        places: (runs, VALUES) in, where the keys of each value begin; out, where they end.
         moved: (E,) out.
     """
     shift = np.uint64(32 + 11 * digit)
@@ -56,11 +56,11 @@ def radix_sort(keys: U64, other: U64) -> U64:
     """Sort by the upper 32 bits, in three stable passes from the lowest digit (Knuth 5.2.5).
 
     Args:
-        keys: (E,) whose lower halves ascend: they break ties. Overwritten.
-        other: (E,) overwritten, too.
+        keys: (E,) whose lower halves ascend, so that ties are in their order. Overwritten.
+        other: (E,) scratch.
 
     Returns:
-        The one of the two that holds the result, which is the same for any number of runs.
+        `keys` or `other`, whichever holds the result, which is the same for any number of runs.
     """
     runs = max(1, min(2 * int(numba.get_num_threads()), len(keys) // _LEAST))
     bounds = len(keys) * np.arange(runs + 1) // runs
@@ -74,7 +74,7 @@ def radix_sort(keys: U64, other: U64) -> U64:
 
 
 def sorted_rows(keys: U64) -> I64:
-    """(E,) int64, the lower halves of keys in the order of `radix_sort`, which overwrites them."""
+    """(E,) int64, the lower halves of keys in the order of `radix_sort`; `keys` is overwritten."""
     found = radix_sort(keys, np.empty_like(keys))
     found &= np.uint64(0xFFFFFFFF)
     return found.view(np.int64)

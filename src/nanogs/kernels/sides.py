@@ -1,4 +1,4 @@
-"""Whether others lie on all sides of a splat, so that it would not reach beyond the surface."""
+"""Test whether a splat has others on all sides, so that it can grow without leaving the surface."""
 
 import math
 
@@ -8,9 +8,9 @@ from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.quaternion import rotation_matrix, row3
 from nanogs.kernels.symmetric3 import adjugate_product, determinant
 
-AWAY = 3.5  # deviations to either side at which others are looked for; beyond 3 a splat ends
-THICK = 0.3  # of the middle deviation, by which others are taken for thicker: surfaces are curved
-ENOUGH = 0.4  # sum of the others' alphas there that counts as all of it
+AWAY = 3.5  # standard deviations to either side where alpha is summed; a splat ends beyond 3
+THICK = 0.3  # others are thickened by this share of the middle deviation: surfaces are curved
+ENOUGH = 0.4  # sum of the others' alphas there that counts as fully covered
 
 
 @inline
@@ -18,7 +18,7 @@ def _alpha(
     x: float, y: float, z: float, thick: float,
     rows: I32, own: int, means: F64, covariances: F64, alphas: F64,
 ) -> float:  # fmt: skip
-    """Sum of the alphas of some splats at a point, all thicker by a variance, but for one."""
+    """Sum the alphas of splats but `own` at a point, each thickened by the variance `thick`."""
     total = 0.0
     for other in rows:
         if other == own:
@@ -37,10 +37,10 @@ def covered_sides(
     start: int, stop: int, groups: I32, scales: F32, quats: F32, neighbours: I32,
     means: F64, covariances: F64, alphas: F64, shares: F64,
 ) -> None:  # fmt: skip
-    """How much the neighbours of splats cover on that side of four on which they cover least.
+    """Compute how much of splats' least covered side is covered by their neighbours.
 
-    The sides are both ends of the two longer axes. `shares` is what the neighbours' alphas sum up
-    to there over `ENOUGH`, at most 1.
+    The four sides are both ends of the two longer axes. `shares` is the sum of the neighbours'
+    alphas there over `ENOUGH`, at most 1.
     groups: (R,) rows of the splats; scales (R, 3), scene units, and quats (R, 4), wxyz unit, of
     these; neighbours: (G, k) rows; means (G, 3), covariances (G, 6) and alphas (G,) of all; shares:
     (R,) out.

@@ -7,12 +7,12 @@ from nanogs.kernels.quaternion import Matrix3, Row3
 
 Symmetric3 = tuple[float, float, float, float, float, float]
 
-MOST_DEVIATION = 3.4e38  # the exponential of its logarithm is still a float32
+MOST_DEVIATION = 3.4e38  # the exponential of its logarithm is still finite in float32
 
-# Cyclic Jacobi on 3x3 converges quadratically: five or six sweeps; the bound is never the way out.
+# Cyclic Jacobi on 3x3 converges quadratically, in five or six sweeps; the bound is never reached.
 _MAX_SWEEPS = 20
 _OFF_DIAGONAL = 1e-32  # squared, relative to the largest entry: below float64's resolution
-# What rounding may leave of a product of entries that cancel.
+# Relative rounding errors of a product of entries that cancel.
 _ROUNDING = 1e-16
 _UNRESOLVED = 1e-14
 
@@ -33,7 +33,7 @@ def covariance(rows: Matrix3, vx: float, vy: float, vz: float) -> Symmetric3:
 
 @inline
 def mix(p: float, s: Symmetric3, q: float, t: Symmetric3, pq: float, d: Row3) -> Symmetric3:
-    """Second central moment of the two-part mixture: p S + q T + pq d d^T."""
+    """Covariance of a mixture of two: p S + q T + pq d d^T, d the difference of the means."""
     x, y, z = d
     return (
         p * s[0] + q * t[0] + pq * x * x,
@@ -49,8 +49,8 @@ def mix(p: float, s: Symmetric3, q: float, t: Symmetric3, pq: float, d: Row3) ->
 def log_det(s: Symmetric3, floor: float) -> float:
     """Logarithm of the determinant of a matrix whose eigenvalues are all at least `floor`.
 
-    The pivots of an LDL^T factorisation are at least the smallest eigenvalue; holding them there
-    only undoes rounding.
+    The pivots of an LDL^T factorisation are at least the smallest eigenvalue; clamping them to
+    `floor` only undoes rounding.
     """
     d0 = max(s[0], floor)
     l1 = s[1] / d0
@@ -84,9 +84,9 @@ def adjugate_product(s: Symmetric3, d: Row3) -> float:
 
 @inline
 def resolved(s: Symmetric3) -> bool:
-    """Whether the determinant of a covariance is more than what rounding leaves of its products.
+    """Return whether the determinant of a covariance is larger than its rounding error.
 
-    It is less where splats far apart were merged: the long axis hides the short ones.
+    It is not if splats far apart were merged: the long axis then hides the short ones.
     """
     return determinant(s) > _UNRESOLVED * s[0] * s[3] * s[5]
 
@@ -95,8 +95,8 @@ def resolved(s: Symmetric3) -> bool:
 def log_determinant(s: Symmetric3) -> float:
     """Logarithm of the determinant of a covariance whose diagonal is above 0; always finite.
 
-    Where the determinant is lost to rounding, so are the pivots of an LDL^T factorisation; each is
-    taken for what rounding leaves of its diagonal entry.
+    If the determinant is lost to rounding, so are the pivots of an LDL^T factorisation; each is
+    then at least the rounding error of its diagonal entry.
     """
     if resolved(s):
         return math.log(determinant(s))
@@ -109,10 +109,10 @@ def log_determinant(s: Symmetric3) -> float:
 
 @inline
 def deviation(variance: float, largest: float) -> float:
-    """The square root of an eigenvalue as float32 can hold it and its logarithm.
+    """Square root of an eigenvalue, clamped so that float32 can hold it and its logarithm.
 
-    Rounding can leave the small eigenvalues of a long covariance at zero or below: no axis is
-    shorter than rounding's share of the longest.
+    Rounding can make the small eigenvalues of a long covariance zero or negative, so that no
+    variance is taken as less than the rounding error of the largest.
     """
     return min(math.sqrt(max(variance, _ROUNDING * largest)), MOST_DEVIATION)
 

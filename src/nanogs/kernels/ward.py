@@ -1,11 +1,10 @@
-"""Kernels that merge near points into fewer, with the least squared error.
+"""Kernels of Ward clustering: merge near points into fewer, with little squared error.
 
-Source: Ward, "Hierarchical grouping to optimize an objective function", 1963. To merge points a and
-b of weights v and w costs v w / (v + w) |a - b|², which is what the squared errors grow by.
+Source: Ward, "Hierarchical grouping to optimize an objective function", 1963. Merging points a and
+b of weights v and w costs v w / (v + w) |a - b|², the increase of the squared error.
 
-Points lie in cells. The table has a block for each cell, with the points of the cell side by side:
-D rows, as wide as a multiple of 16, one point a column. A column without a point has an infinite
-square.
+Each point is in a cell. The table has a block for each cell, a matrix of D rows with one point in
+each column, whose width is a multiple of 16. A column without a point has an infinite square.
 """
 
 import math
@@ -23,7 +22,7 @@ TWO = np.float32(2)
 
 @exact_inline
 def _apart(points: F32, i: int, j: int) -> np.float32:
-    """|a - b|² of two points, the same on every machine; D is a multiple of three."""
+    """Return |a - b|² of two points, the same on every machine; D is a multiple of three."""
     x, y, z = np.float32(0), np.float32(0), np.float32(0)
     for d in range(0, points.shape[1], 3):
         u = points[i, d] - points[j, d]
@@ -44,7 +43,7 @@ def _cost(points: F32, weights: F32, i: int, j: int) -> np.float32:
 
 @exact_inline
 def _nearest(points: F32, i: int, holders: I32, start: int, stop: int) -> int:
-    """The nearest other point among every sixteenth column, the lower of equal ones."""
+    """Return the nearest other point in one lane, every sixteenth column; ties to the lower row."""
     least, found = EMPTY, NOBODY
     for column in range(start, stop, LANES):
         other = holders[column]
@@ -57,7 +56,10 @@ def _nearest(points: F32, i: int, holders: I32, start: int, stop: int) -> int:
 
 @inline
 def _enter(partners: I32, costs: F32, i: int, partner: int, cost: np.float32) -> None:
-    """Put a partner among the cheapest of a point, if it is one; of equal ones the lower goes."""
+    """Insert a partner into a point's sorted list of cheapest ones, if it is one of them.
+
+    Ties go to the lower row.
+    """
     last = costs.shape[1] - 1
     if not (cost < costs[i, last] or (cost == costs[i, last] and partner < partners[i, last])):
         return
@@ -77,11 +79,11 @@ def lay_out(
     bounds: I64, starts: I64, order: I64, points: F32, lengths: F32, table: F32, squares: F32,
     holders: I32, places: I64,
 ) -> None:  # fmt: skip
-    """Fill the blocks of cells with their points.
+    """Copy the points of each cell into its block of the table.
 
-    bounds: (C,) the first column of each cell; starts: (C + 1,) where its points are in `order`;
-    points: (N, D); lengths: (N,) squared; table: (S D,) out; squares: (S,) out; holders: (S,) out,
-    the point of each column; places: (N,) out, the column of each point.
+    bounds: (C,) the first column of each cell; starts: (C + 1,) where the points of each cell begin
+    in `order`; points: (N, D); lengths: (N,) squared; table: (S D,) out; squares: (S,) out;
+    holders: (S,) out, the point of each column; places: (N,) out, the column of each point.
     """
     dimensions = points.shape[1]
     for cell in range(start, stop):
@@ -107,13 +109,14 @@ def _take_nearest(
     i: int, points: F32, lengths: F32, weights: F32, first: int, width: int, holders: I32,
     lowest: F32, second: F32, tiles: I32, rounding: np.float32, partners: I32, costs: F32,
 ) -> None:  # fmt: skip
-    """Take the nearest point of each lane of a cell for a partner, where it is cheap enough.
+    """Insert the nearest point of each lane of a cell as a partner of a point, if cheap enough.
 
-    i: the point; first, width: columns of the cell; lowest, second: (16,) of the lanes, squared
-    distances less the point's own square; tiles: (16,) of the lowest; the others as below.
+    i: the point; first, width: columns of the cell; lowest, second: (16,) the two least squared
+    distances in each lane, less the point's own square; tiles: (16,) the tile of the lowest; the
+    others as in `near_partners`.
     """
     last = costs.shape[1] - 1
-    hidden, nearest = -1, EMPTY  # the lane in which the point itself is the nearest
+    hidden, nearest = -1, EMPTY  # hidden: the lane in which the point itself is the nearest
     for lane in range(LANES):
         if lowest[lane] == EMPTY:
             continue
@@ -125,7 +128,7 @@ def _take_nearest(
         doubt = rounding * (lengths[i] + lengths[partner])
         v, w = weights[i], weights[partner]
         if (lowest[lane] + lengths[i] - 2 * doubt) * (v / (v + w) * w) > costs[i, last]:
-            continue  # even at the least that it may cost
+            continue  # too expensive, even at the lower bound of its cost
         if second[lane] - lowest[lane] <= doubt:
             partner = _nearest(points, i, holders, first + lane, first + width)
         _enter(partners, costs, i, partner, _cost(points, weights, i, partner))
@@ -142,27 +145,28 @@ def near_partners(
     pieces: I64, order: I64, points: F32, lengths: F32, weights: F32, bounds: I64, widths: I64,
     table: F32, squares: F32, holders: I32, rounding: np.float32, partners: I32, costs: F32,
 ) -> None:  # fmt: skip
-    """Look in cells for the cheapest partners of points, beside those found before.
+    """Search cells for the cheapest partners of points, and add them to those found before.
 
-    Of each sixteenth of a cell the nearest point is taken. Where a second one is as near but for
-    rounding, all are looked at, so that the same is found on every machine.
+    Only the nearest point of each lane of a cell, a sixteenth of it, is considered. If the second
+    nearest is as near but for rounding, all of the lane are compared exactly, so that the result is
+    the same on every machine.
 
     Args:
         start: First piece of the range.
         stop: The piece after its last.
-        pieces: (Q, 3) a cell, and from where to where in `order` the points that look into it are.
-        order: Points by the cell to look into.
+        pieces: (Q, 3) a cell, and the range in `order` of the points that search it.
+        order: Points, sorted by the cell to search.
         points: (N, D), D a multiple of three.
         lengths: (N,) squared.
         weights: (N,) positive.
         bounds: (C,) the first column of each cell.
-        widths: (C,) its columns, a multiple of 16.
+        widths: (C,) number of columns of each cell, a multiple of 16.
         table: (S D,) the blocks of all cells.
-        squares: (S,) of the columns.
+        squares: (S,) squared length of each column.
         holders: (S,) the point of each column.
-        rounding: Of sums of so many terms, as a share of the squares.
+        rounding: Bound of the rounding error of a squared distance, relative to the squares.
         partners: (N, P) in and out, the cheapest partners, the cheapest first; NOBODY for none.
-        costs: (N, P) in and out, infinite for none.
+        costs: (N, P) in and out, their costs, infinite for none.
     """
     dimensions = points.shape[1]
     factors = np.empty((TOGETHER, dimensions), np.float32)
@@ -195,7 +199,7 @@ def near_partners(
 def own_costs(
     start: int, stop: int, labels: I32, points: F32, weights: F32, partners: I32, costs: F32
 ) -> None:
-    """Enter the partners that points have, at what they cost.
+    """Write given partners of points and the costs of merging with them.
 
     labels: (M,) the partner of each of the last M points; points: (N, D); weights: (N,); partners,
     costs: (N, 1) out.
@@ -213,12 +217,12 @@ def cheapest(
     rows: I64, parents: I32, changed: I32, searched: I32, partners: I32, costs: F32, best: I32,
     least: F32,
 ) -> None:  # fmt: skip
-    """The cheapest partner of each point that is still there and as it was.
+    """Find the cheapest partner of each point that has not been merged since it was found.
 
-    rows: (R,) points; parents: (N,) their own number, of points that are still there; changed: (N,)
-    the pass in which a point last moved; searched: (N,) that in which its partners were found;
-    partners, costs: of `near_partners`; best: (R,) out, the partner, or NOBODY if none is left;
-    least: (R,) out, its cost, or if none is left what another costs at least.
+    rows: (R,) points; parents: (N,) the point itself if it has not been merged into another;
+    changed: (N,) the pass in which a point last moved; searched: (N,) the pass in which its
+    partners were found; partners, costs: of `near_partners`; best: (R,) out, the partner, or NOBODY
+    if none is left; least: (R,) out, its cost, or if none is left, a lower bound of any other's.
     """
     count = partners.shape[1]
     for r in range(start, stop):
@@ -240,29 +244,29 @@ def merge_pairs(
     parents: I32, changed: I32, places: I64, cells: I32, bounds: I64, widths: I64, table: F32,
     squares: F32, holders: I32, merged: I64,
 ) -> int:  # fmt: skip
-    """Merge pairs in the order given, each point once; the heavier one stays, with their mean.
+    """Merge pairs in the order given, each point once; the heavier one is replaced by their mean.
 
     Args:
         rows: (R,) points, the cheapest pair first.
         best: (R,) their partners.
-        most: Merges at most.
-        now: The pass.
+        most: Number of merges, at most.
+        now: Number of the current pass.
         points: (N, D) in and out.
         lengths: (N,) squared, in and out.
         weights: (N,) in and out.
         parents: (N,) in and out, the point into which each was merged, or itself.
         changed: (N,) in and out, the pass in which each was last merged.
         places: (N,) the column of each.
-        cells: (N,) the cell in which each lies.
+        cells: (N,) the cell of each.
         bounds: (C,) the first column of each cell.
-        widths: (C,) its columns.
+        widths: (C,) number of columns of each cell.
         table: (S D,) in and out.
         squares: (S,) in and out.
         holders: (S,) in and out.
-        merged: (most,) out, the points that stayed.
+        merged: (most,) out, the points that others were merged into.
 
     Returns:
-        How many merges there were.
+        The number of merges.
     """
     dimensions = points.shape[1]
     count = 0

@@ -1,1 +1,1 @@
-"""Small functions of the hottest kernels, in vectors of the compiler's own; see README.md."""
+"""Small functions of the hottest kernels, written with LLVM's vector types; see README.md."""

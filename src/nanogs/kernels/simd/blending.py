@@ -1,4 +1,4 @@
-"""`nanogs.kernels.blending` in vectors: what each does is said there."""
+"""Vector versions of the functions of `nanogs.kernels.blending`, which documents them."""
 # ruff: noqa: ANN401, ARG001, D103 - Numba asks for these signatures, and llvmlite has no types
 
 from typing import Any

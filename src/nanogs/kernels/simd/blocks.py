@@ -1,4 +1,4 @@
-"""`nanogs.kernels.blocks` in vectors: what each does is said there."""
+"""Vector versions of functions of `nanogs.kernels.blocks`, which documents them."""
 # ruff: noqa: ANN401, ARG001, D103 - Numba asks for these signatures, and llvmlite has no types
 
 from typing import Any
@@ -25,7 +25,7 @@ REALS, _WORDS = vec.reals(LANES), vec.words(LANES)
 
 
 def pixels_of(builder: Any, block: Any) -> tuple[Any, Any]:
-    """Where the pixels of a block are, from the middle of the tile; block: an int64."""
+    """Return the offsets of a block's pixels from the middle of the tile; block: an int64."""
     size, real = vec.index(SIDE), ir.FloatType()
     columns, rows = (ir.Constant(REALS, (at - MIDDLE).tolist()) for at in (COLUMNS, ROWS))
     x = builder.sitofp(builder.mul(builder.urem(block, size), size), real)
@@ -35,7 +35,7 @@ def pixels_of(builder: Any, block: Any) -> tuple[Any, Any]:
 
 
 def alpha_of(builder: Any, shape: list[Any], x: Any, y: Any) -> tuple[Any, Any, Any, Any]:
-    """The alpha of a block's pixels, where it is 1/255 or more, and the roots of both squares."""
+    """Return alpha of a block's pixels, a mask of 1/255 or more, and the roots of both squares."""
     start, across, along, height, rise, faint = shape
     p = vec.with_products(builder, start, (across, x), (along, y))
     q = vec.with_products(builder, height, (rise, y))
@@ -50,7 +50,7 @@ def alpha_of(builder: Any, shape: list[Any], x: Any, y: Any) -> tuple[Any, Any, 
 
 
 def light_through(builder: Any, alpha: Any, seen: Any, before: Any) -> tuple[Any, Any]:
-    """Weights T alpha, and the transmittances after."""
+    """Return the weights T alpha, and the transmittances behind the splat."""
     zero = vec.fill(REALS, 0.0)
     weight = builder.select(seen, vec.mul(builder, before, alpha), zero)
     after = vec.sub(builder, before, weight)

@@ -1,8 +1,8 @@
-"""Which way the small functions of the hottest kernels are compiled: decided here, for all of them.
+"""The choice between vectors and plain code for the small functions of the hottest kernels.
 
-Vectors are built with what Numba and llvmlite do not promise to keep. So they are taken where the
-version of Numba is one that was tried, and only if they compile; the plain way, which is slower, is
-taken elsewhere, and a line says so.
+The vectors use parts of Numba and llvmlite that may change in any version. So they are used only
+with versions of Numba that were tested, and only if they compile; otherwise plain code is used,
+which is slower, and a warning is logged.
 """
 
 import logging
@@ -15,25 +15,25 @@ import numba
 from nanogs.errors import OptionError
 
 VARIABLE = "NANOGS_SIMD"
-FIRST, LAST = (0, 62), (0, 68)  # versions of Numba that were tried; see README.md
+FIRST, LAST = (0, 62), (0, 68)  # versions of Numba that were tested; see README.md
 _log = logging.getLogger("nanogs")
 _trying = False
 
 
 class Way(Enum):
-    """How the functions are compiled."""
+    """The two ways of compiling the functions."""
 
-    SIMD = "simd"  # from the vectors of this package
-    PLAIN = "plain"  # by Numba, as they are written
+    SIMD = "simd"  # as the vectors of this package
+    PLAIN = "plain"  # by Numba, from the Python functions
 
 
 def chosen() -> Way:
-    """The way of this process; the same from the first call on."""
+    """Return the way that this process uses, which never changes after the first call."""
     return Way.SIMD if _trying else _chosen()[0]
 
 
 def reason() -> str | None:
-    """Why the plain way was taken although nobody asked for it, as one clause; or None."""
+    """Return why plain code is used although nobody asked for it, as one clause, or None."""
     return _chosen()[1]
 
 
@@ -56,7 +56,7 @@ def _chosen() -> tuple[Way, str | None]:
 
 
 def _untried(version: str) -> str | None:
-    """A warning about a version of Numba that the vectors were not tried with."""
+    """Return a warning if the vectors were not tested with this version of Numba, or None."""
     major, minor, *_ = version.split(".")
     if FIRST <= (int(major), int(minor)) <= LAST:
         return None
@@ -65,14 +65,14 @@ def _untried(version: str) -> str | None:
 
 
 def _failure() -> str | None:
-    """A warning if the vectors do not compile here; else they are kept on the disk."""
+    """Return a warning if the vectors do not compile here, or None; the trial is cached on disk."""
     global _trying  # noqa: PLW0603
     from nanogs.kernels.simd import trial
 
     _trying = True
     try:
         trial.run()
-    except Exception as error:  # whatever a compiler that is unknown raises
+    except Exception as error:  # an untested compiler may raise anything
         name = type(error).__name__
         return f"the fast ones do not compile with Numba {numba.__version__} here ({name})"
     finally:

@@ -1,4 +1,4 @@
-"""`nanogs.kernels.closest` in vectors: what each does is said there."""
+"""Vector version of `nanogs.kernels.closest`, which documents it."""
 # ruff: noqa: ANN401, ARG001, D103 - Numba asks for these signatures, and llvmlite has no types
 
 import math
@@ -11,7 +11,7 @@ from nanogs.kernels.closest import LANES, TOGETHER
 from nanogs.kernels.simd import vectors as vec
 
 _REALS, _WORDS = vec.reals(LANES), vec.words(LANES)
-_STEP = 3  # dimensions a turn of the inner loop
+_STEP = 3  # dimensions per iteration of the inner loop
 
 
 @intrinsic

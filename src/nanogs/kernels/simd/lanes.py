@@ -1,4 +1,4 @@
-"""`nanogs.kernels.lanes` in vectors: what each does is said there."""
+"""Vector versions of the functions of `nanogs.kernels.lanes`, which documents them."""
 # ruff: noqa: ANN401, ARG001, D103 - Numba asks for these signatures, and llvmlite has no types
 
 from typing import Any
@@ -24,7 +24,7 @@ def _greater(builder: Any, a: Any, b: Any) -> Any:
 
 
 def _keys_of(builder: Any, x: Any, y: Any, z: Any) -> Any:
-    """Keys of x x + y y + z z; to the last bit as written."""
+    """Return keys of x x + y y + z z, computed exactly in this order."""
     total = builder.fadd(builder.fmul(x, x), builder.fmul(y, y))
     total = builder.fadd(total, builder.fmul(z, z))
     return builder.trunc(builder.lshr(builder.bitcast(total, _BITS), vec.fill(_BITS, 32)), _KEYS)

@@ -1,4 +1,4 @@
-"""`nanogs.kernels.pulls` in vectors: what it does is said there."""
+"""Vector version of `nanogs.kernels.pulls`, which documents it."""
 # ruff: noqa: ANN401, ARG001, D103 - Numba asks for these signatures, and llvmlite has no types
 
 from typing import Any
@@ -14,7 +14,7 @@ from nanogs.kernels.simd.blocks import REALS, alpha_of, light_through, pixels_of
 
 
 def _moments(builder: Any, value: Any, p: Any, q: Any, powers: list[tuple[int, int]]) -> list[Any]:
-    """The value times p^a q^b."""
+    """Return the value times p^a q^b for each pair of powers (a, b)."""
     found: dict[tuple[int, int], Any] = {(0, 0): value}
     for a, b in powers:
         if (a, b) not in found:
@@ -24,7 +24,7 @@ def _moments(builder: Any, value: Any, p: Any, q: Any, powers: list[tuple[int, i
 
 
 def _write_sums(builder: Any, sums: list[Any], out: Any, e: Any) -> None:
-    """Write the sum of each of 25 vectors into a row: 16, 8 and one."""
+    """Write the scaled sum of each of 25 vectors into a row: 16 as a vector, 9 one by one."""
     zeros = [vec.fill(REALS, 0.0)] * (2 * LANES - SUMS)
     first, second = (
         vec.mul(builder, vec.sums(builder, vectors), ir.Constant(REALS, scales))

@@ -1,4 +1,4 @@
-"""A kernel that calls all that is written in vectors, to see whether it compiles and runs."""
+"""A kernel that calls all vector functions, to test whether they compile and run."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def _call_all(
 
 
 def run() -> None:
-    """Compile it, or take it from the disk, and call it."""
+    """Compile the kernel, or load it from the cache, and call it."""
     shapes, sums = np.zeros((32, 8), np.float32), np.zeros((4, 32, 32), np.float32)
     left, planes = np.ones((16, 16), np.float32), np.zeros((4, 16, 16), np.float32)
     boxes, marks = np.zeros((1, 6)), np.zeros(16, np.uint32)

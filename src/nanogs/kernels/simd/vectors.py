@@ -1,4 +1,4 @@
-"""Vectors in LLVM's own types: the compiler cuts them into the registers that a machine has."""
+"""Helpers for LLVM's vector types, which the compiler splits into the machine's registers."""
 # ruff: noqa: ANN401 - llvmlite has no types
 
 from collections.abc import Callable
@@ -13,64 +13,64 @@ FAST = ("contract", "nsz", "arcp", "reassoc")
 
 
 def reals(count: int) -> Any:
-    """The type of so many float32."""
+    """Return the type of a vector of float32."""
     return ir.VectorType(ir.FloatType(), count)
 
 
 def doubles(count: int) -> Any:
-    """The type of so many float64."""
+    """Return the type of a vector of float64."""
     return ir.VectorType(ir.DoubleType(), count)
 
 
 def words(count: int) -> Any:
-    """The type of so many int32."""
+    """Return the type of a vector of int32."""
     return ir.VectorType(WORD, count)
 
 
 def index(value: int) -> Any:
-    """An int64."""
+    """Return an int64 constant."""
     return ir.Constant(INDEX, value)
 
 
 def fill(kind: Any, value: float) -> Any:
-    """A vector of one constant."""
+    """Return a vector that repeats a constant."""
     if kind.element == ir.FloatType():
         value = float(np.float32(value))
     return ir.Constant(kind, [value] * kind.count)
 
 
 def splat(builder: Any, value: Any, kind: Any) -> Any:
-    """A vector of one value."""
+    """Return a vector that repeats a value."""
     empty = ir.Constant(kind, ir.Undefined)
     first = builder.insert_element(empty, value, ir.Constant(WORD, 0))
     return builder.shuffle_vector(first, empty, fill(words(kind.count), 0))
 
 
 def shuffled(builder: Any, a: Any, b: Any, lanes: range) -> Any:
-    """Lanes of two vectors, one after the other."""
+    """Return a vector of the given lanes of two vectors, which are numbered through."""
     return builder.shuffle_vector(a, b, ir.Constant(words(len(lanes)), list(lanes)))
 
 
 def place(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: Any) -> Any:
-    """Pointer to a vector that starts at a flat place of a contiguous array of some type."""
+    """Return a pointer to a vector at a flat index of a contiguous array of Numba type `kind`."""
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [at]), vector.as_pointer())
 
 
 def read(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: Any) -> Any:
-    """The vector there."""
+    """Load the vector at a flat index of an array; see `place`."""
     where = place(context, builder, kind, array, at, vector)
     return builder.load(where, align=vector.element.get_abi_size(context.target_data))
 
 
 def write(context: Any, builder: Any, kind: Any, array: Any, at: Any, value: Any) -> None:
-    """Store a vector there."""
+    """Store a vector at a flat index of an array; see `place`."""
     where = place(context, builder, kind, array, at, value.type)
     builder.store(value, where, align=value.type.element.get_abi_size(context.target_data))
 
 
 def item(context: Any, builder: Any, kind: Any, array: Any, *at: Any) -> Any:
-    """A number of a contiguous array of one or two axes."""
+    """Load a number of a contiguous array of one or two axes."""
     table = context.make_array(kind)(context, builder, array)
     offset = at[0]
     if len(at) > 1:
@@ -79,56 +79,56 @@ def item(context: Any, builder: Any, kind: Any, array: Any, *at: Any) -> Any:
 
 
 def add(builder: Any, a: Any, b: Any) -> Any:
-    """The sum a + b; with the liberties of the kernels, as all here."""
+    """Return a + b, with the fast-math flags of the kernels, as in all arithmetic here."""
     return builder.fadd(a, b, flags=FAST)
 
 
 def sub(builder: Any, a: Any, b: Any) -> Any:
-    """The difference a - b."""
+    """Return a - b."""
     return builder.fsub(a, b, flags=FAST)
 
 
 def mul(builder: Any, a: Any, b: Any) -> Any:
-    """The product a b."""
+    """Return a b."""
     return builder.fmul(a, b, flags=FAST)
 
 
 def div(builder: Any, a: Any, b: Any) -> Any:
-    """The quotient a / b."""
+    """Return a / b."""
     return builder.fdiv(a, b, flags=FAST)
 
 
 def lesser(builder: Any, a: Any, b: Any) -> Any:
-    """The smaller numbers; b's for NaN."""
+    """Return the lanewise minimum; b's lane if either is NaN."""
     return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
 
 def greater(builder: Any, a: Any, b: Any) -> Any:
-    """The larger numbers; b's for NaN."""
+    """Return the lanewise maximum; b's lane if either is NaN."""
     return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
 def magnitude(builder: Any, value: Any) -> Any:
-    """|value|."""
+    """Return |value|."""
     kind = words(value.type.count)
     positive = builder.and_(builder.bitcast(value, kind), fill(kind, 0x7FFFFFFF))
     return builder.bitcast(positive, value.type)
 
 
 def with_products(builder: Any, total: Any, *factors: tuple[Any, Any]) -> Any:
-    """The total plus the products."""
+    """Return the total plus the product of each pair of factors."""
     for a, b in factors:
         total = add(builder, total, mul(builder, a, b))
     return total
 
 
 def declared(builder: Any, name: str, kind: Any) -> Any:
-    """One of LLVM's own functions."""
+    """Return one of LLVM's intrinsic functions, declared in the module."""
     return cgutils.get_or_insert_function(builder.module, kind, name)  # type: ignore[no-untyped-call]
 
 
 def bits(builder: Any, mask: Any) -> Any:
-    """The truth of each lane as a bit of an int64, the first the lowest."""
+    """Return the lanes of a mask as bits of an int64, the first lane as the lowest."""
     return builder.zext(builder.bitcast(mask, ir.IntType(mask.type.count)), INDEX)
 
 
@@ -141,7 +141,7 @@ class Table:
         self.kind = row
 
     def at(self, *indices: Any) -> Any:
-        """The address of a number."""
+        """Return the address of a number."""
         offset = indices[0]
         for axis, one in enumerate(indices[1:], 1):
             stride = self.builder.extract_value(self.array.shape, axis)
@@ -149,26 +149,26 @@ class Table:
         return self.builder.gep(self.array.data, [offset])
 
     def spread(self, *indices: Any) -> Any:
-        """A vector of one number."""
+        """Return a vector that repeats one number of the array."""
         return splat(self.builder, self.builder.load(self.at(*indices)), self.kind)
 
     def _row(self, *indices: Any) -> Any:
         return self.builder.bitcast(self.at(*indices, index(0)), self.kind.as_pointer())
 
     def load(self, *indices: Any) -> Any:
-        """A row."""
+        """Load a row."""
         return self.builder.load(self._row(*indices), align=4)
 
     def store(self, value: Any, *indices: Any) -> None:
-        """Write a row."""
+        """Store a row."""
         self.builder.store(value, self._row(*indices), align=4)
 
 
 def each_bit(builder: Any, mark: Any, values: list[Any], body: Callable[..., list[Any]]) -> Any:
-    """Carry values through the body for each set bit of an int32, the lowest first.
+    """Build a loop over the set bits of an int32, the lowest first, and return the final values.
 
-    The body takes the bit's place and the values, and returns these anew. In registers: a loop of
-    Numba's `cgutils` carries its values through memory.
+    The body takes the bit's index and the values, and returns the new values. These stay in
+    registers, whereas loops of Numba's `cgutils` carry values through memory.
     """
     before = builder.block
     loop, after = (builder.append_basic_block(name) for name in ("each", "after"))
@@ -198,9 +198,10 @@ def each_bit(builder: Any, mark: Any, values: list[Any], body: Callable[..., lis
 
 
 def each_index(builder: Any, count: Any, values: list[Any], body: Callable[..., list[Any]]) -> Any:
-    """Carry values through the body for each int64 from 0 to before the count, which is positive.
+    """Build a loop over the int64 in [0, count), count above 0, and return the final values.
 
-    The body takes the number and the values, and returns these anew. In registers, as `each_bit`.
+    The body takes the number and the values, and returns the new values, in registers as in
+    `each_bit`.
     """
     before = builder.block
     loop, after = (builder.append_basic_block(name) for name in ("turn", "turned"))
@@ -222,7 +223,7 @@ def each_index(builder: Any, count: Any, values: list[Any], body: Callable[..., 
 
 
 def sums(builder: Any, vectors: list[Any]) -> Any:
-    """A vector of the sums of as many vectors as it has lanes."""
+    """Return a vector whose lanes are the sums of the given vectors, as many as it has lanes."""
     count = len(vectors)
     while len(vectors) > 1:
         halves = []
