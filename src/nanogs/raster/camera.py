@@ -11,7 +11,7 @@ from nanogs.raster.lens import Lens
 
 Item = TypeVar("Item")
 
-NEAR = 0.2  # the reference rasteriser culls what is nearer, in scene units
+NEAR = 0.2  # scene units; the reference rasteriser culls splats that are nearer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,12 +29,12 @@ class Camera:
         cx: Principal point, pixels from the left edge of the image.
         cy: Principal point, pixels from the top edge of the image.
         world_to_camera: (4, 4) float64, rigid; its upper rows are [R | t], t in scene units.
-        name: What reports and files call this view.
-        near: Splats whose centre is not farther than this are culled, scene units.
-        lens: What bent the picture that the camera took; renderers leave it out.
-        whole: Principal point, width and height of the picture that this is a part of, pixels; None
-            where it is whole. Projections are approximate near the edges of a picture, and those of
-            a part are as they are in the whole.
+        name: Name of the view in reports and files.
+        near: Near plane, scene units: splats whose centre is not farther are culled.
+        lens: Lens distortion of the picture that the camera took; renderers ignore it.
+        whole: Principal point, width and height of the whole picture that this view is a crop of,
+            pixels; None if it is not a crop. Projections of splats are approximate near the edges
+            of a picture; those in a crop are the same as in the whole picture.
     """
 
     width: int
@@ -51,7 +51,10 @@ class Camera:
 
     @property
     def intrinsics(self) -> F64:
-        """(11,) float64, as kernels take them: fx, fy, cx, cy, width, height, near, and `whole`."""
+        """(11,) float64 for kernels: fx, fy, cx, cy, width, height, near, and the four of `whole`.
+
+        The last four are cx, cy, width and height of this view if it is not a crop.
+        """
         own = (self.cx, self.cy, self.width, self.height)
         return np.array([self.fx, self.fy, *own, self.near, *(self.whole or own)], np.float64)
 
@@ -71,7 +74,7 @@ class Camera:
         return self.resized(width, height)
 
     def resized(self, width: int, height: int) -> "Camera":
-        """Give the view other numbers of pixels; a part stays the same part of its whole."""
+        """Scale the view to other numbers of pixels; a crop stays the same part of its whole."""
         along, down = width / self.width, height / self.height
         whole = self.whole
         if whole is not None:
@@ -88,13 +91,13 @@ class Camera:
         )
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
-        """A part of the view, pixel for pixel.
+        """Crop the view, pixel for pixel.
 
         Args:
-            left: Pixels left of it.
-            top: Pixels above it.
-            width: Its pixels.
-            height: Its pixels.
+            left: Number of pixels left of the crop.
+            top: Number of pixels above the crop.
+            width: Width of the crop in pixels.
+            height: Height of the crop in pixels.
         """
         return replace(
             self,
@@ -107,7 +110,7 @@ class Camera:
 
 
 def apart(items: Sequence[Item], count: int) -> tuple[list[Item], list[Item]]:
-    """At most `count` of the items, spread evenly, and all the others."""
+    """Split items into at most `count` of them, spread evenly, and all the others."""
     rows = set(evenly(range(len(items)), count))
     return (
         [item for row, item in enumerate(items) if row in rows],
@@ -116,6 +119,6 @@ def apart(items: Sequence[Item], count: int) -> tuple[list[Item], list[Item]]:
 
 
 def evenly(items: Sequence[Item], count: int) -> list[Item]:
-    """Pick at most `count` of the items, evenly from the first part to the last."""
+    """Pick at most `count` of the items, spread evenly."""
     n, count = len(items), min(count, len(items))
     return [items[(2 * place + 1) * n // (2 * count)] for place in range(count)]

@@ -1,4 +1,4 @@
-"""Renderings as pixels of a picture."""
+"""Conversion of renderings to images of integers."""
 
 import numpy as np
 
@@ -7,15 +7,15 @@ from nanogs.raster.rendering import Rendering
 
 
 def color_image(rendering: Rendering, transparent: bool) -> Array:
-    """(H, W, 3 or 4) uint8; with straight alpha where it is to be transparent.
+    """(H, W, 3 or 4) uint8 image of a rendering; RGBA with straight alpha if transparent.
 
-    A transparent image takes the rendering over black, whose colour is premultiplied.
+    A transparent image needs a rendering over black, whose colours are premultiplied.
     """
     return to_bytes(straight(rendering) if transparent else rendering.color)
 
 
 def straight(rendering: Rendering) -> F32:
-    """(H, W, 4) float32 in [0, 1]: straight alpha and its colours, of a rendering over black."""
+    """(H, W, 4) float32 in [0, 1]: RGBA with straight alpha, of a rendering over black."""
     color, alpha = rendering.color, rendering.alpha[..., None]
     divided = np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0)
     both: F32 = np.concatenate([divided, alpha], axis=2)
@@ -23,7 +23,7 @@ def straight(rendering: Rendering) -> F32:
 
 
 def depth_image(rendering: Rendering) -> Array:
-    """(H, W) uint16: near is bright, linear in depth; 0 where nothing was hit."""
+    """(H, W) uint16 depth image: near is bright, linear in depth; 0 where no splat was hit."""
     depth = rendering.depth
     image = np.zeros(rendering.alpha.shape, dtype=np.uint16)
     if depth is None or not np.isfinite(depth).any():
@@ -36,5 +36,5 @@ def depth_image(rendering: Rendering) -> Array:
 
 
 def to_bytes(values: F32) -> U8:
-    """The values, [0, 1] as a screen shows them, as uint8 of the same shape, rounded to nearest."""
+    """Clip values to [0, 1] and convert them to uint8, rounded to nearest."""
     return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)

@@ -1,7 +1,7 @@
-"""How the lenses of real cameras bend what a pinhole would see.
+"""Lens distortion of real cameras, relative to a pinhole camera.
 
 The formulas are those of OpenCV (calib3d, "Detailed Description") and COLMAP (sensor/models.h): x
-and y are those of a pinhole at distance 1, r² = x² + y². Renderers draw what a pinhole sees.
+and y are pinhole coordinates at distance 1, r² = x² + y². Renderers draw undistorted views.
 """
 
 from collections.abc import Sequence
@@ -19,15 +19,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """A lens by the name and the parameters of its model.
+    """The distortion model of a lens, by its name and parameters.
 
     Attributes:
-        name: What the file calls the model.
-        fisheye: Whether the polynomial is one of the angle from the axis and not of r².
-        above: Its coefficients of the powers from the first on; k1, k2, k3 and so on.
-        below: Those of the polynomial that it is divided by.
+        name: Name of the model in the file.
+        fisheye: Whether the polynomial is in the squared angle from the axis rather than in r².
+        above: Coefficients of the numerator polynomial from the first power on: k1, k2, k3, ...
+        below: The same of the denominator polynomial.
         tangential: p1 and p2.
-        known: Whether these are all that the model has; otherwise only the pinhole is of use.
+        known: Whether these are all parameters of the model; otherwise only the pinhole part of
+            the camera is usable.
     """
 
     name: str
@@ -38,11 +39,11 @@ class Lens:
     known: bool = True
 
     def bends(self) -> bool:
-        """Whether it does anything to a picture."""
+        """Return whether the lens distorts a picture at all."""
         return self.fisheye or not self.known or any((*self.above, *self.below, *self.tangential))
 
     def distorted(self, x: F64, y: F64) -> tuple[F64, F64]:
-        """Move points of a pinhole's picture at distance 1 as the lens does; of any shape."""
+        """Distort pinhole coordinates at distance 1, arrays of any shape."""
         square = x * x + y * y
         factor = self._factor(np.sqrt(square))
         p1, p2 = self.tangential
@@ -52,12 +53,12 @@ class Lens:
         )
 
     def turns_back(self, reach: float) -> bool:
-        """Whether a point farther from the axis, up to a distance, is moved to nearer it."""
+        """Return whether the distorted radius fails to increase with the radius, up to `reach`."""
         radii = np.linspace(0, reach, 512)
         return bool((np.diff(radii * self._factor(radii)) <= 0).any())
 
     def _factor(self, radii: F64) -> F64:
-        """The factor of the distance from the axis."""
+        """Return the distorted radius over the radius."""
         base = np.arctan(radii) if self.fisheye else radii
         power = base * base
         factor = _polynomial(self.above, power) / _polynomial(self.below, power)
@@ -67,7 +68,7 @@ class Lens:
 
 
 def _polynomial(coefficients: Sequence[float], power: F64) -> F64:
-    """1 + c1 p + c2 p² and so on."""
+    """Evaluate 1 + c1 p + c2 p² + ..."""
     total = np.zeros_like(power)
     for coefficient in reversed(coefficients):
         total = (total + coefficient) * power
@@ -75,7 +76,7 @@ def _polynomial(coefficients: Sequence[float], power: F64) -> F64:
 
 
 def lens_notes(cameras: "Sequence[Camera]") -> list[str]:
-    """A sentence if some of the cameras have lenses, which no renderer of ours looks through."""
+    """Return a note for the user if some cameras have lens distortion, which renderers ignore."""
     bent = sum(camera.lens is not None for camera in cameras)
     if not bent:
         return []

@@ -1,8 +1,8 @@
 """Render splats on the CPU: a tile rasteriser with the conventions of 3DGS.
 
-A splat takes part in a pixel exactly where its alpha there is at least 1/255, whatever tile the
-pixel lies in (the reference also stops at a square of three standard deviations, rounded up to
-its tiles: that cuts off at most alpha 0.011 of an opaque splat). Everything else follows it:
+A splat contributes to a pixel if and only if its alpha there is at least 1/255, in whatever tile
+the pixel is (the reference also stops at a square of three standard deviations, rounded up to its
+tiles, which cuts off at most alpha 0.011 of an opaque splat). All else is as in the reference:
 Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023.
 """
 
@@ -27,13 +27,13 @@ from nanogs.stored import rotations
 if TYPE_CHECKING:
     from nanogs.card.engine import Engine, Model, View
 
-_RUNS = 2  # of entries that are added up apart; fixed, so that threads do not matter
+_RUNS = 2  # runs of entries that are summed separately; fixed, so that threads do not matter
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Room:
-    """Arrays for the projected splats of one view, N rows of each, as `Projection` has them."""
+    """Preallocated arrays for the projected splats of a view, N rows each; see `Projection`."""
 
     geometry: F64
     features: F32
@@ -42,7 +42,7 @@ class Room:
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class PreparedSplats:
-    """A model activated once, to be rendered from many cameras.
+    """A model with activated parameters, to be rendered from many cameras.
 
     Attributes:
         means: (N, 3) float32 or float64, scene units; as stored.
@@ -53,9 +53,9 @@ class PreparedSplats:
         keep: (N,) bool, false where the alpha is below 1/255 or a value is not finite.
         sh_degree: 0 to 4.
         render_mode: The rasteriser the model was trained for.
-        skipped: Rows that hold NaN, or an infinity elsewhere than in the opacity's logit.
-        room: Where each view's projection takes the place of the one before; None where each gets
-            memory of its own, which the system clears first.
+        skipped: Number of rows with NaN, or with an infinity other than in the opacity's logit.
+        room: Arrays that every view's projection is written to, in place of the one before; None if
+            each view gets new memory, which the system has to clear first.
     """
 
     means: F
@@ -73,18 +73,18 @@ class PreparedSplats:
         return len(self.means)
 
     def in_turn(self) -> "PreparedSplats":
-        """The same splats, to be rendered from one camera after the other in the same memory."""
+        """Return the same splats with a `room`: each view overwrites the projection before it."""
         return replace(self, room=_room(len(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
-    """A model as one camera sees it, sorted and listed by tile; colours may be swapped.
+    """A model projected to one camera, sorted by depth and listed by tile.
 
     Attributes:
-        geometry: (N, 8) float64, see `nanogs.kernels.project`; junk where not in `order`.
-        boxes: (N,) int64, the tiles around each splat, packed; see `nanogs.kernels.project`.
-        features: (N, 4) float32: red, green, blue before the background, and depth.
+        geometry: (N, 8) float64, see `nanogs.kernels.project`; undefined for rows not in `order`.
+        boxes: (N,) int64, packed box of tiles of each splat; see `nanogs.kernels.project`.
+        features: (N, 4) float32: red, green, blue and depth; `blend` can take others instead.
         order: (M,) int64, the splats that can reach a pixel, nearest first.
         starts: (T + 1,) int64, where each tile of 16 x 16 pixels begins in `entries`, row by row.
         entries: (E,) int32, splats of each tile, nearest first.
@@ -100,19 +100,20 @@ class Projection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendering:
-    """A picture of a model, and what else was asked for.
+    """A picture of a model, with depth and contributions of splats if asked for.
 
     Attributes:
         color: (H, W, 3) float32, over the background; not clipped at 1.
         alpha: (H, W) float32, 1 - transmittance.
         depth: (H, W) float32, expected depth along the viewing axis in scene units, normalised by
-            alpha; +inf where nothing was hit. None unless asked for.
-        contributions: (N,) float64, sum over pixels of transmittance x alpha. None unless asked.
-        unhidden: (N,) float64, about what `contributions` would be if nothing stood before the
-            splat; 0 where its centre is outside the image. None unless asked.
-        drawn: Splats that can reach a pixel of this view.
-        skipped: Rows left out because they hold NaN or an infinity.
-        notes: Where the rendering departs from the model's own rasteriser, for the user.
+            alpha; +inf where no splat was hit. None unless asked for.
+        contributions: (N,) float64, sum of transmittance x alpha over the pixels. None unless asked
+            for.
+        unhidden: (N,) float64, an estimate of `contributions` if nothing were in front of the
+            splat; 0 if its centre is outside the image. None unless asked for.
+        drawn: Number of splats that can reach a pixel of this view.
+        skipped: Number of rows left out because of a NaN or an infinity.
+        notes: Differences from the model's own rasteriser, for the user.
     """
 
     color: F32
@@ -125,15 +126,15 @@ class Rendering:
     notes: tuple[str, ...]
 
     def shown(self) -> F32:
-        """(H, W, 3) float32: the colours as a screen shows them, held to [0, 1]."""
+        """(H, W, 3) float32: the colours clipped to [0, 1], as on a screen."""
         return np.clip(self.color, 0.0, 1.0)
 
 
 def prepare(splats: Splats) -> PreparedSplats:
-    """Activate a model once for many views.
+    """Activate the parameters of a model once for many views.
 
     Args:
-        splats: The model; infinite logits of the opacity are alpha 1 and 0.
+        splats: The model; infinite logits of the opacity become alpha 1 and 0.
 
     Returns:
         Arrays that `render` and `project` read; means and sh are shared, not copied.
@@ -167,11 +168,11 @@ def prepare(splats: Splats) -> PreparedSplats:
 
 
 def together(first: PreparedSplats, second: PreparedSplats | None) -> PreparedSplats:
-    """Two models to be drawn as one: rows of the first, then those of the second, of its degree.
+    """Concatenate two models to be drawn as one: rows of the first, then those of the second.
 
     Args:
-        first: Its tags are those of both.
-        second: None for nothing.
+        first: The first model; its harmonic degree and render mode are those of the result.
+        second: The second model; None returns the first.
     """
     if second is None:
         return first
@@ -200,25 +201,26 @@ def render(
     wanted: int = ALL_BLOCKS,
     here: bool = False,
 ) -> Rendering:
-    """Render a model from one camera; the same bytes for any number of threads.
+    """Render a model from one camera, on the device in use.
 
-    It is done on the device in use (see `nanogs.card.device.use_device`).
+    The result is the same to the byte for any number of threads. For the device see
+    `nanogs.card.device.use_device`.
 
     Args:
-        splats: The model, or `prepare(model)` when several views of it are wanted.
-        camera: Where to look from.
+        splats: The model, or `prepare(model)` if several views of it are rendered.
+        camera: The camera.
         background: RGB behind the splats.
         depth: Also return the expected depth.
-        contributions: Also return each splat's share of the image.
+        contributions: Also return each splat's contribution to the image.
         sh_degree: Highest spherical-harmonic degree to evaluate; the model's own by default.
-        wanted: Its set bits are the blocks of every tile to draw; the others show the background.
-        here: Whether to do it on the CPU, whatever the device in use.
+        wanted: Bit mask of the blocks of each tile to draw; the others show the background.
+        here: Whether to use the CPU even if another device is in use.
 
     Returns:
         The images; see `Rendering`.
 
     Raises:
-        OptionError: The camera, the background or the degree makes no sense.
+        OptionError: The camera, the background or the degree is invalid.
     """
     prepared = splats if isinstance(splats, PreparedSplats) else prepare(splats)
     behind = background_of(background, depth=depth)
@@ -247,7 +249,7 @@ def _render_on(
     *,
     contributions: bool,
 ) -> Rendering:
-    """Render on a device; `background` has as many channels as are asked for."""
+    """Render on a device; `background` has four channels if depth is asked for, or else three."""
     view = view_on(engine, prepared, camera, sh_degree=sh_degree)
     image, left = view.blend(view.features, background, wanted)
     channels = image.numpy()[:, :, : len(background)]
@@ -262,9 +264,9 @@ def _render_on(
 def view_on(
     engine: "Engine", prepared: PreparedSplats, camera: Camera, *, sh_degree: int | None = None
 ) -> "View":
-    """`project` on a device, where the model stays for as long as it is held here.
+    """Project a model on a device, which keeps the model for as long as `prepared` exists.
 
-    The arguments but for the engine are those of `project`, and so are its errors.
+    Except for the engine, arguments and errors are those of `project`.
     """
     check_camera(camera)
     degree = _degree(prepared, sh_degree)
@@ -279,7 +281,7 @@ def seen_by(camera: Camera) -> tuple[F64, F64, F64]:
 
 
 def uploaded(engine: "Engine", prepared: PreparedSplats) -> "Model":
-    """A copy of a model on a device."""
+    """Copy a model to a device."""
     from nanogs.card.engine import Model
 
     return Model(
@@ -295,13 +297,13 @@ def uploaded(engine: "Engine", prepared: PreparedSplats) -> "Model":
 
 
 def rendering_of(image: F32, left: F32, drawn: int, skipped: int, mode: RenderMode) -> Rendering:
-    """A rendering from what `blend` gives.
+    """Create a rendering from the results of `blend`.
 
     Args:
         image: (H, W, 3) or, with depth, (H, W, 4), over the background.
         left: (H, W) transmittance.
-        drawn: Splats that can reach a pixel.
-        skipped: Rows that are not finite.
+        drawn: Number of splats that can reach a pixel.
+        skipped: Number of rows that are not finite.
         mode: The rasteriser that the model was trained for.
     """
     alpha = 1 - left
@@ -320,20 +322,20 @@ def rendering_of(image: F32, left: F32, drawn: int, skipped: int, mode: RenderMo
 def project(
     prepared: PreparedSplats, camera: Camera, *, sh_degree: int | None = None
 ) -> Projection:
-    """Project, sort by depth and list by tile what one camera sees.
+    """Project the splats to one camera, sort them by depth and list them by tile.
 
     Splats are ordered by their depth along the viewing axis as float32, ties by index.
 
     Args:
         prepared: The model.
-        camera: Where to look from.
+        camera: The camera.
         sh_degree: Highest degree to evaluate; the model's own by default.
 
     Returns:
-        What the blending kernels read.
+        The arrays that the blending kernels read.
 
     Raises:
-        OptionError: The camera or the degree makes no sense.
+        OptionError: The camera or the degree is invalid.
     """
     geometry, features, boxes = project_rows(prepared, camera, sh_degree=sh_degree)
     order = _depth_order(features, boxes)
@@ -344,9 +346,9 @@ def project(
 def project_rows(
     prepared: PreparedSplats, camera: Camera, *, sh_degree: int | None = None
 ) -> tuple[F64, F32, I64]:
-    """Project splats, each by itself: `geometry`, `features` and `boxes` of `Projection`.
+    """Project splats without sorting: return `geometry`, `features` and `boxes` of `Projection`.
 
-    The arguments are those of `project`, and so are its errors.
+    Arguments and errors are those of `project`.
     """
     check_camera(camera)
     degree = _degree(prepared, sh_degree)
@@ -380,20 +382,20 @@ def blend(
 
     Args:
         view: From `project`, of this camera.
-        camera: Where to look from.
-        features: (N, C or more) float32; rows that are not drawn may hold junk.
-        background: (C,) float32, seen through what is left.
-        probes: (P, H, W) float32, see there; none by default.
-        wanted: Its set bits are the blocks of every tile to blend; others show the background.
+        camera: The camera.
+        features: (N, C or more) float32; rows that are not drawn may be undefined.
+        background: (C,) float32, added with the final transmittance.
+        probes: (P, H, W) float32, images that the weights T alpha are multiplied by; None for none.
+        wanted: Bit mask of the blocks of each tile to blend; others show the background.
 
     Returns:
         The image (H, W, C), the transmittance (H, W), and for every splat (N, P) float64 the sums
-        over the pixels of its share T alpha times the probes, 0 for one that is not drawn.
+        over the pixels of its weight T alpha times the probes, 0 for one that is not drawn.
     """
     if probes is None:
         probes = np.empty((0, camera.height, camera.width), np.float32)
-    probes = np.ascontiguousarray(probes)  # another layout would be another kernel to compile
-    assert features.shape[1] >= len(background)  # noqa: S101 - kernels do not look
+    probes = np.ascontiguousarray(probes)  # a kernel would be compiled for each layout
+    assert features.shape[1] >= len(background)  # noqa: S101 - kernels do not check
     image = np.empty((camera.height, camera.width, len(background)), np.float32)
     left = np.empty(image.shape[:2], np.float32)
     partial = np.empty((len(view.entries), len(probes)), np.float32)
@@ -413,7 +415,7 @@ def blend(
 
 
 def _sums(entries: I32, partial: F32, count: int) -> F64:
-    """(N, P) float64, what entries have added up to, each splat's (E, P) float32."""
+    """Sum the entries of each splat, (E, P) float32, to (N, P) float64."""
     columns = partial.shape[1]
     if not columns:
         return np.zeros((count, 0))
@@ -430,11 +432,11 @@ def _sums(entries: I32, partial: F32, count: int) -> F64:
 
 
 def probe(view: Projection, camera: Camera, probes: F32) -> F64:
-    """(N, P) float64: sums over the pixels of each splat's share T alpha times the probes.
+    """(N, P) float64: sums over the pixels of each splat's weight T alpha times the probes.
 
     Args:
         view: From `project`, of this camera.
-        camera: Where to look from.
+        camera: The camera.
         probes: (P, H, W) float32.
     """
     return blend(view, camera, view.features, np.empty(0, np.float32), probes)[2]
@@ -445,7 +447,7 @@ def _room(n: int) -> Room:
 
 
 def _rows_of_a_line(n: int) -> F64:
-    """(n, 8) float64, junk, each row in one line of the processor's cache."""
+    """(n, 8) float64, uninitialised, each row aligned to one cache line of 64 bytes."""
     flat = np.empty(8 * n + 7, np.float64)
     return flat[-flat.ctypes.data % 64 // 8 :][: 8 * n].reshape(n, 8)
 
@@ -474,7 +476,7 @@ def _expected_depth(weighted: F32, alpha: F32) -> F32:
 
 
 def background_of(background: tuple[float, float, float], *, depth: bool) -> F32:
-    """(3,) float32 to blend over; (4,) with depth, whose own is 0.
+    """Return the background to blend over, (3,) float32, or (4,) with depth, whose value is 0.
 
     Raises:
         OptionError: It is not three finite numbers.
@@ -482,7 +484,7 @@ def background_of(background: tuple[float, float, float], *, depth: bool) -> F32
     try:
         values = np.array([*background, 0.0], np.float32)
     except (TypeError, ValueError):
-        values = np.empty(0, np.float32)  # which is no colour either
+        values = np.empty(0, np.float32)  # is refused below
     if values.shape != (4,) or not np.isfinite(values).all():
         raise OptionError(f"background must be three finite numbers, not {background!r}.")
     return values if depth else values[:3]
@@ -497,10 +499,10 @@ def _degree(prepared: PreparedSplats, sh_degree: int | None) -> int:
 
 
 def check_camera(camera: Camera) -> None:
-    """Refuse cameras of which no picture can be made.
+    """Raise an error if a camera cannot be rendered from.
 
     Raises:
-        OptionError: Its size or one of its numbers makes no sense.
+        OptionError: Its size or one of its numbers is invalid.
     """
     if not (1 <= camera.width <= projection.LARGEST and 1 <= camera.height <= projection.LARGEST):
         raise OptionError(
