@@ -1,6 +1,7 @@
 """One damped Newton step on all parameters of each splat that a view shows.
 
-A thread has one splat. Formulas and sources: `nanogs.kernels.chain`, `damped` and `advance`.
+There is one thread for each splat. Formulas and sources are in `nanogs.kernels.chain`, `damped` and
+`advance`.
 """
 
 import warp as wp
@@ -9,7 +10,7 @@ from nanogs.card.projecting import guard_bounds, sh_basis
 from nanogs.card.pulling import SCALES
 from nanogs.kernels import advance, chain, project, pulls
 
-# A few turns of a loop are written out; more would only take longer to compile.
+# Loops of up to 4 iterations are unrolled; unrolling longer ones only takes longer to compile.
 wp.set_module_options({"max_unroll": 4, "enable_backward": False})
 
 SHAPE, PACKED, SCREEN = (wp.constant(n) for n in (chain.SHAPE, chain.PACKED, chain.SCREEN))
@@ -23,7 +24,7 @@ DILATION = wp.constant(wp.float64(project.DILATION))
 BACK = wp.constant(wp.float64(chain.BACK))
 ZERO, HALF = wp.constant(wp.float64(0.0)), wp.constant(wp.float64(0.5))
 ONE, TWO = wp.constant(wp.float64(1.0)), wp.constant(wp.float64(2.0))
-SMALLEST = wp.constant(wp.float64(1e-9))  # radians, below which a sine is its angle
+SMALLEST = wp.constant(wp.float64(1e-9))  # radians; below it, the sine is taken as the angle
 
 Monomials = wp.types.vector(chain.SCREEN, wp.float64)
 Step = wp.types.vector(chain.SHAPE, wp.float64)
@@ -36,7 +37,7 @@ PRODUCTS = wp.constant(wp.types.matrix(chain.PRODUCTS.shape, wp.int32)(*chain.PR
 
 @wp.func
 def told(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
-    """How far a view tells what a splat is like; see `chain.told`."""
+    """Return how well a view determines a splat, in [0, 1]; see `chain.told`."""
     slope = geometry[i, 3]
     square = geometry[i, 2] * geometry[i, 2]
     middle = HALF * DILATION * (square * (ONE + slope * slope) + geometry[i, 4])
@@ -46,7 +47,7 @@ def told(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
 
 @wp.func
 def way_back(told_most: wp.float64) -> wp.float64:
-    """Share of its way that a splat goes back in a step of full length; see `chain.way_back`."""
+    """Return the share of a displacement that a full step undoes; see `chain.way_back`."""
     untold = ONE - told_most
     return BACK * untold * untold
 
@@ -55,10 +56,10 @@ def way_back(told_most: wp.float64) -> wp.float64:
 def to_monomials(
     p: wp.float64, q: wp.float64, change: wp.vec3d, mip: wp.bool, bare: wp.vec3d
 ) -> Monomials:
-    """Change of ln alpha as six coefficients, as `chain` has it.
+    """Return a change of ln alpha as six coefficients, of 1, p, q, p², pq, q²; see `chain`.
 
-    (p, q): of the centre; change: of the covariance (pp, pq, qq), in the splat's frame on screen;
-    bare: that covariance without the dilation.
+    (p, q): change of the centre; change: that of the covariance (pp, pq, qq), in the splat's frame
+    on screen; bare: the covariance without the dilation.
     """
     fade = wp.float64(0.0)
     if mip:
@@ -71,7 +72,7 @@ def to_monomials(
 
 @wp.func
 def with_row(jacobian: Jacobian, row: wp.int32, values: Monomials) -> Jacobian:
-    """The Jacobian with one of its rows."""
+    """Return the Jacobian with one row replaced."""
     for c in range(SCREEN):
         jacobian[row, c] = values[c]
     return jacobian
@@ -89,9 +90,9 @@ def screen_jacobian(
     lens: wp.array[wp.float64],
     mip: wp.bool,
 ) -> Jacobian:
-    """How a splat's ten parameters of shape change ln alpha; see `chain.screen_jacobian`.
+    """Return the Jacobian of ln alpha by ten shape parameters; see `chain.screen_jacobian`.
 
-    way: from the camera to its centre, scene units; opacity: before any compensation.
+    way: from the camera to the splat's centre, scene units; opacity: before any compensation.
     """
     bounds = guard_bounds(lens)
     fx, fy = lens[0], lens[1]
@@ -158,7 +159,7 @@ def screen_jacobian(
 
 @wp.func
 def curvatures(jacobian: Jacobian, sums: Sums) -> Block:
-    """The lower triangle of J M Jᵀ, row by row; see `chain.pulls_and_blocks`."""
+    """Return the lower triangle of the Gauss-Newton matrix J M Jᵀ; see `chain.pulls_and_blocks`."""
     block = Block()
     for a in range(SHAPE):
         products = Monomials()
@@ -173,7 +174,7 @@ def curvatures(jacobian: Jacobian, sums: Sums) -> Block:
 
 @wp.func
 def factorised(lower: Block, lift: wp.float64) -> Block:
-    """Cholesky's lower factor of a block, with the inverses of its diagonal; see `damped`."""
+    """Return the lower Cholesky factor of a matrix, with an inverted diagonal; see `damped`."""
     for a in range(SHAPE):
         row = a * (a + 1) / 2
         for b in range(a + 1):
@@ -188,7 +189,7 @@ def factorised(lower: Block, lift: wp.float64) -> Block:
 
 @wp.func
 def substituted(lower: Block, step: Step) -> Step:
-    """The step that solves the equations of a factor of `factorised` for the pulls."""
+    """Solve for a step by substitution; step: the negative gradient, lower: from `factorised`."""
     for a in range(SHAPE):
         row = a * (a + 1) / 2
         for k in range(a):
@@ -210,7 +211,7 @@ def damped_step(
     floor: wp.float64,
     limits: wp.array[wp.float64],
 ) -> Step:
-    """The step of one splat, held to its limits; 0 where there is none; see `damped_steps`."""
+    """Compute one splat's step, shortened to its limits; 0 if there is none; see `damped_steps`."""
     largest = wp.float64(0.0)
     for a in range(SHAPE):
         largest = wp.max(largest, block[a * (a + 3) / 2])
@@ -232,7 +233,7 @@ def damped_step(
 
 @wp.func
 def turned_by(quat: wp.vec4d, turn: wp.vec3d) -> wp.vec4d:
-    """A unit quaternion, wxyz, turned by so many radians about its own axes."""
+    """Rotate a unit quaternion, wxyz, by `turn`, radians about its own axes."""
     angle = wp.length(turn)
     factor = wp.float64(0.5)
     if angle > SMALLEST:
@@ -251,7 +252,7 @@ def turned_by(quat: wp.vec4d, turn: wp.vec3d) -> wp.vec4d:
 
 @wp.func
 def rotation_of(quat: wp.vec4d) -> wp.mat33d:
-    """The rotation matrix of a unit quaternion, wxyz."""
+    """Return the rotation matrix of a unit quaternion, wxyz."""
     w, x, y, z = quat[0], quat[1], quat[2], quat[3]
     return wp.mat33d(
         ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y),
@@ -262,7 +263,7 @@ def rotation_of(quat: wp.vec4d) -> wp.mat33d:
 
 @wp.struct
 class Moving:
-    """N splats that a fit moves; the arrays are those of `advance.advance_splats`."""
+    """The arrays of N splats that are fitted; see the arguments of `advance.advance_splats`."""
 
     given: wp.array3d[wp.float32]
     means: wp.array2d[wp.float64]
@@ -286,7 +287,7 @@ class Moving:
 
 @wp.struct
 class Rules:
-    """How far steps go; see `advance.advance_splats`, and `single`: whether centres are float32."""
+    """Parameters of the steps; see `advance.advance_splats`. `single`: centres are float32."""
 
     rate: wp.float64
     damping: wp.float64
@@ -310,7 +311,7 @@ def recolour(
     rate: wp.float64,
     back: wp.float64,
 ) -> None:
-    """Move a splat's coefficients; a channel cut off at black is pulled upwards only."""
+    """Apply a step to a splat's coefficients; a channel clipped at black only brightens."""
     unit = way / wp.length(way)
     basis = sh_basis(wp.float32(unit[0]), wp.float32(unit[1]), wp.float32(unit[2]), degree)
     for k in range((degree + 1) * (degree + 1)):
@@ -329,9 +330,9 @@ def recolour(
 def taken_back(
     moving: Moving, i: wp.int32, at: wp.int32, old: wp.float64, new: wp.float64, back: wp.float64
 ) -> wp.float64:
-    """A number of a splat after a part of its way since it started is taken back.
+    """Undo a part of a parameter's displacement since the fit began, and return the parameter.
 
-    at: its place in `ways`; old, new: the number before and after this step.
+    at: its column in `ways`; old, new: the parameter before and after this step.
     """
     begun = old - wp.float64(moving.ways[i, at])
     new += back * (begun - new)
@@ -343,7 +344,7 @@ def taken_back(
 def reshape(
     moving: Moving, rules: Rules, i: wp.int32, step: Step, rate: wp.float64, back: wp.float64
 ) -> None:
-    """Move a splat's centre, scales, rotation and opacity by a step, and activate them."""
+    """Apply a step to a splat's centre, scales, rotation and opacity, and activate them."""
     for r in range(3):
         old = moving.means[i, r]
         mean = wp.float64(old)
@@ -401,9 +402,10 @@ def advance_splats(
     rules: Rules,
     moving: Moving,
 ) -> None:
-    """Move what a view shows by one step, as `nanogs.kernels.advance.advance_splats` does.
+    """Take one step on what a view shows, as `nanogs.kernels.advance.advance_splats` does.
 
-    Its arguments; totals: (N or more, 25), 0 for what is not drawn, before `pulls.SCALES`.
+    The arguments are the same; totals: (N or more, 25), 0 for splats not drawn, before
+    `pulls.SCALES`.
     """
     i = wp.tid()
     weight = totals[i, 3]
@@ -445,9 +447,9 @@ def advance_splats(
 
 @wp.kernel
 def average(share: wp.float64, moving: Moving, means: Moving) -> None:
-    """Bring mean states nearer to the state by a share of the way; see `fit.state.MeanState`.
+    """Move a running mean towards the current state by a share; see `fit.state.MeanState`.
 
-    means: its means, log_scales, quats, logits and sh, in and out.
+    means: the running mean's means, log_scales, quats, logits and sh, in and out.
     """
     i = wp.tid()
     rest = ONE - share

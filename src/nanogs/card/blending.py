@@ -1,4 +1,4 @@
-"""Blending the splats of each tile, one thread a pixel; see `nanogs.kernels.raster`."""
+"""Blend the splats of each tile, with one thread for each pixel; see `nanogs.kernels.raster`."""
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""Which device pictures are made on, and what is said where one cannot be had."""
+"""The device that renders and fits: selecting it, and the errors if it is not available."""
 
 import ctypes
 import sys
@@ -14,29 +14,29 @@ if TYPE_CHECKING:
 
 CPU, CUDA, AUTO = "cpu", "cuda", "auto"
 DEVICES = (CPU, CUDA, AUTO)
-WARP_CPU = "warp-cpu"  # the card's kernels without a card, one thread, slow: for tests
+WARP_CPU = "warp-cpu"  # the card's kernels on the CPU, in one thread, slow: for tests
 
 _NONE = "no graphics card that CUDA can use, with nanogs[cuda] installed, was found"
-_FULL = "Failed to allocate"  # of Warp's error where a card has no memory left
+_FULL = "Failed to allocate"  # part of Warp's error message if a card has no memory left
 
 _engine: "ContextVar[Engine | None]" = ContextVar("engine", default=None)
 
 
 @contextmanager
 def use_device(name: str | None) -> Iterator[str]:
-    """Make the block's pictures on a device.
+    """Render and fit on a device within the block (a context manager).
 
     Args:
-        name: "cpu"; "cuda" for a graphics card; "auto" for one where there is one that can be
-            used, or else the CPU; "warp-cpu" to try the card's kernels on the CPU. None stays with
-            the device in use.
+        name: "cpu"; "cuda" for a graphics card; "auto" for a graphics card if one can be used, or
+            else the CPU; "warp-cpu" to test the card's kernels on the CPU. None keeps the device
+            in use.
 
     Yields:
         The device in use: "cpu", "warp-cpu" or "cuda" with the card's name.
 
     Raises:
-        NotEnoughMemoryError: What the block does takes more memory than the card has.
-        OptionError: There is no such device, no card, or not the package that it takes.
+        NotEnoughMemoryError: The block needs more memory than the card has.
+        OptionError: There is no such device, no card, or the package that it needs is missing.
     """
     if name is None:
         engine = _engine.get()
@@ -58,17 +58,17 @@ def use_device(name: str | None) -> Iterator[str]:
 
 
 def check_device(name: str | None) -> None:
-    """Refuse a device that cannot be had; the argument and errors are those of `use_device`."""
+    """Raise an error if a device is not available; argument and errors as in `use_device`."""
     with use_device(name):
         pass
 
 
 def device_notes(asked: str | None, used: str) -> tuple[str, ...]:
-    """Notes of a report on the device: none of the CPU, unless a card was looked for.
+    """Return a report's notes on the device: none for the CPU, unless "auto" found no card.
 
     Args:
-        asked: What `use_device` was asked for.
-        used: What it gave.
+        asked: The device that `use_device` was asked for.
+        used: The device that it returned.
     """
     if used == CPU:
         return (f"{_NONE}: the CPU did its work",) if asked == AUTO else ()
@@ -76,7 +76,7 @@ def device_notes(asked: str | None, used: str) -> tuple[str, ...]:
 
 
 def engine_in_use() -> "Engine | None":
-    """The device that pictures are made on; None for the CPU's own kernels."""
+    """Return the device that renders and fits; None for the CPU with the Numba kernels."""
     return _engine.get()
 
 
@@ -110,7 +110,7 @@ def _installed() -> bool:
 
 
 def _driver() -> bool:
-    """Whether there is a CUDA driver, asked without Warp, which would complain aloud of none."""
+    """Return whether there is a CUDA driver, without Warp, which prints a warning if not."""
     name = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
     try:
         return int(ctypes.CDLL(name).cuInit(0)) == 0

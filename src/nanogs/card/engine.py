@@ -1,4 +1,4 @@
-"""A Warp device that pictures are made on: models that lie there, and views of them."""
+"""Rendering on a Warp device: the device, models in its memory, and views of them."""
 
 from functools import cache
 from typing import TYPE_CHECKING
@@ -20,13 +20,13 @@ from nanogs.kernels.pulls import CHANNELS, SUMS
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_MOST = 2**30  # entries of a view: the card counts them in 32 bits, and sorts in twice the room
+_MOST = 2**30  # largest number of entries of a view: 32-bit indices, and sorting doubles the arrays
 
 
 @cache
 def engine_of(name: str) -> "Engine | None":
-    """The engine of a device, "cpu" or "cuda"; None where there is no such card."""
-    wp.config.log_level = wp.LOG_ERROR  # the library says nothing by itself
+    """Return the engine of a device, "cpu" or "cuda"; None if there is no card."""
+    wp.config.log_level = wp.LOG_ERROR  # no output from Warp unless it fails
     wp.init()
     if name == "cuda" and not wp.is_cuda_available():
         return None
@@ -34,10 +34,10 @@ def engine_of(name: str) -> "Engine | None":
 
 
 class Engine:
-    """A Warp device.
+    """A Warp device, with the models that were copied to it.
 
     Attributes:
-        name: What reports call it.
+        name: Name of the device in reports.
     """
 
     def __init__(self, device: wp.Device) -> None:
@@ -47,34 +47,34 @@ class Engine:
         self._models: WeakKeyDictionary[object, Model] = WeakKeyDictionary()
 
     def held(self, owner: object, upload: "Callable[[], Model]") -> "Model":
-        """The model that was uploaded for an object, which is done once; gone when that is."""
+        """Return the model uploaded for an object: uploaded once, and freed with the object."""
         model = self._models.get(owner)
         if model is None:
             model = self._models[owner] = upload()
         return model
 
     def put(self, values: Array, kind: type | None = None) -> wp.array:
-        """An array on the device, of this type if one is named."""
+        """Copy an array to the device, converted to `kind` if given."""
         values = np.ascontiguousarray(values) if kind is None else np.asarray(values, kind)
         return wp.array(values, device=self.device)
 
     def empty(self, shape: tuple[int, ...], kind: type) -> wp.array:
-        """An array of junk on the device."""
+        """Allocate an uninitialised array on the device."""
         return wp.empty(shape, dtype=kind, device=self.device)
 
     def launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], *args: object) -> None:
-        """Run a kernel, a thread for each index."""
+        """Run a kernel with one thread for each index."""
         wp.launch(kernel, dim=dim, inputs=list(args), device=self.device)
 
     def launch_tiles(self, make: "Callable[[int], wp.Kernel]", tiles: int, *args: object) -> None:
-        """Run a kernel, a block of threads for each tile."""
+        """Run a kernel with one block of threads for each tile."""
         wp.launch_tiled(
             make(self._lanes), dim=[tiles], inputs=list(args), block_dim=PIXELS, device=self.device
         )
 
 
 class Model:
-    """A model on a device; the arguments are those of `kernels.project.project_splats`."""
+    """A model in a device's memory; the arguments are those of `kernels.project.project_splats`."""
 
     def __init__(
         self,
@@ -96,16 +96,16 @@ class Model:
         self.keep = engine.put(keep)
 
     def view(self, rotation: F64, position: F64, lens: F64, degree: int) -> "View":
-        """The model as a camera sees it; the arguments are those of `project_splats`."""
+        """Project the model to a camera; the arguments are those of `project_splats`."""
         return View(self, rotation, position, lens, degree)
 
 
 class View:
-    """A model as one camera sees it: projected, sorted by depth and listed by tile.
+    """A model projected to one camera, sorted by depth and listed by tile, on the device.
 
     Attributes:
-        geometry: (N, 8) float64, as `nanogs.kernels.project` has it.
-        features: (N, 4) float32, red, green, blue and depth; junk where not drawn.
+        geometry: (N, 8) float64, see `nanogs.kernels.project`.
+        features: (N, 4) float32, red, green, blue and depth; undefined for splats not drawn.
     """
 
     def __init__(self, model: Model, rotation: F64, position: F64, lens: F64, degree: int) -> None:
@@ -118,7 +118,7 @@ class View:
         self.geometry = engine.empty((n, 8), wp.float64)
         self.features = engine.empty((n, CHANNELS), wp.float32)
         boxes, drawn = engine.empty((n,), wp.vec4i), wp.zeros(1, wp.int32, device=engine.device)
-        # Sorting takes twice the room.
+        # Sorting needs arrays of twice the length.
         self.depths, order = (engine.empty((2 * n,), kind) for kind in (wp.float32, wp.int32))
         self.starts = wp.zeros(self.tiles + 1, dtype=wp.int32, device=engine.device)
         self.entries = self.slots = self.order = engine.empty((0,), wp.int32)
@@ -136,7 +136,7 @@ class View:
 
     @property
     def drawn(self) -> int:
-        """Splats that can reach a pixel."""
+        """Number of splats that can reach a pixel."""
         return int(self._drawn.numpy()[0])
 
     def _list(self, boxes: wp.array, order: wp.array) -> None:
@@ -178,8 +178,8 @@ class View:
 
         Args:
             features: (N, 4) on the device.
-            background: (up to 4,) float32, seen through what is left.
-            wanted: Its set bits are the blocks of every tile to blend.
+            background: (up to 4,) float32, added with the final transmittance.
+            wanted: Bit mask of the blocks of each tile to blend.
 
         Returns:
             The image (H, W, 4) and the transmittance (H, W), on the device.
@@ -195,7 +195,7 @@ class View:
         return image, left
 
     def contributions(self, wanted: int = ALL_BLOCKS) -> F64:
-        """(N,) float64, sums over the pixels of each splat's T alpha."""
+        """(N,) float64, sums of each splat's weight T alpha over the pixels."""
         if not len(self.entries):
             return np.zeros(self.count)
         partial = wp.zeros((len(self.entries), 1), dtype=wp.float32, device=self.engine.device)
@@ -207,7 +207,7 @@ class View:
         return totals
 
     def _gathered(self, partial: wp.array, columns: int) -> wp.array:
-        """(N, K) sums over the slots of each splat."""
+        """Sum the slots of each splat: (N, K)."""
         totals = self.engine.empty((self.count, columns), wp.float32)
         self.engine.launch(
             gather_slots, (self.count, columns), self.order, self.ends, partial, totals
@@ -215,14 +215,17 @@ class View:
         return totals
 
     def unhidden(self) -> F64:
-        """(N,) float64, 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image."""
+        """(N,) float64, contribution of each splat if nothing were in front of it.
+
+        This is 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image, or else 0.
+        """
         totals = self.engine.empty((self.count,), wp.float64)
         self.engine.launch(add_unhidden, self.count, self.geometry, self.depths, self.size, totals)
         found: F64 = totals.numpy()
         return found
 
     def tinted(self, white: float, alpha: float) -> wp.array:
-        """(N, 4) colours less `white`, and `alpha` in place of the depth: what a fit blends."""
+        """(N, 4) features that a fit blends: colours less `white`, and `alpha` for the depth."""
         features = self.engine.empty((self.count, CHANNELS), wp.float32)
         self.engine.launch(tint, self.count, self.features, self.depths, white, alpha, features)
         return features
@@ -230,7 +233,7 @@ class View:
     def weigh(
         self, image: wp.array, goal: U8, white: float, alpha: float, wanted: int
     ) -> tuple[wp.array, wp.array, float]:
-        """The wanted change of an image, its alpha, and the mean squared error of a channel.
+        """Return the residual of an image, its alpha, and the mean squared error per channel.
 
         The arguments are those of `nanogs.kernels.backward.weigh_pixels`.
         """
@@ -253,9 +256,10 @@ class View:
         precision: wp.array,
         wanted: int,
     ) -> wp.array:
-        """(N, 25) float32 as `nanogs.kernels.backward.gather_entries` has it, unscaled.
+        """(N, 25) float32, sums of gradient and curvature for each splat.
 
-        The arguments are those of `nanogs.kernels.backward.pull_tiles`.
+        They are those of `nanogs.kernels.backward.gather_entries` before `kernels.pulls.SCALES`;
+        the arguments are those of `nanogs.kernels.backward.pull_tiles`.
         """
         if not len(self.entries):
             return wp.zeros((self.count, SUMS), dtype=wp.float32, device=self.engine.device)

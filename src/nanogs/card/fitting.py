@@ -1,4 +1,4 @@
-"""A model on a device that a fit moves there, step by step."""
+"""A model on a device whose parameters are fitted there."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ from nanogs.kernels.chain import PACKED
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pace:
-    """How far steps go; see `nanogs.kernels.advance.advance_splats`, whose arguments these are.
+    """Parameters of the steps; see the arguments of `nanogs.kernels.advance.advance_splats`.
 
     Attributes:
-        damping: As there.
-        floor: As there.
-        memory: As there.
-        limits: (12,).
-        bands: (K, 2).
-        single: Whether centres are drawn as float32.
+        damping: The same argument there.
+        floor: The same argument there.
+        memory: The same argument there.
+        limits: (12,), the same argument there.
+        bands: (K, 2), the same argument there.
+        single: Whether centres are rounded to float32 before they are drawn.
     """
 
     damping: float
@@ -34,16 +34,16 @@ class Pace:
 
 
 class MovingModel:
-    """N splats on their way, and what else is drawn with them, on a device.
+    """N splats that are fitted on a device, and splats that are drawn with them but do not move.
 
     Args:
-        model: What is drawn: the splats first; it is moved in place.
+        model: The model that is drawn: first the N splats, which are changed in place.
         columns: means, log_scales, quats, logits and touched of `fit.state.State`.
         ways: (N, WAY) of `nanogs.kernels.advance`.
         given: (N, K, 3) coefficients that ridges pull back to.
         axes: (N, 3, 3) rotation matrices.
         scales: (N, 3) scene units.
-        pace: How far steps go.
+        pace: Parameters of the steps.
     """
 
     def __init__(
@@ -84,15 +84,15 @@ class MovingModel:
         wanted: int,
         rate: float,
     ) -> float:
-        """Follow one view, and return its mean squared error before that.
+        """Take one step on one view, and return the view's mean squared error before it.
 
         Args:
             camera: Rotation, position and intrinsics, as `project_splats` takes them.
-            degree: Of the harmonics.
-            goal: (H, W, 4) what the view should show.
-            shares: Of white, and of alpha; see `nanogs.kernels.backward.weigh_pixels`.
-            wanted: Its set bits are the blocks of every tile whose pixels pull.
-            rate: Length of the step.
+            degree: Spherical-harmonic degree.
+            goal: (H, W, 4) target image of the view.
+            shares: `white` and `alpha_scale` of `nanogs.kernels.backward.weigh_pixels`.
+            wanted: Bit mask of the blocks of each tile whose pixels count.
+            rate: Learning rate.
         """
         view = self._model.view(*camera, degree)
         features = view.tinted(*shares)
@@ -107,10 +107,10 @@ class MovingModel:
         return error
 
     def columns(self, of: "Moving | None" = None) -> tuple[F64, F64, F64, F64, F32, Bool]:
-        """Means, log_scales, quats, logits, sh and touched, as `fit.state.State` has them.
+        """Copy the arrays of a `fit.state.State`, in its order, from the device.
 
         Args:
-            of: The mean states from `begin_mean` in place of the splats as they are.
+            of: The running mean from `begin_mean`; by default the current parameters.
         """
         held, n = of or self._moving, self._count
         return (
@@ -119,17 +119,17 @@ class MovingModel:
         )  # fmt: skip
 
     def begin_mean(self) -> Moving:
-        """The splats as they are, to become mean states."""
+        """Start a running mean with a copy of the current parameters."""
         mean = Moving()
         for name in ("means", "log_scales", "quats", "logits", "sh"):
             setattr(mean, name, wp.clone(getattr(self._moving, name)))
         return mean
 
     def add_to_mean(self, mean: Moving, share: float) -> None:
-        """Bring mean states nearer to the splats as they are, by a share of the way."""
+        """Move a running mean towards the current parameters, by a share of the way."""
         self._model.engine.launch(average, self._count, share, self._moving, mean)
 
     def recolour(self, sh: F32) -> None:
-        """Give the splats other coefficients, (N, K, 3)."""
+        """Replace the splats' spherical-harmonic coefficients, (N, K, 3)."""
         colours = self._model.engine.put(sh)
         wp.copy(self._moving.sh, colours, count=colours.size)

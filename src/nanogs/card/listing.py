@@ -1,8 +1,8 @@
-"""Listing the splats of each tile, nearest first; see `nanogs.kernels.listing`.
+"""List the splats of each tile, nearest first; see `nanogs.kernels.listing`.
 
-The tiles of each splat are written one after the other in the order of depth, and a stable sort by
-tile keeps that order within each. A pair's place before the sort is its slot: the slots of a splat
-lie side by side, which is where sums over its tiles are added up from.
+Pairs of splat and tile are written in the splats' order of depth, and a stable sort by tile keeps
+that order within each tile. A pair's index before the sort is its slot: the slots of a splat are
+contiguous, so that sums over a splat's tiles are reductions over its slots.
 """
 
 import warp as wp
@@ -14,7 +14,7 @@ from nanogs.card.shading import TILE
 def tile_span(
     geometry: wp.array2d[wp.float64], i: wp.int32, box: wp.vec4i, row: wp.int32, size: wp.vec2i
 ) -> wp.vec2i:
-    """Tiles [first, end) of a row of tiles that hold a pixel centre inside a splat's ellipse."""
+    """Return the tiles [first, end) of a row that have a pixel centre inside a splat's ellipse."""
     u, v, sigma = geometry[i, 0], geometry[i, 1], wp.float64(1.0) / geometry[i, 2]
     slope, inv_yy, reach = geometry[i, 3], geometry[i, 4], geometry[i, 5]
     drift = slope * geometry[i, 2]
@@ -44,7 +44,7 @@ def count_tiles(
     size: wp.vec2i,
     counts: wp.array[wp.int64],
 ) -> None:
-    """Count the tiles that the splat at each place of the order meets; counts: (N,) out."""
+    """Count the tiles that each splat meets, in the order of depth; counts: (N,) out."""
     m = wp.tid()
     i = order[m]
     box = boxes[i]
@@ -66,9 +66,10 @@ def write_tiles(
     slots: wp.array[wp.int32],
     owners: wp.array[wp.int32],
 ) -> None:
-    """Write these tiles, the slots 0, 1, ... and whose they are.
+    """Write tile, slot and splat of each pair of a splat and a tile that it meets.
 
-    ends: (N,) sums of the counts up to each place; tiles, slots, owners: (E or more,) out.
+    ends: (N,) inclusive prefix sums of the counts; tiles, slots, owners: (E or more,) out, the
+    slots being 0, 1, ...
     """
     m = wp.tid()
     i = order[m]
@@ -95,7 +96,7 @@ def find_starts(
     starts: wp.array[wp.int32],
     entries: wp.array[wp.int32],
 ) -> None:
-    """Where each tile begins in the sorted list, and the splat of each entry.
+    """Find where each tile begins in the sorted list, and the splat of each entry.
 
     tiles, slots: (E or more,) sorted by tile; starts: (T + 1,) out; entries: (E,) out.
     """

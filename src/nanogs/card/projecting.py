@@ -1,4 +1,4 @@
-"""Projecting splats to the screen; formulas and sources in `nanogs.kernels.project`."""
+"""Project splats to the screen; formulas and sources are in `nanogs.kernels.project`."""
 
 import math
 
@@ -23,7 +23,7 @@ Basis = wp.types.vector(25, wp.float32)
 
 @wp.func
 def sh_basis(x: wp.float32, y: wp.float32, z: wp.float32, degree: wp.int32) -> Basis:
-    """Spherical harmonics of a unit vector, as `nanogs.kernels.harmonics.sh_basis` has them."""
+    """Evaluate the spherical harmonics of a unit vector, as in `nanogs.kernels.harmonics`."""
     basis = Basis()
     basis[0] = _C0
     if degree >= 1:
@@ -60,7 +60,7 @@ def sh_basis(x: wp.float32, y: wp.float32, z: wp.float32, degree: wp.int32) -> B
 
 @wp.func
 def guard_bounds(lens: wp.array[wp.float64]) -> wp.vec4d:
-    """Least and most x/z, least and most y/z of the Jacobian; see `project.guard_bounds`."""
+    """Return the bounds of x/z, then of y/z, in the Jacobian; see `project.guard_bounds`."""
     margin_x = (_GUARD - wp.float64(1.0)) * wp.float64(0.5) * lens[9] / lens[0]
     margin_y = (_GUARD - wp.float64(1.0)) * wp.float64(0.5) * lens[10] / lens[1]
     return wp.vec4d(
@@ -73,13 +73,13 @@ def guard_bounds(lens: wp.array[wp.float64]) -> wp.vec4d:
 
 @wp.func
 def box_side(centre: wp.float64, half: wp.float64, size: wp.float64) -> wp.vec2i:
-    """First tile and number of tiles along one axis of an image; 0 tiles for none.
+    """Return first tile and number of tiles of a splat along one axis of an image; 0 for none.
 
     centre: of the splat's box, half: half of its side, size: of the image, all in pixels.
     """
     side = wp.vec2i(0, 0)
     one, middle = wp.float64(1.0), wp.float64(0.5)
-    if centre + half >= middle and centre - half <= size - middle:  # nor is NaN
+    if centre + half >= middle and centre - half <= size - middle:  # NaN is not inside
         first = wp.ceil(wp.max(centre - half - middle, wp.float64(0.0)))
         last = wp.floor(wp.min(centre + half - middle, size - one))
         if first <= last:
@@ -110,9 +110,9 @@ def project_splats(
 ) -> None:
     """Project N splats and evaluate their colour, as `nanogs.kernels.project.project_splats` does.
 
-    Its arguments, but for boxes: (N,) out, first column and row of tiles, columns and rows, no
-    rows for one that reaches no pixel; depths: (N,) out, infinite there; order: (N,) out, 0 to
-    N - 1; drawn: (1,) counted up.
+    The arguments are the same, except boxes: (N,) out, first column and row of tiles, number of
+    columns and rows, 0 for a splat that reaches no pixel; depths: (N,) out, infinite for such a
+    splat; order: (N,) out, 0 to N - 1; drawn: (1,) in and out, number of splats drawn.
     """
     i = wp.tid()
     boxes[i] = wp.vec4i(0, 0, 0, 0)
@@ -183,9 +183,10 @@ def add_unhidden(
     size: wp.vec2i,
     totals: wp.array[wp.float64],
 ) -> None:
-    """2 pi alpha sqrt(det) of each Gaussian whose centre is on the image; see `kernels.raster`.
+    """Write each splat's contribution if nothing were in front of it; see `kernels.raster`.
 
-    geometry: (N, 8); depths: (N,) infinite where not drawn; totals: (N,) out, else 0.
+    geometry: (N, 8); depths: (N,) infinite for splats not drawn; totals: (N,) out, 2 pi alpha
+    sqrt(det) of each Gaussian whose centre is on the image, or else 0.
     """
     i = wp.tid()
     totals[i] = wp.float64(0.0)

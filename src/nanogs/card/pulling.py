@@ -1,8 +1,8 @@
-"""Sums over the pixels of each tile for each of its splats; see `nanogs.kernels.backward`.
+"""The backward pass: sums over the pixels of each tile, for each splat of it.
 
-The threads of a block share a tile's pixels: on a card one thread has one, on the CPU device, whose
-blocks are a single thread, it has all. Their sums are added up by the block, in an order that is
-fixed, so that a device gives the same numbers every time.
+See `nanogs.kernels.backward`. The threads of a block share a tile's pixels: on a card each thread
+has one pixel; on the CPU device, whose blocks are a single thread, that thread has all. The block
+reduces their sums in a fixed order, so that a device gives the same numbers every time.
 """
 
 from functools import cache
@@ -26,20 +26,20 @@ SUMS = wp.constant(pulls.SUMS)
 _SATURATED = wp.constant(wp.float32(pulls.SATURATED))
 Sums = wp.types.vector(pulls.SUMS, wp.float32)
 SCALES = wp.constant(Sums(*pulls.SCALES.tolist()))
-# A few turns of a loop are written out; more would only take longer to compile.
+# Loops of up to 4 iterations are unrolled; unrolling longer ones only takes longer to compile.
 _OPTIONS = {"max_unroll": 4}
 
 
 @wp.func
 def place(tile: wp.int32, pixel: wp.int32, width: wp.int32) -> wp.vec2i:
-    """Column and row of a tile's pixel in the image."""
+    """Return column and row in the image of a tile's pixel."""
     tiles_x = (width + TILE - 1) / TILE
     return wp.vec2i(tile % tiles_x * TILE + pixel % TILE, tile / tiles_x * TILE + pixel / TILE)
 
 
 @wp.func
 def most_light(light: Any) -> wp.float32:  # noqa: ANN401 - a vector of any length
-    """The largest transmittance of a thread's pixels, at most 0 where all are full."""
+    """Return the largest transmittance of a thread's pixels; below 0 if all are full."""
     most = wp.float32(-1.0)
     for k in range(len(light)):
         most = wp.max(most, light[k])
@@ -54,7 +54,10 @@ def with_moments(
     p: wp.float32,
     q: wp.float32,
 ) -> Sums:
-    """The sums and a pixel's pull and bend times the powers of p and q, from place 4 on."""
+    """Add a pixel's gradient (`pull`) and curvature (`bend`) times powers of p and q to `sums`.
+
+    The sums begin at index 4.
+    """
     sums[4] += pull
     sums[5] += pull * p
     sums[6] += pull * q
@@ -74,7 +77,7 @@ def with_moments(
 
 @cache
 def share_kernel(lanes: int) -> wp.Kernel:
-    """The kernel that sums up each entry's T alpha over its tile, for blocks of so many threads."""
+    """Build the kernel that sums each entry's T alpha over its tile; lanes: threads of a block."""
     each = PIXELS // lanes
     lights = wp.types.vector(each, wp.float32)
 
@@ -87,7 +90,7 @@ def share_kernel(lanes: int) -> wp.Kernel:
         size: wp.vec2i,
         partial: wp.array2d[wp.float32],
     ) -> None:
-        """Sum up; partial: (E, 1) in, zeros, and out, by slot."""
+        """Sum the weights; partial: (E, 1) zeros in, sums out, indexed by slot."""
         tile, lane = wp.tid()
         light = lights()
         for k in range(each):
@@ -112,7 +115,7 @@ def share_kernel(lanes: int) -> wp.Kernel:
 
 @cache
 def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
-    """The kernel that sums up how pixels pull at splats, for blocks of so many threads."""
+    """Build the kernel that sums gradient and curvature over a tile; lanes: threads of a block."""
     each = PIXELS // lanes
     lights = wp.types.vector(each, wp.float32)
     planes = wp.types.matrix((each, pulls.CHANNELS), wp.float32)
@@ -131,9 +134,9 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
         precision: wp.array2d[wp.float32],
         partial: wp.array2d[wp.float32],
     ) -> None:
-        """Sum up as `nanogs.kernels.backward.pull_tiles` does, but for `pulls.SCALES`.
+        """Sum as `nanogs.kernels.backward.pull_tiles` does, but without `pulls.SCALES`.
 
-        partial: (E, 25) in, zeros, and out, by slot.
+        partial: (E, 25) zeros in, sums out, indexed by slot.
         """
         tile, lane = wp.tid()
         light, behind = lights(), planes()
@@ -185,10 +188,10 @@ def gather_slots(
     partial: wp.array2d[wp.float32],
     totals: wp.array2d[wp.float32],
 ) -> None:
-    """Add up each splat's slots, in the order of its tiles.
+    """Sum each splat's slots, in the order of its tiles.
 
     order: (N,) splats by depth; ends: (N,) where the slots of each end; partial: (E, K) by slot;
-    totals: (N, K) out, 0 for a splat of no tile.
+    totals: (N, K) out, 0 for a splat without tiles.
     """
     m, k = wp.tid()
     slot = wp.int32(0)
@@ -213,9 +216,10 @@ def weigh_pixels(
     precision: wp.array2d[wp.float32],
     errors: wp.array2d[wp.float64],
 ) -> None:
-    """How far each row is from its goal, as `nanogs.kernels.backward.weigh_pixels` has it.
+    """Compute the residual of an image, as `nanogs.kernels.backward.weigh_pixels` does.
 
-    errors: (H, 2) out, of each row the sum of the squared residuals, and how many pixels count.
+    errors: (H, 2) out, for each row the sum of the squared residuals, and the number of pixels that
+    count.
     """
     y = wp.tid()
     total, count = wp.float64(0.0), wp.float64(0.0)
@@ -244,7 +248,7 @@ def tint(
     alpha_scale: wp.float32,
     tinted: wp.array2d[wp.float32],
 ) -> None:
-    """Write what a fit blends: colours less `white`, and `alpha_scale` in place of the depth.
+    """Write the features that a fit blends: colours less `white`, `alpha_scale` for the depth.
 
     features: (N, 4); depths: (N,) infinite for splats that are not drawn; tinted: (N, 4) out.
     """

@@ -1,4 +1,4 @@
-"""How a splat shades a pixel, and its numbers in a tile; see `nanogs.kernels.blocks`."""
+"""A splat's weight in a pixel, and its shape in a tile; see `nanogs.kernels.blocks`."""
 
 import math
 
@@ -8,9 +8,9 @@ from nanogs.kernels import blocks, project, pulls
 
 TILE = wp.constant(blocks.TILE)
 SIDE = wp.constant(blocks.SIDE)
-PIXELS = blocks.TILE * blocks.TILE  # of a tile: the threads that blend it
+PIXELS = blocks.TILE * blocks.TILE  # pixels of a tile, and threads that blend it
 BATCH = wp.constant(blocks.BATCH)
-CHANNELS = wp.constant(pulls.CHANNELS)  # of what is blended: three colours, and depth or alpha
+CHANNELS = wp.constant(pulls.CHANNELS)  # blended channels: three colours, and depth or alpha
 
 _START, _ACROSS, _ALONG = (wp.constant(at) for at in (blocks.START, blocks.ACROSS, blocks.ALONG))
 _HEIGHT, _RISE, _FAINT = (wp.constant(at) for at in (blocks.HEIGHT, blocks.RISE, blocks.FAINT))
@@ -27,13 +27,13 @@ _C0, _C1, _C2, _C3, _C4, _C5 = (wp.constant(wp.float32(one)) for one in blocks.P
 
 @wp.struct
 class Shade:
-    """A splat's part in a pixel.
+    """The result of shading a pixel with a splat.
 
     Attributes:
-        weight: T alpha, 0 where it takes no part.
-        after: T behind it; negative once the pixel is full.
-        p: The first root of the squares in the exponent, over `blocks.UNIT`.
-        q: The second.
+        weight: T alpha, 0 if the splat does not contribute.
+        after: T behind the splat; negative once the pixel is full.
+        p: Root of the first square in the exponent, over `blocks.UNIT`.
+        q: Root of the second square, likewise.
     """
 
     weight: wp.float32
@@ -46,9 +46,9 @@ class Shade:
 def shade_pixel(
     shapes: wp.array2d[wp.float32], e: wp.int32, x: wp.float32, y: wp.float32, before: wp.float32
 ) -> Shade:
-    """Take a splat's light from a pixel, as `nanogs.kernels.blocks.shade_pixel` does.
+    """Compute a splat's weight in a pixel, as `nanogs.kernels.blocks.shade_pixel` does.
 
-    shapes: (E, 6) by entry; e: the entry; (x, y): from the tile's middle, pixels; before: T.
+    shapes: (E, 6) by entry; e: the entry; (x, y): offset from the tile's middle, pixels; before: T.
     """
     shade = Shade()
     p = shapes[e, _START] + shapes[e, _ACROSS] * x + shapes[e, _ALONG] * y
@@ -76,7 +76,7 @@ def shade_pixel(
 
 @wp.func
 def offset(pixel: wp.int32) -> wp.vec2f:
-    """From the middle of a tile to one of its pixels, which are numbered row by row."""
+    """Return the offset from the middle of a tile to a pixel; pixels are numbered row by row."""
     return wp.vec2f(
         wp.float32(pixel % TILE) - _MIDDLE,
         wp.float32(pixel / TILE) - _MIDDLE,
@@ -85,14 +85,14 @@ def offset(pixel: wp.int32) -> wp.vec2f:
 
 @wp.func
 def starts_open(x: wp.int32, y: wp.int32, size: wp.vec2i, wanted: wp.int32) -> wp.bool:
-    """Whether a pixel is on the image, (width, height), and in a block that is wanted."""
+    """Return whether a pixel is on the image, (width, height), and in a wanted block."""
     block = (y % TILE) / SIDE * SIDE + (x % TILE) / SIDE
     return x < size[0] and y < size[1] and ((wanted >> block) & 1) == 1
 
 
 @wp.func
 def first_light(x: wp.int32, y: wp.int32, size: wp.vec2i, wanted: wp.int32) -> wp.float32:
-    """The transmittance that a pixel begins with: 1, or -1 for one that takes no light."""
+    """Return the initial transmittance of a pixel: 1, or -1 for one that is not to be drawn."""
     light = wp.float32(-1.0)
     if starts_open(x, y, size, wanted):
         light = 1.0
