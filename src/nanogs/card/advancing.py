@@ -402,7 +402,7 @@ def advance_splats(
     rules: Rules,
     moving: Moving,
 ) -> None:
-    """Take one step on what a view shows, as `nanogs.kernels.advance.advance_splats` does.
+    """Take one step on each splat of a view, as `nanogs.kernels.advance.advance_splats` does.
 
     The arguments are the same; totals: (N or more, 25), 0 for splats not drawn, before
     `pulls.SCALES`.

@@ -36,7 +36,7 @@ def cached(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba'
     """Compile a function with Numba when it is called, or load it from the cache on disk."""
     compiled = numba.njit(function, **options)
     if compiled is not function:  # they are the same with NUMBA_DISABLE_JIT=1
-        compiled._cache = kept = _Cache(function)  # noqa: SLF001 - what `cache=True` sets
+        compiled._cache = kept = _Cache(function)  # noqa: SLF001 - the attribute that `cache=True` sets
         compiled.compile = _once(compiled, kept)
     return cast("Kernel", compiled)
 

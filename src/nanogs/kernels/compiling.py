@@ -14,7 +14,10 @@ _logged = False
 
 
 def when_compiling(callback: Callable[[], None]) -> None:
-    """Register a function to be called once, before the next compilation, which takes seconds."""
+    """Register a function to be called once, when a kernel has to be compiled, which takes seconds.
+
+    It is not called if all kernels are in the cache.
+    """
     _waiting.append(callback)
 
 

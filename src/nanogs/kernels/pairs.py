@@ -35,8 +35,8 @@ def _count_larger(start: int, stop: int, neighbours: I32, starts: I64) -> None:
 def _add_marked(start: int, stop: int, starts: I64, neighbours: I32) -> None:
     """Count the pairs that only their larger row lists, for a range of smaller rows.
 
-    Every thread scans all neighbours: a list of the marked ones would take memory at the peak of
-    its use.
+    Every thread scans all neighbours, because a list of the marked ones would raise the peak of
+    memory.
     """
     for i in range(len(neighbours)):
         for place in range(neighbours.shape[1]):

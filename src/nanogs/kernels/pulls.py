@@ -65,8 +65,8 @@ def pull_blocks(
         shapes: (BATCH, 8) see `blocks`.
         values: (BATCH, 4) the features that were blended.
         left: (16, 16) transmittances of the tile's blocks, in and out.
-        behind: (4, 16, 16) in, what this splat and those behind it add to the pixels; out, what
-            those behind it add.
+        behind: (4, 16, 16) in, sum of the contributions of this splat and those behind it to the
+            pixels; out, of those behind it alone.
         wanted: (4, 16, 16) residuals of the pixels, times their weight in the sum of squares.
         trust: (16, 16) that weight, times the pixel's alpha.
         partial: (E, 25) out, in row e, see `backward.pull_tiles`.

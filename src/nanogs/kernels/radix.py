@@ -18,7 +18,7 @@ def count_digits(start: int, stop: int, keys: U64, bounds: I64, digit: int, coun
         start: First run of the range.
         stop: The run after its last.
         keys: (E,).
-        bounds: (runs + 1,) where each run begins.
+        bounds: (runs + 1,) where each run begins in `keys`.
         digit: Index of the digit, from 0 for the lowest of the upper half.
         counts: (runs, VALUES) out.
     """

@@ -233,7 +233,7 @@ def sum_entries(
 def add_unhidden(
     start: int, stop: int, geometry: F64, boxes: I64, width: int, height: int, totals: F64
 ) -> None:
-    """Add each splat's contribution if nothing were in front of it, where its centre is visible.
+    """Add each splat's contribution if nothing were in front of it, if its centre is on the image.
 
     This is 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image, in pixels.
 

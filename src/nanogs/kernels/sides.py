@@ -37,7 +37,7 @@ def covered_sides(
     start: int, stop: int, groups: I32, scales: F32, quats: F32, neighbours: I32,
     means: F64, covariances: F64, alphas: F64, shares: F64,
 ) -> None:  # fmt: skip
-    """Compute how much of splats' least covered side is covered by their neighbours.
+    """Compute the coverage by its neighbours of each splat's least covered side.
 
     The four sides are both ends of the two longer axes. `shares` is the sum of the neighbours'
     alphas there over `ENOUGH`, at most 1.

@@ -1,4 +1,4 @@
-"""How far the surroundings of a point reach, and how large viewers see what is there."""
+"""Kernels of the scale of a scene around points, and of how near viewers are to them."""
 
 import math
 
@@ -8,7 +8,7 @@ from nanogs.kernels.policy import parallel_kernel
 
 @parallel_kernel("out")
 def reach(start: int, stop: int, points: F64, anchors: F64, radii: F64, out: F64) -> None:
-    """The least sqrt(r² + d²) over all anchors, for radius r and distance d of each.
+    """Compute the least sqrt(r² + d²) over all anchors, with radius r and distance d of each.
 
     points: (N, 3); anchors: (A, 3), A >= 1, and radii: (A,), scene units; out: (N,).
     """
@@ -23,9 +23,10 @@ def reach(start: int, stop: int, points: F64, anchors: F64, radii: F64, out: F64
 
 @parallel_kernel("out")
 def nearness(start: int, stop: int, points: F64, places: F64, square: float, out: F64) -> None:
-    """The mean of 1 / (1 + d² / square) over all places, for the distance d to each of them.
+    """Compute the mean of 1 / (1 + d² / square) over all places, with d the distance to each.
 
-    points: (N, 3); places: (V, 3), V >= 1, scene units; square: above 0, of a distance; out: (N,).
+    points: (N, 3); places: (V, 3), V >= 1, positions of viewers, scene units; square: above 0, a
+    squared distance; out: (N,).
     """
     for i in range(start, stop):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
