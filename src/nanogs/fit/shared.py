@@ -88,7 +88,7 @@ def fit_shared(
         tell: Progress callback: number of steps made, and their largest possible number.
 
     Returns:
-        The fitted model, with at most `sets.most` sets of higher harmonics, and the outcome.
+        The fitted model, with no more sets of higher harmonics than asked for, and the outcome.
     """
     found = palette(small.sh[:, 1:].reshape(len(small), -1), sets.most, sets.weights)
     shared = Shared.of(found.labels, len(found.entries), sets.weights)
