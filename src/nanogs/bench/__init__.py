@@ -1,4 +1,4 @@
-"""`nanogs bench`: methods, scenes and ratios in, rows of numbers out, and tables of them.
+"""`nanogs bench`: run methods on scenes at several ratios, and tabulate the measurements.
 
 Importing this package imports no Numba; running a method does.
 """

@@ -1,7 +1,7 @@
-"""Methods to compare with: simple ones that everybody would try first.
+"""Simple baseline methods for comparison.
 
-Each takes a model, a count and a context, and delivers exactly that count, the same every time,
-without ever choosing a splat that holds a NaN or an infinite value.
+Each takes a model, a count and a context, and returns exactly that number of splats. Results are
+deterministic, and splats that hold a NaN or an infinite value are never chosen.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,13 +20,13 @@ from nanogs.splats import Splats
 
 @dataclass(frozen=True, slots=True)
 class MethodContext:
-    """The knowledge that a method may have beside the model.
+    """The inputs of a method other than the model and the count.
 
     Attributes:
         cameras: Views to learn from, none of which is scored.
-        seed: Seed of whatever is drawn.
-        trained: Whether these are those of the training photographs; presets look from there too,
-            and else from views of their own.
+        seed: Seed of the random numbers.
+        trained: Whether `cameras` are those of the training photographs. If so, presets use them
+            too; otherwise presets find views of their own.
     """
 
     cameras: tuple[Camera, ...] = ()
@@ -38,7 +38,7 @@ Method = Callable[[Splats, int, MethodContext], Splats]
 
 
 def random(splats: Splats, count: int, context: MethodContext) -> Splats:
-    """Splats drawn at random, each with the same chance; rows stay in order.
+    """Choose splats uniformly at random; rows stay in order.
 
     Args:
         splats: N splats.
@@ -55,7 +55,7 @@ def random(splats: Splats, count: int, context: MethodContext) -> Splats:
 
 
 def opacity(splats: Splats, count: int, context: MethodContext) -> Splats:  # noqa: ARG001
-    """The splats of highest alpha, ties by row; rows stay in order.
+    """Choose the splats of highest opacity, ties by row; rows stay in order.
 
     Args:
         splats: N splats.
@@ -71,7 +71,7 @@ def opacity(splats: Splats, count: int, context: MethodContext) -> Splats:  # no
 
 
 def light_significance(splats: Splats, count: int, context: MethodContext) -> Splats:
-    """The splats of highest global significance in the context's views, ties by row.
+    """Choose the splats of highest global significance in the context's views, ties by row.
 
     Args:
         splats: N splats.
@@ -87,7 +87,7 @@ def light_significance(splats: Splats, count: int, context: MethodContext) -> Sp
 
 
 def voxel(splats: Splats, count: int, context: MethodContext) -> Splats:  # noqa: ARG001
-    """One splat for each occupied cell of a grid; see `nanogs.bench.voxel`.
+    """Merge splats by the cells of a grid into one each; see `nanogs.bench.voxel`.
 
     Args:
         splats: N splats.
@@ -110,7 +110,7 @@ BASELINES: Mapping[str, Method] = {
 
 
 def highest(scores: F64, rows: I64, count: int) -> I64:
-    """(count,) int64: the rows of highest score, ties by row, in ascending order.
+    """Return (count,) int64: the rows of highest score, ties by row, in ascending order.
 
     Args:
         scores: (M,) float64, no NaN.
@@ -122,7 +122,7 @@ def highest(scores: F64, rows: I64, count: int) -> I64:
 
 
 def _usable(splats: Splats, count: int) -> I64:
-    """(M,) int64: finite rows, at least as many as the count."""
+    """Return the (M,) int64 rows of finite splats, after checking that M is at least the count."""
     rows = np.flatnonzero(splats.finite())
     if count < 1:
         raise OptionError(f"The count must be at least 1, not {count}.")

@@ -1,10 +1,10 @@
-"""The mean difference of two rate-distortion curves, as one number.
+"""Bjontegaard deltas: the mean difference of two rate-distortion curves, as one number.
 
 G. Bjontegaard, "Calculation of average PSNR differences between RD-curves", ITU-T SG16/Q6 document
-VCEG-M33, Austin, April 2001. There one polynomial of the third degree runs through four points.
-Here, as in later practice (VCEG-AE07, JCTVC-B055, the spreadsheets of HEVC's and VVC's common test
-conditions), piecewise cubic Hermite polynomials (PCHIP) run through any number of them and do not
-overshoot. With r = log10(bytes) and D the quality, both over the interval that the curves share:
+VCEG-M33, Austin, April 2001. The paper fits one cubic polynomial through four points. This module
+follows later practice (VCEG-AE07, JCTVC-B055, the spreadsheets of HEVC's and VVC's common test
+conditions): piecewise cubic Hermite interpolation (PCHIP) through any number of points, which does
+not overshoot. With r = log10(bytes) and D the quality, over the interval that both curves cover:
 
     BD-quality = 1/(r2 - r1) * integral of D_test(r) - D_anchor(r) dr
     BD-rate    = 10 ** (1/(D2 - D1) * integral of r_test(D) - r_anchor(D) dD) - 1
@@ -21,15 +21,15 @@ Curve = Sequence[tuple[float, float]]
 
 
 def bd_quality(anchor: Curve, test: Curve) -> float | None:
-    """How much better `test` is than `anchor` at equal bytes, in the unit of the quality.
+    """Compute the mean gain of `test` over `anchor` at equal bytes, in the unit of the quality.
 
     Args:
-        anchor: In any order.
-        test: In any order.
+        anchor: Points in any order.
+        test: Points in any order.
 
     Returns:
-        The mean difference; None where a curve has fewer than two sizes, two qualities at one
-        size, or the two share no interval of sizes.
+        The mean difference; None if a curve has fewer than two sizes or two qualities at one size,
+        or if the curves share no interval of sizes.
 
     Raises:
         OptionError: SciPy is not installed.
@@ -38,15 +38,15 @@ def bd_quality(anchor: Curve, test: Curve) -> float | None:
 
 
 def bd_rate(anchor: Curve, test: Curve) -> float | None:
-    """The bytes that `test` takes more than `anchor` at equal quality: -0.5 is half of them.
+    """Compute the mean relative increase in bytes of `test` over `anchor` at equal quality.
 
     Args:
-        anchor: In any order.
-        test: In any order.
+        anchor: Points in any order.
+        test: Points in any order.
 
     Returns:
-        The mean share; None where a curve has fewer than two qualities, or does not rise with its
-        bytes, or the two share no interval of qualities.
+        The increase as a share: -0.5 means half the bytes. None if a curve has fewer than two
+        qualities or does not rise with its bytes, or if the curves share no interval of qualities.
 
     Raises:
         OptionError: SciPy is not installed.
@@ -59,13 +59,13 @@ def bd_rate(anchor: Curve, test: Curve) -> float | None:
 
 
 def rises(curve: Curve) -> bool:
-    """Whether the quality grows with the bytes from point to point."""
+    """Return whether the quality increases strictly with the bytes."""
     qualities = [quality for _, quality in sorted(curve)]
     return all(low < high for low, high in pairwise(qualities))
 
 
 def _mean_difference(anchor: Curve, test: Curve) -> float | None:
-    """The mean of the second curve less the first over the abscissas that they share."""
+    """Compute the mean of `test` minus `anchor` over the interval of abscissas that both cover."""
     places = [sorted(x for x, _ in curve) for curve in (anchor, test)]
     if any(len(each) < 2 or len(set(each)) < len(each) for each in places):
         return None
@@ -76,7 +76,7 @@ def _mean_difference(anchor: Curve, test: Curve) -> float | None:
 
 
 def _integral(curve: Curve, low: float, high: float) -> float:
-    """Under the piecewise cubic through the points, between two abscissas within them."""
+    """Integrate the piecewise cubic through the points from `low` to `high`, both within them."""
     from scipy.interpolate import PchipInterpolator
 
     x, y = zip(*sorted(curve), strict=True)
@@ -84,7 +84,7 @@ def _integral(curve: Curve, low: float, high: float) -> float:
 
 
 def check_packages() -> None:
-    """Fail before anything is measured where there would be no figures, or no picture of them.
+    """Fail before anything is measured if a package for the figures or their plot is missing.
 
     Raises:
         OptionError: SciPy or matplotlib is not installed.

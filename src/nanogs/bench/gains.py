@@ -1,4 +1,4 @@
-"""Rate-distortion curves of files, and what methods gain on each other at equal size."""
+"""Rate-distortion curves of files, and the gain of one method over another at equal file size."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,17 +13,17 @@ from nanogs.bench.rows import ORIGINAL, BenchRow, SetScore
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """Gain of a method on another at equal size, on one scene (see `bjontegaard`).
+    """The gain of a method over another at equal file size, on one scene (see `bjontegaard`).
 
     Attributes:
         scene: The scene.
         method: The method.
-        anchor: The other; several names for the best of them at each size.
+        anchor: The method compared with; several names for the best of them at each size.
         format: Suffix of the files.
         label: Kind and size of the views.
-        psnr: Mean difference of PSNR at equal bytes, dB; None where there is none.
-        ssim: The same of SSIM.
-        rate: Share of the bytes that it takes more at equal PSNR: -0.5 saves half of them.
+        psnr: Mean difference of PSNR at equal bytes, dB; None if it is undefined.
+        ssim: The same for SSIM.
+        rate: Relative increase in bytes at equal PSNR: -0.5 saves half of them.
         remarks: Why a number is missing.
     """
 
@@ -43,9 +43,9 @@ class MeanGain:
     """The means of gains over the scenes that have a number.
 
     Attributes:
-        gains: Of each scene.
-        psnr: Mean of the scenes' BD-PSNR, dB; None where no scene has one.
-        least_psnr: The least of them.
+        gains: The gain on each scene.
+        psnr: Mean of the scenes' BD-PSNR, dB; None if no scene has one.
+        least_psnr: The lowest BD-PSNR of any scene.
         ssim: Mean of their BD-SSIM.
         rate: Mean of their BD-rate.
     """
@@ -58,25 +58,25 @@ class MeanGain:
 
     @property
     def first(self) -> Gain:
-        """One of them, which has the names that all share."""
+        """The gain on the first scene: its method, anchor, format and label are those of all."""
         return self.gains[0]
 
 
 @dataclass(frozen=True, slots=True)
 class _Curves:
-    """A method's points on one scene: bytes, and each quality."""
+    """The rate-distortion curves of a method on one scene: PSNR and SSIM over bytes."""
 
     psnr: Curve
     ssim: Curve
 
 
 def mean_gains(rows: Sequence[BenchRow], others: Sequence[str] = ()) -> list[MeanGain]:
-    """Means over scenes, by format, views, what is gained on, and method.
+    """Compute mean gains over scenes, by format, views, anchor and method.
 
     Args:
-        rows: From `run_bench`; those of a size count.
-        others: Methods to be held against: each, and the best of them at each size where there are
-            several. By default the first method.
+        rows: From `run_bench`; only those with a file size are used.
+        others: Anchors, the methods to compare with: each one, and if there are several also the
+            best of them at each size. By default the first method.
 
     Raises:
         OptionError: SciPy is not installed.
@@ -101,10 +101,10 @@ def _average(values: Sequence[float]) -> float | None:
 
 
 def gains(rows: Sequence[BenchRow], others: Sequence[str] = ()) -> list[Gain]:
-    """Gains of every method on every other one that it is held against, scene by scene.
+    """Compute the gain of each method over each anchor, scene by scene.
 
     Args:
-        rows: From `run_bench`; those of a size count.
+        rows: From `run_bench`; only those with a file size are used.
         others: As for `mean_gains`.
 
     Raises:
@@ -128,12 +128,12 @@ def gains(rows: Sequence[BenchRow], others: Sequence[str] = ()) -> list[Gain]:
 
 
 def views_of(rows: Sequence[BenchRow]) -> list[tuple[str, str]]:
-    """Formats of files, and labels of the sets of views that are scored with each."""
+    """Return the pairs of file format and label of a set of views that have scores."""
     return unique((row.format, one.label) for row in rows if row.measured for one in row.sets)
 
 
 def _envelope(rows: Sequence[BenchRow], label: str) -> _Curves:
-    """The best file at each size that was asked for: the highest PSNR, and the highest SSIM."""
+    """Return curves of the best file at each requested size, by PSNR and by SSIM separately."""
     best: dict[int, tuple[tuple[float, float], tuple[float, float]]] = {}
     for row in rows:
         score = score_on(row, label)
@@ -150,7 +150,7 @@ def _higher(one: tuple[float, float], two: tuple[float, float]) -> tuple[float, 
 
 
 def score_on(row: BenchRow, label: str) -> SetScore | None:
-    """A row's score on the views of a label; None where it has none, or an infinite one."""
+    """Return a row's score on the views of a label; None if it has none or its PSNR is infinite."""
     scores = (one for one in row.sets if row.measured and one.label == label)
     score = next(scores, None)
     if score is None or score.psnr is None or not math.isfinite(score.psnr):
@@ -166,7 +166,7 @@ def _gain(names: tuple[str, str, str, str, str], anchor: _Curves, test: _Curves)
 
 
 def _remarks(anchor: Curve, test: Curve, figures: Mapping[str, float | None]) -> tuple[str, ...]:
-    """Why figures are missing, which are means over the sizes or PSNRs that curves share."""
+    """Explain missing figures, which are means over the sizes or PSNRs that both curves cover."""
     missing = [name for name, figure in figures.items() if figure is None]
     if missing and min(len(anchor), len(test)) < 2:
         return ("no figure: it takes two sizes of each",)

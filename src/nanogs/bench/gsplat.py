@@ -1,4 +1,4 @@
-"""Frames a second of gsplat, where PyTorch, gsplat and a CUDA device are at hand."""
+"""Frame rate of gsplat, measured if PyTorch, gsplat and a CUDA device are available."""
 
 import importlib
 import importlib.util
@@ -15,14 +15,14 @@ _REPEATS = 5
 
 
 def gsplat_fps(splats: Splats, cameras: Sequence[Camera]) -> float | None:
-    """Frames a second of gsplat, one frame after the other, once its kernels are warm.
+    """Measure the frames per second of gsplat, frames in sequence, kernels compiled beforehand.
 
     Args:
         splats: The model; splats that are not finite are left out.
         cameras: At least one.
 
     Returns:
-        The rate, or None where gsplat or a CUDA device is missing, or gsplat fails.
+        The rate, or None if gsplat or a CUDA device is missing, or gsplat fails.
     """
     if not all(importlib.util.find_spec(name) for name in ("torch", "gsplat")):
         return None

@@ -1,4 +1,4 @@
-"""Means over scenes: only over those on which every compared method has a result."""
+"""Means over the scenes on which every compared method has a result."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class WishMean:
-    """Means of one wish.
+    """Means of one requested ratio or file size.
 
     Attributes:
-        wish: What was asked of every method.
-        scenes: Scenes that the means are over.
-        left_out: Scenes that are not, each with the methods that have no result there.
+        wish: The request, the same for every method.
+        scenes: Scenes that the means are taken over.
+        left_out: Scenes that are left out, each with the methods that have no result there.
         absent: Methods without a result on any scene, which are not compared.
-        methods: Means by method: one row each, without a scene.
+        methods: One row of means for each method.
     """
 
     wish: Wish
@@ -31,10 +31,10 @@ class WishMean:
 
 
 def mean_rows(rows: Sequence[BenchRow]) -> list[WishMean]:
-    """Means of every wish, in the order of the rows; the original models are not among them.
+    """Compute the means for each request, in the order of the rows, without the original models.
 
     Args:
-        rows: Rows that are held against the same kind of images.
+        rows: Rows scored against the same kind of images.
     """
     compared = [row for row in rows if row.method != ORIGINAL]
     return [
@@ -96,7 +96,7 @@ def _mean_row(rows: Sequence[BenchRow]) -> BenchRow:
 
 
 def _mean_score(scores: Sequence[SetScore]) -> SetScore:
-    """The mean of scores on sets of one label; of the worst views, too, the mean."""
+    """Average scores on sets of one label; `least_psnr` is the mean of the worst views' PSNR."""
     extras = [name for name in scores[0].extras if all(name in one.extras for one in scores)]
     return SetScore(
         label=scores[0].label,
@@ -109,7 +109,7 @@ def _mean_score(scores: Sequence[SetScore]) -> SetScore:
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    """The mean, or None where a value is missing: a mean of the rest would be of other scenes."""
+    """Return the mean, or None if a value is missing: the rest would average other scenes."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known and len(known) == len(values) else None
 
@@ -119,5 +119,5 @@ def _rounded(value: float | None) -> int | None:
 
 
 def unique(values: Iterable[Value]) -> list[Value]:
-    """The values once each, in the order in which they first come."""
+    """Return the distinct values in the order of their first occurrence."""
     return list(dict.fromkeys(values))

@@ -1,4 +1,4 @@
-"""A row of the protocol: one result is made or found, and scored."""
+"""Measuring one row: make or load one result, and score it."""
 
 import json
 import time
@@ -21,11 +21,11 @@ from nanogs.raster.rendering import PreparedSplats, prepare, render
 from nanogs.scoring.scores import ModelScore, score
 from nanogs.splats import Splats
 
-_FPS_VIEWS = 8  # renders behind a figure of frames a second
+_FPS_VIEWS = 8  # most views rendered to measure frames per second
 
 
 def empty_row(scene: BenchScene, method: str, wish: Wish) -> BenchRow:
-    """A row that says what was asked for, and no more."""
+    """Return a row that holds only the request, without a result."""
     against = Against.ORIGINAL if scene.photos is None else Against.PHOTOGRAPHS
     return BenchRow(
         scene.name, method, wish.ratio, against=against, dataset=scene.dataset,
@@ -34,7 +34,7 @@ def empty_row(scene: BenchScene, method: str, wish: Wish) -> BenchRow:
 
 
 def too_large_row(scene: BenchScene, method: str, wish: Wish, whole: int) -> BenchRow:
-    """A size that the whole model fits into, of which there is nothing to measure."""
+    """Return a skipped row: the requested size is so large that the whole model fits into it."""
     reason = f"The whole model as {wish.format} takes {whole:,} B, which fits into this size."
     return replace(empty_row(scene, method, wish), status=Status.SKIPPED, reason=reason)
 
@@ -42,7 +42,7 @@ def too_large_row(scene: BenchScene, method: str, wish: Wish, whole: int) -> Ben
 def original_row(
     scene: BenchScene, splats: Splats, views: SceneViews, settings: BenchSettings
 ) -> BenchRow:
-    """The model as it came: against photographs its score, otherwise how fast it is drawn."""
+    """Measure the original model: its score against photographs, or else only its frame rate."""
     row = replace(
         empty_row(scene, ORIGINAL, Wish(1.0)),
         splats=len(splats),
@@ -53,7 +53,7 @@ def original_row(
     )
     if views.against is Against.PHOTOGRAPHS:
         return _scored(row, splats, views, settings)
-    # Against itself it would only score infinity; how fast it is drawn is of interest.
+    # Against itself the PSNR would be infinite; only the frame rate is of interest.
     return _timed(row, splats, prepare(splats), views)
 
 
@@ -65,7 +65,7 @@ def whole_row(
     settings: BenchSettings,
     folder: Path,
 ) -> BenchRow:
-    """The whole model as a file of a format, so that packing alone is what costs."""
+    """Score the whole model written in a format, which shows the loss of the format alone."""
     row, path = empty_row(scene, ORIGINAL, wish), folder / f"whole{wish.format}"
     try:
         save(splats, path)
@@ -86,7 +86,7 @@ def method_row(
     settings: BenchSettings,
     folder: Path,
 ) -> BenchRow:
-    """Run a method of ours in a process of its own, and score its result."""
+    """Run a preset or baseline in a separate process, and score its result."""
     row = empty_row(scene, method, wish)
     output = folder / f"result{wish.format or '.ply'}"
     job = Job(
@@ -115,7 +115,7 @@ def external_row(
     views: SceneViews,
     settings: BenchSettings,
 ) -> BenchRow:
-    """The score of another tool's file; `finite` are the usable splats of the original."""
+    """Score another tool's file; `finite` is the number of finite splats of the original."""
     row = empty_row(scene, name, wish)
     path = external_path(settings.externals[name], scene, wish)
     if not path.exists():
@@ -133,10 +133,10 @@ def external_row(
 
 
 def external_path(pattern: str, scene: BenchScene, wish: Wish) -> Path:
-    """The file of another tool.
+    """Return the path of another tool's file for a scene and request.
 
     Raises:
-        OptionError: The pattern has a placeholder that is not known.
+        OptionError: The pattern has an unknown placeholder.
     """
     named = {"scene": scene.name, "model": scene_of_file(scene.model).name}
     if wish.size is None:
@@ -159,7 +159,7 @@ def _count_note(delivered: int, asked: int) -> tuple[str, ...]:
 
 
 def _producer_figures(path: Path) -> dict[str, Any]:
-    """Seconds and peak memory that whoever made the file noted beside it.
+    """Read the seconds and peak memory that the file's producer noted in a JSON file beside it.
 
     Raises:
         OptionError: The note is not a JSON object of numbers.
@@ -178,7 +178,7 @@ def _producer_figures(path: Path) -> dict[str, Any]:
 
 
 def _scored(row: BenchRow, splats: Splats, views: SceneViews, settings: BenchSettings) -> BenchRow:
-    """The row with scores and frames a second; a failed one where scoring raises."""
+    """Add scores and frames per second to the row; if scoring raises, return a failed row."""
     prepared = prepare(splats)
     scores: list[SetScore] = []
     notes = dict.fromkeys(row.notes)
@@ -208,10 +208,10 @@ def _timed(row: BenchRow, splats: Splats, prepared: PreparedSplats, views: Scene
 
 
 def frames_per_second(prepared: PreparedSplats, cameras: Sequence[Camera]) -> float:
-    """Frames a second of our renderer, one frame after the other, on warm kernels.
+    """Measure the frames per second of our renderer, in sequence, kernels compiled beforehand.
 
     Args:
-        prepared: The model, activated beforehand as a viewer would do once.
+        prepared: The model, prepared beforehand as a viewer would do once.
         cameras: At least one.
     """
     render(prepared, cameras[0])

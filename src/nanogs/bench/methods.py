@@ -1,6 +1,6 @@
 """Methods by name: presets with or without changed parameters, and baselines.
 
-A name is that of a baseline, that of a preset, or a preset and parameters: `paper:tau=0:k=8`.
+A name is that of a baseline, that of a preset, or a preset with parameters: `paper:tau=0:k=8`.
 """
 
 import dataclasses
@@ -43,15 +43,15 @@ ABLATIONS = (
 
 
 def all_methods() -> tuple[str, ...]:
-    """Every preset and every baseline."""
+    """Return the names of all presets and baselines."""
     return (*PRESETS, *BASELINES)
 
 
 def find_method(name: str) -> Method:
-    """The method of that name.
+    """Return the method of a name.
 
     Args:
-        name: A baseline, a preset, or a preset and parameters as `preset:name=value:name=value`.
+        name: A baseline, a preset, or a preset with parameters as `preset:name=value:name=value`.
 
     Raises:
         OptionError: There is none, or a parameter is unknown or out of its range.
@@ -71,13 +71,13 @@ def find_method(name: str) -> Method:
 def training_views(
     preset: str, overrides: Mapping[str, Any], context: MethodContext
 ) -> tuple[Camera, ...] | None:
-    """The views of the training photographs, or None: there are none, or nothing is rendered."""
+    """Return the training photographs' views, or None if there are none or nothing is rendered."""
     looks = renders(parameters(preset, overrides))
     return context.cameras if context.trained and looks else None
 
 
 def find_preset(name: str) -> tuple[str, dict[str, Any]]:
-    """A preset and the parameters of it that a method's name replaces.
+    """Split a method's name into a preset and the parameters that the name overrides.
 
     Raises:
         OptionError: As for `find_method`.
@@ -92,7 +92,7 @@ def find_preset(name: str) -> tuple[str, dict[str, Any]]:
 
 
 def sized_methods(formats: Sequence[str]) -> tuple[str, ...]:
-    """The presets that make files of a size in each of the formats, by their suffixes."""
+    """Return the presets that can meet a file size in all of the formats, given as suffixes."""
     return tuple(preset for preset in PRESETS if not _refused(preset, formats))
 
 
@@ -106,7 +106,7 @@ def _refused(preset: str, formats: Sequence[str]) -> bool:
 
 
 def refuse_unsized(name: str, suffix: str) -> None:
-    """Refuse a method that makes no files of a size.
+    """Refuse a method that cannot search for the count that meets a file size.
 
     Raises:
         OptionError: It is a baseline, or a preset without a search; or as for `find_method`.
@@ -119,7 +119,7 @@ def refuse_unsized(name: str, suffix: str) -> None:
 
 
 def _parse(assignment: str, defaults: dict[str, Any]) -> tuple[str, Any]:
-    """Name and value of `name=value`, the value in the type of the parameter's default."""
+    """Parse `name=value`; the value has the type of the parameter's default."""
     name, _, text = assignment.partition("=")
     if name not in defaults:
         raise OptionError(f"There is no parameter {name!r}; choose from {', '.join(defaults)}.")

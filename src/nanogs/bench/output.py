@@ -1,4 +1,4 @@
-"""Results as files in a folder."""
+"""The output folder of a run: rows as they are measured, then tables and plots."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -19,11 +19,11 @@ from nanogs.formatting import utf8
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
 PAGE, PICTURE = "results.html", "plot.png"  # of files of sizes
-UNFINISHED = "unfinished.jsonl"  # what the run is, and its rows so far
+UNFINISHED = "unfinished.jsonl"  # first line: `run_of` of the run; then its rows so far
 
 
 def run_of(scenes: Sequence[BenchScene], settings: BenchSettings) -> str:
-    """All that the rows of a run depend on, as one line of JSON: models by size and time too."""
+    """Return all inputs of a run as one line of JSON, with size and mtime of the model files."""
     files = {str(scene.model): _stamp(scene.model) for scene in scenes}
     about = {
         "version": __version__,
@@ -35,26 +35,26 @@ def run_of(scenes: Sequence[BenchScene], settings: BenchSettings) -> str:
 
 
 class ResultFolder:
-    """A folder that takes rows as they come, so that a run that ends early can be taken up again.
+    """A folder that saves rows as they are measured, so that an interrupted run can be resumed.
 
     Attributes:
         path: The folder.
-        done: Rows that an unfinished run of the same kind has measured.
+        done: Rows measured by an unfinished run of the same scenes and settings.
     """
 
     def __init__(
         self, folder: str | Path, *, run: str | None = None, overwrite: bool = False
     ) -> None:
-        """Make the folder, and refuse to replace results; nothing is replaced yet.
+        """Create the folder, and refuse to replace results; nothing is overwritten yet.
 
         Args:
-            folder: The folder; it is made where it is missing.
-            run: From `run_of`; None for a run that is never taken up again.
-            overwrite: Replace results that are there, and those of an unfinished run.
+            folder: The folder; it is created if it is missing.
+            run: From `run_of`; None for a run that is never resumed.
+            overwrite: Replace existing results, also those of an unfinished run.
 
         Raises:
-            OutputError: It holds results, also of an unfinished run of another kind, or cannot be
-                made.
+            OutputError: It holds results, also of an unfinished run of other scenes or settings, or
+                cannot be created.
         """
         self.path, self.done = Path(folder), list[BenchRow]()
         self._run, self._begun = run, False
@@ -67,7 +67,7 @@ class ResultFolder:
             self.path.mkdir(parents=True, exist_ok=True)
 
     def add(self, row: BenchRow) -> None:
-        """Keep a row until all are there; one that was done before is kept already.
+        """Append a row to the unfinished run's file, unless the file has it from before.
 
         Raises:
             OutputError: It cannot be written.
@@ -85,12 +85,12 @@ class ResultFolder:
     def finish(
         self, rows: Sequence[BenchRow], preamble: str = "", others: Sequence[str] = ()
     ) -> None:
-        """Write all rows, the table below a preamble, and the plot; of files of sizes also a page.
+        """Write all rows, the preamble and tables, and the plot; with file sizes also a page.
 
         Args:
-            rows: All of them.
+            rows: All rows of the run.
             preamble: How they were made, as Markdown.
-            others: Methods that gains are held against; see `gains.mean_gains`.
+            others: Anchors of the gains; see `gains.mean_gains`.
 
         Raises:
             OutputError: They cannot be written.
@@ -112,7 +112,7 @@ class ResultFolder:
             (self.path / UNFINISHED).unlink(missing_ok=True)
 
     def _rows_so_far(self) -> list[BenchRow]:
-        """Rows measured by an unfinished run; a line that was cut off is measured again."""
+        """Read the rows of an unfinished run; a last line that was cut off is dropped."""
         unfinished = self.path / UNFINISHED
         if not unfinished.exists():
             return []
@@ -125,7 +125,7 @@ class ResultFolder:
 
 
 def _stamp(path: Path) -> list[int]:
-    """Size and time of a file; empty where there is none."""
+    """Return size and mtime (ns) of a file; an empty list if it cannot be accessed."""
     try:
         found = path.stat()
     except OSError:

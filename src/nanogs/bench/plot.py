@@ -9,7 +9,7 @@ from nanogs.charts import Chart, svg
 
 
 def plot(rows: Sequence[BenchRow]) -> str:
-    """Means over scenes as SVG: a chart for photographs, one for views of the original models.
+    """Draw means over scenes as SVG: a chart for photographs, one for views of the originals.
 
     Args:
         rows: From `run_bench`.
@@ -22,10 +22,10 @@ def plot(rows: Sequence[BenchRow]) -> str:
 
 
 def curves(rows: Sequence[BenchRow]) -> dict[str, list[tuple[float, float]]]:
-    """Points (ratio, mean PSNR) by method, ratios ascending; what is infinite cannot be drawn.
+    """Return points (ratio, mean PSNR) by method, ratios ascending, without infinite values.
 
     Args:
-        rows: Rows that are held against the same kind of images.
+        rows: Rows scored against the same kind of images.
     """
     points: dict[str, list[tuple[float, float]]] = {}
     for mean in mean_rows(rows):

@@ -17,11 +17,11 @@ the CPU.
 
 
 def preamble(settings: BenchSettings, command: str = "") -> str:
-    """Markdown to stand above the tables.
+    """Return Markdown to put above the tables.
 
     Args:
-        settings: How the rows were made.
-        command: The command line that made them.
+        settings: The settings of the run.
+        command: The command line of the run.
     """
     views = ", ".join(
         f"{settings.views or usual_views(kind)} {kind} of {size} x {size}"

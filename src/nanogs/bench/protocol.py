@@ -1,4 +1,4 @@
-"""The protocol: every scene, every wish, every method, each in a process of its own."""
+"""The main loop: measure each method on each scene for each request, in a separate process."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -28,18 +28,18 @@ def run_bench(
     on_row: OnRow | None = None,
     progress: Progress | None = None,
 ) -> list[BenchRow]:
-    """Measure; whatever cannot be measured is a row with the reason.
+    """Measure all rows; a result that cannot be measured gives a row with the reason.
 
     Args:
-        scenes: The scenes, of different names.
+        scenes: The scenes; their names must differ.
         settings: What to measure.
-        done: Rows that were measured before and are taken as they are.
-        on_row: Told of each row as it is done.
-        progress: Told what is done next.
+        done: Rows of an earlier run, which are not measured again.
+        on_row: Called with each row when it is complete.
+        progress: Called with a description of the next step before it starts.
 
     Returns:
-        Rows by scene, then wish, then method, the original model first; where files of sizes are
-        asked for, then the original in each format, whole.
+        Rows by scene, then request, then method. Each scene begins with the original model and,
+        if file sizes are requested, with the whole model in each format.
 
     Raises:
         OptionError: There is no scene, two have the same name, or a setting is out of range.
@@ -64,7 +64,7 @@ def run_bench(
 
 
 def _try_metrics(metrics: Sequence[str]) -> None:
-    """Ask for each metric once, so that a missing package shows now and not after the first run."""
+    """Compute each metric once, so that a missing package fails now and not after the first run."""
     image = np.zeros((64, 64, 3), np.float32)
     for metric in metrics:
         if metric not in EXTRA_METRICS:
@@ -74,7 +74,7 @@ def _try_metrics(metrics: Sequence[str]) -> None:
 
 
 def row_count(scenes: Sequence[BenchScene], settings: BenchSettings) -> int:
-    """Rows that `run_bench` will deliver."""
+    """Return the number of rows that `run_bench` will return."""
     return len(scenes) * len(_all_runs(settings))
 
 
@@ -124,7 +124,7 @@ def _skipped_rows(scene: BenchScene, settings: BenchSettings, reason: str) -> It
 
 
 def _all_runs(settings: BenchSettings) -> list[tuple[str, Wish]]:
-    """Method and wish of each row of a scene, in their order."""
+    """Return method and request of each row of a scene, in order."""
     names = [*settings.methods, *settings.externals]
     formats = settings.formats if settings.file_sizes else ()
     wholes = [(ORIGINAL, Wish(1.0, suffix)) for suffix in ("", *formats)]

@@ -1,8 +1,9 @@
-"""Published figures, beside which ours are set.
+"""Published figures of other methods, to compare ours with.
 
 From the comparison in CVT-GS (2026): NanoGS is arXiv 2603.16103 on a CPU; the others are
-LightGaussian, PUP 3D-GS and GHAP; 3DGS is the model before simplification. Against photographs of
-the test split, outputs used as they are. LPIPS, SSIM and seconds were published for some only.
+LightGaussian, PUP 3D-GS and GHAP; 3DGS is the model before simplification. Scores are against
+photographs of the test split, outputs without fine-tuning. LPIPS, SSIM and seconds were published
+for some methods only.
 """
 
 from collections.abc import Mapping
@@ -14,10 +15,10 @@ RATIOS = (0.1, 0.01, 0.001)
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Figures published of one method on one data set; None where there are none.
+    """Published figures of one method on one data set; None if a figure was not published.
 
     Attributes:
-        psnr: Mean over the scenes, dB, by compaction ratio; 1 for the model itself.
+        psnr: Mean over the scenes, dB, by compaction ratio; 1 is the model itself.
         ssim: At ratio 0.1, or of the model itself.
         lpips: At ratio 0.1, or of the model itself.
         seconds: At ratio 0.1.
@@ -36,7 +37,7 @@ class PublishedDataset:
     Attributes:
         title: Its name in the table.
         scenes: Number of its scenes.
-        original: 3DGS itself.
+        original: Figures of 3DGS, before simplification.
         methods: Figures by method.
     """
 
@@ -105,12 +106,12 @@ DATASETS: Mapping[str, PublishedDataset] = {
     ),
 }  # fmt: skip
 
-# The usual protocol takes a quarter of the photographs' width outdoors, half of it indoors.
+# The usual protocol scales photographs to a quarter of their width outdoors, to half indoors.
 _INDOORS = frozenset({"room", "counter", "kitchen", "bonsai"})
 
 
 def image_folder(dataset: str, scene: str) -> str | None:
-    """Folder of the photographs that the usual protocol takes, or None for the reader's choice."""
+    """Return the photograph folder of the usual protocol, or None for the dataset's default."""
     if dataset != "mip-nerf-360":
         return None
     return "images_2" if scene in _INDOORS else "images_4"

@@ -1,4 +1,4 @@
-"""Our means in the shape of the published table, published figures beside them."""
+"""Our means in the layout of the published table, beside the published figures."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -11,7 +11,7 @@ _NONE = "–"  # noqa: RUF001 - a dash for what was not measured
 
 
 def published_tables(rows: Sequence[BenchRow]) -> Iterator[tuple[str, str]]:
-    """Title and Markdown; nothing where no scene of a published data set was measured.
+    """Yield a title and Markdown; nothing if no scene of a published data set was measured.
 
     Args:
         rows: From `run_bench`.
@@ -22,7 +22,7 @@ def published_tables(rows: Sequence[BenchRow]) -> Iterator[tuple[str, str]]:
 
 
 def published_table(rows: Sequence[BenchRow]) -> str:
-    """One line a data set, one column a method: ours, then those published.
+    """Return Markdown with a line for each data set and a column for each method, ours first.
 
     Args:
         rows: Rows of scenes of published data sets, against photographs.
@@ -69,7 +69,7 @@ def _cells(
 
 
 def our_figures(rows: Sequence[BenchRow]) -> tuple[dict[str, Figures], list[str]]:
-    """Our means on one data set in the published form, and what is missing from them.
+    """Return our means on one data set by method, and remarks on scenes left out of them.
 
     Args:
         rows: Rows of one data set.
@@ -104,7 +104,7 @@ def _figures(psnr: dict[float, float], row: BenchRow | None) -> Figures:
 
 
 def figures_cell(figures: Figures | None) -> str:
-    """As the published table writes it: 25.81 / .910 / .092 / 11 s; 22.28; 19.04."""
+    """Format figures like the published table: 25.81 / .910 / .092 / 11 s; 22.28; 19.04."""
     if figures is None:
         return _NONE
     first = [_psnr(figures, RATIOS[0]), _share(figures.ssim), _share(figures.lpips)]

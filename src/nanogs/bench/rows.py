@@ -1,4 +1,4 @@
-"""One row for each scene, method and wish, whatever became of it."""
+"""The rows of a run: one for each scene, method and request, measured, skipped or failed."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,13 +11,13 @@ ORIGINAL = "original"
 
 
 class Wish(NamedTuple):
-    """A result that is asked of every method: a ratio, or a file of a format and a size.
+    """A request to every method: a compaction ratio, or a format and size of the result's file.
 
     Attributes:
-        ratio: Compaction ratio in (0, 1]; None where a file of a size is asked for.
-        format: Suffix of the file, such as ".sog"; empty with a ratio, but for the whole model
+        ratio: Compaction ratio in (0, 1]; None if a file size is requested.
+        format: Suffix of the file, such as ".sog"; empty with a ratio, except for the whole model
             written in a format, which has the ratio 1.
-        size: Bytes that the file may have.
+        size: Maximum size of the file, bytes; None with a ratio.
     """
 
     ratio: float | None
@@ -26,7 +26,7 @@ class Wish(NamedTuple):
 
     @property
     def text(self) -> str:
-        """As tables have it: "0.1", "0.5MB .sog" or "whole .sog"."""
+        """The request as shown in tables: "0.1", "0.5MB .sog" or "whole .sog"."""
         if self.size is not None:
             return f"{size_name(self.size)} {self.format}"
         return f"whole {self.format}" if self.format else f"{self.ratio:g}"
@@ -36,12 +36,12 @@ RowKey = tuple[str, str, Wish]
 
 
 def size_name(size: int) -> str:
-    """Bytes as names of files have them, exactly: 0.5MB."""
+    """Format bytes as used in names of files, without rounding: 0.5MB."""
     return f"{size / 1e6:.6f}".rstrip("0").rstrip(".") + "MB"
 
 
 class Status(StrEnum):
-    """The state of a row."""
+    """The outcome of a row."""
 
     OK = "ok"
     SKIPPED = "skipped"  # nothing to measure, for the stated reason
@@ -49,7 +49,7 @@ class Status(StrEnum):
 
 
 class Against(StrEnum):
-    """The reference of the images."""
+    """The reference images that renders are compared with."""
 
     PHOTOGRAPHS = "photographs"
     ORIGINAL = "the original model"
@@ -61,7 +61,7 @@ class SetScore:
 
     Attributes:
         label: Kind and size of the views: "roam 512"; empty for photographs.
-        views: Views that were scored.
+        views: Number of views that were scored.
         psnr: Mean over the views, dB; infinite for equal images.
         least_psnr: PSNR of the worst view, dB.
         ssim: Mean over the views.
@@ -78,35 +78,35 @@ class SetScore:
 
 @dataclass(frozen=True, slots=True)
 class BenchRow:
-    """The result of one method on one scene for one wish; None where there is none.
+    """The result of one method on one scene for one request; missing values are None.
 
     Attributes:
         scene: Name of the scene.
-        method: Name of the method; `ORIGINAL` for the model as it came.
-        ratio: Compaction ratio asked for; 1 for the original, None for files of a size.
-        status: What became of it.
+        method: Name of the method; `ORIGINAL` for the original model.
+        ratio: Compaction ratio requested; 1 for the original, None with a file size.
+        status: Whether it was measured, skipped or failed.
         reason: Why it was skipped or failed, one sentence.
-        against: What PSNR and SSIM are measured against.
+        against: The reference images of PSNR and SSIM.
         dataset: The published data set that the scene belongs to.
         splats: Splats delivered.
-        file_bytes: Size of the result: as .ply for what ran here at a ratio, else of the file.
-        seconds: The method alone on warm kernels, without reading and writing; with writing where a
-            file of a size was asked for; for an external file what its producer noted, which may
-            hold both.
+        file_bytes: Size of the result's file, which is a .ply for our methods at a ratio.
+        seconds: The method alone on warm kernels, without reading and writing; with writing if a
+            file size was requested; for an external file as noted by its producer, which may
+            include both.
         read_seconds: Reading the model, in the method's process.
-        peak_memory: Most resident memory of the method's process, bytes, Python included.
+        peak_memory: Peak resident memory of the method's process, bytes, Python included.
         label: Kind and size of the views: "auto 512"; empty for photographs.
         psnr: Mean over the views, dB; infinite for equal images.
         least_psnr: PSNR of the worst view, dB.
         ssim: Mean over the views.
         extras: Means of further metrics by name.
-        further: The same on each further set of views.
-        fps: Frames a second of our renderer, one after the other.
-        fps_gsplat: Frames a second of gsplat on the GPU.
-        views: Views that were scored.
-        notes: What the reader of the numbers should know.
-        format: Suffix of the file that was asked for; what is scored is the file as decoded.
-        size: Bytes that the file may have.
+        further: The scores on each further set of views.
+        fps: Frames per second of our renderer, in sequence.
+        fps_gsplat: Frames per second of gsplat on the GPU.
+        views: Number of views that were scored.
+        notes: Remarks that matter for reading the numbers.
+        format: Suffix of the requested file; the file is decoded again before it is scored.
+        size: Maximum size of the file, bytes.
     """
 
     scene: str
@@ -136,33 +136,33 @@ class BenchRow:
 
     @property
     def wish(self) -> Wish:
-        """The size or ratio that was asked for."""
+        """The requested ratio or file size."""
         return Wish(self.ratio, self.format, self.size)
 
     @property
     def key(self) -> RowKey:
-        """Scene, method and wish, which no other row of a run has."""
+        """Scene, method and request, unique within a run."""
         return self.scene, self.method, self.wish
 
     @property
     def measured(self) -> bool:
-        """The row has a score."""
+        """Whether the row has a score."""
         return self.status is Status.OK and self.psnr is not None
 
     @property
     def sets(self) -> tuple[SetScore, ...]:
-        """The scores on each set of views, the row's own first."""
+        """The scores on all sets of views, in order."""
         own = SetScore(self.label, self.views, self.psnr, self.least_psnr, self.ssim, self.extras)
         return (own, *self.further)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values; infinities and NaN, which JSON lacks, as strings."""
+        """Return plain values for JSON; infinities and NaN, which JSON lacks, are strings."""
         data: dict[str, Any] = plain(asdict(self))
         return data
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "BenchRow":
-        """The row that `to_dict` gave."""
+        """Rebuild a row from the output of `to_dict`."""
         values = {name: value if name in _WORDS else _value(value) for name, value in data.items()}
         values["status"], values["against"] = Status(data["status"]), Against(data["against"])
         further = tuple(

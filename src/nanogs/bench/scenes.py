@@ -1,4 +1,4 @@
-"""Scenes to measure on, and the images that results are held against."""
+"""Scenes to measure on, and the reference images that results are compared with."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,14 +30,14 @@ _DOWNLOAD = "every method reads a file in a process of its own: download it firs
 
 @dataclass(frozen=True, slots=True)
 class BenchScene:
-    """A model, and the photographs it was trained on where there are any.
+    """A model, and the photographs that it was trained on, if there are any.
 
     Attributes:
-        name: What tables call it.
+        name: Its name in tables.
         model: The model's file.
         photos: Folder of its data set, or None.
         dataset: The published data set it belongs to, a key of `published.DATASETS`.
-        images: Folder of the photographs within `photos`; None for the reader's choice.
+        images: Folder of the photographs within `photos`; None for the dataset's default.
         up: Up direction of automatic views; None to find it from the model.
     """
 
@@ -50,17 +50,17 @@ class BenchScene:
 
 
 def scene_of_file(path: str | Path) -> BenchScene:
-    """The scene of a model file, named after it up to the first dot, or after its folder."""
+    """Return the scene of a model file, named after the file up to the first dot or its folder."""
     path = Path(path)
     folder = path.name in WHOLE_FOLDERS
     return BenchScene(path.resolve().parent.name if folder else path.name.split(".")[0], path)
 
 
 def scenes_of_files(paths: Sequence[Path]) -> list[BenchScene]:
-    """The scenes of model files, and of the models in folders; the head of each file is read.
+    """Return the scenes of model files and of the models in folders; the headers are read.
 
     Raises:
-        NanogsError: A path is no model and holds none, or a URL.
+        NanogsError: A path is neither a model nor a folder that holds one, or is a URL.
     """
     for path in paths:
         refuse_address(path, _DOWNLOAD)
@@ -71,10 +71,10 @@ def scenes_of_files(paths: Sequence[Path]) -> list[BenchScene]:
 
 
 def parse_scene(text: str) -> BenchScene:
-    """The scene that `NAME=MODEL` or `NAME=MODEL:FOLDER` stands for.
+    """Parse a scene given as `NAME=MODEL` or `NAME=MODEL:FOLDER`.
 
     Raises:
-        OptionError: It is of another form, or the model a URL.
+        OptionError: The text has another form, or the model is a URL.
     """
     name, _, rest = text.partition("=")
     if is_url(rest):
@@ -88,14 +88,14 @@ def parse_scene(text: str) -> BenchScene:
 
 
 def parse_dataset(text: str, model_pattern: str = TRAINED_MODEL) -> list[BenchScene]:
-    """The scenes of a published data set: every folder that holds a trained model.
+    """Return the scenes of a published data set: each subfolder that has a trained model.
 
     Args:
         text: `NAME=FOLDER`, the name a key of `published.DATASETS`.
         model_pattern: Path of a scene's model; {folder} and {scene} are replaced.
 
     Raises:
-        OptionError: It is of another form, or no scene has a model.
+        OptionError: The text has another form, or no scene has a model.
     """
     name, _, folder = text.partition("=")
     if name not in DATASETS or not folder:
@@ -118,10 +118,10 @@ def parse_dataset(text: str, model_pattern: str = TRAINED_MODEL) -> list[BenchSc
 
 
 def fill(pattern: str, **values: str) -> str:
-    """The pattern with the values in place.
+    """Replace the placeholders of a pattern by the values.
 
     Raises:
-        OptionError: It holds a placeholder that has no value, or a brace out of place.
+        OptionError: The pattern has an unknown placeholder or an unmatched brace.
     """
     try:
         return pattern.format(**values)
@@ -132,15 +132,15 @@ def fill(pattern: str, **values: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneViews:
-    """The views that a scene's results are held against.
+    """The reference views that a scene's results are compared with.
 
     Attributes:
         sets: The sets of views to score, by label: kind and size; "" for photographs.
         fit_cameras: Views that methods may learn from, none of them scored.
-        trained: Whether these are the photographs' own, for the presets too.
+        trained: Whether `fit_cameras` are those of training photographs, so that presets use them.
         background: RGB in [0, 1].
-        against: What the views show.
-        notes: What the reader of the numbers should know.
+        against: Whether the views are photographs or renders of the original model.
+        notes: Remarks that matter for reading the numbers.
     """
 
     sets: "Mapping[str, Sequence[ReferenceView]]"
@@ -152,12 +152,12 @@ class SceneViews:
 
     @property
     def count(self) -> int:
-        """Views of the first set."""
+        """Number of views of the first set."""
         return len(next(iter(self.sets.values())))
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Cameras of the first set's views, without reading a photograph."""
+        """The cameras of the first set's views; no photograph is read."""
         views = next(iter(self.sets.values()))
         if isinstance(views, PhotoViews):
             return views.cameras
@@ -165,7 +165,7 @@ class SceneViews:
 
 
 def scene_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> SceneViews:
-    """Photographs of the test split where the scene has them, else views of the model itself.
+    """Return photographs of the test split if the scene has them, else renders of the model.
 
     Args:
         scene: The scene.
@@ -181,7 +181,7 @@ def scene_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> S
 
 
 def _fit_cameras(scene: BenchScene, splats: Splats, settings: BenchSettings) -> tuple[Camera, ...]:
-    """Automatic views that baselines learn from."""
+    """Return automatic views for the baselines to learn from."""
     from nanogs.views.automatic import automatic_cameras
 
     size, kind = settings.sizes[0], AUTOMATIC.get(settings.kinds[0], "auto")
@@ -235,7 +235,7 @@ def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
 
 
 class PhotoViews(Sequence["ReferenceView"]):
-    """Photographs as views, each read when it is asked for: hundreds would fill the memory."""
+    """Photographs as views, each read on access, because hundreds would not fit in memory."""
 
     def __init__(
         self, dataset: "Dataset", frames: "Sequence[Frame]", background: Background
@@ -246,7 +246,7 @@ class PhotoViews(Sequence["ReferenceView"]):
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Cameras of the views."""
+        """The cameras of the views."""
         return tuple(frame.camera for frame in self._frames)
 
     def __len__(self) -> int:

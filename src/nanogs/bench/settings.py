@@ -1,4 +1,4 @@
-"""The settings of a run, what to measure and how: checked before anything is computed."""
+"""The settings of a run: what is measured and how, checked before anything is computed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,29 +17,30 @@ RATIOS = (0.1, 0.01, 0.001)
 
 @dataclass(frozen=True, slots=True)
 class BenchSettings:
-    """The protocol's parameters.
+    """The settings of a run.
 
     Attributes:
-        ratios: Compaction ratios in (0, 1]; not asked for where there are file sizes.
-        methods: Names as `nanogs.bench.methods` takes them.
+        ratios: Compaction ratios in (0, 1]; not used if there are file sizes.
+        methods: Names of methods; see `nanogs.bench.methods`.
         externals: Patterns of files that other tools made, by name; {scene}, {ratio} and {model}
             (the model's file name up to the first dot) in them are replaced. A JSON file of the
-            same name and .json behind it may hold `seconds` and `peak_memory` (bytes). With file
-            sizes {size}, like 0.5MB, and {format}, like sog, take the place of {ratio}.
-        views: Views of each kind for scenes without photographs; as many as usual by default.
+            same name with .json appended may hold `seconds` and `peak_memory` (bytes). With file
+            sizes, {size}, like 0.5MB, and {format}, like sog, replace {ratio}.
+        views: Number of views of each kind for scenes without photographs; None for the kind's
+            usual number (`nanogs.protocol.usual_views`).
         sizes: Their widths, which are their heights, pixels.
         kinds: Their arrangements, names in `nanogs.views.cameras.FOUND`.
-        fit_views: Automatic views to learn from, for baselines that do. Presets look from views
-            of their own, as they do without a bench.
-        background: RGB in [0, 1] behind photographs and what is held against them; None for the
-            data set's own (see `Dataset.background`).
+        fit_views: Number of automatic views for baselines that learn from views. Presets find
+            views of their own, as they do without a bench.
+        background: RGB in [0, 1] behind photographs and the renders compared with them; None for
+            the data set's own (see `Dataset.background`).
         metrics: Further metrics: "lpips", "flip".
-        seed: Seed of whatever methods draw.
+        seed: Seed of the methods' random numbers.
         threads: Threads to use; None for all.
-        file_sizes: Bytes of the files that presets make in place of models of a ratio.
+        file_sizes: Sizes, bytes, of the files that presets make instead of models of a ratio.
         formats: Suffixes of these files.
-        render_mode: "default" or "mip" in place of the render mode that files name, of models and
-            of results alike; see `nanogs.load`.
+        render_mode: "default" or "mip", which overrides the render mode of the files of models and
+            of results; see `nanogs.load`.
 
     Raises:
         OptionError: A value is out of range, or a name unknown or given twice.
@@ -62,14 +63,14 @@ class BenchSettings:
 
     @property
     def wishes(self) -> tuple[Wish, ...]:
-        """Sizes or ratios asked of every method; files by format and ascending size."""
+        """The requests to every method: ratios, or file sizes by format and ascending size."""
         if not self.file_sizes:
             return tuple(Wish(ratio) for ratio in self.ratios)
         sizes = sorted(self.file_sizes)
         return tuple(Wish(None, suffix, size) for suffix in self.formats for size in sizes)
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
+        """Refuse invalid values."""
         self._check_files()
         checked_mode(self.render_mode)
         for ratio in self.ratios:
@@ -96,7 +97,7 @@ class BenchSettings:
             find_method(method)
 
     def _check_files(self) -> None:
-        """Refuse sizes, formats and methods that no files can be made of."""
+        """Refuse file sizes and formats that are invalid, and methods that cannot meet a size."""
         if not self.file_sizes:
             return
         for size in self.file_sizes:
@@ -117,10 +118,10 @@ class BenchSettings:
 
 
 def _refuse_format(suffix: str) -> None:
-    """Refuse a format that is not written as one file, or not read again.
+    """Refuse a format that nanogs cannot write as one file and read again.
 
     Raises:
-        OptionError: It is such a format, or none.
+        OptionError: It is such a format, or unknown.
     """
     known = registry.writable(Path(f"model{suffix}"))
     if known.write is None or not known.readable or known.suffix != suffix:
@@ -128,10 +129,10 @@ def _refuse_format(suffix: str) -> None:
 
 
 def refuse_twins(what: str, names: list[str]) -> None:
-    """Names must differ: rows of the same name could not be told apart.
+    """Refuse duplicate names, because their rows could not be distinguished.
 
     Raises:
-        OptionError: Two are the same.
+        OptionError: Two names are the same.
     """
     for index, name in enumerate(names):
         if name in names[:index]:

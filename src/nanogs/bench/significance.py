@@ -1,9 +1,9 @@
 """Global significance, the pruning score of LightGaussian, without its fine-tuning.
 
 Fan et al., "LightGaussian: Unbounded 3D Gaussian Compression with 15x Reduction and 200+ FPS",
-2023 (arXiv 2311.17245), section 3.2: what a splat adds to the training views, times its opacity,
-times a power of its volume. The volume is divided by its 90th percentile and held to [0, 1], so
-that a few huge background splats do not win by size alone.
+2023 (arXiv 2311.17245), section 3.2: the sum of a splat's blending weights in the training views,
+times its opacity, times a power of its volume. The volume is divided by the 90th percentile of all
+volumes and clamped to [0, 1], so that a few huge background splats do not win by size alone.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ _PERCENTILE = 90.0
 
 
 def significance(splats: Splats, cameras: Sequence[Camera]) -> F64:
-    """Score of every splat.
+    """Compute the global significance of each splat.
 
     Args:
         splats: N splats.
@@ -41,7 +41,7 @@ def significance(splats: Splats, cameras: Sequence[Camera]) -> F64:
 
 
 def view_contributions(splats: Splats, cameras: Sequence[Camera]) -> F64:
-    """(N,) float64: transmittance x alpha of each splat, summed over pixels and views.
+    """Sum transmittance x alpha of each splat over pixels and views; (N,) float64.
 
     Args:
         splats: N splats.
@@ -64,15 +64,15 @@ def view_contributions(splats: Splats, cameras: Sequence[Camera]) -> F64:
 
 
 def normalised_volumes(splats: Splats, rows: Bool) -> F64:
-    """(M,) float64 in [0, 1]: volumes over their 90th percentile.
+    """Divide volumes by their 90th percentile and clamp them; (M,) float64 in [0, 1].
 
     Args:
         splats: N splats.
         rows: (N,) the M rows to use, all finite.
     """
     logs = splats.log_scales[rows].astype(np.float64).sum(axis=1)
-    # Logarithms: products of three scales of a scene in millimetres or light years must not
-    # under- or overflow. A scale of 0 is a log-scale of -inf, and a volume of 0.
+    # In logarithms, because the product of three scales must not under- or overflow, be the scene
+    # in millimetres or in light years. A scale of 0 is a log-scale of -inf and a volume of 0.
     percentile = np.percentile(logs, _PERCENTILE, method="higher") if len(logs) else 0.0
     if percentile == -np.inf:
         return np.zeros(len(logs))

@@ -1,4 +1,4 @@
-"""PSNR against the size of files: a chart for the mean over scenes and for each scene."""
+"""Charts of PSNR over file size: one for the mean over scenes and one for each scene."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _ACROSS = "MB"
-_INCHES = (6.4, 4.2)  # of a chart in the picture
-_DOTS = 110  # an inch
+_INCHES = (6.4, 4.2)  # width and height of a chart in the PNG
+_DOTS = 110  # per inch
 
 
 class SizeCharts:
-    """Charts in rows, the mean over scenes first, a column for each format and kind of views."""
+    """A grid of charts: a row for the mean and each scene, a column for each format and views."""
 
     def __init__(self, rows: Sequence[BenchRow]) -> None:
-        """Draw them.
+        """Collect the charts' points.
 
         Args:
             rows: From `run_bench` with file sizes.
@@ -42,11 +42,11 @@ class SizeCharts:
         ]
 
     def svg(self) -> str:
-        """As one SVG element."""
+        """Return all charts as one SVG element."""
         return svg(self.charts, self.columns)
 
     def png(self) -> bytes:
-        """As one picture; needs matplotlib."""
+        """Return all charts as one PNG; needs matplotlib."""
         from matplotlib.figure import Figure
 
         down = -(-len(self.charts) // max(self.columns, 1))
@@ -66,9 +66,9 @@ def _title(name: str, suffix: str, label: str) -> str:
 def _lines(
     rows: Sequence[BenchRow], names: Sequence[str], suffix: str, label: str
 ) -> dict[str, list[tuple[float, float]]]:
-    """Points (MB, PSNR) by method, in the same order in every chart, so that colours are the same.
+    """Return points (MB, PSNR) by method, in one order for all charts so that colours agree.
 
-    The whole model in the format is a point of its own, which there is not of means.
+    The whole model in the format is a further entry, except for means, which have none.
     """
     lines: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     for row in rows:
@@ -88,7 +88,7 @@ def _draw(chart: Chart, axes: "Axes") -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    # Names are no formulas, whatever $ they hold.
+    # A $ in a name must not start a formula.
     axes.set_title(_legible(chart.title), parse_math=False)
     axes.set(xlabel=chart.across, ylabel="PSNR (dB)")
     axes.grid(alpha=0.3)
@@ -98,5 +98,5 @@ def _draw(chart: Chart, axes: "Axes") -> None:
 
 
 def _legible(name: str) -> str:
-    """A name as matplotlib takes it, which refuses lone surrogates."""
+    """Escape lone surrogates in a name, because matplotlib refuses them."""
     return utf8(name).decode()

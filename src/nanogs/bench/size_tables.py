@@ -1,4 +1,4 @@
-"""Gains of methods at equal size, as a table; and all of a run with file sizes as a page."""
+"""The table of gains at equal file size, and the HTML page of a run with file sizes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Table:
     Attributes:
         head: Names of the columns.
         rows: Cells, row by row.
-        left: Columns of words, from the left; all others are numbers.
+        left: Number of columns on the left that hold words; the others hold numbers.
     """
 
     head: Sequence[str]
@@ -37,7 +37,7 @@ class Table:
 
 
 def gain_table(gains: Sequence[MeanGain]) -> Table:
-    """A row for each method, what it is held against, format and kind of views.
+    """Return a table with a row for each method, anchor, format and kind of views.
 
     Args:
         gains: From `mean_gains`.
@@ -60,7 +60,7 @@ def _cells(gain: MeanGain) -> list[str]:
 
 
 def gain_remarks(gains: Sequence[MeanGain]) -> list[str]:
-    """Which scenes have no figure, and why, a sentence each."""
+    """Return sentences that list the scenes without a figure and the reason."""
     by_text: dict[str, list[str]] = {}
     for one in (one for gain in gains for one in gain.gains):
         for remark in one.remarks:
@@ -74,7 +74,7 @@ def _pair(gain: Gain) -> str:
 
 
 def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) -> str:
-    """HTML that needs no other file and no network: gains, charts, and every file's numbers.
+    """Return a self-contained HTML page, without network access: gains, charts and all files.
 
     Args:
         rows: From `run_bench` with file sizes.
@@ -93,7 +93,7 @@ def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) ->
         legend=LEGEND,
         gains=gain_table(gains),
         remarks=gain_remarks(gains),
-        # One drawing each, so that they fit a phone; their words are escaped there.
+        # One SVG for each chart, so that they fit a phone; `svg` escapes their text.
         charts=[Markup(svg([chart])) for chart in SizeCharts(rows).charts],  # noqa: S704
         files=file_table(rows),
         left_out=[
@@ -106,7 +106,7 @@ def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) ->
 
 
 def file_table(rows: Sequence[BenchRow]) -> Table:
-    """A row for each file that was measured.
+    """Return a table with a row for each measured file.
 
     Args:
         rows: From `run_bench` with file sizes.

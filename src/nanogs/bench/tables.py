@@ -16,14 +16,14 @@ Column = tuple[str, Callable[[BenchRow], str]]
 
 
 def markdown(rows: Sequence[BenchRow], *, heading: str = "#", others: Sequence[str] = ()) -> str:
-    """Everything as Markdown: the published tables' shape, means, ablations, scene by scene.
+    """Return all tables as Markdown: published protocol, means, ablations, then each scene.
 
-    Of files of sizes, what methods gain at equal size comes first.
+    With file sizes, gains at equal size come before the means.
 
     Args:
         rows: From `run_bench`.
-        heading: What the highest headings begin with.
-        others: Methods that gains are held against; see `gains.mean_gains`.
+        heading: Mark of the highest headings.
+        others: Anchors of the gains; see `gains.mean_gains`.
     """
     parts = [f"{heading} {title}\n\n{text}" for title, text in published_tables(rows)]
     if any(row.size is not None for row in rows):
@@ -45,7 +45,7 @@ def markdown(rows: Sequence[BenchRow], *, heading: str = "#", others: Sequence[s
 
 
 def gains_text(gains: Sequence[MeanGain]) -> str:
-    """The table of gains, its legend, and which scenes have no figure.
+    """Return the table of gains, its legend, and a list of scenes without a figure.
 
     Args:
         gains: From `mean_gains`.
@@ -59,12 +59,12 @@ def gains_text(gains: Sequence[MeanGain]) -> str:
 
 
 def json_line(row: BenchRow) -> str:
-    """A row as one line of JSON; infinities are strings."""
+    """Return a row as one line of JSON; infinities are strings."""
     return json.dumps(row.to_dict(), allow_nan=False) + "\n"
 
 
 def scene_table(rows: Sequence[BenchRow]) -> str:
-    """One scene's rows, and what became of those without numbers.
+    """Return one scene's rows as a table, followed by reasons of failure and notes.
 
     Args:
         rows: Rows of one scene.
@@ -78,7 +78,7 @@ def scene_table(rows: Sequence[BenchRow]) -> str:
 
 
 def _views_text(rows: Sequence[BenchRow]) -> str:
-    """How many views there are, of each set where there are several."""
+    """Return the number of views, for each set if there are several."""
     widest = max(rows, key=lambda row: (len(row.further), row.views or 0))
     texts = [counted(one.views or 0, "view") for one in widest.sets]
     if widest.further:
@@ -92,7 +92,7 @@ def _remarks(row: BenchRow) -> list[str]:
 
 
 def mean_table(means: Sequence[WishMean]) -> str:
-    """Means of every wish, and the scenes and methods that are left out of them."""
+    """Return the means of all requests, and the scenes and methods that are left out of them."""
     rows = [row for mean in means for row in mean.methods.values()]
     text = _table(rows, rows) + "\n" if rows else ""
     return text + "".join(_coverage(mean) for mean in means)
@@ -116,7 +116,7 @@ def _coverage(mean: WishMean) -> str:
 
 
 def ablation_table(means: Sequence[WishMean]) -> str:
-    """Differences of changed presets to the preset as it is; empty where none was measured.
+    """Return the differences of changed presets to the unchanged one; "" if none was measured.
 
     Args:
         means: From `mean_rows`.
@@ -179,7 +179,7 @@ def _columns(rows: Sequence[BenchRow]) -> list[Column]:
 
 
 def _score_columns(rows: Sequence[BenchRow], label: str, *, several: bool) -> list[Column]:
-    """Columns of one set of views, which they name where there are several."""
+    """Return the columns of one set of views; if there are several, headings name the set."""
     behind = f", {label}" if several else ""
 
     def column(name: str, value: Callable[[SetScore], float | None], digits: int) -> Column:
@@ -198,7 +198,7 @@ def _score_columns(rows: Sequence[BenchRow], label: str, *, several: bool) -> li
 
 
 def _on(row: BenchRow, label: str, value: Callable[[SetScore], float | None]) -> float | None:
-    """A row's value on the set of a label; None where it has none."""
+    """Return a row's value on the set of a label; None if it has none."""
     return next((value(one) for one in row.sets if one.label == label), None)
 
 
@@ -211,5 +211,5 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _escape(text: str) -> str:
-    """The text in one line, without what Markdown would take for a column or a tag."""
+    """Join the text to one line, and escape Markdown's column separators and tags."""
     return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")

@@ -1,9 +1,9 @@
-"""Voxel merging: all splats whose centres share a cell of a cubic grid become one.
+"""Voxel merging: all splats whose centres share a cell of a cubic grid are merged into one.
 
-The count is made exact in two steps. Bisection on the cell size finds a grid with as many occupied
-cells as possible, but no more than the count; then the fullest cells (ties by cell) are split in
-two halves at the middle member along their widest axis, one after the other, until the count is
-met. Splitting goes by rank, so coincident centres can be told apart too.
+The exact count is reached in two steps. Bisection on the cell size finds the grid with most
+occupied cells that has no more than the count. Then, until the count is reached, the cell with most
+members (ties by cell) is split at the median member along its widest axis. The split is by rank, so
+that coincident centres can be separated too.
 """
 
 import heapq
@@ -17,11 +17,12 @@ from nanogs.splats import Splats
 from nanogs.stored import quaternions, rotations
 
 _BISECTIONS = 40
-_FEWEST_CELLS, _MOST_CELLS = 0.5, 2.0**20  # along the widest axis; three of 20 bits make a key
+# Cells along the widest axis; three indices of at most 21 bits are packed into an int64 key.
+_FEWEST_CELLS, _MOST_CELLS = 0.5, 2.0**20
 
 
 def merge_voxels(splats: Splats, rows: I64, count: int) -> Splats:
-    """A model of exactly `count` splats, one for each group of a grid.
+    """Return a model of exactly `count` splats, one for each group of splats.
 
     Args:
         splats: The input.
@@ -35,14 +36,14 @@ def merge_voxels(splats: Splats, rows: I64, count: int) -> Splats:
 
 
 def voxel_labels(means: F64, count: int) -> I64:
-    """Group of every centre: a grid's cells, some of them split, exactly `count` in all.
+    """Assign centres to exactly `count` groups: the cells of a grid, some of them split.
 
     Args:
         means: (N, 3) finite, scene units.
         count: Groups, at most N.
 
     Returns:
-        (N,) int64 from 0 to count - 1, every one of them in use.
+        (N,) int64 from 0 to count - 1; no group is empty.
     """
     labels = _finest_grid(means, count)
     groups = _members(labels)
@@ -60,7 +61,7 @@ def voxel_labels(means: F64, count: int) -> I64:
 
 
 def _finest_grid(means: F64, count: int) -> I64:
-    """(N,) int64: cells of the finest grid found that has no more than `count` of them."""
+    """Return (N,) int64: cells of the finest grid found with at most `count` occupied cells."""
     low = means.min(axis=0)
     width = float((means.max(axis=0) - low).max())
     best = np.zeros(len(means), dtype=np.int64)
@@ -75,7 +76,7 @@ def _finest_grid(means: F64, count: int) -> I64:
             fine = middle
             continue
         coarse = middle
-        if cells >= most:  # the number of cells does not quite rise with their fineness
+        if cells >= most:  # a finer grid does not always have more occupied cells
             best, most = labels, cells
         if cells == count:
             break
@@ -83,7 +84,7 @@ def _finest_grid(means: F64, count: int) -> I64:
 
 
 def _grid(offsets: F64, cells_per_unit: float) -> tuple[I64, int]:
-    """Compact labels of the cells that hold the offsets (N, 3), and the number of cells."""
+    """Return the consecutive labels of the offsets' (N, 3) cells, and the number of cells."""
     cells = np.floor(offsets * cells_per_unit).astype(np.int64)
     keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
     unique, labels = np.unique(keys, return_inverse=True)
@@ -96,7 +97,7 @@ def _members(labels: I64) -> list[I64]:
 
 
 def _halves(means: F64, group: I64) -> tuple[I64, I64]:
-    """The lower and the upper half of a group of two or more, by rank along its widest axis."""
+    """Split a group of two or more into a lower and an upper half by rank along its widest axis."""
     centres = means[group]
     axis = int(np.argmax(np.ptp(centres, axis=0)))
     order = group[np.argsort(centres[:, axis], kind="stable")]
@@ -105,19 +106,19 @@ def _halves(means: F64, group: I64) -> tuple[I64, I64]:
 
 
 def merge_groups(gaussians: Gaussians, labels: I64) -> Gaussians:
-    """Replace every group by one splat with the same mass-weighted moments.
+    """Replace each group by one splat with the same mass-weighted moments.
 
-    With w = alpha s1 s2 s3 and W its sum over the members: mu = Σ w mu_i / W,
-    Sigma = Σ w (Sigma_i + d_i d_iᵀ) / W, and so for the coefficients. The opacity too is the
-    weighted mean: the union of dozens of members would be 1 nearly everywhere. Members that all
-    have no mass count alike.
+    With w = alpha s1 s2 s3, W its sum over the members and d_i = mu_i - mu: mu = Σ w mu_i / W,
+    Sigma = Σ w (Sigma_i + d_i d_iᵀ) / W, and likewise for the SH coefficients. The opacity is the
+    weighted mean too: the union of dozens of members would be nearly 1 almost everywhere. If no
+    member of a group has mass, all have the same weight.
 
     Args:
         gaussians: N splats.
         labels: (N,) groups from 0 to G - 1, each with a member.
 
     Returns:
-        G splats in the order of the groups; a single member comes back as it was.
+        G splats in the order of the groups; the splat of a group of one is unchanged.
     """
     order = np.argsort(labels, kind="stable")
     ordered, groups = gaussians.take(order), labels[order]
@@ -150,7 +151,7 @@ def _log_masses(gaussians: Gaussians) -> F64:
 
 
 def _shares(log_weights: F64, starts: I64, sizes: I64) -> F64:
-    """(N,) each member's share of its group's mass; logarithms first, so that none underflows."""
+    """Return each member's share (N,) of its group's mass; a softmax, so that none underflows."""
     largest = np.maximum.reduceat(log_weights, starts)
     massless = np.repeat(largest == -np.inf, sizes)
     relative = np.where(massless, 0.0, log_weights)
@@ -167,14 +168,14 @@ def _mean(values: F, shares: F64, starts: I64) -> F64:
 
 
 def _dominant(shares: F64, starts: I64, sizes: I64) -> I64:
-    """(G,) position of the member with the largest share, the first of equals."""
+    """Return the position (G,) of each group's member with the largest share, the first of ties."""
     groups = np.repeat(np.arange(len(starts)), sizes)
     order = np.lexsort((-shares, groups))
     return order[starts]
 
 
 def _covariances(gaussians: Gaussians, offsets: F64) -> F64:
-    """(N, 3, 3) float64: R diag(s²) Rᵀ + d dᵀ."""
+    """Compute R diag(s²) Rᵀ + d dᵀ, (N, 3, 3) float64, with d the offsets from the group's mean."""
     quats = gaussians.quats.astype(np.float64)
     axes = rotations(quats / np.linalg.norm(quats, axis=1, keepdims=True))
     factors = axes * gaussians.scales.astype(np.float64)[:, None, :]
@@ -183,7 +184,7 @@ def _covariances(gaussians: Gaussians, offsets: F64) -> F64:
 
 
 def _axes(covariances: F64) -> tuple[F64, F64]:
-    """Standard deviations (G, 3) and unit quaternions (G, 4), wxyz, of covariances (G, 3, 3)."""
+    """Decompose covariances (G, 3, 3) into scales (G, 3) and unit quaternions (G, 4), wxyz."""
     variances, axes = np.linalg.eigh(covariances)
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     return np.sqrt(np.maximum(variances, 0.0)), quaternions(axes)

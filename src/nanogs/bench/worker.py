@@ -1,4 +1,4 @@
-"""One method in a process of its own, so that its seconds and its memory are its own."""
+"""Running one method in a separate process, so that its time and peak memory are not shared."""
 
 import multiprocessing
 import signal
@@ -21,24 +21,24 @@ from nanogs.pipeline.target import target_count
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 
-_WARM_UP = 1000  # splats on which the kernels are compiled or read from their cache
+_WARM_UP = 1000  # splats of the run that compiles the kernels or loads them from the cache
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """The task of a process.
+    """The task of a worker process.
 
     Attributes:
         model: The model's file.
         method: Name of the method.
-        ratio: Compaction ratio in (0, 1]; not asked for with a size.
-        output: File for the result: .ply, or with a size of any format.
+        ratio: Compaction ratio in (0, 1]; not used with a size.
+        output: File for the result: .ply, or of any format with a size.
         cameras: Views the method may learn from.
-        trained: Whether these are those of the training photographs.
-        seed: Seed of whatever is drawn.
+        trained: Whether `cameras` are those of the training photographs.
+        seed: Seed of the random numbers.
         threads: Threads to use; None for all.
-        size: Bytes that the file may have; the method is a preset then.
-        render_mode: "default" or "mip" in place of what the model's file says.
+        size: Maximum size of the file, bytes; the method must be a preset then.
+        render_mode: "default" or "mip", which overrides the render mode of the model's file.
     """
 
     model: Path
@@ -55,17 +55,17 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The outcome of a process.
+    """The result of a worker process.
 
     Attributes:
-        error: Why there is no result; empty where there is one.
+        error: Why there is no result; empty if there is one.
         splats: Splats delivered.
-        asked: Splats asked for; with a size those delivered.
-        seconds: The method alone, on warm kernels; with a size also writing files.
+        asked: Splats requested; with a size, the splats delivered.
+        seconds: The method alone, on warm kernels; with a size, also writing files.
         read_seconds: Reading the model.
-        peak_memory: Most resident memory before the result was written, bytes, or None where the
-            system does not tell.
-        notes: What the method has to say of a file of a size.
+        peak_memory: Peak resident memory, bytes, before the result was written (with a size, after
+            it), or None if the system does not report it.
+        notes: Notes of the report; only with a size.
     """
 
     error: str = ""
@@ -78,7 +78,7 @@ class Outcome:
 
 
 def run_job(job: Job) -> Outcome:
-    """Do a job in a fresh process and wait for it; whatever goes wrong there is an outcome too."""
+    """Run a job in a new process and wait for it; failures are returned as an `Outcome` too."""
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_serve, args=(job, sender), daemon=True)
@@ -103,10 +103,10 @@ def run_job(job: Job) -> Outcome:
 
 
 def _serve(job: Job, sender: Connection) -> None:
-    # An interrupt is the parent's to handle; it ends this process.
+    # The parent handles interrupts, and ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with watching(lambda _begun: None):  # its warm-up compiles, which is no news to the reader
+        with watching(lambda _begun: None):  # no message that the warm-up compiles kernels
             outcome = do_job(job)
     except NanogsError as error:
         outcome = Outcome(error=str(error))
@@ -116,7 +116,7 @@ def _serve(job: Job, sender: Connection) -> None:
 
 
 def do_job(job: Job) -> Outcome:
-    """Read, warm up, run the method, write; in this process.
+    """Read the model, warm up, run the method and write the result, in this process.
 
     Raises:
         NanogsError: The model cannot be read or the method refuses.
@@ -142,7 +142,7 @@ def do_job(job: Job) -> Outcome:
 
 
 def _do_sized(job: Job) -> Outcome:
-    """Make a file of a size, as `nanogs simplify --size` does."""
+    """Make a file of at most the requested size, like `nanogs simplify --size`."""
     from nanogs.pipeline.files import simplify_blocks
     from nanogs.threads import use_threads
 
@@ -167,16 +167,16 @@ def _do_sized(job: Job) -> Outcome:
 def _warm_up(method: Method, splats: Splats, context: MethodContext) -> None:
     rows = np.flatnonzero(splats.finite())
     sample = splats.take(rows[:: max(1, len(rows) // _WARM_UP)][:_WARM_UP])
-    # What fails on the sample fails again below, where it counts.
+    # A failure on the sample occurs again in the measured run, which reports it.
     with suppress(NanogsError):
         few = MethodContext(context.cameras[:2], context.seed, trained=True)
         method(sample, max(1, len(sample) // 10), few)
 
 
 def peak_memory() -> int | None:
-    """Most resident memory this process ever had, bytes, or None where the system does not tell.
+    """Return this process's peak resident memory, bytes, or None if the system does not report it.
 
-    Linux: VmHWM, since ru_maxrss also counts what the process was before it ran this program.
+    On Linux from VmHWM, because ru_maxrss includes the memory of the process before exec.
     """
     status = Path("/proc/self/status")
     if status.exists():
