@@ -1,4 +1,4 @@
-"""How far one image is from another: PSNR, SSIM, depth; FLIP and LPIPS with optional packages."""
+"""Image metrics: PSNR, SSIM, depth error; FLIP and LPIPS with optional packages."""
 
 from nanogs.metrics._flip import flip
 from nanogs.metrics._lpips import lpips

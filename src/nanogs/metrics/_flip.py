@@ -8,7 +8,7 @@ from nanogs.metrics._images import colour_pair
 
 
 def flip(reference: Array, test: Array) -> float:
-    """Mean LDR-FLIP at the package's default viewing distance (67 pixels a degree).
+    """Compute the mean LDR-FLIP at the package's default viewing distance (67 pixels a degree).
 
     Source: Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", 2020.
 

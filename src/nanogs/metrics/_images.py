@@ -1,4 +1,4 @@
-"""Checks that every metric shares."""
+"""Checks of the metrics' arguments."""
 
 import math
 
@@ -11,7 +11,7 @@ NOT_FINITE = "an image holds pixels that are not finite; no metric is defined."
 
 
 def check_range(data_range: float) -> None:
-    """Refuse a range of values that is none.
+    """Refuse an invalid range of values.
 
     Raises:
         OptionError: It is not above 0, or not finite.
@@ -21,11 +21,11 @@ def check_range(data_range: float) -> None:
 
 
 def check_pair(a: Array, b: Array) -> None:
-    """Refuse two arrays that are no images of one size in floating point.
+    """Refuse two arrays unless they are images of the same shape in floating point.
 
     Raises:
-        OptionError: The shapes differ, are no image's or hold no pixel, or the values are integers,
-            whose range a metric would have to guess.
+        OptionError: The shapes differ, are not those of images or have no pixel, or the values are
+            integers, whose range a metric would have to guess.
     """
     for image in (a, b):
         if image.ndim not in (2, 3) or image.size == 0:
@@ -37,14 +37,14 @@ def check_pair(a: Array, b: Array) -> None:
 
 
 def image_pair(a: Array, b: Array) -> tuple[F64, F64]:
-    """Two images as float64, checked.
+    """Check two images, and convert them to float64.
 
     Args:
         a: (H, W) or (H, W, C), floating point.
         b: The same shape.
 
     Returns:
-        Both in double precision.
+        Both images as float64.
 
     Raises:
         OptionError: As `check_pair`.
@@ -58,7 +58,7 @@ def image_pair(a: Array, b: Array) -> tuple[F64, F64]:
 
 
 def colour_pair(a: Array, b: Array) -> tuple[F64, F64]:
-    """Like `image_pair`, for metrics that need (H, W, 3) in [0, 1]; values are clipped to it.
+    """Do the same as `image_pair` for metrics of RGB images (H, W, 3), and clip to [0, 1].
 
     Raises:
         OptionError: As `image_pair`, or the images are not RGB.

@@ -13,7 +13,7 @@ BACKBONES = {"vgg": "vgg16", "alex": "alexnet"}
 
 
 def lpips(a: Array, b: Array, net: str = "vgg") -> float:
-    """Learned perceptual distance, as the literature on Gaussian splatting reports it (VGG).
+    """Compute the learned perceptual distance that the 3DGS literature reports (VGG by default).
 
     Source: Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric",
     2018, version 0.1 of its weights.

@@ -8,14 +8,14 @@ from nanogs._types import Array
 from nanogs.errors import ModelError
 from nanogs.metrics._images import NOT_FINITE, check_pair, check_range
 
-ROWS = 32  # at a time: their differences fit a processor's cache
+ROWS = 32  # rows per step, so that their differences fit in the cache
 
 
 def psnr(a: Array, b: Array, data_range: float = 1.0) -> float:
-    """Peak signal-to-noise ratio in dB, over all pixels and channels together.
+    """Compute the peak signal-to-noise ratio in dB, over all pixels and channels together.
 
-    10 log10(data_range² / mean squared difference). Values are taken as they are: clip renders to
-    [0, 1] first where photographs are the reference.
+    10 log10(data_range² / mean squared difference). Values are not clipped: clip renders to [0, 1]
+    first if photographs are the reference.
 
     Args:
         a: (H, W) or (H, W, C), floating point.

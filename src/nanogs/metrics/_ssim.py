@@ -12,16 +12,17 @@ from nanogs.kernels.window import similarity_rows
 from nanogs.metrics._images import check_range, image_pair
 
 RADIUS = 5  # 11 x 11 window
-LEAST = 2 * RADIUS + 1  # pixels along each side of an image
+LEAST = 2 * RADIUS + 1  # fewest pixels along each side of an image
 SIGMA = 1.5  # pixels
 K1 = 0.01
 K2 = 0.03
 
 
 def ssim(a: Array, b: Array, data_range: float = 1.0) -> float:
-    """Mean structural similarity, 11 x 11 Gaussian window of sigma 1.5, channel by channel.
+    """Compute the mean SSIM, with an 11 x 11 Gaussian window of sigma 1.5, for each channel.
 
-    Population variances; windows that leave the image do not count. Equal to scikit-image's
+    Variances are population variances; windows beyond the image's border do not count. Equal to
+    scikit-image's
     `structural_similarity(..., gaussian_weights=True, sigma=1.5, use_sample_covariance=False)`.
 
     Args:
@@ -30,7 +31,7 @@ def ssim(a: Array, b: Array, data_range: float = 1.0) -> float:
         data_range: Distance from the darkest to the brightest value.
 
     Returns:
-        At most 1, which equal images have.
+        At most 1; equal images have 1.
 
     Raises:
         OptionError: Shapes differ, values are integers, the images are smaller than the window, or

@@ -1,4 +1,4 @@
-"""Difference of two depth images."""
+"""The error of a depth image."""
 
 import numpy as np
 
@@ -9,12 +9,12 @@ COVERED = 0.5  # alpha above which a pixel shows a surface rather than the backg
 
 
 def depth_error(depth: F, alpha: F, reference_depth: F, reference_alpha: F) -> float:
-    """Mean of |depth - reference| / reference over the pixels that both images cover.
+    """Compute the mean of |depth - reference| / reference over the pixels that both images cover.
 
-    A pixel is covered where its alpha is above 0.5; the expected depth of fainter ones says little.
+    A pixel is covered if its alpha is above 0.5; the expected depth of other pixels means little.
 
     Args:
-        depth: (H, W) scene units along the viewing axis, as `nanogs.render` gives it.
+        depth: (H, W) scene units along the viewing axis, as from `nanogs.render`.
         alpha: (H, W) in [0, 1].
         reference_depth: (H, W), positive where covered.
         reference_alpha: (H, W).

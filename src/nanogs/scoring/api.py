@@ -1,4 +1,4 @@
-"""`nanogs.compare`: how much models look like their original."""
+"""`nanogs.compare`: image quality of models, compared with their original or photographs."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -50,50 +50,52 @@ def compare(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> "Comparison":
-    """Score models against their original, on views that no method learns from, or photographs.
+    """Score models on test views against their original, or on photographs.
+
+    No method learns from the test views.
 
     The numbers are those of the command `nanogs compare`.
 
     Args:
-        original: What the others should look like: a model, or a path.
+        original: The reference: a model, or a path.
         *models: At least one to score: models, or paths.
-        names: Of the models, in their order; by default their files' names, or "model 1" and so
+        names: Names of the models, in order; by default their files' names, or "model 1" and so
             on.
-        cameras: As `render` takes them, or several kinds, as in `["auto", "roam"]`; they are found
-            from the original.
-        views: Number of automatic views of each kind; 8 by default, 24 roaming ones.
-        pixels: Of an automatic view: width and height in one number, or both; a list of these for
-            several sizes, one after the other.
+        cameras: As for `render`, or several kinds, as in `["auto", "roam"]`; automatic ones are
+            computed from the original.
+        views: Number of automatic views of each kind; by default 8, or 24 roaming ones.
+        pixels: Size of automatic views: one number for width and height, or both; a list of these
+            to measure at several sizes.
         up: (3,) direction of automatic views, scene units; found from the original by default.
         background: RGB in [0, 1] behind the splats; by default black, and for photographs the data
             set's own.
-        photos: Folder of a NeRF-Synthetic or COLMAP data set: all models, the original too, are
-            scored against its photographs, from where these were taken. Views cannot be asked for
-            beside it.
+        photos: Folder of a NeRF-Synthetic or COLMAP data set: all models, also the original, are
+            scored against its photographs, rendered from their cameras. Excludes the arguments of
+            automatic views.
         images: Folder of the photographs in a COLMAP data set.
         split: Photographs to use, "test" or "train".
-        metrics: Further ones, one or several: "flip", "lpips"; each needs its extra.
-        packed: Suffix of a format, or several, such as [".sog", ".spz"]: each model is written as
-            such a file, read back and scored too, with what packing alone cost in `packed` of its
-            score.
-        format_options: Of these formats, as `save` takes them; each gets those that it has.
-        device: Where pictures are made, as `render` takes it; the notes name another than the CPU.
+        metrics: One or several further metrics: "flip", "lpips"; each needs its extra.
+        packed: Suffix of a format, or several, such as [".sog", ".spz"]: each model is also
+            written in the format, read back and scored; the loss due to packing alone is `packed`
+            of that score.
+        format_options: Options of these formats, as for `save`; each format gets those it supports.
+        device: Device to render on, as for `render`; the notes name it if it is not the CPU.
         threads: Threads to use; all by default. The result does not depend on it.
         max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
-            what is free, less a tenth. Models that do not fit are read some rows at a time, as
-            often as it takes: the numbers are the same.
+            the free memory, less a tenth. Models that do not fit are read some rows at a time,
+            several times if necessary: the numbers are the same.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`.
 
     Returns:
-        Scores of each model (against photographs the original is the first), their means in
-        `models`, and how they were measured in `protocol`; in `further` the same for each further
-        kind and size of views.
+        Scores of each model with their means in `models` (against photographs, the original is the
+        first), the conditions of measurement in `protocol`, and in `further` the same for each
+        further kind and size of views.
 
     Raises:
         FormatError: A model, the cameras or the photographs cannot be read.
         ModelError: The original is seen in none of the views.
-        NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
+        NotEnoughMemoryError: It takes more memory than is free or allowed, even row by row.
         OptionError: An argument is out of range, there is no such device, or no model is given.
     """
     called, asked = _names(models, names), requested_views(cameras, pixels)
@@ -118,7 +120,7 @@ def compare(
         ]
         looking = largest, most * (2 if packing else 1), limit
         room = room_for_comparison(given, sources, *looking)
-        # Here and not above: these bring Numba.
+        # Imported here because these import Numba.
         from nanogs.card.device import device_notes, use_device
         from nanogs.scoring.comparison import compare_with_photographs
         from nanogs.scoring.on_sets import compare_on_sets
@@ -159,14 +161,17 @@ def compare(
 
 @dataclass(frozen=True, slots=True)
 class RequestedViews:
-    """The views that are asked for: cameras, or else where to find some and at which sizes."""
+    """The requested views: cameras, or else kinds of automatic views (or a file) and sizes."""
 
     cameras: "list[Camera]"
     sources: Sequence[str] = ()
     sizes: "Sequence[Size]" = ()
 
     def pictures(self, views: int | None) -> tuple[int, int]:
-        """Pixels of the largest view, and the most views at a time; 0 where a file has them."""
+        """Return the pixels of the largest view and of the largest set the number of views.
+
+        The number is 0 for the cameras of a file.
+        """
         from nanogs.scoring.view_sets import found_views
 
         if self.cameras:
@@ -176,13 +181,13 @@ class RequestedViews:
 
     @property
     def sets_count(self) -> int:
-        """How many sets of views there will be."""
+        """Number of sets of views."""
         return 1 if self.cameras else len(self.sources) * len(self.sizes)
 
     def sets(
         self, model: Splats | Source, views: int | None, up: Sequence[float] | None
     ) -> "list[ViewSet]":
-        """The views, which are found from the original where they are not given."""
+        """Return the sets of views; views that are not given are computed from the model."""
         from nanogs.scoring.view_sets import ViewSet, view_sets
 
         if self.cameras:
@@ -191,7 +196,7 @@ class RequestedViews:
 
 
 def requested_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> RequestedViews:
-    """The views that are asked for; the arguments and errors are those of `compare`."""
+    """Parse the requested views; arguments and errors are those of `compare`."""
     from nanogs.scoring.view_sets import parse_sources
 
     if isinstance(cameras, Camera):
@@ -217,12 +222,15 @@ def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
 
 
 def file_name(model: Model) -> str | None:
-    """The name of a model's file, or None where it is none."""
+    """Return the name of a model's file, or None if the model is not given as a path."""
     return place(model).name if isinstance(model, str | PathLike) else None
 
 
 def _stages(models: int, files: int, sets: int) -> list[Stage]:
-    """The stages to come, for so many models, files of them, and sets of views; or photographs."""
+    """Return the stages of a comparison from numbers of models, packed files and sets of views.
+
+    No sets of views means photographs.
+    """
     looking = [Stage("render", 1.0), Stage("score", float(models + files))] * sets
     if not sets:
         looking = [Stage("photographs", 1.0), Stage("score", 1.0 + models + files)]

@@ -1,4 +1,4 @@
-"""Models to compare, each with files of it beside it. No Numba until a model is read."""
+"""Models to compare, each with packed files of itself. Numba is not imported before loading."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -31,14 +31,16 @@ def packed_beside(
     max_memory: int | None,
     progress: Tracker,
 ) -> list[tuple[str, S | FileSource, str]]:
-    """Models, each followed by what files of it are read as; none of a format that it is in.
+    """Write each model in the packed formats, and return all models with the opened files.
+
+    Each model is followed by its files. A format that the model's file already has is left out.
 
     Args:
         models: Names and models.
         packing: From `packing_of`.
-        stack: Until its end files are there, in a temporary folder.
-        max_memory: Bytes that this process may take; by default what is free, less a tenth.
-        progress: Told of the stage "pack", a part for each file.
+        stack: Owns the files and their temporary folder, which are removed when it closes.
+        max_memory: Bytes that this process may take; by default the free memory, less a tenth.
+        progress: Receives the stage "pack", with a part for each file.
 
     Returns:
         Names, models, and the suffix of the format; empty for the models themselves.
@@ -67,14 +69,14 @@ def packed_beside(
 
 
 def files_of(models: Sequence[Splats | Source], packing: Packing) -> int:
-    """How many files `packed_beside` writes."""
+    """Count the files that `packed_beside` writes."""
     return sum(not is_packed_so(source, suffix) for source in models for suffix in packing)
 
 
 def notes_beside(
     models: Sequence[tuple[str, Splats | Source]], packing: Packing
 ) -> tuple[str, ...]:
-    """Notes on models and on the files that are made of them."""
+    """Return notes on models whose files are packed already, in one of the formats or another."""
     notes = []
     for name, source in models:
         same = [suffix for suffix in packing if is_packed_so(source, suffix)]
@@ -89,7 +91,7 @@ def notes_beside(
 
 
 def remarks_on(models: Sequence[tuple[str, Splats | Source]]) -> tuple[str, ...]:
-    """Remarks on values that are read otherwise than the models' files say, behind their names."""
+    """Return the files' remarks on values that differ from the stored ones, prefixed by names."""
     return tuple(
         f"{name}: {remark}"
         for name, source in models
@@ -99,13 +101,13 @@ def remarks_on(models: Sequence[tuple[str, Splats | Source]]) -> tuple[str, ...]
 
 
 def named(name: str, source: Splats | Source, packed: str, whole: bool) -> "NamedModel":
-    """A model as it is compared.
+    """Return a model ready for comparison.
 
     Args:
         name: Its name.
         source: The model.
-        packed: As `packed_beside` has it.
-        whole: Whether it is read whole, or some rows at a time.
+        packed: Suffix from `packed_beside`; empty for the model itself.
+        whole: Load it now; otherwise it is read some rows at a time.
     """
     from nanogs.scoring.comparison import NamedModel
 

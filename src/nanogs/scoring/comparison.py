@@ -1,4 +1,4 @@
-"""Several models held against one reference, on one set of views."""
+"""Scoring several models against one reference, on one set of views."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -31,15 +31,15 @@ from nanogs.views.streamed import drawable
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NamedModel:
-    """A model and what the user calls it.
+    """A model and the name that the user gives it.
 
     Attributes:
-        name: Its name; models of one name are taken as one method at several sizes.
-        splats: The model; a source is read some rows at a time where `compare_models` is given
-            room for that, and held else.
+        name: Its name; models of one name count as one method at several sizes.
+        splats: The model. A source is read some rows at a time if `compare_models` has `room`, and
+            otherwise loaded.
         file_bytes: Size of its file, or None.
-        packed: Suffix of the format where it is read back from a file, to be held against the same
-            model unpacked too, the last one before it without a suffix; else empty.
+        packed: Suffix of the format if the model is read back from a packed file; it is then also
+            compared with the last model before it that has none. Otherwise empty.
     """
 
     name: str
@@ -58,16 +58,16 @@ class Comparison:
     """The result of `compare`.
 
     Attributes:
-        reference: What the scores are against: a model's name, or the photographs' folder.
+        reference: Name of the reference model, or the photographs' folder.
         reference_splats: Splats of the reference model, or None for photographs.
-        protocol: How it was measured.
+        protocol: The conditions of measurement.
         views: Names of the views that were scored.
-        skipped_views: Names of views in which the reference is not seen; in no mean.
+        skipped_views: Names of views in which nothing of the reference is visible; not in means.
         models: Scores, in the order given.
-        notes: What the reader of the numbers should know.
-        further: The same on each further kind and size of views that was asked for.
-        reference_cost: What the reference takes to draw on the views that were scored; None for
-            photographs, or where that was not measured.
+        notes: Remarks that matter for reading the numbers.
+        further: The comparisons on each further kind and size of views.
+        reference_cost: Draw cost of the reference on the views that were scored; None for
+            photographs, or if it was not measured.
     """
 
     reference: str
@@ -81,7 +81,7 @@ class Comparison:
     reference_cost: DrawCost | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Return plain dictionaries, lists, numbers and strings."""
         return asdict(self)
 
     def __repr__(self) -> str:
@@ -99,14 +99,14 @@ class Comparison:
 
     @property
     def all_notes(self) -> list[str]:
-        """Notes of each, those of models behind their names, once each."""
+        """The distinct notes of all comparisons, those of models prefixed by their names."""
         notes = [note for one in self.each for note in one.notes]
         for one in self.each:
             notes += [f"{model.name}: {note}" for model in one.models for note in model.notes]
         return list(dict.fromkeys(notes))
 
     def judged(self, place: int) -> Judged:
-        """The means of one of the models, with how they were measured."""
+        """Return the mean scores of the model at index `place`, with the protocol."""
         model = self.models[place]
         return Judged(model.psnr, model.ssim, self.protocol)
 
@@ -117,11 +117,11 @@ def _cost_text(model: ModelScore) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """Pictures of one view for the page, as `data:` addresses.
+    """Pictures of one view for the page, as `data:` URLs.
 
     Attributes:
         view: Name of the view.
-        reference: The reference.
+        reference: The reference image.
         results: One rendering for each model.
         errors: One error map for each model.
         scores: One score for each model.
@@ -153,18 +153,18 @@ def compare_models(
         reference: The reference.
         models: At least one.
         cameras: The views.
-        kind: Where they are from; all but "given" say that they are automatic test views.
+        kind: Kind of the views; all but "given" are automatic test views.
         background: RGB in [0, 1] behind the splats.
         extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
-        pictures: Also make the pictures for a page; otherwise the sheets are empty.
-        costs: Also measure what each model takes to draw, and the reference.
-        room: Bytes for the splats of pictures, to read models some rows at a time; None to hold
+        pictures: Also make the pictures for a page; otherwise there are no sheets.
+        costs: Also measure the draw cost of each model and of the reference.
+        room: Bytes for splats while rendering, to read models some rows at a time; None to load
             them.
-        progress: Told of the stages "render", of the reference, and "score".
+        progress: Receives the stages "render", for the reference, and "score".
 
     Raises:
         OptionError: No model is given.
-        ModelError: The reference is seen in none of the views.
+        ModelError: Nothing of the reference is visible in any view.
     """
     progress = progress or Tracker(None, [])
     progress.begin("render")
@@ -206,16 +206,16 @@ def compare_with_photographs(
     """Score models against photographs.
 
     Args:
-        source: Where the photographs are from, for the reader.
+        source: The photographs' folder, as shown to the reader.
         models: At least one.
-        views: Cameras and photographs, one at least, as `photos.photographs` gives them.
-        split: Which of the data set's they are, "test" or "train".
+        views: Cameras and photographs, at least one, from `photos.photographs`.
+        split: Their split of the data set, "test" or "train".
         background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
         extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
         pictures: Also make the pictures for a page.
-        costs: Also measure what each model takes to draw.
+        costs: Also measure the draw cost of each model.
         room: As for `compare_models`.
-        progress: Told of the stages "render", of the reference, and "score".
+        progress: Receives the stage "score".
 
     Raises:
         OptionError: No model is given.
@@ -243,7 +243,11 @@ def score_models(
     room: int | None,
     progress: Tracker,
 ) -> tuple[list[ModelScore], list[Sheet]]:
-    """Score every model on the same views, and make the pictures on the way if they are wanted."""
+    """Score each model on the same views, and make the pictures for a page if requested.
+
+    Raises:
+        OptionError: No model is given.
+    """
     if not models:
         raise OptionError("Name at least one model to compare.")
     sheets = [Sheet(view.camera.name, data_uri(view.image)) for view in views if pictures]
@@ -255,7 +259,7 @@ def score_models(
         remaining = iter(sheets)
         done = count(len(scores) * len(views) + 1)
 
-        # Called within this turn of the loop only.
+        # Not called after this iteration, so that it may use the loop's variables (B023).
         def scored(view: ReferenceView, rendering: Rendering, found: ViewScore) -> None:
             progress.part(next(done), len(models) * len(views))  # noqa: B023
             unpacked.see(rendering)
@@ -282,7 +286,7 @@ def score_models(
 
 
 def _degree_notes(reference: NamedModel, models: Sequence[NamedModel]) -> list[str]:
-    """Lower degrees are rendered as they are; the reader should know what the score includes."""
+    """Note models whose SH degree differs from the reference's, which affects their scores."""
     degree = reference.sh_degree
     return [
         f"{model.name}: SH degree {model.sh_degree}, the reference has {degree}"

@@ -1,4 +1,4 @@
-"""The views on which a result's draw cost is held against that of the original."""
+"""The views on which a result's draw cost is compared with the original's."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from nanogs.views.covering import cost_on
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawViews:
-    """The views of `nanogs compare` at its defaults, and what they take of the original.
+    """The views of `nanogs compare` at its defaults, and the original's draw cost on them.
 
     Attributes:
         cameras: The views.
-        protocol: What they are.
-        original: What the original takes.
+        protocol: Their kind, number and size.
+        original: Draw cost of the original.
     """
 
     cameras: Sequence[Camera]
@@ -29,7 +29,7 @@ class DrawViews:
     original: DrawCost
 
     def cost(self, model: Splats | Source) -> DrawCost:
-        """Cost of drawing another model on the same views.
+        """Measure the draw cost of another model on the same views.
 
         Raises:
             FormatError: The source cannot be read.
@@ -37,16 +37,16 @@ class DrawViews:
         return cost_on(model, self.cameras, self.protocol)
 
     def share(self, model: Splats | Source) -> float:
-        """The same as a share of the original's splats a pixel."""
+        """Return another model's draw cost (splats per pixel) as a share of the original's."""
         return self.cost(model).share_of(self.original)
 
 
 def draw_views(original: Splats | Source, tell: Parts = untold) -> DrawViews:
-    """Look at what the original takes, once for any number of models.
+    """Measure the draw cost of the original, once for any number of models.
 
     Args:
         original: The model.
-        tell: Told of the rows that were looked at.
+        tell: Receives the progress in rows.
 
     Raises:
         FormatError: The source cannot be read.

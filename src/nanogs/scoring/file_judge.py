@@ -1,4 +1,4 @@
-"""Holding files against the model that they were made of, as they give it back."""
+"""Scoring written files: they are read back and compared with the original model."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,20 +28,21 @@ T = TypeVar("T")
 
 @dataclass(slots=True, eq=False)
 class FileJudge:
-    """Measures files, or says why nothing can be measured.
+    """Measures files against the original, or notes why that is not possible.
 
     Attributes:
-        views: The model as views show it that nothing is learnt from; None where nothing is
+        views: Test views of the original, which no method learns from; None if scores are not
             measured.
-        held: Whether files are loaded; else some rows are read at a time.
-        turn: Frames from and to which the files' models were turned, or None.
+        held: Whether files are loaded; otherwise they are read some rows at a time.
+        turn: The coordinate frames (from, to) of the change made to the files' models, or None;
+            it is undone before they are measured.
         threads: Threads to use, or None for all.
         notes: Why nothing is measured, one sentence each.
-        drawing: What the model takes to draw; None where that is not measured.
-        original: The model, where levels are measured at the distances at which viewers begin to
-            draw them; else None.
-        max_memory: Bytes that this process may take for that, where it is a source; by default
-            what is free.
+        drawing: Draw cost of the original; None if costs are not measured.
+        original: The original, to measure levels at the distances at which viewers switch to them;
+            None if that is not measured.
+        max_memory: Bytes that this process may take for that if the original is a source; by
+            default the free memory.
     """
 
     views: "HeldOut | None" = None
@@ -55,11 +56,11 @@ class FileJudge:
     _switching: "SwitchViews | None" = None
 
     def of(self, path: Path, level: int = 0) -> Judged | None:
-        """Scores of a file; None where it cannot be measured, of which a note then tells.
+        """Score a file; None if it cannot be measured, and a note then says why.
 
         Args:
             path: The file.
-            level: Of a streamed model, which level of detail.
+            level: Level of detail of a streamed model.
         """
         views = self.views
         if views is None:
@@ -67,11 +68,11 @@ class FileJudge:
         return self._tried(lambda: self._judged(views, path, level), None)
 
     def costs(self, path: Path, level: int = 0) -> tuple[DrawCost, ...]:
-        """Costs of drawing a file and the model; none where they cannot be measured.
+        """Return the draw costs of a file and of the original; () if they cannot be measured.
 
         Args:
             path: The file.
-            level: Of a streamed model, which level of detail.
+            level: Level of detail of a streamed model.
         """
         if self.drawing is None:
             return ()
@@ -84,12 +85,15 @@ class FileJudge:
         return self._tried(measure, ())
 
     def at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> Switch | None:
-        """A level where a viewer begins to draw it; None where that cannot be measured.
+        """Score a level at the distance at which a viewer switches to it.
 
         Args:
             path: The file.
-            level: Which one, 1 or more.
-            pixel_of: How the viewer chooses.
+            level: Level of detail, 1 or more.
+            pixel_of: Gives the pixel size, scene units, at which the viewer switches.
+
+        Returns:
+            None if it cannot be measured.
         """
         if self.views is None or self.original is None:
             return None
@@ -106,11 +110,11 @@ class FileJudge:
         return self._tried(measure, None)
 
     def beside(self, path: Path, result: Splats) -> tuple[Judged | None, PackingLoss | None]:
-        """Scores of a file, and the loss by packing alone where its format rounds.
+        """Return the scores of a file, and the loss due to packing alone if its format rounds.
 
         Args:
             path: The file.
-            result: What was written to it.
+            result: The model that was written to it.
         """
         suffix = registry.writable(path).suffix
         if self.views is None or not rounds(suffix):
@@ -125,7 +129,10 @@ class FileJudge:
         return self._tried(measure, nothing)
 
     def _tried(self, measure: Callable[[], T], otherwise: T) -> T:
-        """Measure on the threads; a note tells, once for all files, of what cannot be measured."""
+        """Return `measure()`, or `otherwise` if the model or file does not allow it.
+
+        The reason is added to the notes, once for all files.
+        """
         from nanogs.threads import use_threads
 
         try:
@@ -149,7 +156,7 @@ class FileJudge:
 
     @contextmanager
     def _read(self, path: Path, level: int) -> Iterator[Splats | Source]:
-        """A level as it is measured, in the frame of the original."""
+        """Open a level of a file, loaded or as a source, in the frame of the original."""
         if self.held:
             yield self._turned_back(load(path, level=level))
             return
@@ -170,14 +177,13 @@ def file_judge(
     """Render the original once, for any number of files.
 
     Args:
-        original: The model; of a source some rows are read at a time, and of the files too.
+        original: The model; a source is read some rows at a time, and so are the files then.
         suffix: Format of the files.
-        turn: Frames from and to which the files' models were turned, or None.
+        turn: The coordinate frames (from, to) of the change made to the files' models, or None.
         threads: Threads to use, or None for all.
-        tell: Told of the views rendered.
-        max_memory: Bytes that this process may take, where a source is rendered; by default what is
-            free.
-        costs: Measure what files take to draw too, and levels where viewers begin to draw them.
+        tell: Receives the progress in views rendered.
+        max_memory: Bytes that this process may take to render a source; by default the free memory.
+        costs: Also measure draw costs, and levels at the distances at which viewers switch to them.
     """
     known = registry.find(Path(f"model{suffix}"))
     if known is not None and not known.readable:
@@ -209,12 +215,12 @@ def file_costs(
     turn: tuple[str, str] | None = None,
     threads: int | None = None,
 ) -> tuple[DrawCost, ...]:
-    """Costs of drawing a file and the model it was made of; none where they cannot be measured.
+    """Return the draw costs of a file and of its original; () if they cannot be measured.
 
     Args:
-        original: The model; of a source some rows are read at a time.
+        original: The model; a source is read some rows at a time.
         path: The file.
-        turn: Frames from and to which the files' models were turned, or None.
+        turn: The coordinate frames (from, to) of the change made to the file's model, or None.
         threads: Threads to use, or None for all.
     """
     known = registry.find(path)
@@ -225,7 +231,7 @@ def file_costs(
     try:
         with use_threads(threads):
             judge = FileJudge(turn=turn, threads=threads, drawing=_drawing(original))
-    except ModelError:  # nothing of it is seen, of which what is measured beside it tells
+    except ModelError:  # nothing of it is visible, which the notes of its scores say
         return ()
     return judge.costs(path)
 

@@ -1,7 +1,7 @@
-"""The views that a result is judged by: those of `nanogs compare` at its defaults.
+"""The held-out test views that results are scored on: those of `nanogs compare` at its defaults.
 
-Nothing is learnt from them: what methods look at, choose by and fit to are views of the other
-split (see `views.automatic`). So a number from here is the one that `compare` prints.
+Methods never see them: visibility, selection and fitting use views of the other split (see
+`views.automatic`). Scores from here are therefore the numbers that `compare` prints.
 """
 
 from collections.abc import Sequence
@@ -27,18 +27,18 @@ from nanogs.views.cameras import cameras_for
 from nanogs.views.plan import room_for_measuring
 from nanogs.views.streamed import Streamed, drawable, renderings
 
-ROAMING = 16  # views, where results are chosen by them as well
+ROAMING = 16  # number of roaming views in `to_choose_by`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
-    """The original as views show it that nothing is learnt from.
+    """Renders of the original on a set of views, to score models against.
 
     Attributes:
-        views: Those in which it is seen; 3 MB each.
-        protocol: What they are.
-        max_memory: Bytes that this process may take, where models are read some rows at a time; by
-            default what is free.
+        views: The views in which it is visible; 3 MB each.
+        protocol: Their kind, number, size and split.
+        max_memory: Bytes that this process may take if models are read some rows at a time; by
+            default the free memory.
     """
 
     views: Sequence[ReferenceView]
@@ -46,11 +46,11 @@ class HeldOut:
     max_memory: int | None = None
 
     def psnr(self, small: Splats | Source) -> float:
-        """The PSNR that `judge` gives, alone and in half the time, dB.
+        """Compute the PSNR of a model, dB, as `judge` does but in half the time.
 
         Raises:
             FormatError: The source cannot be read.
-            NotEnoughMemoryError: The source cannot be rendered in so little memory.
+            NotEnoughMemoryError: There is not enough memory to render the source.
         """
         cameras = [view.camera for view in self.views]
         shown = renderings(as_drawn(small, self.max_memory), cameras, background=BLACK)
@@ -58,22 +58,22 @@ class HeldOut:
         return mean_psnr([psnr(view.image, rendering.shown()) for rendering, view in pairs])
 
     def judge(self, small: Splats | Source) -> Judged:
-        """Hold a model against the original; it raises what `psnr` does."""
+        """Compute PSNR and SSIM of a model; raises the errors of `psnr`."""
         means = score("", as_drawn(small, self.max_memory), self.views, BLACK)
         return Judged(means.psnr, means.ssim, self.protocol)
 
     def judge_packed(
         self, model: Splats, packed: Splats, suffix: str
     ) -> tuple[Judged, PackingLoss | None]:
-        """Hold a model as read back from a file against the original, and against itself.
+        """Score a packed file against the original and against the model that was written to it.
 
         Args:
-            model: The model.
-            packed: The same as read back.
+            model: The model that was written.
+            packed: The model read back from the file.
             suffix: Format of the file.
 
         Returns:
-            The marks of the file, as `judge` gives them, and what packing alone cost.
+            The scores of the file, as from `judge`, and the loss due to packing alone.
         """
         beside = Unpacked(keep=True)
 
@@ -89,16 +89,16 @@ class HeldOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToChooseBy:
-    """The original on several kinds of views, each of which counts as much.
+    """Renders of the original on several kinds of views, which are weighted equally.
 
     Attributes:
-        kinds: The views of each kind; none where nothing of the original is visible.
+        kinds: The views of each kind; empty if nothing of the original is visible.
     """
 
     kinds: tuple[HeldOut, ...]
 
     def judge(self, small: Splats | Source) -> tuple[float, float]:
-        """PSNR, dB, and SSIM of a model; it raises what `HeldOut.psnr` does."""
+        """Compute PSNR, dB, and SSIM of a model; raises the errors of `HeldOut.psnr`."""
         marks = [kind.judge(small) for kind in self.kinds]
         ssims = [each.ssim for each in marks]
         return mean_psnr([each.psnr for each in marks]), sum(ssims) / len(ssims)
@@ -107,18 +107,17 @@ class ToChooseBy:
 def held_out(
     original: Splats | Source, tell: Parts = untold, max_memory: int | None = None
 ) -> HeldOut:
-    """Render the original once, for any number of models.
+    """Render the original on the test views, once for any number of models.
 
     Args:
-        original: The model; of a source some rows are read at a time, with the same result.
-        tell: Told of the views rendered.
-        max_memory: Bytes that this process may take, where a source is rendered; by default what is
-            free.
+        original: The model; a source is read some rows at a time, with the same result.
+        tell: Receives the progress in views rendered.
+        max_memory: Bytes that this process may take to render a source; by default the free memory.
 
     Raises:
         FormatError: The source cannot be read.
         ModelError: Nothing of it is visible.
-        NotEnoughMemoryError: The source cannot be rendered in so little memory.
+        NotEnoughMemoryError: There is not enough memory to render the source.
     """
     return _shown(original, Protocol(pixels=(PIXELS, PIXELS)), tell, max_memory)
 
@@ -126,16 +125,16 @@ def held_out(
 def to_choose_by(
     original: Splats | Source, max_memory: int | None = None, *, automatic: bool = False
 ) -> ToChooseBy:
-    """Render other views of the original, automatic and roaming ones, for methods to choose by.
+    """Render the original on training views, by which methods select among candidate results.
 
-    Of two ways that automatic views find alike, roaming ones, near by and far away, often show one
-    to be better. They differ much, hence so many; in a quarter of the pixels they tell the same.
+    There are automatic and roaming views: candidates that are equal on automatic views often differ
+    on roaming ones, which are near and far. Roaming views vary much, so there are many of them; a
+    quarter of the pixels gives the same answer.
 
     Args:
-        original: As `held_out` takes it; it raises what that does.
-        max_memory: Bytes that this process may take, where a source is rendered; by default what is
-            free.
-        automatic: Whether automatic views alone count, as where a PSNR of such ones is asked for.
+        original: As for `held_out`, whose errors are raised here too.
+        max_memory: Bytes that this process may take to render a source; by default the free memory.
+        automatic: Use automatic views only, for instance when a PSNR on such views is requested.
             They must show something then.
     """
     usual = Protocol(pixels=(PIXELS, PIXELS), split="train")
@@ -152,7 +151,7 @@ def to_choose_by(
 def _shown(
     original: Splats | Source, protocol: Protocol, tell: Parts, max_memory: int | None
 ) -> HeldOut:
-    """The original on the views of a protocol, those in which it is seen."""
+    """Render the original on the views of a protocol; views that show nothing are left out."""
     drawn, (width, height) = as_drawn(original, max_memory), protocol.pixels
     try:
         cameras = cameras_for(
@@ -170,7 +169,7 @@ def _shown(
 
 
 def as_drawn(model: Splats | Source, max_memory: int | None) -> PreparedSplats | Streamed:
-    """A model as it is rendered: held where it is held already, else some rows at a time."""
+    """Prepare a model for rendering: `Splats` in memory, a source some rows at a time."""
     if isinstance(model, Splats):
         return drawable(model, None)
     return drawable(model, room_for_measuring(model, max_memory))

@@ -1,4 +1,4 @@
-"""`nanogs.compare_mixed`: streams as viewers draw them, near chunks fine and far ones coarse."""
+"""`nanogs.compare_mixed`: score streamed models as viewers draw them, far chunks coarser."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -29,29 +29,29 @@ from nanogs.views.cameras import Cameras, view_count
 if TYPE_CHECKING:
     from nanogs.scoring.mixed_views import MixedView
 
-SEAM_LOSS = 0.3  # dB: more than that is said
+SEAM_LOSS = 0.3  # dB; a higher loss at seams gets a note
 _LESS = "free some, or look at a smaller model or at smaller pictures (`pixels`)"
 
 
 @dataclass(frozen=True, slots=True)
 class MixedScore:
-    """A stream on one set of views.
+    """The scores of a stream on one set of views.
 
     Attributes:
-        name: What the user calls it.
+        name: Its name.
         levels: Splats of each level, the finest first.
-        environment: Splats that are drawn with every level, in none of these numbers.
-        budget: Splats that a viewer draws at once; None for levels by distance alone.
-        protocol: How it was measured.
+        environment: Splats that are drawn with every level; not counted in `levels`.
+        budget: Splats that a viewer draws at once; None to choose levels by distance alone.
+        protocol: The conditions of measurement.
         psnr: Mean over the views, dB.
         ssim: Mean over the views.
-        coarse_psnr: PSNR of the coarsest level that is drawn in each view, alone; mean, dB.
+        coarse_psnr: PSNR of the coarsest level that is drawn in each view, drawn alone; mean, dB.
         coarse_ssim: SSIM of that level, mean.
-        seam_loss: How much worse the pixels at seams are than the coarser of the levels that meet
-            there, drawn alone: of the squares of all views, dB; below 0 where they are better. None
-            without seams.
+        seam_loss: Ratio, dB, of the squared error of pixels at seams to that of the coarser of the
+            levels that meet there, drawn alone; squares are summed over all views. Below 0 if the
+            mixture is better; None without seams.
         seams: Share of all pixels that are at seams, in [0, 1].
-        views: View by view.
+        views: The scores of each view.
     """
 
     name: str
@@ -75,8 +75,8 @@ class MixedComparison:
     Attributes:
         reference: Name of the original.
         reference_splats: Its splats.
-        scores: Of each stream on each set of views.
-        notes: What the reader of the numbers should know.
+        scores: The scores of each stream on each set of views.
+        notes: Remarks that matter for reading the numbers.
     """
 
     reference: str
@@ -103,32 +103,32 @@ def compare_mixed(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> MixedComparison:
-    """Hold streamed SOGs against their original, drawn as the PlayCanvas engine draws them.
+    """Score streamed SOGs against their original, drawn like the PlayCanvas engine draws them.
 
-    For each view a level is chosen of each chunk, as `views.chunk_levels` says. All levels are held
-    in memory.
+    For each view, each chunk is drawn at the level chosen by `views.chunk_levels`. All levels are
+    held in memory.
 
     Args:
-        original: What they were made of: a model, or a path.
+        original: The model that the streams were made from, or its path.
         *streams: At least one `lod-meta.json` or `.ssog`.
-        names: Of the original and of the streams; by default those of their files.
+        names: Names of the original and of the streams; by default those of their files.
         budget: Splats that the viewer draws at once, 1 or more: levels are as fine as that allows.
-            By default they follow from distances alone.
-        cameras: The views to draw, as `compare` takes them.
-        views: How many views, where they are found, as `compare` takes it.
-        pixels: Size of the views, as `compare` takes it.
-        up: Up direction of views that are found, or None.
+            By default levels are chosen by distance alone.
+        cameras: The views to draw, as for `compare`.
+        views: Number of automatic views, as for `compare`.
+        pixels: Size of the views, as for `compare`.
+        up: Up direction of automatic views, or None.
         background: RGB in [0, 1] behind the splats.
         threads: Threads to use; all by default.
         max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
-            what is free, less a tenth.
-        progress: As `compare` takes it.
+            the free memory, less a tenth.
+        progress: As for `compare`.
 
     Raises:
         FormatError: A model or the cameras cannot be read.
-        ModelError: The original is seen in none of the views.
+        ModelError: Nothing of the original is visible in any view.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
-        OptionError: An argument is out of range, no stream is given, or it is none.
+        OptionError: An argument is out of range, or no stream or something else is given.
     """
     paths = [place(stream) for stream in streams]
     for path in paths:
@@ -140,7 +140,7 @@ def compare_mixed(
     background = plain_background(background)
     limit = None if max_memory is None else as_bytes(max_memory)
     _refuse_too_large(original, paths, *asked.pictures(views), limit)
-    # Here and not above: these bring Numba.
+    # Imported here because these import Numba.
     from nanogs.raster.rendering import prepare
     from nanogs.scoring.mixed_views import levels_together
     from nanogs.scoring.scores import reference_views
@@ -178,7 +178,7 @@ def compare_mixed(
 
 
 def _names(original: Model, paths: Sequence[Path], names: Sequence[str] | None) -> list[str]:
-    """Names of the original and of the streams."""
+    """Return the names of the original and of the streams."""
     if names is None:
         return [file_name(original) or "original", *(path.name for path in paths)]
     if isinstance(names, str) or len(names) != 1 + len(paths):
@@ -204,12 +204,12 @@ def _check(paths: Sequence[Path], budget: int | None) -> None:
 def _refuse_too_large(
     original: Model, paths: Sequence[Path], pixels: int, views: int, limit: int | None
 ) -> None:
-    """Refuse what does not fit into memory: the original and all levels of all streams at once."""
+    """Fail if the original and all levels of all streams do not fit in memory together."""
     held = models_bytes([original], all_of_it=bool(limit))
     counts = [0]
     for path in paths:
         infos = [inspect(path, level=level) for level in range(len(_levels(path)))]
-        held += 2 * sum(map(model_bytes, infos))  # as they are read, and put together
+        held += 2 * sum(map(model_bytes, infos))  # the levels as read, and concatenated
         counts.append(sum(info.splats for info in infos))
     needed = held + scoring_bytes(counts, pixels, views)
     refuse_too_large("Comparing mixed levels", needed, allowed_memory(limit), _LESS)
@@ -257,11 +257,11 @@ def _means(
 
 
 def _notes(score: MixedScore, chunks: int) -> list[str]:
-    """Notes for the reader of a score, one sentence each.
+    """Return notes on a score, one sentence each.
 
     Args:
-        score: Of a stream.
-        chunks: How many it has.
+        score: The score of a stream.
+        chunks: Number of chunks of the stream.
     """
     where, least = f"{score.name}, {score.protocol.label}", score.levels[-1]
     if score.budget is not None and score.budget < least:

@@ -1,8 +1,9 @@
-"""A streamed SOG as viewers draw it, near chunks fine and far ones coarse, beside its original.
+"""Views of a streamed SOG as viewers draw it, far chunks coarser, compared with its original.
 
-A *seam* is where chunks of different levels meet in a picture. Coarse splats reach into the fine
-chunk there, and fine ones do not reach out of it as far as was merged: light can be there twice, or
-be missing. So it is measured apart, against what the coarser of the two levels shows alone.
+A *seam* is where chunks of different levels meet in an image. Coarse splats extend into the fine
+chunk there, and fine splats extend less far out of it than the splats they were merged into: light
+can be counted twice, or be missing. Seams are therefore measured separately, against an image of
+the coarser of the two levels alone.
 """
 
 from collections.abc import Sequence
@@ -22,27 +23,28 @@ from nanogs.scoring.scores import ReferenceView
 from nanogs.splats import concatenate
 from nanogs.views.chunk_levels import NOTHING, chosen_levels, chunk_distances
 
-SEAM = 0.1  # of the light at a pixel: a seam is where so much is from each of two levels
-_CHANNELS = 3  # of a picture, each the light of one level
+SEAM = 0.1  # least weight that each of two levels has in a pixel at a seam
+_CHANNELS = 3  # channels of one rendering, each of which measures the weight of one level
 
 
 @dataclass(frozen=True, slots=True)
 class MixedView:
-    """A view as a viewer draws it, held against the original.
+    """The scores of a view as a viewer draws it, compared with the original.
 
     Attributes:
         view: Name of the camera.
-        chunks: How many chunks are drawn of each level, the finest first.
-        splats: In all that is drawn, whether or not in the picture.
-        psnr: Of the picture, dB; infinite where it equals the original's.
-        ssim: Of the picture.
-        coarse: The coarsest level that is drawn; None where none is.
-        coarse_psnr: Of that level alone, all of it, dB.
-        coarse_ssim: The same.
+        chunks: Number of chunks drawn at each level, the finest first.
+        splats: Number of splats in the levels drawn, whether or not they are in the image.
+        psnr: PSNR of the image, dB; infinite if it equals the original's.
+        ssim: SSIM of the image.
+        coarse: The coarsest level that is drawn; None if none is.
+        coarse_psnr: PSNR of the whole of that level, drawn alone, dB.
+        coarse_ssim: SSIM of the same.
         seams: Share of the pixels that are at seams, in [0, 1].
-        seam_error: Sum of squares there, mean over the channels of each pixel; colours in [0, 1].
-        seam_coarse_error: The same of the coarser of the levels that meet, drawn alone.
-        seam_loss: The former over the latter, dB; None without seams.
+        seam_error: Squared error, mean over channels, summed over the pixels at seams; colours are
+            in [0, 1].
+        seam_coarse_error: The same for the coarser of the levels that meet, drawn alone.
+        seam_loss: Ratio of `seam_error` to `seam_coarse_error`, dB; None without seams.
     """
 
     view: str
@@ -60,7 +62,7 @@ class MixedView:
 
 
 def loss_of(error: float, other: float) -> float:
-    """How much worse a squared error is than another, dB; below 0 where it is better."""
+    """Return the ratio of a squared error to another, dB; below 0 if the first is smaller."""
     if error == other:
         return 0.0
     with np.errstate(divide="ignore"):
@@ -69,13 +71,13 @@ def loss_of(error: float, other: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelsTogether:
-    """All levels of a streamed SOG, of which any mixture can be drawn.
+    """All levels of a streamed SOG in one array, so that any mixture of levels can be drawn.
 
     Attributes:
-        chunks: Which rows are which chunk's.
-        prepared: M splats: the levels without the environment, the finest first, and that.
-        levels: (M,) int64, the level of each; that of the environment is `NOTHING`.
-        ends: (L + 1,) int64, where each level begins, and where the last one ends.
+        chunks: The rows of each chunk at each level.
+        prepared: M splats: the levels without the environment, the finest first; the environment.
+        levels: (M,) int64, the level of each splat; `NOTHING` for the environment.
+        ends: (L + 1,) int64, the first row of each level, and the end of the last one.
     """
 
     chunks: Chunks
@@ -84,7 +86,7 @@ class LevelsTogether:
     ends: I64
 
     def drawn(self, choice: I64) -> Bool:
-        """(M,) bool: the rows of a mixture, the environment among them.
+        """Return (M,) bool: the rows of a mixture, with the environment.
 
         Args:
             choice: (C,) the level of each chunk, or `NOTHING`.
@@ -97,17 +99,17 @@ class LevelsTogether:
         return rows
 
     def alone(self, level: int) -> Bool:
-        """(M,) bool: the rows of a level and of the environment."""
+        """Return (M,) bool: the rows of a level and of the environment."""
         found: Bool = (self.levels == level) | (self.levels == NOTHING)
         return found
 
     def score(self, view: ReferenceView, background: Background, budget: int | None) -> MixedView:
-        """Draw a view as a viewer does, and hold it against the original.
+        """Draw a view like a viewer does, and score it against the original.
 
         Args:
-            view: The original's.
+            view: The view of the original.
             background: RGB in [0, 1].
-            budget: As `chosen_levels` takes it.
+            budget: As for `chosen_levels`.
         """
         camera, chunks = view.camera, self.chunks
         choice = chosen_levels(chunk_distances(chunks.boxes, camera), chunks.counts, budget)
@@ -138,7 +140,7 @@ class LevelsTogether:
     def _picture(
         self, rows: Bool, camera: Camera, background: Background, levels: Sequence[int]
     ) -> tuple[F32, F32]:
-        """(H, W, 3) what some rows show, and (H, W, len(levels)) how much light is from each."""
+        """Render some rows: the image (H, W, 3), and each level's weight (H, W, len(levels))."""
         some = replace(self.prepared, keep=self.prepared.keep & rows)
         view = project(some, camera)
         behind = background_of(background, depth=False)
@@ -156,22 +158,22 @@ class LevelsTogether:
 def _at_seams(
     original: F32, image: F32, shares: F32, alone: Sequence[F32]
 ) -> tuple[float, tuple[float, float]]:
-    """The share of the pixels that are at seams, and the errors there.
+    """Return the share of pixels at seams, and the squared errors there.
 
     Args:
-        original: (H, W, 3) what there is to see.
-        image: (H, W, 3) the mixture.
-        shares: (H, W, K) light of each of the K levels that are drawn, the finest first.
-        alone: (H, W, 3) each of these levels but the finest.
+        original: (H, W, 3), the image of the original.
+        image: (H, W, 3), the image of the mixture.
+        shares: (H, W, K), the weight of each of the K levels that are drawn, the finest first.
+        alone: Images (H, W, 3) of each of these levels alone, without the finest.
 
     Returns:
-        The share, and sums of squares of the mixture and of the coarser level alone.
+        The share, and the sums of squares of the mixture and of the coarser level alone.
     """
     meet = shares >= SEAM
     seams = meet.sum(axis=2) > 1
     if not seams.any():
         return 0.0, (0.0, 0.0)
-    coarser = meet.shape[2] - 1 - meet[:, :, ::-1].argmax(axis=2)  # the last that is there
+    coarser = meet.shape[2] - 1 - meet[:, :, ::-1].argmax(axis=2)  # index of the last True
     error = _squares(original, image)[seams].sum()
     others = np.stack([_squares(original, each) for each in alone])  # (K - 1, H, W)
     rows, columns = np.nonzero(seams)

@@ -1,8 +1,9 @@
-"""`nanogs.mode_evidence`: what speaks for drawing a model as `default`, and what for `mip`.
+"""`nanogs.mode_evidence`: evidence for a model's render mode, `default` or `mip`.
 
-A model trained with antialiasing learns opacities that are multiplied by how much of a splat its
-own size on screen makes, and not the dilation by 0.3 pixels² (Yu et al., "Mip-Splatting", 2024).
-One that was trained without relies on the dilation: many of its splats are thinner than that.
+The rasteriser dilates 2D covariances by 0.3 pixels². With antialiasing (Yu et al., "Mip-Splatting",
+2024) it also multiplies opacities by the square root of the ratio of determinants before and after
+the dilation, and training adapts to that. A model trained without antialiasing relies on the
+dilation: many of its splats are thinner than that.
 """
 
 from collections.abc import Sequence
@@ -30,26 +31,27 @@ if TYPE_CHECKING:
     from nanogs.scoring.scores import ReferenceView
 
 MODES = RenderMode.DEFAULT, RenderMode.MIP
-FADED = 0.1  # of its opacity, less than which a splat keeps that antialiasing all but takes away
-OPAQUE = 0.99  # alpha of a pixel through which nothing is seen
-# From where a number is named as evidence; between them it speaks for neither.
-MANY_FADED, FEW_THIN, LEAKING, CLEAR = 0.05, 0.2, 0.01, 0.1  # shares, and dB of photographs
+FADED = 0.1  # a splat is faded if antialiasing keeps less than this share of its opacity
+OPAQUE = 0.99  # alpha from which a pixel is opaque
+# Thresholds of evidence: three shares, and dB between PSNRs against photographs.
+MANY_FADED, FEW_THIN, LEAKING, CLEAR = 0.05, 0.2, 0.01, 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class ModeEvidence:
-    """Evidence, from views of a model, of the rasteriser it was trained for; no proof.
+    """Evidence, from renders of a model, of the rasteriser it was trained for; not a proof.
 
     Attributes:
-        thin: Share of the splats in sight whose thinnest axis is on screen, at their distance, less
-            than the deviation of the dilation, 0.55 pixels; all views together, in [0, 1].
-        faded: Share of the splats in sight of which antialiasing leaves less than a tenth of the
+        thin: Share of the visible splats whose thinnest axis, on screen at their depth, is less
+            than the standard deviation of the dilation, 0.55 pixels; over all views, in [0, 1].
+        faded: Share of the visible splats to which antialiasing leaves less than a tenth of their
             opacity, in [0, 1].
-        leak: Light that comes through as `mip` where nothing does as `default`, mean over these
-            pixels, in [0, 1]; None where there is none.
-        between: The picture as `mip` against that as `default`, mean PSNR in dB: how much it
-            matters; infinite where they are the same.
-        photographs: PSNR against photographs by the name of the render mode, dB; empty without.
+        leak: Mean transmittance in `mip` of the pixels that are opaque in `default`, in [0, 1];
+            None if there are no such pixels.
+        between: Mean PSNR, dB, of the renders in `mip` against those in `default`: how much the
+            mode matters; infinite if they are equal.
+        photographs: PSNR against photographs by name of the render mode, dB; empty without
+            photographs.
         protocol: The views.
     """
 
@@ -62,7 +64,7 @@ class ModeEvidence:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """A sentence on each number, the strongest evidence first."""
+        """A sentence for each number, the strongest evidence first."""
         told = []
         if self.photographs:
             plain, fine = (self.photographs[mode] for mode in MODES)
@@ -108,32 +110,32 @@ def mode_evidence(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> ModeEvidence:
-    """Draw a model both ways, whatever render mode it names, and say what speaks for either.
+    """Render a model in both render modes, and return evidence for either; its own is ignored.
 
-    Photographs decide, where there are any. Without them, how the splats look on views says little:
-    on views of as many pixels as those that it was trained on, it says most.
+    Photographs decide, if there are any. Without them the evidence is weak; it is strongest on
+    views of the same number of pixels as the training views.
 
     Args:
         model: The model, or a path.
-        cameras: As `render` takes them; without effect where photographs are given.
-        photos: Folder of a NeRF-Synthetic or COLMAP data set, to be held against its photographs.
+        cameras: As for `render`; without effect if photographs are given.
+        photos: Folder of a NeRF-Synthetic or COLMAP data set, to compare with its photographs.
         images: Folder of the photographs in a COLMAP data set.
         split: Photographs to use, "test" or "train".
         background: RGB in [0, 1] behind the splats; by default black, and for photographs the data
             set's own.
         views: Number of automatic views.
-        pixels: Of an automatic view: width and height in one number, or both.
-        up: (3,) direction of automatic views, scene units; found from the model by default.
+        pixels: Size of automatic views: one number for width and height, or both.
+        up: (3,) up direction of automatic views; found from the model by default.
         threads: Threads to use; all by default. The result does not depend on it.
         max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
-            what is free, less a tenth. A model that does not fit is read some rows at a time.
+            the free memory, less a tenth. A model that does not fit is read some rows at a time.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`.
 
     Raises:
         FormatError: The model, the cameras or the photographs cannot be read.
         ModelError: Nothing of the model is visible, so that no views are found.
-        NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
+        NotEnoughMemoryError: It takes more memory than is free or allowed, even row by row.
         OptionError: An argument is out of range.
     """
     return look_at(
@@ -145,11 +147,11 @@ def mode_evidence(
 
 @dataclass(frozen=True, slots=True)
 class Looked:
-    """Findings of `nanogs info` on a model that it looks at.
+    """Results of `nanogs info` that need renders of the model.
 
     Attributes:
-        modes: What speaks for either render mode.
-        cost: What it takes to draw, as the render mode that it has.
+        modes: Evidence for either render mode.
+        cost: Draw cost in the model's own render mode.
     """
 
     modes: ModeEvidence
@@ -171,13 +173,13 @@ def look_at(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> Looked:
-    """Draw a model both ways, and measure what it takes to draw; see `mode_evidence`."""
+    """Render a model in both modes, and measure its draw cost; arguments as for `mode_evidence`."""
     limit = None if max_memory is None else as_bytes(max_memory)
     background = None if background is None else plain_background(background)
     wanted = known_cameras(cameras) if photos is None else []
     stages = [Stage("cameras", 1.0), Stage("render", 6.0), Stage("cover", 2.0)]
     with opened(model) as source, drawn(progress) as tell:
-        # Here and not above: these bring Numba.
+        # Imported here because these import Numba.
         from nanogs.scoring.photos import beside_photographs, photographs
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
@@ -215,15 +217,16 @@ def evidence_on(
     room: int | None,
     tell: Parts,
 ) -> ModeEvidence:
-    """The evidence on some views, each drawn both ways; the arguments are those of `mode_evidence`.
+    """Compute the evidence on given views, each rendered in both modes.
 
     Args:
         model: The model.
         cameras: The views.
-        protocol: What they are.
+        protocol: Their kind, number, size and split.
         photographs: (H, W, 3) for each view, or none.
-        room: Bytes for the splats of pictures, to read it some rows at a time; None to hold it.
-        tell: Told of the pictures drawn.
+        room: Bytes for splats while rendering, to read the model some rows at a time; None to load
+            it.
+        tell: Receives the progress in images rendered.
     """
     import numpy as np
 
@@ -262,7 +265,7 @@ def evidence_on(
 
 
 def _splats_in_sight(model: Splats | Source, cameras: "Sequence[Camera]") -> tuple[float, float]:
-    """Shares of the splats in sight that are thin, and that antialiasing makes fade; see there."""
+    """Return the shares of visible splats that are thin and faded; see `ModeEvidence`."""
     import numpy as np
 
     from nanogs.kernels.project import DILATION, HIDDEN
@@ -284,10 +287,10 @@ def _splats_in_sight(model: Splats | Source, cameras: "Sequence[Camera]") -> tup
 
 
 def _kept(geometry: "F64") -> "F64":
-    """(N,) what antialiasing leaves of opacities: sqrt(det before / det after dilation).
+    """Compute the antialiasing factor (N,) of opacities: sqrt(det before / det after dilation).
 
     Args:
-        geometry: (N, 8), see `nanogs.kernels.project`; dilated.
+        geometry: (N, 8), see `nanogs.kernels.project`; after dilation.
     """
     import numpy as np
 

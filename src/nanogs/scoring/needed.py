@@ -1,4 +1,4 @@
-"""How much memory a comparison takes, before anything is read. No Numba here."""
+"""Memory that a comparison needs, computed before anything is read. Numba is not imported."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -21,17 +21,17 @@ def room_for_comparison(
     views: int,
     max_memory: int | None,
 ) -> int | None:
-    """Bytes for the splats of pictures, where models do not fit and are read some rows at a time.
+    """Compute the bytes left for splats while rendering, if models must be read in parts.
 
     Args:
         models: Models, or paths.
-        sources: The same, as they are read.
-        pixels: Of the largest view.
-        views: Their number.
-        max_memory: Bytes that this process may take; by default what is free, less a tenth.
+        sources: The same models, opened.
+        pixels: Pixels of the largest view.
+        views: Number of views.
+        max_memory: Bytes that this process may take; by default the free memory, less a tenth.
 
     Returns:
-        None where all fit.
+        The bytes, or None if all models fit in memory.
 
     Raises:
         FormatError: A path is no model.
@@ -47,13 +47,13 @@ def room_for_comparison(
 
 
 def needed_bytes(models: Sequence[Model], pixels: int, views: int, *, all_of_it: bool) -> int:
-    """Bytes that reading models whole and scoring them against the first takes.
+    """Compute the bytes needed to load models and score them against the first.
 
     Args:
         models: Models, or paths.
-        pixels: Of the largest view.
-        views: Their number.
-        all_of_it: Count the models too that are held already.
+        pixels: Pixels of the largest view.
+        views: Number of views.
+        all_of_it: Also count models that are in memory already.
 
     Raises:
         FormatError: A path is no model.

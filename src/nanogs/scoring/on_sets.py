@@ -1,4 +1,4 @@
-"""A comparison on several sets of views, one after the other."""
+"""A comparison on several sets of views."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,16 +25,16 @@ def compare_on_sets(
     Args:
         reference: The reference.
         models: At least one.
-        sets: At least one; the result is that on the first, which holds the further ones.
+        sets: At least one; the result on the first holds the others in `further`.
         background: RGB in [0, 1] behind the splats.
         extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
         pictures: Also make the pictures for a page, of each kind at its first size.
         room: As for `compare_models`.
-        progress: Told of the stages "render" and "score" of each set.
+        progress: Receives the stages "render" and "score" of each set.
 
     Raises:
         OptionError: No model is given.
-        ModelError: The reference is seen in none of the views of a set.
+        ModelError: Nothing of the reference is visible in any view of a set.
     """
     comparisons, sheets = [], []
     pictured: set[Kind] = set()

@@ -1,4 +1,4 @@
-"""Models written as files of packed formats, to see what that alone costs. No Numba here."""
+"""Writing models in packed formats, to measure the loss due to that. Numba is not imported."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,23 +17,23 @@ from nanogs.splats import Splats
 Packing = Mapping[str, FormatOptions]
 """Formats to pack models in, by suffix, each with the options that it is written with."""
 
-# By the name that `FileInfo` has for a format, where that is not the suffix: the one packed alike.
+# Formats by their name in `FileInfo` or suffix -> the format that encodes values in the same way.
 _ALIKE = {"meta.json": "sog", "streamed sog": "sog"}
-_ROUNDED = {"sog", "spz", "compressed.ply", "splat", "ksplat"}  # which round what they hold
+_ROUNDED = {"sog", "spz", "compressed.ply", "splat", "ksplat"}  # formats that quantise values
 
 
 def packing_of(
     formats: str | Sequence[str], format_options: FormatOptions | None = None
 ) -> Packing:
-    """The formats by suffix, each with those of the options that it has.
+    """Return the formats by suffix, each with the options that it supports.
 
     Args:
-        formats: A suffix, or several, with their dot or without.
-        format_options: As `save` takes them.
+        formats: A suffix, or several, with or without the dot.
+        format_options: As for `save`.
 
     Raises:
-        OptionError: None is named, nanogs does not write one or does not read it, or none has an
-            option, or not that value of it.
+        OptionError: No format is given, nanogs cannot write or read one, or no format supports an
+            option or its value.
     """
     if not formats:
         raise OptionError("Name at least one format to pack the model in, such as .sog.")
@@ -50,16 +50,16 @@ def packing_of(
     packing: dict[str, dict[str, Any]] = {known.suffix: {} for known in found}
     for name, value in given.items():
         for known in [each for each in found if name in each.options] or found[:1]:
-            registry.keywords(known, {name: value})  # refuses what it does not have or allow
+            registry.keywords(known, {name: value})  # raises if it lacks the option or the value
             packing[known.suffix][name] = value
     return packing
 
 
 def refuse_packed(source: Splats | Source, packing: Packing) -> None:
-    """Refuse a format that the model's file is of already.
+    """Refuse a format that the model's file already has.
 
     Raises:
-        OptionError: It is.
+        OptionError: The model's file has such a format, or one with the same encoding.
     """
     for suffix in packing:
         if is_packed_so(source, suffix):
@@ -71,19 +71,19 @@ def refuse_packed(source: Splats | Source, packing: Packing) -> None:
 
 
 def rounds(suffix: str) -> bool:
-    """Whether a format rounds what it holds, and not only leaves out what it cannot."""
+    """Return whether a format quantises values, rather than only dropping what it cannot hold."""
     name = suffix.removeprefix(".")
     return _ALIKE.get(name, name) in _ROUNDED
 
 
 def is_packed_so(source: Splats | Source, suffix: str) -> bool:
-    """Whether a model comes from a file of a format, or of one that packs alike."""
+    """Return whether a model comes from a file of a format, or of one with the same encoding."""
     name = suffix.removeprefix(".")
     return isinstance(source, FileSource) and _packed_as(source) == _ALIKE.get(name, name)
 
 
 def notes_on(source: Splats | Source) -> tuple[str, ...]:
-    """A note on a model that was rounded in its file before; none for others."""
+    """Return a note on a model whose file is quantised already; () for others."""
     if not isinstance(source, FileSource) or _packed_as(source) not in _ROUNDED:
         return ()
     note = (
@@ -100,13 +100,15 @@ def _packed_as(source: FileSource) -> str:
 def refuse_too_large_to_pack(
     source: Splats | Source, packing: Packing, max_memory: int | None, others: int = 0
 ) -> None:
-    """Refuse formats whose writing takes more memory than there is; of a file, as `convert` does.
+    """Refuse formats for which there is not enough memory to convert the model's file.
+
+    Models in memory are not checked.
 
     Args:
         source: The model.
         packing: From `packing_of`.
-        max_memory: Bytes that this process may take; by default what is free, less a tenth.
-        others: Bytes of what is held meanwhile, beside the model.
+        max_memory: Bytes that this process may take; by default the free memory, less a tenth.
+        others: Bytes of other data in memory at the same time.
 
     Raises:
         NotEnoughMemoryError: There is too little.
@@ -135,10 +137,10 @@ def write_packed(
 
     Args:
         model: The model.
-        suffix: Of the format.
-        options: As `save` takes them.
-        folder: Where the file is made, which has none of that format yet.
-        progress: Told of the stage "write".
+        suffix: Suffix of the format.
+        options: As for `save`.
+        folder: Folder for the file, without one of that format yet.
+        progress: Receives the stage "write".
 
     Raises:
         ModelError: The format cannot hold the model at all.

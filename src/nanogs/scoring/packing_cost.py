@@ -1,7 +1,8 @@
-"""`nanogs.packing_cost`: models as packed files give them back, beside the same models unpacked.
+"""`nanogs.packing_cost`: the loss of quality due to packed formats alone.
 
-What a small file differs by from an original has two causes: there are fewer splats, and the file
-rounds their values. Here is the second alone. No Numba until something is rendered.
+A small file differs from the original for two reasons: it has fewer splats, and the format
+quantises their values. This module measures the second alone. Numba is not imported until something
+is rendered.
 """
 
 from collections.abc import Sequence
@@ -39,18 +40,18 @@ from nanogs.splats import Splats
 if TYPE_CHECKING:
     from nanogs.scoring.held_out import HeldOut
 
-_SLOW = {".sog": 8.0, "meta.json": 8.0}  # how long writing takes beside reading
+_SLOW = {".sog": 8.0, "meta.json": 8.0}  # time to write relative to reading; 1 for others
 
 
 @dataclass(frozen=True, slots=True)
 class PackedFile:
-    """A model as a file of one format, and what is left of it there.
+    """A model written in one format: size and quality.
 
     Attributes:
         format: Suffix of the format.
         file_bytes: Size of the file, or of all files of a folder, bytes.
         splats: Number of splats in it.
-        judged: The model as read back from the file, against the model itself.
+        judged: Scores of the model read back from the file, against the model itself.
     """
 
     format: str
@@ -60,12 +61,12 @@ class PackedFile:
 
     @property
     def splat_bytes(self) -> float:
-        """Bytes a splat."""
+        """Bytes per splat."""
         return self.file_bytes / self.splats
 
     @property
     def text(self) -> str:
-        """Size and likeness: "1.2 MB, 14.3 bytes a splat; 41.20 dB / 0.9912 of the model ..."."""
+        """Size and scores: "1.2 MB, 14.3 bytes a splat; 41.20 dB / 0.9912 of the model ..."."""
         size = f"{bytes_text(self.file_bytes)}, {number_text(self.splat_bytes, 1)} bytes a splat"
         marks = f"{number_text(self.judged.psnr)} dB / {number_text(self.judged.ssim, 4)}"
         return f"{size}; {marks} of the model unpacked"
@@ -80,8 +81,8 @@ class PackingCost:
     """The result of `packing_cost`.
 
     Attributes:
-        files: One for each format, in the order asked for.
-        notes: What the reader of the numbers should know, one sentence each.
+        files: One for each format, in the given order.
+        notes: Remarks that matter for reading the numbers, one sentence each.
     """
 
     files: tuple[PackedFile, ...]
@@ -97,31 +98,31 @@ def packing_cost(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> PackingCost:
-    """Measure what packing alone costs: write a model in formats, read it back, and look at both.
+    """Measure the loss due to packing: write a model, read it back, and compare their renders.
 
-    The views are those of `compare` at its defaults. Files are temporary, one at a time.
+    The views are those of `compare` at its defaults. Only one temporary file exists at a time.
 
     Args:
         model: The model, or its path.
         formats: Suffix of a format, or several, such as [".sog", ".spz"].
-        format_options: As `save` takes them; each format gets those that it has.
+        format_options: As for `save`; each format gets those that it supports.
         threads: Threads to use; all by default. The result does not depend on it.
         max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
-            what is free, less a tenth. A model that does not fit is read some rows at a time: the
-            numbers are the same.
+            the free memory, less a tenth. A model that does not fit is read some rows at a time:
+            the numbers are the same.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`.
 
     Returns:
-        Of each format the size of the file, and PSNR and SSIM of the model as read back from it,
+        For each format the size of the file, and PSNR and SSIM of the model read back from it,
         against the model itself.
 
     Raises:
         FormatError: The model cannot be read.
         ModelError: Nothing of the model is visible, or a format cannot hold it at all.
-        NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
-        OptionError: nanogs does not write a format, or does not read it; no format has an option;
-            or the model is a file of the format already.
+        NotEnoughMemoryError: It takes more memory than is free or allowed, even row by row.
+        OptionError: nanogs cannot write or read a format, no format supports an option, or the
+            model's file already has the format.
         OutputError: A file cannot be written.
     """
     packing = packing_of(formats, format_options)
@@ -131,7 +132,7 @@ def packing_cost(
         source = stack.enter_context(opened(given))
         refuse_packed(source, packing)
         tracker = Tracker(stack.enter_context(drawn(progress)), _stages(packing))
-        from nanogs.threads import use_threads  # here and not above: it brings Numba
+        from nanogs.threads import use_threads  # imported here because it imports Numba
 
         with use_threads(threads):
             files = _measured(given, source, packing, limit, tracker)
@@ -149,7 +150,7 @@ def _stages(packing: Packing) -> list[Stage]:
 def _measured(
     given: Model, source: Splats | Source, packing: Packing, limit: int | None, tracker: Tracker
 ) -> tuple[PackedFile, ...]:
-    """The files of a model, which is held where that and a second one fit."""
+    """Write and score the files; the model is loaded if it fits in memory twice."""
     from nanogs.scoring.held_out import held_out
 
     tracker.begin("read")
@@ -171,7 +172,7 @@ def _measured(
 
 
 def _read_back(path: Path, views: "HeldOut", held: bool) -> tuple[int, int, Judged]:
-    """Bytes and splats of a file, and how it looks."""
+    """Return size, number of splats and scores of a file."""
     with open_model(path) as file:
         judged = views.judge(file.load() if held else file)
         return file.info.file_bytes, file.count, judged

@@ -11,21 +11,21 @@ from nanogs.scoring.pictures import ERROR_FULL_SCALE
 from nanogs.scoring.scores import ModelScore
 from nanogs.view.page import POLICY
 
-# What the page does without the viewer: its pictures are in it.
+# Content security policy of a page without the viewer: its pictures are embedded.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
 def render_page(
     comparison: Comparison, sheets: Sequence[Sheet], title: str, viewer: str | None = None
 ) -> str:
-    """HTML that needs no other file and no network.
+    """Return the comparison as HTML that needs no other file and no network.
 
     Args:
         comparison: The numbers.
         sheets: The pictures, from `compare_models(..., pictures=True)`.
         title: Heading of the page.
-        viewer: From `nanogs.view.page.viewer_part`: the page then has an interactive part, which
-            starts when a button is pressed.
+        viewer: From `nanogs.view.page.viewer_part`: an interactive part, which starts when a button
+            is pressed; None for a page without it.
     """
     from jinja2 import Environment
 
@@ -63,9 +63,9 @@ def _text(name: str) -> str:
 
 
 def rate_distortion_plot(models: Sequence[ModelScore]) -> str:
-    """An SVG element: PSNR against the number of splats, a line for each name.
+    """Plot PSNR over the number of splats as an SVG element, with a line for each name.
 
-    Models whose PSNR is infinite have no place on it and are left out; empty where none is left.
+    Models whose PSNR is infinite are left out; the result is empty if none is left.
     """
     lines: dict[str, list[tuple[float, float]]] = {}
     for model in models:

@@ -1,4 +1,4 @@
-"""Photographs that models are held against."""
+"""Photographs that models are compared with."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,20 +19,20 @@ def photographs(
     background: Background | None,
     max_memory: int | None = None,
 ) -> tuple[Background, list[ReferenceView]]:
-    """Cameras and photographs of a data set's split.
+    """Load the cameras and photographs of a data set's split.
 
     Args:
         folder: NeRF-Synthetic or COLMAP data set.
         images: Folder of the photographs in a COLMAP data set.
         split: "test" or "train".
         background: RGB in [0, 1] behind transparent parts; None for the data set's own.
-        max_memory: Bytes that this process may take; by default what is free.
+        max_memory: Bytes that this process may take; by default the free memory.
 
     Returns:
-        The background, and the photographs over it, one at least.
+        The background, and at least one photograph, composited over it.
 
     Raises:
-        NotEnoughMemoryError: They are too many, or too large.
+        NotEnoughMemoryError: The photographs do not fit in memory.
         NanogsError: The folder holds no such data set, split or photograph.
     """
     from nanogs.datasets.dataset import Split, open_dataset
@@ -60,12 +60,13 @@ def photographs(
 def beside_photographs(
     room: int | None, frames: Sequence[ReferenceView], *, packed: bool = False
 ) -> int | None:
-    """Bytes for the splats of pictures that photographs leave; None where models are held.
+    """Return the bytes left for splats while rendering when photographs are in memory.
 
     Args:
-        room: Bytes, or None.
+        room: Bytes without photographs; None, which is returned, if models are loaded whole.
         frames: The photographs, if any.
-        packed: Whether files of the models are scored too: pictures are then held beside them.
+        packed: Whether packed files of the models are scored too, for which the models' renders are
+            kept in memory.
     """
     if room is None:
         return None

@@ -1,4 +1,4 @@
-"""Pictures of a comparison: the rendering, and where it differs from the reference."""
+"""Pictures for the page of a comparison: error maps, and images as `data:` URLs."""
 
 import base64
 import io
@@ -8,7 +8,7 @@ import numpy as np
 from nanogs._types import F32
 from nanogs.raster.images import to_bytes
 
-ERROR_FULL_SCALE = 0.25  # a mean absolute difference of this much is the map's brightest colour
+ERROR_FULL_SCALE = 0.25  # mean absolute difference shown in the map's brightest colour
 # Every 15th colour of "inferno", by Nathaniel Smith and Stéfan van der Walt (CC0).
 _INFERNO = (
     "000004 0a0722 1e0c45 380962 510e6c 69166e 801f6c 982766 b0315b"
@@ -18,7 +18,7 @@ _HEAT = np.array([list(bytes.fromhex(colour)) for colour in _INFERNO.split()]) /
 
 
 def error_map(reference: F32, image: F32) -> F32:
-    """(H, W, 3) float32: the mean absolute difference over the channels, as a heat map.
+    """Draw the mean absolute difference over channels as a heat map, (H, W, 3) float32.
 
     Black is no difference; `ERROR_FULL_SCALE` and above is the brightest colour.
     """
@@ -29,7 +29,7 @@ def error_map(reference: F32, image: F32) -> F32:
 
 
 def data_uri(image: F32, *, quality: int = 85) -> str:
-    """The image as a WebP `data:` address, for pages that need no other file."""
+    """Encode the image as a WebP `data:` URL, for self-contained pages."""
     from PIL import Image
 
     buffer = io.BytesIO()

@@ -1,4 +1,4 @@
-"""A comparison from file names: what `nanogs compare` does."""
+"""A comparison of files: the implementation of `nanogs compare`."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -64,30 +64,30 @@ def compare_files(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Read, score, and write the page if one is asked for.
+    """Read and score models, and write the page if one is requested.
 
     Args:
         reference: Name and file of the original model.
         tests: Names and files of the models to score.
-        cameras: See `cameras_for`; or several kinds of found ones, with commas between. Without
-            effect where photographs are given.
-        views: Number of automatic views of each kind; as many as usual by default.
+        cameras: See `cameras_for`; or several kinds of automatic ones, separated by commas. Without
+            effect if photographs are given.
+        views: Number of automatic views of each kind; None for the kind's usual number.
         sizes: Widths and heights of automatic views, pixels.
         up: Up direction of automatic views.
         background: RGB in [0, 1]; by default black, and for photographs the data set's own (see
             `Dataset.background`).
         extras: Further metrics.
-        photos: Data-set folder; the reference is then scored against its photographs too.
+        photos: Data-set folder; all models, also the reference, are scored against its photographs.
         images: Folder of the photographs in a COLMAP data set.
         split: Photographs to use, "test" or "train".
         report: Page to write, or None.
-        interactive: Put the models into the page too, to be loaded and moved there.
-        packed: Suffixes of formats: each test is scored as a file of these too.
-        format_options: Of these, as `save` takes them; each gets those that it has.
-        render_mode: What all models are drawn as, in place of what their files say; see
+        interactive: Embed the models in the page, for an interactive viewer.
+        packed: Suffixes of formats: each test is also written in these and scored.
+        format_options: Options of these formats, as for `save`; each gets those that it supports.
+        render_mode: Render mode of all models, which overrides that of their files; see
             `nanogs.open`.
-        max_memory: Bytes that this process may take; by default what is free, less a tenth. Models
-            that do not fit are read some rows at a time, with the same numbers.
+        max_memory: Bytes that this process may take; by default the free memory, less a tenth.
+            Models that do not fit are read some rows at a time, with the same numbers.
         overwrite: Replace the page if it exists.
         progress: Called with each `nanogs.progress.Step`.
 
@@ -144,7 +144,7 @@ def compare_files(
 
 
 class _Found(NamedTuple):
-    """A comparison, and what its page begins with: a view, and the background."""
+    """A comparison with its sheets, and the first view and background of the page's viewer."""
 
     comparison: Comparison
     sheets: list[Sheet]
@@ -153,7 +153,7 @@ class _Found(NamedTuple):
 
 
 class _Scoring(NamedTuple):
-    """How models are scored, whatever the views: see `compare_models`."""
+    """Settings of scoring that do not depend on the views; see `compare_models`."""
 
     extras: Sequence[str]
     pictures: bool
@@ -163,7 +163,7 @@ class _Scoring(NamedTuple):
     def on_views(
         self, models: Sequence[NamedModel], sets: Sequence[ViewSet], kind: str, behind: Background
     ) -> _Found:
-        """Hold models against the first of them; the first set of views is of a kind."""
+        """Score models against the first of them; `kind` is the kind of the first set of views."""
         start = AUTOMATIC.get(kind, "auto") if kind in FOUND else sets[0].cameras[0]
         found = compare_on_sets(
             models[0], models[1:], sets, background=behind, extras=self.extras,
@@ -181,7 +181,7 @@ class _Scoring(NamedTuple):
         *,
         packed: bool,
     ) -> _Found:
-        """Hold models against photographs; `packed` as `beside_photographs` takes it."""
+        """Score models against photographs; `packed` as for `beside_photographs`."""
         room = beside_photographs(self.room, frames, packed=packed)
         found = compare_with_photographs(
             source, models, frames, split=split, background=behind, extras=self.extras,
@@ -197,7 +197,7 @@ def _room(
     page: bool | None,
     max_memory: int | None,
 ) -> int | None:
-    """As `room_for_comparison`; a page that holds the models is made of models that are held."""
+    """Call `room_for_comparison`; a page with embedded models needs all models in memory (None)."""
     if not page:
         paths = [source.path for source in sources]
         return room_for_comparison(paths, sources, pixels, views, max_memory)
@@ -214,14 +214,14 @@ def _most_pixels(sizes: Sequence[Size]) -> int:
 def _stages(
     given: int, files: int, counts: Sequence[int], sizes: Sequence[Size], page: bool | None
 ) -> list[Stage]:
-    """The stages to come, for so many models; the page has a 3D part, none, or is not made.
+    """Return the stages of a comparison with their efforts.
 
     Args:
-        given: Models, with the original.
-        files: That models are packed in.
-        counts: Views of each kind; none of photographs.
-        sizes: Of the views.
-        page: Whether it has a 3D part, or None.
+        given: Number of models, with the original.
+        files: Number of packed files.
+        counts: Number of views of each kind; empty for photographs.
+        sizes: Sizes of the views.
+        page: Whether the page has an interactive part; None without a page.
     """
     models = given + files
     stages = [Stage("pack", 8.0 * files)] if files else []
@@ -237,7 +237,7 @@ def _stages(
 
 
 def _viewer(models: Sequence[NamedModel], found: _Found, up: Sequence[float] | None) -> str:
-    """The part of a page in which the models move: those that are given, not files of them."""
+    """Return the page's interactive part, with the given models but not their packed files."""
     models = [model for model in models if not model.packed]
     held = [source_of(model.splats).load() for model in models]
     opening = opening_for(held[0], found.start, up)
@@ -250,13 +250,13 @@ def _shown(
     comparison: Comparison,
     start: Opening,
 ) -> list[Shown]:
-    """The models as the page's viewer has them, with their scores."""
+    """Return the models for the page's viewer, with their scores."""
     judged: list[Judged | None] = [
         comparison.judged(place)
         for place, model in enumerate(comparison.models)
         if model.packed is None
     ]
-    if len(judged) < len(models):  # the original is what the others are held against
+    if len(judged) < len(models):  # the original is the reference and has no score
         judged = [None, *judged]
     return [
         Shown(

@@ -1,4 +1,4 @@
-"""Scores of models on views: every claim about quality rests on them."""
+"""Scores of models on views: PSNR, SSIM, depth error and further metrics."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +18,7 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering
 from nanogs.views.streamed import Streamed, renderings
 
-HIGHEST = 100.0  # dB that a view counts at most, where not all are equal
+HIGHEST = 100.0  # dB; cap of a view's PSNR in means
 EXTRA_METRICS: Mapping[str, Callable[[F32, F32], float]] = {"flip": flip, "lpips": lpips}
 
 OnView = Callable[["ReferenceView", "Rendering", "ViewScore"], None]
@@ -26,7 +26,7 @@ OnView = Callable[["ReferenceView", "Rendering", "ViewScore"], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceView:
-    """A view of the original, or a photograph: renderings are held against it.
+    """A reference image that renders are compared with: a render of the original or a photograph.
 
     Attributes:
         camera: The camera.
@@ -47,8 +47,8 @@ class ViewScore:
         view: Name of the camera.
         psnr: Peak signal-to-noise ratio, dB; infinite for equal images.
         ssim: Structural similarity, 1 for equal images.
-        depth: Mean relative depth error against the reference model, or None for a photograph or
-            where no pixel is covered in both.
+        depth: Mean relative depth error against the reference model, or None for a photograph or if
+            no pixel is covered in both.
         extras: Further metrics by name.
     """
 
@@ -64,7 +64,7 @@ class ModelScore:
     """A model's scores on all views, and their means.
 
     Attributes:
-        name: What the user calls it.
+        name: Its name.
         splats: Number of splats.
         file_bytes: Size of its file, or None.
         psnr: Mean over the views, dB; see `mean_psnr`.
@@ -74,9 +74,10 @@ class ModelScore:
         depth: Mean over the views that have one, or None.
         extras: Means of further metrics by name.
         views: Scores view by view.
-        notes: What the reader of the numbers should know.
-        packed: What packing alone did, where this is a model as read back from a file; else None.
-        cost: What it takes to draw on these views, or None where that was not measured.
+        notes: Remarks that matter for reading the numbers.
+        packed: The loss due to packing alone if the model was read back from a packed file; else
+            None.
+        cost: Draw cost on these views, or None if it was not measured.
     """
 
     name: str
@@ -106,14 +107,14 @@ def reference_views(
     *,
     depth: bool = True,
 ) -> tuple[list[ReferenceView], list[str]]:
-    """Render the reference from each camera; views in which it is not seen are set aside.
+    """Render the reference from each camera, and leave out views in which nothing is visible.
 
     Args:
-        reference: The model that others are held against.
+        reference: The reference model.
         cameras: The views.
         background: RGB in [0, 1].
-        tell: Told of the views rendered.
-        depth: Keep what depth is measured against; otherwise the images alone, as of photographs.
+        tell: Receives the progress in views rendered.
+        depth: Keep the renderings, to measure depth errors; otherwise only the images.
 
     Returns:
         The views, and the names of those that show nothing.
@@ -148,16 +149,16 @@ def score(
     """Score a model on the views.
 
     Args:
-        name: What the user calls the model.
+        name: Name of the model.
         model: The model.
         views: From `reference_views`, or photographs.
-        background: RGB in [0, 1]; the views' own.
+        background: RGB in [0, 1], the same as that of the views.
         file_bytes: Size of the model's file.
         extras: Names in `EXTRA_METRICS`.
-        on_view: Told of each view, its rendering and its score.
+        on_view: Called with each view, its rendering and its score.
 
     Raises:
-        OptionError: No such metric, or its package is not installed.
+        OptionError: A metric does not exist, or its package is not installed.
     """
     for extra in extras:
         if extra not in EXTRA_METRICS:
@@ -196,9 +197,9 @@ def score(
 
 
 def mean_psnr(values: Sequence[float]) -> float:
-    """The mean over views, dB: infinite if all are equal, else each counts as 100 dB at most.
+    """Average PSNRs, dB: infinite if all are, else each counts as at most 100 dB.
 
-    One view that lacks nothing would otherwise hide what all others lack.
+    Otherwise one view without any error would make the mean infinite.
     """
     if all(map(math.isinf, values)):
         return math.inf

@@ -1,9 +1,9 @@
-"""Levels held against their original where a viewer begins to draw them.
+"""Scoring levels of detail at the distance at which a viewer switches to them.
 
-Each view of `nanogs compare` at its defaults stays where it is and looks the same way. Its focal
-length is changed, so that a pixel shows as much of what is in view as it does where the viewer
-switches: from farther away the whole picture is smaller, from nearer its middle is drawn. To walk
-there would lead through walls.
+Each view of `nanogs compare` at its defaults keeps its position and direction. Its focal length is
+changed instead, so that a pixel covers as many scene units as it does at the distance of the
+switch: for a larger distance the image gets smaller, for a smaller one its centre is cropped.
+Moving the camera could lead through walls.
 """
 
 import math
@@ -22,22 +22,23 @@ from nanogs.splats import Splats
 from nanogs.switches import Switch, distance_of
 from nanogs.views.streamed import renderings
 
-LEAST_PIXELS = 32  # of a picture: of fewer SSIM, whose window has 11, says nothing
-_LOOKS = 128  # pixels of the pictures in which it is measured how far away things are
-_SAMPLE = 1 << 16  # splats that say what is typical
-_OPAQUE = 0.5
+LEAST_PIXELS = 32  # along the shorter side; SSIM, with its window of 11, needs about that many
+_LOOKS = 128  # pixels along the side of the depth images
+_SAMPLE = 1 << 16  # most splats for the median deviation
+_OPAQUE = 0.5  # alpha above which a pixel's depth is used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SwitchViews:
-    """The views, and how much a pixel shows of what is in them.
+    """The views, with the size of a pixel in scene units for each.
 
     Attributes:
         original: The model; a source is read some rows at a time.
-        cameras: The views in which something opaque is seen.
-        pixels: Of each the scene units that a pixel shows, in the median of what is opaque.
-        max_memory: Bytes that this process may take, where models are read some rows at a time; by
-            default what is free.
+        cameras: The views in which something opaque is visible.
+        pixels: For each view the scene units that a pixel covers at the median depth of opaque
+            pixels.
+        max_memory: Bytes that this process may take if models are read some rows at a time; by
+            default the free memory.
     """
 
     original: Splats | Source
@@ -46,15 +47,15 @@ class SwitchViews:
     max_memory: int | None = None
 
     def judge(self, level: Splats | Source, pixel: float) -> Switch | None:
-        """Hold a level against the original; None where there nothing is seen.
+        """Score a level against the original; None if no magnified view shows anything.
 
         Args:
             level: The level.
-            pixel: Scene units that a pixel shows where a viewer begins to draw it, above 0.
+            pixel: Scene units that a pixel covers when a viewer switches to the level, above 0.
 
         Raises:
             FormatError: A source cannot be read.
-            NotEnoughMemoryError: A source cannot be rendered in so little memory.
+            NotEnoughMemoryError: There is not enough memory to render a source.
         """
         pairs = zip(self.cameras, self.pixels, strict=True)
         cameras = [magnified(camera, shown / pixel) for camera, shown in pairs]
@@ -73,17 +74,17 @@ class SwitchViews:
 def switch_views(
     original: Splats | Source, cameras: Sequence[Camera], max_memory: int | None = None
 ) -> SwitchViews:
-    """Look how far away things are in the views, once for any number of levels.
+    """Measure the median depth of each view, once for any number of levels.
 
     Args:
-        original: The model; of a source some rows are read at a time.
-        cameras: The views; those in which nothing opaque is seen are left out.
+        original: The model; a source is read some rows at a time.
+        cameras: The views; those in which nothing opaque is visible are left out.
         max_memory: See `SwitchViews`.
 
     Raises:
         FormatError: The source cannot be read.
-        ModelError: They show nothing opaque.
-        NotEnoughMemoryError: The source cannot be rendered in so little memory.
+        ModelError: No view shows anything opaque.
+        NotEnoughMemoryError: There is not enough memory to render the source.
     """
     drawn = as_drawn(original, max_memory)
     small = [camera.reduced(_LOOKS) for camera in cameras]
@@ -100,12 +101,12 @@ def switch_views(
 
 
 def magnified(camera: Camera, factor: float) -> Camera:
-    """A view with a focal length so many times as long, and at most as many pixels.
+    """Multiply a view's focal length in pixels, without more pixels.
 
     Args:
         camera: The view.
-        factor: Above 0. Below 1 the picture is as much smaller, down to `LEAST_PIXELS` along its
-            shorter side; above 1 it is the middle of the larger picture.
+        factor: Above 0. Below 1 the image is scaled down by it, to at least `LEAST_PIXELS` along
+            its shorter side; above 1 the centre of the larger image is cropped to the view's size.
     """
     factor = max(factor, LEAST_PIXELS / min(camera.width, camera.height))
     width, height = round(camera.width * factor), round(camera.height * factor)
@@ -117,9 +118,9 @@ def magnified(camera: Camera, factor: float) -> Camera:
 
 
 def typical_deviation(model: Splats | Source) -> float:
-    """The median over splats of the deviation along their longest axis, scene units.
+    """Compute the median over splats of the largest scale, scene units.
 
-    Of more than 65,536 splats, evenly spread ones stand for all.
+    Of more than 65,536 splats, an evenly spaced sample is used.
 
     Args:
         model: At least one splat.

@@ -1,4 +1,4 @@
-"""Files of a model held against the same model unpacked, on views that show it once."""
+"""Scoring packed files of a model against the same model unpacked, without rendering it again."""
 
 from dataclasses import dataclass, field, replace
 
@@ -13,10 +13,10 @@ from nanogs.scoring.scores import ModelScore, ReferenceView, ViewScore, mean_psn
 
 @dataclass(slots=True)
 class Unpacked:
-    """The latest model that is no packed file, as views show it; files of it are scored after it.
+    """The score and renders of the latest unpacked model; its packed files are scored after it.
 
     Attributes:
-        keep: Whether any file comes, or else nothing is kept.
+        keep: Whether packed files will follow; otherwise renders are not kept.
     """
 
     keep: bool
@@ -26,14 +26,14 @@ class Unpacked:
     _marks: list[tuple[float, float]] = field(default_factory=list)
 
     def begin(self, suffix: str) -> None:
-        """Begin with a model; of a file, the suffix says its format."""
+        """Begin a model; `suffix` is the format of a packed file, or "" for an unpacked model."""
         self._suffix = suffix
         self._marks.clear()
         if not suffix:
             self._images.clear()
 
     def see(self, rendering: Rendering) -> None:
-        """Take the model's next view; views come in the same order for every model."""
+        """Receive the render of the model's next view; the order is the same for each model."""
         if self._suffix:
             beside, image = self._images[len(self._marks)], rendering.shown()
             self._marks.append((psnr(beside, image), ssim(beside, image)))
@@ -41,17 +41,17 @@ class Unpacked:
             self._images.append(rendering.shown())
 
     def see_view(self, _view: ReferenceView, rendering: Rendering, _score: ViewScore) -> None:
-        """Take the next view as `score` tells of it."""
+        """Receive the next view; an `on_view` callback for `score`."""
         self.see(rendering)
 
     def end(self, score: ModelScore) -> ModelScore:
-        """Take the model's score; that of a file is given back with what packing cost."""
+        """End a model and return its score, for a packed file with the loss due to packing."""
         if not self._suffix:
             self._score = score
         if not self._suffix or self._score is None:
             return score
         whole, (psnrs, ssims) = self._score, zip(*self._marks, strict=True)
-        same = whole.psnr == score.psnr  # infinite ones too
+        same = whole.psnr == score.psnr  # avoids inf - inf
         loss = PackingLoss(
             format=self._suffix,
             of=whole.name,

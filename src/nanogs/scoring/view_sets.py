@@ -22,8 +22,8 @@ class ViewSet:
 
     Attributes:
         cameras: The views.
-        kind: Where they are from.
-        notes: What the reader of the numbers should know.
+        kind: Kind of the views.
+        notes: Remarks that matter for reading the numbers.
     """
 
     cameras: Sequence[Camera]
@@ -32,7 +32,7 @@ class ViewSet:
 
 
 def parse_sources(text: str) -> list[str]:
-    """Kinds of cameras with commas between, such as "auto,roam"; or else the path of a file.
+    """Split kinds of cameras at commas, such as "auto,roam"; anything else is the path of a file.
 
     Raises:
         OptionError: Some are kinds and some are not.
@@ -49,7 +49,7 @@ def parse_sources(text: str) -> list[str]:
 
 
 def found_views(sources: Sequence[str], views: int | None) -> list[int]:
-    """How many views are asked for of each source; 0 of a file, which has its own."""
+    """Return the number of views requested of each source; 0 for a camera file."""
     return [
         0 if source not in FOUND else usual_views(source) if views is None else views
         for source in sources
@@ -64,18 +64,20 @@ def view_sets(
     views: int | None = None,
     up: Sequence[float] | None = None,
 ) -> list[ViewSet]:
-    """Test views of each source at each size, in that order; a source looks the same way at all.
+    """Return test views of each source at each size, in that order.
+
+    The views of a source are the same at all sizes of one aspect ratio.
 
     Args:
         model: The original.
         sources: Names in `nanogs.views.cameras.FOUND`, or one camera file.
-        sizes: Of the views that are found.
-        views: How many of each source; as many as usual by default.
-        up: (3,) direction of the views that are found; from the original by default.
+        sizes: Sizes of automatic views.
+        views: Number of views of each source; None for the usual number.
+        up: (3,) up direction of automatic views; by default found from the original.
 
     Raises:
-        NanogsError: A source or a size comes twice, or several sizes of a camera file, or cameras
-            are neither found nor read.
+        NanogsError: A source or a size is given twice, several sizes are given with a camera file,
+            or cameras cannot be found or read.
     """
     for what, values in (("kind of cameras", sources), ("size", sizes)):
         if len(set(values)) < len(values):
@@ -101,7 +103,7 @@ def _of_source(
     count: int,
     up: Sequence[float] | None,
 ) -> list[ViewSet]:
-    """The views of one source, at each size."""
+    """Return the views of one source, at each size."""
     made: list[ViewSet] = []
     shapes: dict[float, list[Camera]] = {}
     for width, height in sizes:

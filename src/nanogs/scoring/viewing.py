@@ -1,4 +1,4 @@
-"""A page from file names: what `nanogs view` does."""
+"""Making a page with one or two models: the implementation of `nanogs view`."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -32,13 +32,13 @@ class ViewedModel:
     """A model of a page.
 
     Attributes:
-        name: What the user calls it.
+        name: Its name.
         input: Its file.
-        input_bytes: Bytes of all its files; of a streamed model, of the files of the level shown.
+        input_bytes: Bytes of all its files; for a streamed model, of the files of the level shown.
         splats: Number of splats.
         sh_degree: Spherical-harmonic degree.
-        page_bytes: Size of the model in the page, before its encoding as text.
-        notes: What reading changed, and what the page does not show.
+        page_bytes: Size of the model in the page, before it is encoded as text.
+        notes: Changes made by reading it, and properties that the page does not show.
     """
 
     name: str
@@ -57,9 +57,9 @@ class ViewReport:
     Attributes:
         output: The page.
         output_bytes: Its size.
-        models: One or two.
-        judged: The second model against the first, as `compare` measures it; None for one model,
-            or where it was not asked for.
+        models: The one or two models.
+        judged: Scores of the second model against the first, as from `compare`; None for one model,
+            or if not requested.
         seconds: Time by stage.
     """
 
@@ -96,19 +96,19 @@ def view_files(
     Args:
         inputs: Names and files; the first is the original, on the left.
         page: The page to write.
-        cameras: See `cameras_for`; the page begins at the first one of a file, or with a view of
-            everything.
+        cameras: See `cameras_for`; the page starts at the first camera of a file, or with a view of
+            the whole scene.
         views: Number of automatic views to measure on.
         width: Width of automatic views, pixels.
         height: Height of automatic views, pixels.
         up: Up direction; found from the first model by default.
         background: RGB in [0, 1].
         psnr: Measure the second model.
-        level: Of streamed models, which level of detail; by default the finest of at most
-            `PAGE_SPLATS` splats, or the coarsest.
-        render_mode: What the models are drawn as, in place of what their files say; see
+        level: Level of detail of streamed models; by default the finest of at most `PAGE_SPLATS`
+            splats, or the coarsest.
+        render_mode: Render mode of the models, which overrides that of their files; see
             `nanogs.open`.
-        max_memory: Bytes that this process may take; by default what is free.
+        max_memory: Bytes that this process may take; by default the free memory.
         overwrite: Replace the page if it exists.
         progress: Called with each `nanogs.progress.Step`.
 
@@ -162,7 +162,7 @@ def view_files(
 def _read(
     inputs: Sequence[tuple[str, Path]], level: int | None, mode: str | None, tell: Parts
 ) -> list[Splats]:
-    """The models; of streamed ones the level, which a note tells where it was not asked for."""
+    """Load the models; if `level` is None, a note names the level of a streamed model."""
     counts = [open_model(path).levels for _name, path in inputs]
     if level is not None and not any(counts):
         raise OptionError(
@@ -181,7 +181,7 @@ def _read(
 
 
 def _shown_info(path: Path, level: int | None) -> FileInfo:
-    """A model's facts; of a streamed one, those of the level that is shown."""
+    """Read the metadata of a model; for a streamed one, of the level that is shown."""
     levels = open_model(path).levels
     if not levels:
         return inspect(path)
@@ -189,7 +189,7 @@ def _shown_info(path: Path, level: int | None) -> FileInfo:
 
 
 def _affordable(levels: Sequence[int]) -> int:
-    """The finest level that suits a page, or the coarsest."""
+    """Return the finest level of at most `PAGE_SPLATS` splats, or the coarsest."""
     fitting = (number for number, count in enumerate(levels) if count <= PAGE_SPLATS)
     return next(fitting, len(levels) - 1)
 
@@ -206,7 +206,7 @@ def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
 
 
 def _stages(models: int, views: int) -> list[Stage]:
-    """The stages to come, for so many models; measured on so many views, or none."""
+    """Return the stages for a number of models, measured on a number of views (0: not measured)."""
     measuring = [Stage("render", views), Stage("score", views)] if views else []
     return [
         Stage("read", 2.0 * models), Stage("cameras", 1.0), *measuring,
@@ -215,7 +215,7 @@ def _stages(models: int, views: int) -> list[Stage]:
 
 
 def page_path(paths: Sequence[Path]) -> Path:
-    """The page for these models where none is named: in the current folder, named after them."""
+    """Return the default page for models: in the current folder, named after them."""
     return Path("-".join(stem_of(path) or "model" for path in paths) + ".html")
 
 
