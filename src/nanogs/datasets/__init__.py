@@ -1,1 +1,1 @@
-"""Data sets with cameras and photographs, and scenes made up for demonstration."""
+"""Data sets with cameras and photographs, and scenes for demonstration."""

@@ -16,10 +16,10 @@ from nanogs.raster.lens import Lens
 
 # OpenGL cameras look along -z with y up, ours along +z with y down.
 _OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
-_MIN_ANGLE = 1e-6  # radians; below, the focal length leaves all bounds
+_MIN_ANGLE = 1e-6  # radians; smaller angles give absurd focal lengths
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _FISHEYE = "OPENCV_FISHEYE"
-# nerfstudio's names of models that are a pinhole behind a lens.
+# nerfstudio's names of camera models that are a pinhole, with or without lens distortion.
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
 
@@ -29,10 +29,11 @@ def read_transforms(
     """Read the cameras of a `transforms*.json`.
 
     `transform_matrix` is camera to world with OpenGL axes. The focal length is `fl_x` in pixels,
-    else 0.5 w / tan(camera_angle_x / 2) with the angle in radians. `fl_y` is the same of `h` and
-    camera_angle_y, and as `fl_x` where neither is there. `cx` and `cy` default to the image's
-    centre. All of these may stand in a frame or once for all. The size is `w` and `h`; a file
-    without them takes `width` and `height`, else its photographs'.
+    else 0.5 w / tan(camera_angle_x / 2) with the angle in radians. The vertical one likewise is
+    `fl_y` or follows from `h` and camera_angle_y, and equals the horizontal one if neither is
+    present. `cx` and `cy` default to the image's centre. Each key may be given per frame or once
+    for all frames. The size is `w` and `h`; for a file without them it is `width` and `height`,
+    else the photographs' size.
 
     Args:
         path: The JSON file; `file_path` is relative to its folder, with or without suffix.
@@ -40,13 +41,14 @@ def read_transforms(
         height: Image height in pixels; `width` if None.
 
     Returns:
-        The frames in the file's order, `photo_path` None where there is no such photograph.
+        The frames in the file's order; `photo_path` is None if the photograph does not exist.
 
     Raises:
-        FormatError: The file is malformed, a camera is no pinhole behind a lens or not rigid, an
-            image is listed twice, a photograph has another size than its frame states, or no size
-            is known.
-        OptionError: `width` is given for a file that states its sizes, or is no image side.
+        FormatError: The file is malformed, a camera model is not a pinhole with a lens, a pose is
+            not rigid, an image is listed twice, a photograph has another size than its frame
+            states, or no size is known.
+        OptionError: `width` is given for a file that states its sizes, or is not a valid image
+            side.
     """
     size = _given_size(path, width, height)
     document = fields.entry(fields.read_json(path), str(path))
@@ -143,10 +145,10 @@ def _pose(value: object, where: str) -> F64:
 
 
 def _lens(row: dict[str, Any], where: str) -> Lens:
-    """The lens of a camera, as nerfstudio and instant-ngp state it.
+    """Read the lens of a camera from the keys that nerfstudio and instant-ngp use.
 
     Raises:
-        FormatError: The model is no pinhole behind a lens, or a parameter is not finite.
+        FormatError: The camera model is not a pinhole with a lens, or a parameter is not finite.
     """
     model = row.get("camera_model", "PINHOLE")
     if model not in (*_PINHOLES, _FISHEYE):
@@ -158,6 +160,6 @@ def _lens(row: dict[str, Any], where: str) -> Lens:
     radial = [given[f"k{power}"] for power in range(1, 7)]
     if model == _FISHEYE or row.get("is_fisheye"):
         return Lens(_FISHEYE, fisheye=True, above=tuple(radial[:4]), known=not any(radial[4:]))
-    # From k4 on, programs differ in what the parameters mean.
+    # Programs define k4 and above differently.
     tangential = given["p1"], given["p2"]
     return Lens(model, above=tuple(radial[:3]), tangential=tangential, known=not any(radial[3:]))

@@ -27,14 +27,14 @@ def read_model(folder: Path) -> list[Camera]:
     """Read the cameras of a sparse model.
 
     Args:
-        folder: Holds `cameras.bin` and `images.bin`, or the two as `.txt`; the binary pair is
-            read where both are.
+        folder: Folder with `cameras.bin` and `images.bin`, or the two as `.txt`; the binary pair is
+            read if both exist.
 
     Returns:
-        One camera an image, sorted by image name, with the size that COLMAP saw.
+        One camera for each image, sorted by image name, with the image size that COLMAP used.
 
     Raises:
-        FormatError: Files are missing or damaged, an image is listed twice or refers to no
+        FormatError: Files are missing or damaged, an image is listed twice or refers to a missing
             camera, a number is not finite, or a pose is not rigid.
     """
     cameras, images = _read(folder)
@@ -48,19 +48,19 @@ def read_model(folder: Path) -> list[Camera]:
 
 
 def scaled(camera: Camera, size: tuple[int, int], where: str) -> Camera:
-    """Return a camera for a photograph that was resized after COLMAP saw it.
+    """Scale a camera's intrinsics to a photograph that was resized after COLMAP was run.
 
     Args:
-        camera: With the original size.
+        camera: The camera at the original size.
         size: The photograph's width and height in pixels.
-        where: The photograph.
+        where: The photograph, for the message.
 
     Raises:
         FormatError: The photograph's aspect ratio differs by more than the rounding of its sides.
     """
     if size == (camera.width, camera.height):
         return camera
-    # Some one factor must lead to both sides, each rounded up or down by less than a pixel.
+    # One factor must give both sides, each rounded up or down by less than a pixel.
     lowest = max((size[0] - 1) / camera.width, (size[1] - 1) / camera.height)
     highest = min((size[0] + 1) / camera.width, (size[1] + 1) / camera.height)
     if lowest > highest:

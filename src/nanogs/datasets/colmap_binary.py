@@ -1,6 +1,6 @@
 """COLMAP's `cameras.bin` and `images.bin`: little-endian, counts before entries.
 
-A count is compared with the bytes that are left before anything of its size is read.
+A count is checked against the remaining bytes before anything of its size is read.
 """
 
 import mmap
@@ -16,13 +16,13 @@ from nanogs.errors import FormatError
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")  # id, model, width, height
 _IMAGE = struct.Struct("<I7dI")  # id, quaternion wxyz, translation, camera id
-_POINT_BYTES = 24  # an observation: x, y and the number of a 3D point
+_POINT_BYTES = 24  # an observation: x, y and the id of a 3D point
 _SHORTEST_CAMERA = _CAMERA.size + 3 * 8
 _SHORTEST_IMAGE = _IMAGE.size + 1 + _COUNT.size
 
 
 class _Cursor:
-    """A position in a mapped file that refuses to pass its end."""
+    """A read position in a memory-mapped file; reading past the end raises a `FormatError`."""
 
     def __init__(self, path: Path, data: mmap.mmap) -> None:
         self.path = path
@@ -46,7 +46,7 @@ class _Cursor:
         return int(count)
 
     def name(self) -> str:
-        """Read a text that ends in a NUL."""
+        """Read a NUL-terminated string."""
         end = self._data.find(b"\0", self._at)
         if end < 0:
             raise self.truncated()
@@ -74,7 +74,7 @@ class _Cursor:
 
 @contextmanager
 def _mapped(path: Path) -> Iterator[_Cursor]:
-    # Mapped, because observations make up nearly all of images.bin and are skipped.
+    # Memory-mapped, because observations make up nearly all of images.bin and are skipped.
     try:
         with path.open("rb") as file:
             data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -87,7 +87,7 @@ def _mapped(path: Path) -> Iterator[_Cursor]:
 
 
 def read_cameras_binary(path: Path) -> list[ColmapCamera]:
-    """Read `cameras.bin` in its order.
+    """Read `cameras.bin` in the file's order.
 
     Raises:
         FormatError: It is missing, truncated or too long, or names an unknown camera model.
@@ -99,7 +99,7 @@ def read_cameras_binary(path: Path) -> list[ColmapCamera]:
 
 
 def read_images_binary(path: Path) -> list[ColmapImage]:
-    """Read `images.bin` in its order, without the observations.
+    """Read `images.bin` in the file's order, without the observations.
 
     Raises:
         FormatError: It is missing, truncated or too long, or a name is not UTF-8.

@@ -1,4 +1,4 @@
-"""COLMAP's camera models: a pinhole, and what the lens does to its picture."""
+"""COLMAP's camera models: pinhole intrinsics and lens distortion."""
 
 from dataclasses import dataclass, replace
 
@@ -9,15 +9,15 @@ from nanogs.raster.lens import Lens
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """How a COLMAP camera model lays out its parameters.
+    """A COLMAP camera model: the layout of its parameters.
 
     Attributes:
         name: COLMAP's name of it.
-        count: How many parameters it has.
+        count: Number of parameters.
         focals: 1 if fx and fy are one parameter, 2 if they are two.
-        order: Names of the parameters of the lens, which follow the principal point.
-        fisheye: Whether it is a fisheye, which bends lines without any parameter.
-        known: Whether its photographs can be straightened.
+        order: Names of the distortion parameters, which follow the principal point.
+        fisheye: Whether it is a fisheye, which distorts even if all parameters are 0.
+        known: Whether its photographs can be undistorted.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Model:
 _OPENCV = ("k1", "k2", "p1", "p2")
 _FULL = (*_OPENCV, "k3", "k4", "k5", "k6")
 _FISHEYE = ("k1", "k2", "k3", "k4")
-# The position in this list is the model's number in binary files.
+# The index in this list is the model's id in binary files.
 MODELS = (
     Model("SIMPLE_PINHOLE", 3, 1),
     Model("PINHOLE", 4, 2),
@@ -53,7 +53,7 @@ class ColmapCamera:
     """One entry of `cameras.bin` or `cameras.txt`.
 
     Attributes:
-        camera_id: What images refer to.
+        camera_id: Id that images refer to.
         model: Its camera model.
         size: Width and height in pixels.
         params: The model's parameters in COLMAP's order: focal lengths, principal point in pixels
@@ -71,10 +71,10 @@ class ColmapImage:
     """One entry of `images.bin` or `images.txt`.
 
     Attributes:
-        image_id: COLMAP's number of it.
-        quaternion: wxyz, world to camera.
-        translation: World to camera, scene units.
-        camera_id: The camera that took it.
+        image_id: COLMAP's id of it.
+        quaternion: Rotation from world to camera, wxyz.
+        translation: Translation from world to camera, scene units.
+        camera_id: Id of the camera that took it.
         name: The photograph's path inside the image folder.
     """
 
@@ -93,14 +93,14 @@ def intrinsics(camera: ColmapCamera) -> tuple[tuple[float, float], tuple[float, 
 
 
 def lens_of(camera: ColmapCamera, where: str) -> Lens:
-    """Return a camera's lens, which may be one that bends nothing.
+    """Return a camera's lens, which may be one without distortion.
 
     Raises:
         FormatError: A parameter is not finite.
     """
     model = camera.model
     values = [fields.number(value, f"{where}, lens") for value in camera.params[model.focals + 2 :]]
-    if not model.known:  # zeros bend nothing, but for a fisheye
+    if not model.known:  # with all parameters 0, every model but a fisheye is a pinhole
         return Lens(model.name, fisheye=model.fisheye, known=not any(values) and not model.fisheye)
     given = dict(zip(model.order, values, strict=True))
     numerator = _FISHEYE if model.fisheye else ("k1", "k2", "k3")

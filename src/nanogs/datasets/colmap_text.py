@@ -1,4 +1,4 @@
-"""COLMAP's `cameras.txt` and `images.txt`: a line a camera, two lines an image, # for comments."""
+"""COLMAP's `cameras.txt` and `images.txt`: one line per camera, two per image, # for comments."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ _IMAGE_FIELDS = 10  # id, quaternion, translation, camera id, name; the name may
 
 
 def read_cameras_text(path: Path) -> list[ColmapCamera]:
-    """Read `cameras.txt` in its order.
+    """Read `cameras.txt` in the file's order.
 
     Raises:
         FormatError: It is missing, a line cannot be read, or a camera model is unknown.
@@ -24,7 +24,7 @@ def read_cameras_text(path: Path) -> list[ColmapCamera]:
 
 
 def read_images_text(path: Path) -> list[ColmapImage]:
-    """Read `images.txt` in its order, without the observations.
+    """Read `images.txt` in the file's order, without the observations.
 
     Raises:
         FormatError: It is missing, a line cannot be read, or an image lacks its second line.
@@ -34,7 +34,7 @@ def read_images_text(path: Path) -> list[ColmapImage]:
     for number, line in lines:
         if _holds_data(line):
             images.append(_image(line, f"{path}, line {number}"))
-            # May be empty, but is there: an image without observations has an empty second line.
+            # The second line exists even if it is empty, for an image without observations.
             below, observations = next(lines, (number + 1, ""))
             _check_observations(observations.split(), f"{path}, line {below}")
     return images
@@ -76,7 +76,7 @@ def _image(line: str, where: str) -> ColmapImage:
 
 
 def _check_observations(words: list[str], where: str) -> None:
-    # Files without the second lines would otherwise lose every other image in silence.
+    # Otherwise every other image of a file without the second lines would be lost silently.
     try:
         if len(words) % 3:
             raise ValueError

@@ -1,4 +1,4 @@
-"""Data sets of photographs with cameras, whichever tool wrote them."""
+"""Data sets of photographs with cameras: NeRF-Synthetic and COLMAP folders, and camera files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,8 +31,8 @@ class Dataset:
     Attributes:
         kind: "blender" for `transforms_*.json`, "colmap" for a sparse model.
         path: The data set's folder.
-        images: The folder of a COLMAP capture's photographs; None for Blender, whose files say
-            themselves where the photographs are.
+        images: The folder of a COLMAP capture's photographs; None for Blender, whose camera files
+            hold the photographs' paths.
     """
 
     kind: Kind
@@ -40,9 +40,9 @@ class Dataset:
     images: Path | None = None
 
     def split(self, name: Split) -> list[Frame]:
-        """Return one split's frames; photographs are measured, not decoded.
+        """Return one split's frames; only the sizes of photographs are read.
 
-        COLMAP: images sorted by name, every 8th from the first on is a test view, and intrinsics
+        COLMAP: of the images sorted by name, every 8th from the first on is a test view; intrinsics
         are scaled to the photograph's size. Blender: `transforms_test.json` or
         `transforms_train.json` in the file's order.
 
@@ -50,12 +50,12 @@ class Dataset:
             name: "test" or "train".
 
         Returns:
-            At least one frame; every one has a photograph, and a camera without a lens.
+            At least one frame; each has a photograph, and a camera without lens distortion.
 
         Raises:
             FormatError: The split, a photograph or a camera is missing or unusable, a photograph
-                has another size than its camera, or its lens cannot be taken out of it.
-            OptionError: `name` is no split.
+                has another size than its camera, or cannot be undistorted.
+            OptionError: `name` is not a split.
         """
         if name not in ("test", "train"):
             raise OptionError(f"split {name!r}: choose 'test' or 'train'")
@@ -67,13 +67,13 @@ class Dataset:
         return frames
 
     def background(self, frames: Sequence[Frame]) -> tuple[float, float, float]:
-        """The colour behind its photographs by convention, RGB: white or black.
+        """Return the conventional background of the photographs, RGB: white or black.
 
-        White for NeRF-Synthetic photographs with transparent parts, which models are trained on
+        White for NeRF-Synthetic photographs with transparency, because models are trained on them
         over white; black for all others.
 
         Args:
-            frames: Of a split; the first one's photograph tells.
+            frames: Frames of a split; the photograph of the first one decides.
 
         Raises:
             FormatError: That photograph cannot be read.
@@ -83,12 +83,12 @@ class Dataset:
         return (1.0, 1.0, 1.0) if over_white else (0.0, 0.0, 0.0)
 
     def load_photo(self, frame: Frame, background: Sequence[float] | F) -> F32:
-        """Decode one frame's photograph, composited on a background where it is transparent.
+        """Decode one frame's photograph, composited over a background.
 
-        What the lens bent is straightened, for the frame's camera.
+        Lens distortion is removed, so that the photograph fits the frame's pinhole camera.
 
         Args:
-            frame: One of this data set's.
+            frame: A frame of this data set.
             background: Three numbers in [0, 1], RGB.
 
         Returns:
@@ -123,19 +123,19 @@ class Dataset:
 
 
 def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
-    """Open a data set, whichever layout its folder has.
+    """Open a data set, and detect the layout of its folder.
 
     A folder with `sparse/0` is a COLMAP capture, one with `transforms_*.json` is NeRF-Synthetic; a
-    folder with both is taken for the former, as by the reference trainer.
+    folder with both counts as a COLMAP capture, like in the reference trainer.
 
     Args:
         path: The data set's folder.
-        images: Which folder of a COLMAP capture holds the photographs: "images" (the default),
+        images: Folder of the photographs within a COLMAP capture: "images" (the default),
             "images_2", "images_4", "images_8" or another.
 
     Raises:
         FormatError: The folder has neither layout, or no photographs.
-        OptionError: `images` names no folder, or is given for a layout without a choice.
+        OptionError: `images` is not a folder, or is given for NeRF-Synthetic.
     """
     folder = Path(path)
     if not folder.exists():
@@ -166,26 +166,26 @@ def cameras_from_file(
 
     Args:
         path: A `transforms*.json`, a `cameras.json` of the reference trainer, or a folder: a COLMAP
-            sparse model or what holds it as `sparse/0`, or one with such JSON files.
+            sparse model, a folder with one in `sparse/0`, or a folder with such JSON files.
         width: Image width in pixels for a `transforms*.json` that states none and whose
-            photographs are not there.
+            photographs are missing.
         height: Image height in pixels; `width` if None.
 
     Returns:
-        All cameras, with the sizes that the file states. A COLMAP model's are sorted by name,
-        others keep the file's order, files in the order train, validation, test; one that is in
-        several files is there once. A lens that bends the picture is in `Camera.lens`, and left out
-        where it is rendered.
+        All cameras, with the sizes that the file states. Those of a COLMAP model are sorted by
+        name, others are in the file's order, files in the order train, validation, test; a camera
+        in several files is returned once. Lens distortion is in `Camera.lens`, and renders do not
+        include it.
 
     Raises:
-        FormatError: The file is missing or damaged, of no known layout, or states no size.
+        FormatError: The file is missing or damaged, has an unknown layout, or states no size.
         OptionError: `width` or `height` is given for a file that states its sizes.
     """
     place = Path(path)
     model = find_model(place)
     if model is None:
         found: list[Camera] = []
-        for file in _camera_files(place):  # a transforms.json of all may be beside its splits
+        for file in _camera_files(place):  # transforms.json may repeat the cameras of the splits
             known = set(map(_view, found))
             cameras = _from_json(file, width, height)
             found += [camera for camera in cameras if _view(camera) not in known]
@@ -213,7 +213,7 @@ def _camera_files(place: Path) -> list[Path]:
 
 
 def _from_json(file: Path, width: int | None, height: int | None) -> list[Camera]:
-    # Told apart by content: people rename these files.
+    # Distinguished by content, because people rename these files.
     if isinstance(read_json(file), list):
         _refuse_size(file, width, height)
         return read_cameras_json(file)
@@ -226,7 +226,7 @@ def _refuse_size(file: Path, width: int | None, height: int | None) -> None:
 
 
 def _sparse(folder: Path) -> Path | None:
-    # A bare model, cameras.bin beside nothing, is a camera file and no data set.
+    # A sparse model in `folder` itself has cameras but no photographs, so it is no data set.
     model = find_model(folder)
     return None if model == folder else model
 
@@ -247,7 +247,7 @@ def _frame_in(images: Path, camera: Camera) -> Frame:
 
 
 def _straight(camera: Camera, photo: Path) -> Frame:
-    """A frame whose camera is a pinhole."""
+    """Return a frame with a pinhole camera; `taken_by` keeps a camera with lens distortion."""
     if camera.lens is None:
         return Frame(camera, photo)
     return Frame(straightened(camera, str(photo)), photo, camera)

@@ -1,6 +1,6 @@
-"""Checked values from camera files: JSON, numbers, poses, and the pinhole cameras made of them.
+"""Validation of values from camera files: JSON, numbers, poses, and pinhole cameras.
 
-Every function takes `where`, the file and the entry in it, and begins its messages with it.
+Each function that takes `where`, the file and the entry in it, begins its messages with it.
 """
 
 import json
@@ -16,18 +16,18 @@ from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens
 
-RIGID_TOLERANCE = 1e-3  # largest entry of |RᵀR - I| taken for rounding
-MAX_SIDE = 65_536  # pixels; a larger side is damage, and would be allocated by a renderer
+RIGID_TOLERANCE = 1e-3  # largest entry of |RᵀR - I| that counts as rounding
+MAX_SIDE = 65_536  # pixels; a larger side means a damaged file, and could not be allocated
 MAX_PIXELS = 1e9  # largest focal length and principal point, so that scaling stays finite
-MAX_DISTANCE = 1e12  # scene units; single-precision rendering squares what lies beyond to infinity
+MAX_DISTANCE = 1e12  # scene units; squares of much larger values overflow in single precision
 
 
 def read_text(path: Path) -> str:
     """Read a UTF-8 file.
 
     Raises:
-        FormatError: The file is missing, unreadable or not UTF-8, or something else lies in its
-            place; see `refuse_stand_in`.
+        FormatError: The file is missing, unreadable or not UTF-8, or a placeholder such as a Git
+            LFS pointer; see `refuse_stand_in`.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -81,7 +81,7 @@ def text(value: object, where: str) -> str:
 
 def number(value: object, where: str, limit: float = MAX_PIXELS) -> float:
     """Return a finite number of at most `limit` in size, refusing others with a `FormatError`."""
-    # bool is an int to Python; an int too long for a float must not escape as OverflowError.
+    # bool is a subclass of int; an int too large for a float must not raise an OverflowError.
     plain = isinstance(value, int | float) and not isinstance(value, bool)
     if not plain or not -limit <= value <= limit:  # type: ignore[operator]
         raise FormatError(
@@ -105,7 +105,7 @@ def matrix(value: object, shape: tuple[int, int], where: str) -> F64:
     """Return nested JSON lists as a float64 array of `shape`.
 
     Raises:
-        FormatError: It has another shape or holds something that is no finite number.
+        FormatError: The shape differs, or a value is not a finite number.
     """
     rows = value if isinstance(value, list) else []
     flat = [item for row in rows if isinstance(row, list) and len(row) == shape[1] for item in row]
@@ -117,22 +117,22 @@ def matrix(value: object, shape: tuple[int, int], where: str) -> F64:
 
 
 def inverted(rotation: F64, position: F64, where: str) -> F64:
-    """Turn a camera's axes and centre into its world-to-camera matrix.
+    """Compute a world-to-camera matrix from a camera's axes and centre.
 
     Args:
-        rotation: (3, 3) float64, camera to world, columns are the axes in OpenCV order.
+        rotation: (3, 3) float64, camera to world; columns are the axes in OpenCV convention.
         position: (3,) float64, the camera's centre in scene units.
         where: The file and entry.
 
     Returns:
-        (4, 4) float64, rigid. Rotations orthonormal within `RIGID_TOLERANCE` are inverted as they
-        are, like the reference trainer does.
+        (4, 4) float64, rigid. Rotations that are orthonormal within `RIGID_TOLERANCE` are inverted
+        without orthonormalising them, as in the reference trainer.
 
     Raises:
         FormatError: The rotation scales, shears or mirrors, or a value is not finite.
     """
     off = rotation.T @ rotation - np.eye(3)
-    # Not `>`: a NaN must fail, and a mirror is orthonormal too.
+    # `not <=` and not `>`, so that NaN fails; the determinant, because mirrors are orthonormal too.
     if not (np.abs(off).max() <= RIGID_TOLERANCE and np.linalg.det(rotation) > 0):
         raise FormatError(
             f"{where}: its pose is not a rotation and a translation; "
@@ -154,16 +154,16 @@ def pinhole(
     world_to_camera: F64,
     lens: Lens | None = None,
 ) -> Camera:
-    """Build a camera of checked intrinsics.
+    """Build a camera from intrinsics, which are checked.
 
     Args:
         where: The file and entry.
-        name: What reports call the view.
+        name: Name of the view in reports.
         size: Width and height in pixels.
         focal: Focal lengths fx and fy in pixels.
         centre: Principal point cx and cy, pixels from the image's top left corner.
         world_to_camera: (4, 4) float64, rigid.
-        lens: What bends its picture.
+        lens: Its lens; one without distortion is dropped.
 
     Raises:
         FormatError: A focal length is not positive or a value is not finite.
@@ -181,7 +181,7 @@ def pinhole(
 
 
 def refuse_repeats(names: Iterable[object], where: str, noun: str) -> None:
-    """Raise a `FormatError` if one of the names occurs twice: it would count twice in a mean."""
+    """Raise a `FormatError` if a name occurs twice, because it would count twice in a mean."""
     seen = set()
     for name in names:
         if name in seen:
@@ -190,10 +190,10 @@ def refuse_repeats(names: Iterable[object], where: str, noun: str) -> None:
 
 
 def shown(value: object) -> str:
-    """Return a value as a message shows it: short, even if it is a whole file's content."""
+    """Format a value for a message: short, even if it is a whole file's content."""
     if isinstance(value, dict | list):
         return f"a {type(value).__name__} of {len(value)}"
     if isinstance(value, int) and abs(value) > MAX_DISTANCE:
-        return "a huge integer"  # Python refuses to print some of them
+        return "a huge integer"  # Python limits the digits of integers that it prints
     printed = repr(value)
     return printed if len(printed) <= 40 else printed[:37] + "..."

@@ -11,10 +11,10 @@ class Frame:
     """One view of a data set.
 
     Attributes:
-        camera: Its intrinsics are in pixels of the photograph.
-        photo_path: The image file, or None where only the camera is known.
-        taken_by: The camera with the lens that the photograph was taken through, where `camera` is
-            the pinhole that stands in for it.
+        camera: The camera, with intrinsics in pixels of the photograph.
+        photo_path: The image file, or None if only the camera is known.
+        taken_by: The camera with lens distortion that took the photograph, if `camera` is the
+            pinhole for the undistorted photograph; else None.
     """
 
     camera: Camera

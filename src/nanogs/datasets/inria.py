@@ -13,14 +13,14 @@ def read_cameras_json(path: Path) -> list[Camera]:
 
     An entry holds `id`, `img_name`, `width` and `height` in pixels, `position` (the camera's centre
     in scene units), `rotation` (3x3, camera to world, OpenCV axes), `fx` and `fy` in pixels. The
-    format knows no principal point: it is the image's centre.
+    format has no principal point: it is the image's centre.
 
     Args:
         path: The JSON file.
 
     Returns:
-        The cameras in the file's order. The trainer names a training and a test view alike if
-        their files are; such names get the entry's id appended.
+        The cameras in the file's order. The trainer gives a training and a test view the same name
+        if their files have the same name; the entry's id is appended to such names.
 
     Raises:
         FormatError: The file is malformed, or an entry is incomplete, repeated or not rigid.

@@ -1,4 +1,4 @@
-"""Photographs on disk: where a name leads, how large one is, and its pixels."""
+"""Photographs on disk: finding the file of a name, and reading sizes and pixels."""
 
 import struct
 import zlib
@@ -24,11 +24,11 @@ _DAMAGED = (
     zlib.error,
     Image.DecompressionBombError,
 )
-_WIDE = ("I", "F")  # more than 8 bits a channel: Pillow would clip them to 255
+_WIDE = ("I", "F")  # modes of more than 8 bits per channel, which Pillow would clip to 255
 
 
 def is_file(path: Path) -> bool:
-    """Tell whether a path names a file; a name that no file system accepts does not."""
+    """Return whether a path is a file; False for names that the file system refuses."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # too long, or with a NUL in it
@@ -36,10 +36,10 @@ def is_file(path: Path) -> bool:
 
 
 def find_photo(folder: Path, name: str) -> Path | None:
-    """Return the photograph that a camera file calls `name`, or None if there is none.
+    """Return the path of the photograph that a camera file names, or None if there is none.
 
-    Tried in turn: the name itself, the name with an image suffix added (NeRF-Synthetic leaves it
-    out), and with its suffix replaced (downscaled copies are often stored in another format).
+    Tried in order: the name itself, the name with an image suffix appended (NeRF-Synthetic omits
+    it), and with its suffix replaced (downscaled copies are often stored in another format).
     """
     exact = folder / name
     if is_file(exact):
@@ -54,30 +54,30 @@ def find_photo(folder: Path, name: str) -> Path | None:
 def photo_size(path: Path) -> tuple[int, int]:
     """Return a photograph's width and height in pixels, as stored; pixels are not decoded.
 
-    An orientation in its metadata is ignored, as camera files refer to the stored rows.
+    The orientation in its metadata is ignored, because camera files refer to the stored rows.
 
     Raises:
-        FormatError: It is missing or no image that can be read.
+        FormatError: The file is missing or not a readable image.
     """
     with _opened(path) as image:
         return image.size
 
 
 def is_transparent(path: Path) -> bool:
-    """Whether a photograph has an alpha channel or a transparent colour; pixels are not decoded.
+    """Return whether a photograph has alpha or a transparent colour; pixels are not decoded.
 
     Raises:
-        FormatError: It is missing or no image that can be read.
+        FormatError: The file is missing or not a readable image.
     """
     with _opened(path) as image:
         return image.has_transparency_data
 
 
 def read_photo(path: Path, size: tuple[int, int], background: Sequence[float] | F) -> F32:
-    """Decode a photograph over a background colour.
+    """Decode a photograph, and composite it over a background colour.
 
     Args:
-        path: The image file; its alpha, if any, is straight.
+        path: The image file; its alpha, if any, is not premultiplied.
         size: Width and height in pixels that the camera expects.
         background: Three numbers in [0, 1], RGB.
 
@@ -85,7 +85,7 @@ def read_photo(path: Path, size: tuple[int, int], background: Sequence[float] | 
         (height, width, 3) float32 in [0, 1], RGB as stored (no colour management), row 0 on top.
 
     Raises:
-        FormatError: It cannot be decoded, has more than 8 bits a channel or another size.
+        FormatError: It cannot be decoded, has more than 8 bits per channel or another size.
         OptionError: The background is not three numbers in [0, 1].
     """
     colour = _checked_background(background)
@@ -103,10 +103,10 @@ def read_photo(path: Path, size: tuple[int, int], background: Sequence[float] | 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
-    """An image whose pixels are decoded in the block, as far as they are needed.
+    """Open an image in a context manager; pixels are decoded lazily within it.
 
     Raises:
-        FormatError: It is missing or damaged, which may show within the block.
+        FormatError: It is missing or damaged; also for errors of decoding within the block.
     """
     try:
         with Image.open(path) as image:

@@ -1,4 +1,4 @@
-"""A real scene to try things on: a potted plant, captured and trained by Marcel Padilla."""
+"""The bundled real scene: a potted plant, captured and trained by Marcel Padilla."""
 
 from importlib.resources import as_file, files
 
@@ -10,6 +10,6 @@ CREDIT = "a potted plant by Marcel Padilla, CC-BY-4.0, https://github.com/marcel
 
 
 def load_plant() -> Splats:
-    """Load the plant that comes with the package: 113,648 splats of SH degree 0, y down."""
+    """Load the bundled plant: 113,648 splats of SH degree 0, y down."""
     with as_file(files("nanogs.datasets") / "plant.sog") as path:
         return load(path)

@@ -1,6 +1,7 @@
-"""The demo scene's objects: still life on tiles, with a garden and a sky around it.
+"""The objects of the synthetic scene: a still life on tiles, with a garden and a sky around it.
 
-Up is +y here. Each `_name(n, rng)` gives one object of n splats, lit by one sun and the sky.
+Up is +y here. Each builder, such as `_vase(n, rng)`, returns one object of n splats, lit by one sun
+and the sky.
 """
 
 from collections.abc import Callable
@@ -18,7 +19,7 @@ UP = np.array([0.0, 1.0, 0.0])
 SUN = np.array([0.48, 0.74, 0.47]) / np.linalg.norm([0.48, 0.74, 0.47])
 SUNLIGHT = np.array([1.0, 0.94, 0.82])
 SKYLIGHT = np.array([0.34, 0.40, 0.50])
-# (x, y, z, radius) of spheres that stand for the objects where they cast shadows.
+# (x, y, z, radius) of spheres that approximate the objects for their shadows.
 OCCLUDERS = np.array(
     [
         [-1.15, 0.75, 0.25, 0.75],
@@ -35,7 +36,7 @@ class Part:
     """Coloured splats of one object.
 
     Attributes:
-        samples: Their frames and extents.
+        samples: Their centres, axes and scales.
         colours: (n, 3) float64, linear in the model's colour space, mostly in [0, 1].
         alphas: (n,) float64 in (0, 1).
         gloss: Peak of the sun's highlight, 0 for a matt surface.
@@ -48,7 +49,7 @@ class Part:
 
 
 def _sunlit(points: F64) -> F64:
-    """(n,): share of the sun that reaches the points, soft at the shadows' edges."""
+    """Compute the share (n,) of sunlight that reaches the points, with soft shadow edges."""
     share = np.ones(len(points))
     for *centre, radius in OCCLUDERS:
         to_centre = np.array(centre) - points
@@ -60,7 +61,7 @@ def _sunlit(points: F64) -> F64:
 
 
 def _lit(albedo: F64, samples: Samples, sun: F64 | float = 1.0) -> F64:
-    """Diffuse colour under sun and sky."""
+    """Compute the diffuse colour under sun and sky."""
     facing = np.maximum(samples.normals @ SUN, 0) * sun
     open_sky = 0.6 + 0.4 * (samples.normals @ UP)
     lit: F64 = albedo * (facing[:, None] * SUNLIGHT + open_sky[:, None] * SKYLIGHT)
@@ -68,7 +69,7 @@ def _lit(albedo: F64, samples: Samples, sun: F64 | float = 1.0) -> F64:
 
 
 def _noise(points: F64, frequency: float, seed: int) -> F64:
-    """(n,): smooth noise in about [-1, 1]: four octaves of warped sines."""
+    """Compute smooth noise (n,) in about [-1, 1]: four octaves of warped sines."""
     rng = np.random.default_rng(seed)
     value, total = np.zeros(len(points)), 0.0
     for octave in range(4):
@@ -82,14 +83,14 @@ def _noise(points: F64, frequency: float, seed: int) -> F64:
 
 
 def _mix(first: tuple[float, ...], second: tuple[float, ...], share: F64) -> F64:
-    """(n, 3): from the first colour (share 0) to the second (share 1)."""
+    """Interpolate (n, 3) from the first colour (share 0) to the second (share 1)."""
     share = np.clip(share, 0, 1)[:, None]
     mixed: F64 = np.array(first) * (1 - share) + np.array(second) * share
     return mixed
 
 
 def _trained_alphas(n: int, rng: Rng) -> F64:
-    """(n,): most splats nearly opaque, a tail down to faint ones."""
+    """Draw opacities (n,) distributed like those of trained models: most splats nearly opaque."""
     solid = rng.beta(9, 0.9, n)
     faint = rng.beta(1.1, 2.5, n)
     alphas: F64 = np.clip(np.where(rng.random(n) < 0.82, solid, faint), 0.005, 0.9995)
@@ -237,7 +238,7 @@ def _sky(n: int, rng: Rng) -> Part:
     radius = 30.0
 
     def profile(s: F64) -> tuple[F64, F64]:
-        level = np.clip(-0.16 + 1.16 * s, -1, 1)  # even in height is even in area
+        level = np.clip(-0.16 + 1.16 * s, -1, 1)  # uniform in height is uniform in area
         return radius * np.sqrt(1 - level**2), radius * level
 
     dome = surfaces.revolve(n, rng, profile, np.zeros(3))

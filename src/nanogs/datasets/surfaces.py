@@ -1,6 +1,6 @@
-"""Samplers that cover surfaces, strands and volumes with splats, as a trained model would.
+"""Samplers that cover surfaces, strands and volumes with splats like a trained model does.
 
-Sizes follow the local spacing of the samples, log-normally; splats lie flat along their surface.
+Scales are log-normal around the local spacing of the samples; splats are flat along their surface.
 """
 
 from collections.abc import Callable
@@ -10,14 +10,14 @@ import numpy as np
 
 from nanogs._types import F64
 
-OVERLAP = 0.72  # standard deviation over sample spacing: closes a surface, keeps its texture
-FLATNESS = 0.07  # thickness over extent
-PROFILE_STEPS = 512  # of the numerical integration along a profile
+OVERLAP = 0.72  # ratio of scale to sample spacing: closes a surface, and keeps its texture
+FLATNESS = 0.07  # ratio of thickness to extent
+PROFILE_STEPS = 512  # samples of the numerical integration along a profile
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Splats before colour: n frames and their extents.
+    """The geometry of n splats: centres, axes and scales.
 
     Attributes:
         points: (n, 3) float64, scene units.
@@ -38,14 +38,14 @@ class Samples:
 
 
 def unit(vectors: F64) -> F64:
-    """(n, 3) vectors scaled to length 1; zeros stay zero."""
+    """Normalise vectors (n, 3) to length 1; zeros stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     scaled: F64 = vectors / np.where(length == 0, 1, length)
     return scaled
 
 
 def r2_points(n: int, rng: np.random.Generator) -> F64:
-    """(n, 2) points in [0, 1)², evenly spread with a slight jitter (the R2 sequence)."""
+    """Return points (n, 2) in [0, 1)² of the R2 low-discrepancy sequence, slightly jittered."""
     steps = 0.7548776662466927 ** np.array([1, 2])  # powers of 1 / plastic number
     points = rng.random(2) + np.arange(n)[:, None] * steps
     points += rng.normal(0, 0.2 / np.sqrt(max(n, 1)), (n, 2))
@@ -56,7 +56,7 @@ def r2_points(n: int, rng: np.random.Generator) -> F64:
 def _flat(
     points: F64, normals: F64, tangents: F64, spacing: F64, where: F64, rng: np.random.Generator
 ) -> Samples:
-    """Flat splats of log-normal size and elongation, turned at random in their plane."""
+    """Return flat splats of log-normal size and elongation, rotated at random in their plane."""
     n = len(points)
     extent = OVERLAP * spacing * rng.lognormal(0, 0.3, n)
     stretch = rng.lognormal(0, 0.3, n)
@@ -69,7 +69,7 @@ def _flat(
 
 
 def sheet(n: int, rng: np.random.Generator, origin: F64, edge_u: F64, edge_v: F64) -> Samples:
-    """A parallelogram from `origin` along two orthogonal edges; its normal is u x v."""
+    """Sample a rectangle from `origin` along two orthogonal edges; its normal is u x v."""
     where = r2_points(n, rng)
     points = origin + where[:, :1] * edge_u + where[:, 1:] * edge_v
     across = np.cross(edge_u, edge_v)
@@ -79,7 +79,7 @@ def sheet(n: int, rng: np.random.Generator, origin: F64, edge_u: F64, edge_v: F6
 
 
 def disc(n: int, rng: np.random.Generator, radius: float, dense: float) -> Samples:
-    """A horizontal disc around the origin, sampled most densely within `dense` of it."""
+    """Sample a horizontal disc around the origin, most densely within a radius of `dense`."""
     where = r2_points(n, rng)
     span = np.log1p((radius / dense) ** 2)
     squared = dense**2 * np.expm1(where[:, 0] * span)
@@ -94,12 +94,12 @@ def disc(n: int, rng: np.random.Generator, radius: float, dense: float) -> Sampl
 def revolve(
     n: int, rng: np.random.Generator, profile: Callable[[F64], tuple[F64, F64]], centre: F64
 ) -> Samples:
-    """A surface of revolution about the vertical through `centre`, sampled evenly by area.
+    """Sample a surface of revolution about the vertical through `centre`, uniformly by area.
 
     Args:
         n: Number of samples.
         rng: Source of the jitter.
-        profile: Maps s in [0, 1] to (radius, height); the outside lies to the right of its way up.
+        profile: Maps s in [0, 1] to (radius, height); the outside is on the right of its direction.
         centre: (3,) float64.
     """
     grid = np.linspace(0, 1, PROFILE_STEPS)
@@ -123,14 +123,14 @@ def revolve(
 def strands(
     n: int, rng: np.random.Generator, count: int, curve: Callable[[F64, F64], F64], thickness: F64
 ) -> Samples:
-    """Long thin splats along `count` curves.
+    """Sample long thin splats along `count` curves.
 
     Args:
         n: Number of samples.
         rng: Source of the jitter.
         count: Number of curves, 1 or more.
-        curve: Maps curve numbers (n,) and places s in [0, 1] (n,) to points (n, 3).
-        thickness: (2,) float64, standard deviations across: width, depth.
+        curve: Maps curve indices (n,) and curve parameters s in [0, 1] (n,) to points (n, 3).
+        thickness: (2,) float64, standard deviations across the curve: width, depth.
     """
     which = np.arange(n) % count
     share = np.maximum((n - which + count - 1) // count, 1)
@@ -150,13 +150,13 @@ def strands(
 
 
 def cloud(n: int, rng: np.random.Generator, points: F64, extent: float) -> Samples:
-    """Round blobs at the given points (n, 3), of log-normal size around `extent`."""
+    """Return round blobs at the given points (n, 3), of log-normal size around `extent`."""
     frame = np.tile(np.eye(3)[[1, 0]], (n, 1, 1))
     sizes = extent * rng.lognormal(0, 0.4, (n, 1)) * rng.lognormal(0, 0.25, (n, 3))
     return Samples(points, frame[:, 0], frame[:, 1], sizes, np.zeros((n, 2)))
 
 
 def join(pieces: list[Samples]) -> Samples:
-    """All pieces as one, in their order."""
+    """Concatenate the pieces in order."""
     names = ("points", "normals", "tangents", "sizes", "where")
     return Samples(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in names))

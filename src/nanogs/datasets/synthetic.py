@@ -1,8 +1,8 @@
-"""A generated scene that looks and is distributed like a trained 3DGS model.
+"""A generated scene with the look and the statistics of a trained 3DGS model.
 
-It has what simplifiers trip over: fine texture, view-dependent colour, thin and semi-transparent
-parts, floaters, a sky shell, and sizes over three orders of magnitude. Built with up = +y; the last
-step turns it to the y-down habit of trained models.
+It has the features that are hard to simplify: fine texture, view-dependent colour, thin and
+semi-transparent parts, floaters, a sky shell, and scales over three orders of magnitude. It is
+built with +y up; the last step rotates it to the y-down convention of trained models.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ def make_scene(count: int = 200_000, *, sh_degree: int = 3, seed: int = 0) -> Sp
     Args:
         count: Number of splats, 1 or more.
         sh_degree: Spherical-harmonic degree of the colours, 0 to 4.
-        seed: Of the random jitter; any non-negative integer.
+        seed: Seed of the random numbers; any non-negative integer.
 
     Returns:
         A model of exactly `count` splats, in random order, about 30 scene units in radius.
@@ -47,7 +47,7 @@ def make_scene(count: int = 200_000, *, sh_degree: int = 3, seed: int = 0) -> Sp
 
 
 def _allot(count: int) -> dict[Builder, int]:
-    """Split `count` in proportion to the shares by largest remainders, ties to the first."""
+    """Split `count` by the shares of `PARTS`, rounded by largest remainders, ties to the first."""
     weights = np.array(list(PARTS.values()))
     exact = count * weights / weights.sum()
     whole = np.floor(exact).astype(np.int64)
@@ -57,7 +57,7 @@ def _allot(count: int) -> dict[Builder, int]:
 
 
 def _splats(part: Part, sh_degree: int, rng: Rng) -> Splats:
-    """The stored values of a part, turned to y-down."""
+    """Return a part as stored values, rotated to y-down."""
     samples = part.samples
     normals, tangents = samples.normals * TO_Y_DOWN, samples.tangents * TO_Y_DOWN
     axes = np.stack([tangents, np.cross(normals, tangents), normals], axis=2)
@@ -72,7 +72,7 @@ def _splats(part: Part, sh_degree: int, rng: Rng) -> Splats:
 
 
 def _harmonics(part: Part, normals: F64, degree: int, rng: Rng) -> F32:
-    """(n, (degree + 1)², 3): diffuse colour, sun's highlight, sky's sheen and training noise."""
+    """Compute SH (n, (degree + 1)², 3) of diffuse colour, highlight, sky reflection and noise."""
     n = len(normals)
     sh = rng.normal(0, 0.012, (n, (degree + 1) ** 2, 3))
     sh[:, 0] = (part.colours - 0.5) / SH_C0

@@ -1,4 +1,4 @@
-"""Photographs as a pinhole would have taken them: the lens's distortion taken out."""
+"""Undistortion: remove lens distortion from photographs, for a pinhole camera."""
 
 import math
 from dataclasses import replace
@@ -11,24 +11,24 @@ from nanogs.errors import FormatError
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens
 
-_STEP, _STEPS = 1.01, 140  # how focal lengths are tried: up to four times as long
-_ROWS = 256  # of a picture at a time
+_STEP, _STEPS = 1.01, 140  # factors of focal lengths that are tried: powers, up to about 4
+_ROWS = 256  # rows of an image that are resampled at a time
 
 Intrinsics = tuple[int, int, float, float, float, float]
 
 
 def straightened(camera: Camera, where: str) -> Camera:
-    """The pinhole that sees of a photograph what has no lens's edge in it.
+    """Return the pinhole camera for a camera's undistorted photograph, which has no empty border.
 
-    It stands where the camera stands and has its size and principal point. Its focal lengths are
-    longer where the photograph would otherwise not reach the corners.
+    Pose, size and principal point stay the same. Focal lengths are increased if the undistorted
+    photograph would otherwise not cover the whole image.
 
     Args:
-        camera: With a lens.
+        camera: A camera with a lens; one without is returned unchanged.
         where: The photograph, for the message.
 
     Raises:
-        FormatError: The lens is of a model that cannot be taken out, or bends too strongly.
+        FormatError: The lens model is not supported, or its distortion is too strong.
     """
     lens = camera.lens
     if lens is None:
@@ -49,12 +49,12 @@ def straightened(camera: Camera, where: str) -> Camera:
 
 
 def undistorted(photo: F32, camera: Camera, straight: Camera) -> F32:
-    """The photograph as the straightened camera sees it, interpolated between four pixels each.
+    """Resample a photograph for the pinhole camera, with bilinear interpolation.
 
     Args:
         photo: (H, W, C) float32.
-        camera: That took it, with its lens.
-        straight: What `straightened` made of the camera.
+        camera: The camera that took it, with its lens.
+        straight: The pinhole camera from `straightened`.
 
     Returns:
         (H, W, C) float32.
@@ -73,7 +73,7 @@ def undistorted(photo: F32, camera: Camera, straight: Camera) -> F32:
 
 
 def _bilinear(photo: F32, across: F64, down: F64) -> F32:
-    """(R, W, C): the photograph between its pixels, whose centres are whole numbers."""
+    """Interpolate the photograph at coordinates (R, W); pixel centres are integers. (R, W, C)."""
     height, width = photo.shape[:2]
     across, down = np.clip(across, 0, width - 1), np.clip(down, 0, height - 1)
     left = np.minimum(across.astype(np.int64), max(width - 2, 0))
@@ -89,7 +89,7 @@ def _bilinear(photo: F32, across: F64, down: F64) -> F32:
 
 @lru_cache(maxsize=64)
 def _zoom(lens: Lens, inside: Intrinsics) -> float | None:
-    """The least that focal lengths are multiplied with, or None where nothing is enough."""
+    """Return the least factor of focal lengths for full coverage, or None if none suffices."""
     for step in range(_STEPS):
         if _reaches(lens, inside, _STEP**step):
             return _STEP**step
@@ -97,7 +97,7 @@ def _zoom(lens: Lens, inside: Intrinsics) -> float | None:
 
 
 def _reaches(lens: Lens, inside: Intrinsics, zoom: float) -> bool:
-    """Whether the photograph has all that a pinhole sees with focal lengths so much longer."""
+    """Return whether the photograph covers a pinhole's image at focal lengths times `zoom`."""
     width, height, fx, fy, cx, cy = inside
     u, v = _border(width, height)
     x, y = (u - cx) / (fx * zoom), (v - cy) / (fy * zoom)
@@ -110,7 +110,7 @@ def _reaches(lens: Lens, inside: Intrinsics, zoom: float) -> bool:
 
 
 def _border(width: int, height: int) -> tuple[F64, F64]:
-    """The centres of the pixels at the border."""
+    """Return the coordinates u and v of the centres of all border pixels."""
     columns, rows = np.arange(width) + 0.5, np.arange(height) + 0.5
     u = np.concatenate([columns, columns, np.full(height, 0.5), np.full(height, width - 0.5)])
     v = np.concatenate([np.full(width, 0.5), np.full(width, height - 0.5), rows, rows])

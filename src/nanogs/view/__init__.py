@@ -1,1 +1,1 @@
-"""Interactive pages: models in a browser, in one file, without a network."""
+"""Interactive pages: self-contained HTML files that show models in a browser, without network."""

@@ -1,4 +1,4 @@
-"""The viewer's program, which the build of the package bundles (viewer/bundle.py)."""
+"""The viewer's JavaScript, which is bundled when the package is built (viewer/bundle.py)."""
 
 from functools import cache
 from typing import TYPE_CHECKING
@@ -12,15 +12,15 @@ _PROGRAM, _LICENCES = "viewer.js", "LICENSES.txt"
 
 
 def is_built() -> bool:
-    """Whether this installation has the viewer."""
+    """Return whether this installation has the viewer."""
     return _file(_PROGRAM).is_file()
 
 
 def check_built() -> None:
-    """Fail before any computing where the viewer is missing.
+    """Fail early if the viewer is missing.
 
     Raises:
-        OptionError: It is; the message says what to do.
+        OptionError: The viewer is missing; the message says what to do.
     """
     if not is_built():
         raise OptionError(
@@ -31,7 +31,7 @@ def check_built() -> None:
 
 @cache
 def program() -> str:
-    """The program, gzipped, as base64: a third of its size.
+    """Return the JavaScript, gzipped, as base64: a third of its size.
 
     Raises:
         OptionError: It was not built.
@@ -45,11 +45,11 @@ def program() -> str:
 
 
 def licences() -> str:
-    """Licences of what the program holds."""
+    """Return the licences of the software in the JavaScript."""
     return _file(_LICENCES).read_text(encoding="utf-8")
 
 
 def _file(name: str) -> "Traversable":
-    from importlib.resources import files  # here, as `compare --help` asks nothing of it
+    from importlib.resources import files  # imported here because `compare --help` does not need it
 
     return files("nanogs.view").joinpath(name)

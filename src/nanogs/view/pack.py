@@ -1,9 +1,9 @@
-"""Models as a page holds them: `.spz`, moved and scaled to what the viewer begins with.
+"""Encoding of models for a page: `.spz`, in units relative to the first view.
 
-SPZ is compact, and the viewer decodes it itself, while the pictures of a `.sog` pass through the
-browser, which may change their colours. Its log-scales end at -10 and 5.94 and its centres are
-fixed-point numbers, so the page has units of its own, in which the viewer's camera starts 8 from
-what it turns about: then both ends lie far beyond what a screen shows.
+SPZ is compact, and the viewer decodes it itself, while the images of a `.sog` are decoded by the
+browser, which may change their colours. SPZ limits log-scales to -10 to 5.94 and stores centres as
+fixed-point numbers. The page therefore has units of its own, in which the first camera is 8 from
+its target: both limits are then far outside the range that is visible on a screen.
 """
 
 import dataclasses
@@ -23,11 +23,11 @@ from nanogs.splats import RenderMode, Splats
 from nanogs.views.opening import Opening
 
 DISTANCE = 8.0  # from the first camera to its target, units of the page
-# Units of the page. What lies farther is drawn at this distance, as large as it looks from the
-# target: turning about it moves nothing there by as much as the eye could tell.
+# Units of the page. Splats farther from the target are moved to this distance and scaled to look
+# the same from the target; orbiting the target shows no visible parallax at this distance.
 FARTHEST = 128 * DISTANCE
-_QUICK = 1  # of libdeflate's levels
-MAX_DEGREE = 3  # of spherical harmonics, in the viewer
+_QUICK = 1  # compression level of libdeflate
+MAX_DEGREE = 3  # highest SH degree of the viewer
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +36,8 @@ class Packed:
 
     Attributes:
         data: An `.spz` file in units of the page.
-        mip: Whether it must be drawn as a model trained with antialiasing.
-        notes: What the page does not show as it is, one sentence each.
+        mip: Whether it must be drawn like a model trained with antialiasing.
+        notes: Differences between the model and the page, one sentence each.
     """
 
     data: bytes
@@ -50,8 +50,8 @@ def pack(splats: Splats, start: Opening, *, quick: bool = False) -> Packed:
 
     Args:
         splats: The model.
-        start: Where the page begins; all models of a page share it.
-        quick: Pack hardly anything, for a page of a server on the same machine.
+        start: The first view; all models of a page share it.
+        quick: Compress at the fastest level, for a page served on the same machine.
 
     Raises:
         ModelError: No splat is finite.
@@ -79,13 +79,17 @@ def pack(splats: Splats, start: Opening, *, quick: bool = False) -> Packed:
 
 
 def _place(splats: Splats, start: Opening) -> tuple[Splats, int]:
-    """The model in units of the page, without what is not drawn, and how many were pulled in."""
+    """Convert a model to units of the page; drop data that is not drawn, and move far splats.
+
+    Returns:
+        The model, and the number of splats that were moved to `FARTHEST`.
+    """
     unit = DISTANCE / start.distance
     means = in_page(splats.means, start)
     distance = np.linalg.norm(means, axis=1)
     far = distance > FARTHEST
     factors = np.where(far, FARTHEST / np.where(far, distance, 1), 1)[:, None]
-    # Thinner than the least log-scale is a hundredth of a pixel, and said of no model.
+    # The least log-scale is about a hundredth of a pixel; raising scales to it needs no note.
     log_scales = np.maximum(splats.log_scales + np.log(unit * factors), SCALE_LOW)
     placed = dataclasses.replace(
         splats,
@@ -100,7 +104,7 @@ def _place(splats: Splats, start: Opening) -> tuple[Splats, int]:
 
 
 def camera_in_page(start: Opening) -> dict[str, Any]:
-    """The first camera as the viewer takes it, in units of the page."""
+    """Return the first camera in the viewer's form, in units of the page."""
     [position] = in_page(start.position[None], start)
     return {
         "position": position.tolist(),
@@ -112,6 +116,6 @@ def camera_in_page(start: Opening) -> dict[str, Any]:
 
 
 def in_page(points: F, start: Opening) -> F64:
-    """(N, 3) float64: points in scene units, in units of the page around the first target."""
+    """Convert points (N, 3) from scene units to units of the page, with the target as origin."""
     placed: F64 = (points.astype(np.float64) - start.target) * (DISTANCE / start.distance)
     return placed

@@ -1,4 +1,4 @@
-"""HTML around the viewer: a page of its own, and the part that other pages take in."""
+"""HTML of the viewer: a complete page, and a part to embed in other pages."""
 
 import base64
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ from nanogs.views.opening import Opening
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-MOST_TEXT = 500_000_000  # characters of base64: a browser's string ends at 536,870,888
-# What the viewer does within the page, and nothing else: no request can leave it.
+MOST_TEXT = 500_000_000  # characters of base64; a browser's strings have at most 536,870,888
+# Content security policy: only what the viewer needs within the page, and no network requests.
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; worker-src blob:;"
     " connect-src data: blob:; img-src data: blob:; style-src 'unsafe-inline'"
@@ -27,11 +27,11 @@ POLICY = (
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A model of a page, and what the page says of it.
+    """A model of a page, with the lines of text that the page shows for it.
 
     Attributes:
-        name: What the user calls it.
-        facts: One line each.
+        name: Its name.
+        facts: Lines of text: number of splats, file size, quality.
         packed: The model.
     """
 
@@ -47,13 +47,13 @@ def facts_of(
     reference: int | None = None,
     judged: Judged | None = None,
 ) -> tuple[str, ...]:
-    """Lines that a page shows of a model.
+    """Return the lines of text that a page shows for a model.
 
     Args:
         splats: Number of splats.
         file_bytes: Size of its file.
-        reference: Splats of the first model of the page, for any other.
-        judged: The model against the first.
+        reference: Splats of the page's first model; None for the first model itself.
+        judged: Scores of the model against the first.
     """
     share = ""
     if reference and splats < reference:
@@ -65,11 +65,11 @@ def facts_of(
 
 
 def viewer_part(models: Sequence[Shown], start: Opening, background: Background) -> str:
-    """HTML that holds the viewer and the models; `nanogs.start()` fills the element `nanogs-view`.
+    """Return HTML with viewer and models; `nanogs.start()` shows them in the element `nanogs-view`.
 
     Args:
-        models: The first is on the left; of the others one at a time is on the right.
-        start: Where the camera begins.
+        models: The first is shown on the left, one of the others at a time on the right.
+        start: The first view.
         background: RGB in [0, 1].
 
     Raises:
@@ -97,7 +97,7 @@ def viewer_part(models: Sequence[Shown], start: Opening, background: Background)
 
 
 def render_page(models: Sequence[Shown], start: Opening, background: Background) -> str:
-    """A page that needs no other file and no network; the arguments are `viewer_part`'s.
+    """Return a self-contained page, which needs no network; arguments as for `viewer_part`.
 
     Raises:
         ModelError: A model is too large for a browser.
@@ -119,7 +119,7 @@ def render_page(models: Sequence[Shown], start: Opening, background: Background)
 
 
 def _scene(models: Sequence[Shown], start: Opening, background: Background) -> dict[str, Any]:
-    """The data for the viewer, in units of the page."""
+    """Return the viewer's JSON data, in units of the page."""
     return {
         "models": [
             {
