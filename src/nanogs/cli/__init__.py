@@ -1,4 +1,4 @@
-"""The command `nanogs`: arguments in, reports out. Whatever computes is in the library."""
+"""The command `nanogs`: it parses options, calls the library, and prints its reports."""
 
 import gc
 import os
@@ -9,17 +9,17 @@ from nanogs.cli.importing import uncollected
 
 
 def main() -> None:
-    """Run the command; errors of the user's end with one sentence and exit code 2."""
+    """Run the command; a user's error prints one sentence and exits with code 2."""
     listen()
     try:
         code = _run()
     finally:
-        gc.freeze()  # or Python would search all that is left, though it frees it in any case
+        gc.freeze()  # no final garbage collection: the operating system frees the memory anyway
     sys.exit(code)
 
 
 def _run() -> int:
-    """Run the command; its exit code."""
+    """Run the command and return its exit code."""
     with uncollected():
         import typer
 
@@ -29,7 +29,7 @@ def _run() -> int:
         from nanogs.memory import refuse_without_numpy
 
     try:
-        if not {"--help", "-h", "--version"} & set(sys.argv):  # these need nothing else
+        if not {"--help", "-h", "--version"} & set(sys.argv):  # these do not need NumPy
             refuse_without_numpy()
         code = app(prog_name="nanogs", standalone_mode=False)
         sys.stdout.flush()
@@ -37,12 +37,12 @@ def _run() -> int:
         return _refuse(wording(error))
     except BrokenPipeError:
         return _unread()
-    except SystemExit as ended:  # Typer and Rich end programs themselves whose pipe is closed
+    except SystemExit as ended:  # Typer and Rich exit by themselves when the pipe is closed
         if isinstance(ended.__context__, BrokenPipeError):
             return _unread()
         raise
     except typer.Abort:
-        return 130  # as the shell has it of interrupted programs
+        return 130  # the shell's exit code for interrupted programs: 128 + SIGINT
     except Exception as error:
         from nanogs.cli.failures import sentence_of
         from nanogs.cli.mistyped import is_usage, sentence
@@ -55,9 +55,10 @@ def _run() -> int:
 
 
 def _unread() -> int:
-    """The exit code once nobody reads what is said, as of a program that SIGPIPE ended.
+    """Handle a closed pipe: return 141, the exit code of a program ended by SIGPIPE (128 + 13).
 
-    What is still held back for the pipe goes nowhere, or Python would complain of it as it ends.
+    Buffered output is redirected to /dev/null, because Python would report an error when it flushes
+    the buffers at exit.
     """
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.stdout, sys.stderr):
@@ -66,7 +67,7 @@ def _unread() -> int:
 
 
 def _refuse(sentence: str) -> int:
-    """Say what is wrong, unless that has been said; the exit code."""
+    """Print the error, unless it is empty because it was printed before, and return exit code 2."""
     if sentence:
         from nanogs.cli.console import fail
 

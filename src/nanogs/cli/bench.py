@@ -177,7 +177,7 @@ def _run(
     above: str,
     telling: options.TransferProgress,
 ) -> "list[BenchRow]":
-    """Measure, keep rows in the folder as they come, and show on stderr how it goes."""
+    """Measure all rows, save each to the output folder, and show the progress on stderr."""
     from nanogs.bench.output import ResultFolder, run_of
     from nanogs.bench.protocol import row_count, run_bench
     from nanogs.cli.console import warn
@@ -212,7 +212,7 @@ def _run(
 
 
 def _wishes(ratios: str | None, sizes: str | None, formats: str | None) -> dict[str, Any]:
-    """Fields of the settings that say what is asked of every method: ratios, or sizes of files."""
+    """Parse the requests to every method into fields of the settings: ratios, or file sizes."""
     from nanogs.io.registry import suffix_of
     from nanogs.quantities import parse_bytes
 

@@ -1,4 +1,4 @@
-"""Options for models that do not fit into the memory given; `plan` acts on them."""
+"""Options for models larger than memory, which are simplified in blocks; used by `plan`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _option = options.in_panel("Models larger than memory, and several machines")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blocks:
-    """How models are treated that do not fit."""
+    """Options for models that do not fit in memory."""
 
     max_memory: Annotated[
         int | None,
@@ -53,10 +53,10 @@ class Blocks:
     ] = PATIENCE
 
     def check(self, paths: Sequence[Path]) -> None:
-        """Refuse what does not go together, as far as the options and names alone tell.
+        """Refuse combinations of options and paths that are invalid whatever the files hold.
 
         Raises:
-            OptionError: As said.
+            OptionError: Options contradict each other or the paths.
         """
         if self.workers is not None and self.scheduler is not None:
             raise OptionError("Give --workers or --scheduler, not both.")
@@ -70,13 +70,13 @@ class Blocks:
 
     @property
     def _needing_files(self) -> list[str]:
-        """Options with which models are found again, later or elsewhere."""
+        """Given options that need files, because models are read again later or elsewhere."""
         named: dict[str, object] = {"--join": self.join, "--job": self.job, "--resume": self.resume}
         named["--scheduler"] = self.scheduler
         return [option for option, given in named.items() if given]
 
     def unused(self) -> list[str]:
-        """Say that options for blocks had no effect on a model that is held whole."""
+        """Return a note on options for blocks, which have no effect if the model fits in memory."""
         named: dict[str, object] = {"--workers": self.workers, "--scheduler": self.scheduler}
         found = " and ".join(option for option, value in named.items() if value)
         if not found:
@@ -91,12 +91,12 @@ class Blocks:
 
 
 def _refuse_addresses(paths: Sequence[Path], options: Sequence[str]) -> None:
-    """Refuse URLs with options that need files.
+    """Refuse URLs if options that need files are given.
 
     Raises:
-        OptionError: There is one.
+        OptionError: A path is a URL, and there are such options.
     """
-    from nanogs.io.stand_ins import refuse_address  # `--help` does without
+    from nanogs.io.stand_ins import refuse_address  # here because `--help` does not need it
 
     for path in paths if options else ():
         refuse_address(path, f"with {options[0]} models are files: download it first")

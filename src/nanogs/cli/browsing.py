@@ -1,17 +1,17 @@
-"""Pages that a command opens in a browser."""
+"""Opening a page in a browser."""
 
 import os
 import sys
 
 
 def show_page(address: str, name: str, asked: bool | None, *, quiet: bool) -> None:
-    """Open a page in a browser, or say that none could be started.
+    """Open a page in a browser, or warn that none could be started.
 
     Args:
         address: Its URL.
-        name: What the user calls it.
-        asked: Whether it is to be opened; None for yes where someone sits at a screen.
-        quiet: Whether a program reads the output, who is not asked for a look.
+        name: Its name in the warning.
+        asked: Whether to open it; None to open it if the session is interactive and graphical.
+        quiet: Whether a program reads the output; the page is then opened only if `asked` is True.
     """
     import webbrowser
 
@@ -23,7 +23,7 @@ def show_page(address: str, name: str, asked: bool | None, *, quiet: bool) -> No
 
 
 def _has_screen() -> bool:
-    """Whether someone sits at a terminal whose browser would have a window."""
+    """Return whether the output is a terminal and the system can show windows."""
     from nanogs.cli.console import err, out
 
     graphical = sys.platform in ("win32", "darwin") or any(

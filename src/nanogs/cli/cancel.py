@@ -1,7 +1,7 @@
-"""Ctrl-C and other requests to stop: the command cleans up, says so in a word, and ends at once.
+"""Signal handlers for Ctrl-C and other requests to stop: clean up, print "cancelled", and exit.
 
-No exception is raised: one could be swallowed by whatever happens to run, in Numba's import for
-one, or wait for threads to end.
+No exception is raised, because running code could swallow it (Numba's import does), and because
+Python would wait for threads to end.
 """
 
 import atexit
@@ -14,23 +14,23 @@ from types import FrameType
 
 from nanogs.cleanup import clean_all, when_undisturbed
 
-_CLEAR = b"\r\x1b[K\x1b[?25h"  # the line of a progress bar, which hides the cursor
+_CLEAR = b"\r\x1b[K\x1b[?25h"  # clears the line of a progress bar, and shows the cursor again
 
 
 def listen() -> None:
-    """Have requests to stop end the command; those that its caller ignores stay ignored.
+    """Install the signal handlers; signals that the parent process ignores stay ignored.
 
-    They are ignored once the work is done: Python gives up its handlers as it ends, so that one
-    that comes then would make a failure of a run that has delivered.
+    At exit the signals are ignored: Python restores the default handlers when it ends, so that a
+    late signal would turn a completed run into a failure.
     """
-    atexit.register(_ignore)  # the first to be registered is called last
+    atexit.register(_ignore)  # atexit runs in reverse order, so this one runs last
     for number in _requests():
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
 
 
 def _requests() -> Iterable[signal.Signals]:
-    names = ("SIGINT", "SIGTERM", "SIGHUP")  # the last is not known on Windows
+    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
     return [signal.Signals[name] for name in names if hasattr(signal, name)]
 
 
@@ -48,4 +48,4 @@ def _end(number: int) -> None:
     clean_all()
     with suppress(OSError):
         os.write(2, (_CLEAR if os.isatty(2) else b"") + b"cancelled\n")
-    os._exit(128 + number)  # as the shell has it of programs that a signal ended
+    os._exit(128 + number)  # the shell's exit code for programs ended by a signal

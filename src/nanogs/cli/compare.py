@@ -105,7 +105,7 @@ def compare(
     run: options.Running,
 ) -> None:
     """Score models against the original, on views that no method has used."""
-    # What only a run needs is imported here, and not for `--help`.
+    # Imported here because `--help` does not need it.
     from nanogs.cli.console import warn
     from nanogs.cli.fetching import fetched
     from nanogs.cli.progress import shown
@@ -119,7 +119,7 @@ def compare(
         option = "--interactive" if interactive else "--no-interactive"
         raise OptionError(f"{option} is for the page of --report; give both, or leave it out.")
     interactive = interactive is not False
-    # A page turns its models by --up, wherever its pictures are from.
+    # --up is allowed beside photographs if there is an interactive page, whose models it orients.
     found: Given = {"--views": views, "--sizes": sizes}
     found["--up"] = None if report and interactive else up
     if not mixed:
@@ -179,7 +179,7 @@ def _compare_mixed(
     background: Background,
     **others: object,
 ) -> None:
-    """Score streams as a viewer draws them; other options are refused."""
+    """Score streams as a viewer draws them; options that do not apply to --mixed are refused."""
     from nanogs.cli.fetching import fetched
     from nanogs.cli.mixed import refuse_others, show_mixed
     from nanogs.cli.progress import shown
@@ -249,14 +249,14 @@ def _table(comparison: "Comparison") -> "Table":
 
 
 def _drawn_text(one: "Comparison", model: "ModelScore") -> str:
-    """How many splats a pixel takes, as a share of those of the original."""
+    """Format the splats per pixel as a share of the original's."""
     if one.reference_cost is None or model.cost is None:
         return NONE
     return f"{model.cost.share_of(one.reference_cost):.1%}"
 
 
 def _packing_table(comparison: "Comparison") -> "Table":
-    """Table of what packing alone costs: a row for each file of a model."""
+    """Return a table of the losses due to packing, with a row for each packed file."""
     from rich.table import Table
     from rich.text import Text
 

@@ -1,4 +1,4 @@
-"""How the command speaks: data on stdout, everything for people on stderr."""
+"""Output of the command: data on stdout, messages for people on stderr."""
 
 import json
 import os
@@ -15,11 +15,11 @@ from rich.text import Text
 
 from nanogs.formatting import plain
 
-_WIDE = 1000  # columns in a pipe, where nothing needs to be broken
+_WIDE = 1000  # width in columns if the output is a pipe, so that lines are not wrapped
 
 
 def _console(*, stderr: bool) -> Console:
-    """Colours and breaks at the terminal's width on a terminal only."""
+    """Create a console that uses colours and wraps lines on a terminal only."""
     console = Console(stderr=stderr, highlight=False)
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = _WIDE
@@ -32,14 +32,14 @@ out = _console(stderr=False)
 
 
 def fail(message: str) -> None:
-    """Say what went wrong, in one line however narrow the terminal."""
+    """Print an error on stderr, without wrapping the line."""
     err.print("[bold red]error:[/]", end=" ")
     err.print(message, markup=False, soft_wrap=True)
 
 
 @contextmanager
 def notes_about(name: str) -> Iterator[None]:
-    """Begin notes in the block with a name: that of one of several files."""
+    """Prefix messages within the context by the name of one of several files."""
     before = _subject.set(name)
     try:
         yield
@@ -48,20 +48,20 @@ def notes_about(name: str) -> Iterator[None]:
 
 
 def warn(message: str) -> None:
-    """Say what the user should know."""
+    """Print a note on stderr."""
     name = _subject.get()
     err.print("[yellow]note:[/]", end=" ")
     err.print(f"{name}: {message}" if name else message, markup=False, soft_wrap=True)
 
 
 def say(message: str) -> None:
-    """Say what became of a file, in one line."""
+    """Print a result on stderr, in one line."""
     name = _subject.get()
     err.print(f"{name}: {message}" if name else message, markup=False, soft_wrap=True)
 
 
 def arrow() -> str:
-    """The sign between before and after; plain where the terminal has few characters."""
+    """Return the arrow between old and new values: → or, if the encoding has none, ->."""
     try:
         "→".encode(err.encoding)
     except (LookupError, UnicodeEncodeError):
@@ -77,24 +77,25 @@ def print_json(data: dict[str, Any], file: TextIO | None = None) -> None:
 
 
 def key_value_table(rows: dict[str, str]) -> Table:
-    """Two columns without lines: what it is, and its value."""
+    """Return a table of names and values, without lines."""
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="dim")
     table.add_column(overflow="fold")
     for name, value in rows.items():
-        table.add_row(name, Text(value))  # a path may have brackets, which are no markup
+        table.add_row(name, Text(value))  # Text, because brackets in a path would be markup
     return table
 
 
 def show_report(report: Any, first: dict[str, str] | None = None) -> None:  # noqa: ANN401
-    """Show on stderr all that a report, a dataclass, has to say: a line each, and tables.
+    """Print all fields of a report, a dataclass, on stderr: one line each, and tables.
 
-    An entry is a line: its own `text` where it has one, or its fields. Several of a kind are a
-    table. What is empty, zero or at its default is left out, and notes, which are said anyway.
+    A dataclass in a field is printed as its `text` if it has one, else as its fields. Several of a
+    kind are printed as a table. Fields that are empty, zero or at their default are left out, and
+    so are notes, which are printed elsewhere.
 
     Args:
         report: The report.
-        first: Lines before its own.
+        first: Lines to print before the report's.
     """
     told = {
         field.name.replace("_", " "): value
@@ -111,7 +112,7 @@ def show_report(report: Any, first: dict[str, str] | None = None) -> None:  # no
 
 
 def entry_table(entries: Sequence[Any]) -> Table:
-    """A table of entries of one kind, dataclasses, with a column for each field."""
+    """Return a table of dataclasses of one type, with a column for each field."""
     names = [field.name for field in fields(entries[0])]
     table = Table(box=None, pad_edge=False)
     for name in names:
@@ -126,7 +127,7 @@ def _is_table(value: Any) -> bool:  # noqa: ANN401
 
 
 def _text(value: Any) -> str:  # noqa: ANN401 - whatever a report holds
-    """A value of a report, of many values their number."""
+    """Format a value of a report; of a tuple, only its length."""
     if is_dataclass(value):
         own = {field.name: getattr(value, field.name) for field in fields(value)}
         return getattr(value, "text", "") or _text(own)
@@ -142,10 +143,10 @@ def _text(value: Any) -> str:  # noqa: ANN401 - whatever a report holds
 
 
 def show(console: Console, table: Table) -> None:
-    """Print a table; into a pipe without the blanks that fill its lines up."""
+    """Print a table; without trailing blanks if the output is not a terminal."""
     with console.capture() as caught:
         console.print(table)
-    # Names of files may hold any bytes, which stdout, other than stderr, would refuse.
+    # File names may hold bytes that stdout cannot encode; unlike stderr, it would raise an error.
     code = console.encoding
     text = caught.get().encode(code, "backslashreplace").decode(code)
     if console.is_terminal and text == caught.get():

@@ -39,7 +39,7 @@ def convert(
     edits: file_options.Edits,
 ) -> None:
     """Write a model in another format; the suffixes of the names say which."""
-    # What only a run needs is imported here, and not for `--help`.
+    # Imported here because `--help` does not need it.
     from nanogs.cli import filtering, framing, many
     from nanogs.conversion import convert as library_convert
     from nanogs.frames import TRAINED, Y_UP
@@ -62,7 +62,7 @@ def convert(
 
 
 def _print_report(run: "Run") -> None:
-    """Show on stderr what became of a file, and what was lost."""
+    """Print the result of a conversion, and the losses, on stderr."""
     from nanogs.cli.console import arrow, say, warn
     from nanogs.cli.filtering import report_filters
     from nanogs.formatting import counted, sizes_text, time_text

@@ -1,4 +1,4 @@
-"""Failures of the system in words for the user: memory that ran out, names too long."""
+"""Error messages for failures of the system, such as running out of memory or names too long."""
 
 import re
 import traceback
@@ -12,13 +12,14 @@ _REMEDY = (
 
 
 def sentence_of(error: Exception) -> str | None:
-    """One sentence for an error that the system caused; None for any other.
+    """Return a message for an error that the system caused; None for any other error.
 
     Args:
-        error: What ended the command; what its frames held is given back first.
+        error: The error that ended the command. If memory ran out, the objects that its traceback's
+            frames hold are released first.
 
     Returns:
-        That sentence, and what the library noted on the error.
+        One sentence, followed by the notes that the library added to the error.
     """
     said = _reason(error)
     notes = map(with_options, getattr(error, "__notes__", ()))
@@ -28,7 +29,7 @@ def sentence_of(error: Exception) -> str | None:
 def _reason(error: Exception) -> str | None:
     if is_shortage(error):
         traceback.clear_frames(error.__traceback__)
-        asked = re.search(r"Unable to allocate ([\d.]+ \w+)", str(error))  # as NumPy says it
+        asked = re.search(r"Unable to allocate ([\d.]+ \w+)", str(error))  # NumPy's message
         wanted = f" ({asked[1]} more were wanted)" if asked else ""
         return f"Memory ran out{wanted}; {_REMEDY}."
     if isinstance(error, OSError) and error.errno is not None and error.filename is not None:
@@ -38,7 +39,7 @@ def _reason(error: Exception) -> str | None:
 
 
 def is_shortage(error: Exception) -> bool:
-    """Whether there was no memory for numbers, a thread, or a library."""
+    """Return whether the error means that memory ran out: for data, a thread, or a library."""
     if isinstance(error, MemoryError):
         return True
     if isinstance(error, RuntimeError):
@@ -51,7 +52,7 @@ def is_shortage(error: Exception) -> bool:
 
 
 def _is_limited() -> bool:
-    """Whether `ulimit` bounds what can be mapped, which libraries are too."""
+    """Return whether a `ulimit` bounds memory, which also limits the mapping of libraries."""
     from nanogs.memory import set_ulimits
 
     return any(True for _ in set_ulimits())

@@ -1,4 +1,4 @@
-"""URLs in place of files, by `nanogs.io.stand_ins`, with what is fetched and sent shown."""
+"""Downloads and uploads of URLs (`nanogs.io.stand_ins`), with their progress shown."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,7 +14,9 @@ DOWNLOAD = "download it to a file with the suffix of its format"
 
 @contextmanager
 def fetched(paths: Sequence[Path], *, quiet: bool) -> Iterator[list[Path]]:
-    """Files in place of URLs and of folders with one model; other paths as they are.
+    """Replace each URL by its downloaded copy, and each folder by the one model in it.
+
+    Other paths are yielded unchanged.
 
     Raises:
         NanogsError: As for `local_copies` and `model_in`.
@@ -23,8 +25,8 @@ def fetched(paths: Sequence[Path], *, quiet: bool) -> Iterator[list[Path]]:
         yield [model_in(file) for file in files]
 
 
-def a_bar(*, quiet: bool) -> TransferProgress:
-    """Show each transfer by itself, where nothing else is shown."""
+def a_bar(*, quiet: bool) -> Telling:
+    """Return a callback that shows each transfer by a progress bar of its own."""
 
     @contextmanager
     def begun(stage: str) -> Iterator[Parts]:
@@ -37,8 +39,8 @@ def a_bar(*, quiet: bool) -> TransferProgress:
     return begun
 
 
-def within(told: Progress) -> TransferProgress:
-    """Show transfers as stages of a run that shows itself, and which they bring no further."""
+def within(told: Progress) -> Telling:
+    """Return a callback that reports transfers as stages of a run, at fraction 0 of the whole."""
 
     @contextmanager
     def begun(stage: str) -> Iterator[Parts]:

@@ -1,6 +1,6 @@
-"""Options about the files: which are read and written, in what format and frame, and what is left.
+"""Options for files: inputs and outputs, formats, coordinate frames, and filters.
 
-Nothing but options is here, so that `--help` imports none of what acts on them.
+This module has options only, so that `--help` does not import the code that uses them.
 """
 
 from dataclasses import dataclass
@@ -18,17 +18,17 @@ _filter = options.in_panel("Filters (before anything else, in this order)")
 
 
 class Frames(NamedTuple):
-    """The frames before and after the colon; empty where none is given."""
+    """The coordinate frames of --frame, before and after the colon; empty if not given."""
 
     before: str
     after: str
 
 
 def parse_frames(text: str) -> Frames:
-    """The frames before and after the colon, empty where none is given.
+    """Parse --frame: the frames before and after the colon; one without a colon is the second.
 
     Raises:
-        OptionError: One of them is no frame, or there is none.
+        OptionError: One of them is not a frame, or none is given.
     """
     from nanogs.frames import checked_frame
 
@@ -63,7 +63,7 @@ From = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Files:
-    """Options of commands that read and write models: several of them, or a pipe."""
+    """Options for several models, and for pipes."""
 
     out_dir: Annotated[
         Path | None, _several("Folder for the results; made if missing.", metavar="FOLDER")
@@ -93,7 +93,7 @@ class Files:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Edits:
-    """Options that change a model besides making it smaller, or before that."""
+    """Options that change a model other than simplifying it; filters are applied before that."""
 
     frame: Annotated[
         Frames | None,

@@ -1,4 +1,4 @@
-"""Options that leave out splats, and the sentences about what they took."""
+"""Parsing of the options that filter splats, and messages about the splats removed."""
 
 from collections.abc import Iterable
 
@@ -12,10 +12,10 @@ from nanogs.splats import MAX_SH_DEGREE
 
 
 def parse_filters(edits: Edits) -> list[filters.Filter]:
-    """The filters asked for, in the order they are applied.
+    """Parse the filters, in the order in which they are applied.
 
     Raises:
-        OptionError: One of them makes no sense.
+        OptionError: A filter is invalid.
     """
     regions = [_crop(text) for text in edits.crop or ()]
     return filters.in_order(regions, edits.min_opacity, floaters=edits.drop_floaters)
@@ -37,10 +37,16 @@ def _crop(text: str) -> filters.Filter:
 
 
 def parse_changes(edits: Edits, psnr: float | None = None, *, looks: bool = False) -> Changes:
-    """The changes that options ask for, all but the frame, which each file has its own of.
+    """Parse the changes to a model, except for the frame, which depends on each file.
+
+    Args:
+        edits: The options.
+        psnr: The requested PSNR, or None.
+        looks: Whether the preset renders.
 
     Raises:
-        OptionError: One of them makes no sense, or a PSNR would be of another model.
+        OptionError: An option is invalid, or --psnr would be measured against a model that
+            --sh-degree has changed.
     """
     degree = edits.sh_degree
     if degree is not None and not 0 <= degree <= MAX_SH_DEGREE:
@@ -54,7 +60,7 @@ def parse_changes(edits: Edits, psnr: float | None = None, *, looks: bool = Fals
 
 
 def report_filters(reports: Iterable[filters.FilterReport]) -> None:
-    """Say on stderr how many splats each filter took."""
+    """Print on stderr the number of splats that each filter removed."""
     for each in reports:
         left = counted(each.left, "is left", "are left")
         name = f"{each.name} {each.argument}".strip()

@@ -1,4 +1,4 @@
-"""`--frame`: the frame a model is in, and the one it is to be written in."""
+"""`--frame`: the coordinate frame a model is in, and the one it is written in."""
 
 from pathlib import Path
 
@@ -11,10 +11,10 @@ from nanogs.io.collect import Pair
 
 
 def frames_of(pair: Pair, given: Frames | None) -> tuple[str, str] | None:
-    """Frames from and to which a file is turned, by option and formats; None without an option.
+    """Return the frames (from, to) of a file, from the option and the formats; None without one.
 
     Raises:
-        OptionError: A frame is missing or contradicts what a format says.
+        OptionError: A frame is missing or contradicts the format or the file.
     """
     if given is None:
         return None

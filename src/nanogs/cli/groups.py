@@ -1,6 +1,7 @@
-"""Options that belong together, as one parameter of a command: a dataclass whose fields are they.
+"""Groups of options: one parameter of a command for a dataclass whose fields are options.
 
-Typer asks a function what it takes, so what it is shown has the options in place of their groups.
+Typer reads a function's signature, so it is given a wrapper whose signature lists the options of
+all groups one by one.
 """
 
 from collections.abc import Callable
@@ -13,15 +14,15 @@ Fields = dict[str, tuple[Any, Any]]
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """A command that takes the options of its groups.
+    """Wrap a command so that its groups of options appear as single options.
 
     Args:
-        command: A parameter of it is an option or argument; a group, which is a dataclass of
-            these; or a dictionary of them, as `Annotated[dict[str, Any], fields]`: it gets those
-            that are not None.
+        command: Each parameter is an option or argument; a group, which is a dataclass of these; or
+            a dictionary of them, as `Annotated[dict[str, Any], fields]`, which receives those that
+            are not None.
 
     Returns:
-        The same command for Typer to read and call, with a parameter for each option.
+        A wrapper for Typer, with one parameter for each option.
     """
     taken = _fields_of(command, signature(command).parameters)
 
@@ -41,7 +42,7 @@ def _fields_of(owner: Any, parameters: Any) -> Fields:  # noqa: ANN401 - a funct
 
 
 def _inside(kind: Any) -> Fields | None:  # noqa: ANN401 - any type
-    """The options of a group; None for an option or argument."""
+    """Return the options of a group; None if `kind` is an option or argument."""
     if is_dataclass(kind):
         return _fields_of(kind, {field.name: field for field in fields(kind)})
     known = getattr(kind, "__metadata__", (None,))[0]
@@ -56,7 +57,7 @@ def _spread(name: str, kind: Any, default: Any) -> list[Parameter]:  # noqa: ANN
 
 
 def _gathered(kind: Any, name: str, given: dict[str, Any]) -> Any:  # noqa: ANN401
-    """The argument for a parameter of the command: as given, or made of the options it gathers."""
+    """Build the argument for a parameter of the command: a given value, or a group of them."""
     inside = _inside(kind)
     if inside is None:
         return given[name]

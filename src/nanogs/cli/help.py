@@ -1,4 +1,4 @@
-"""Help with the words of the documentation: metavars, how a command is called, and examples."""
+"""Help pages in the style of the documentation: usage, metavars and examples."""
 
 import typing
 from enum import Enum
@@ -12,10 +12,10 @@ _METAVARS = {bool: "", int: "N", float: "X", str: "TEXT", Path: "PATH"}
 
 
 class Command(TyperCommand):
-    """A command whose usage names the arguments first, as the documentation shows them."""
+    """A command whose usage line names the arguments before the options."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:  # noqa: ANN401 - click's own
-        """The words after the command's name."""
+        """Return the words after the command's name in the usage line."""
         params: list[Any] = self.get_params(ctx)
         arguments = [param for param in params if param.param_type_name == "argument"]
         return [*(param.metavar or param.name.upper() for param in arguments), "[OPTIONS]"]
@@ -27,7 +27,7 @@ class Command(TyperCommand):
 
 
 class Group(TyperGroup):
-    """The program itself."""
+    """The top-level command `nanogs`."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - click's own
         """Write the help."""
@@ -36,22 +36,22 @@ class Group(TyperGroup):
 
 
 def examples_text(lines: typing.Sequence[str]) -> str:
-    """The examples that follow the options, each on a line of its own."""
+    """Return the examples shown after the options, each on a line of its own."""
     return "\n\n".join(["Examples:", *(f"  {line}" for line in lines)])
 
 
 def _name_values(command: Any, ctx: Any) -> None:  # noqa: ANN401 - click's own
-    """Give every option a metavar, and take the types of Python away."""
+    """Give each option a metavar, and hide the Python types of arguments."""
     hints = typing.get_type_hints(command.callback) if command.callback else {}
     for param in command.get_params(ctx):
         if param.param_type_name == "argument":
-            param.display_type_rich = lambda **_: ""  # the name says it
+            param.display_type_rich = lambda **_: ""  # an argument's name is clear without a type
         elif param.metavar is None:
             param.metavar = _metavar(hints.get(param.name, bool))
 
 
 def _metavar(hint: Any) -> str:  # noqa: ANN401 - any type
-    """The word for values of a type, of those in a union or list for the first."""
+    """Return the metavar for a type; for a union or list, that of its first type."""
     inner = [each for each in typing.get_args(hint) if each is not type(None)]
     if inner:
         return _metavar(inner[0])

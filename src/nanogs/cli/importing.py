@@ -1,4 +1,4 @@
-"""Imports without the search for garbage."""
+"""Imports without garbage collection."""
 
 import gc
 from collections.abc import Iterator
@@ -7,10 +7,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Import in the block, and never search what it made for garbage.
+    """Disable garbage collection within the context, and exclude its objects from later ones.
 
-    Modules make many objects and drop next to none. Python searches them all the same, again and
-    again as they become more: a sixth of the time that importing Numba takes.
+    Imports create many objects and free hardly any, so that the repeated collections find nothing:
+    they are a sixth of the time of importing Numba.
     """
     gc.disable()
     try:

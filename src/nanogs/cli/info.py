@@ -47,7 +47,7 @@ def info(
 
     With --views or --photos also what it takes to draw, and how it should be drawn.
     """
-    # What only a run needs is imported here, and not for `--help`.
+    # Imported here because `--help` does not need it.
     from nanogs.cli.console import key_value_table, out, print_json, show, warn
     from nanogs.cli.streams import Streams
     from nanogs.io import open as open_model
@@ -120,7 +120,7 @@ def _packed_rows(files: Sequence["PackedFile"]) -> dict[str, str]:
 
 
 def _described(path: Path, source: Path, mode: str | None) -> "ModelInfo":
-    """The contents of a file, called as the user calls it."""
+    """Describe a file; one from stdin is named "stdin" instead of its temporary file."""
     from nanogs.cli.blocks import DASH
     from nanogs.model_info import info as describe
 
@@ -166,12 +166,12 @@ def _rows(model: "ModelInfo", looked: bool) -> dict[str, str]:
 
 
 def _mode_text(file: "FileInfo") -> str:
-    """The render mode, and what in the file says so."""
+    """Format the render mode and the tag in the file that sets it."""
     return f"{_MODES[file.render_mode]}, {f'by {file.render_tag}' if file.render_tag else 'no tag'}"
 
 
 def _levels(counts: Sequence[int]) -> dict[str, str]:
-    """The levels of a stream, of which the finest is described."""
+    """Return the row of a stream's levels; the other rows describe the finest level."""
     text = ", ".join(f"{level}: {count:,}" for level, count in enumerate(counts))
     return {"levels": f"{text} splats; the rest is about 0, the finest"} if counts else {}
 

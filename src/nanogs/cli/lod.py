@@ -111,7 +111,7 @@ def lod(
     levels, OUT.ssog the same in one file, OUT/tileset.json 3D Tiles 1.1, and OUT.rad one file of a
     tree, as Spark streams it.
     """
-    # What only a run needs is imported here, and not for `--help`.
+    # Imported here because `--help` does not need it.
     with uncollected():
         from nanogs.cli import framing, lod_run, many, plan
         from nanogs.environments import surroundings
@@ -121,12 +121,12 @@ def lod(
         from nanogs.pipeline.levels import checked_ratios
         from nanogs.pipeline.target import Goal
 
-    # Whatever can be refused is refused before minutes of computing.
+    # All checks are made before minutes of computing.
     method.check(paths)
     parts, target = _parts(paths, join=method.blocks.join)
     refuse_address(target, "levels are written to a folder or file: name one")
     output = output_of(target, level_format)
-    # The usual ones follow from the model's count, which of a stream is known once it is read.
+    # Default levels follow from the model's count, which for stdin is known only once it is read.
     ratios = (1.0,) if levels is None else checked_ratios(options.parse_ratios(levels))
     turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
     wishes = lod_run.Wishes(
@@ -151,12 +151,12 @@ def lod(
 
 
 def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
-    """The files of the model, and the output.
+    """Split the paths into the model's files and the output.
 
     Raises:
         FormatError: A folder holds no model, or several without --join.
-        OptionError: There is none of one, or several models without --join, or the output is
-            stdout, or nothing matches a pattern.
+        OptionError: The output is missing or stdout, there are several models without --join, or
+            nothing matches a pattern.
     """
     from nanogs.cli.many import refuse_units
     from nanogs.io.collect import collect, model_in
@@ -178,7 +178,11 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
 
 
 def exit_if_short(manifest: "Manifest") -> None:
-    """Name the levels that have more splats than asked for, and leave with exit code 3."""
+    """Name the levels that have more splats than requested, and exit with code 3 if there are any.
+
+    Raises:
+        typer.Exit: With code 3.
+    """
     from nanogs.cli.console import warn
     from nanogs.report import StopReason
 

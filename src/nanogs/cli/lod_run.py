@@ -1,4 +1,4 @@
-"""`nanogs lod`: plan the levels, make them, whole or in blocks, and show them."""
+"""`nanogs lod`: plan the levels, make them, in memory or in blocks, and print them."""
 
 import math
 import time
@@ -29,14 +29,14 @@ from nanogs.switches import SCREEN, Switch
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """A run of `lod`, as its options ask for it.
+    """The options of a run of `lod`, parsed.
 
     Attributes:
-        wish: What is asked of the library.
-        method: What the options say of how.
-        output: Where the levels go.
-        usual: Whether the levels are the usual ones, whatever the wish says.
-        sky: The environment that is asked for.
+        wish: The request to the library.
+        method: Options of the method and of its execution.
+        output: The output folder or file, and its layout.
+        usual: Whether to use the default levels instead of those of the request.
+        sky: The requested environment.
     """
 
     wish: Request
@@ -47,13 +47,13 @@ class Wishes:
 
 
 def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
-    """Make levels, or plan to; the manifest with the reports.
+    """Make the levels and return the manifest with the reports, or with --dry-run the plan.
 
     Raises:
-        NanogsError: It cannot be done.
+        NanogsError: The levels cannot be made.
     """
     wish, method, output = wishes.wish, wishes.method, wishes.output
-    wish = replace(wish, inputs=(pair.source, *wish.inputs[1:]))  # stdin is a file by now
+    wish = replace(wish, inputs=(pair.source, *wish.inputs[1:]))  # stdin is now a temporary file
     if wishes.usual:
         wish = replace(wish, ratios=usual_levels(wish.inputs, output.layout))
     sink = sink_of(wish, suffix=output.suffix, layout=output.layout)
@@ -83,7 +83,7 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
 
 
 def print_plan(run: Run) -> None:
-    """Show on stderr what would be made."""
+    """Print the plan of a dry run on stderr."""
     counts = ", ".join(f"{level['count']:,}" for level in run.files["levels"])
     beside = run.files["environment"]
     sky = f", and {_environment(beside['count'], beside['source'])}" if beside else ""
@@ -91,11 +91,11 @@ def print_plan(run: Run) -> None:
 
 
 def print_levels(run: Run, *, verbose: bool) -> None:
-    """Show on stderr the levels that were made.
+    """Print the levels on stderr.
 
     Args:
         run: The manifest with the files' names and the reports.
-        verbose: Show how each came to be too.
+        verbose: Also print each level's report.
     """
     manifest, files = run.report, run.files
     levels, reports = manifest.levels, files["reports"]
@@ -131,14 +131,14 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         say(f"{text}, {bytes_text(sky.bytes)}, drawn with every level")
     beside, further = (sky.bytes, sky.requests) if sky else (0, 0)
     taken = sum(level.bytes for level in levels) + beside
-    if files["layout"] in (Layout.TREE, Layout.ARCHIVE):  # one file, with more in it than levels
+    if files["layout"] in (Layout.TREE, Layout.ARCHIVE):  # one file, which holds more than levels
         taken = bytes_on_disk(files["output"])
     made = f"{counted(len(levels), 'level')} in {files['output']}, {bytes_text(taken)}"
     whole = counted(manifest.source_count, "splat")
     say(f"{whole} {arrow()} {made}, {time_text(files['total_seconds'])}")
     folder = files["layout"] != Layout.ARCHIVE
     if folder and isinstance(coarsest := levels[-1], ChunkedLevel) and coarsest.requests:
-        asked = counted(coarsest.requests + further + 1, "request")  # one tells of the levels
+        asked = counted(coarsest.requests + further + 1, "request")  # 1 for the manifest
         size = bytes_text(coarsest.bytes + beside)
         say(f"a viewer's first picture takes {asked} and {size}")
     if files["layout"] != Layout.FILES:
@@ -150,7 +150,7 @@ def _switch(level: Level | ChunkedLevel) -> Switch | None:
 
 
 def _switch_cells(switch: Switch | None) -> tuple[str, str]:
-    """From how far on a viewer draws a level, and how it looks from there."""
+    """Format the distance at which a viewer switches to a level, and the scores there."""
     return (switch.distance_text, switch.marks) if switch else (NONE, NONE)
 
 
@@ -160,11 +160,11 @@ def _environment(count: int, source: str) -> str:
 
 
 def _cells(number: int, level: Level | ChunkedLevel) -> Iterator[str]:
-    """A level's file, or its number and that of its files; and what there is to say of it."""
+    """Yield a level's cells: its file, or index and number of files; then counts and scores."""
     if isinstance(level, Level):
         yield level.file
     else:
         yield f"{number}, {counted(len(level.files), 'file')}"
     yield from (f"{level.ratio:g}", f"{level.count:,}", bytes_text(level.bytes))
-    equal = level.psnr is None and level.ssim is not None  # JSON has no infinity
+    equal = level.psnr is None and level.ssim is not None  # the manifest stores infinity as None
     yield from (number_text(math.inf if equal else level.psnr), number_text(level.ssim, 4))

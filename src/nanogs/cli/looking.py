@@ -1,4 +1,4 @@
-"""Options of `nanogs info` about what it looks at, and which of views go together."""
+"""Options of `nanogs info` for rendering, and checks of options for views that exclude others."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +19,15 @@ Given = dict[str, object]
 
 
 def refuse_beside_photos(photos: Path | None, of_photos: Given, found: Given) -> None:
-    """Refuse options for photographs without these, and for views that are found beside them.
+    """Refuse options for photographs without --photos, and for automatic views with it.
+
+    Args:
+        photos: Value of --photos.
+        of_photos: Options for photographs.
+        found: Options for automatic views and --cameras.
 
     Raises:
-        OptionError: One is given.
+        OptionError: Such an option is given.
     """
     for option, value in (of_photos if photos is None else found).items():
         if value is not None and photos is None:
@@ -32,14 +37,14 @@ def refuse_beside_photos(photos: Path | None, of_photos: Given, found: Given) ->
 
 
 def refuse_beside_file(cameras: str | None, found: Given) -> None:
-    """Refuse options for views that are found where they are read from a file.
+    """Refuse options for automatic views if cameras are read from a file.
 
     Args:
-        cameras: As the option says; what is no file is left to those who look for one.
-        found: The other options.
+        cameras: Value of --cameras; a path that does not exist is reported later.
+        found: Options for automatic views.
 
     Raises:
-        OptionError: One is given.
+        OptionError: Such an option is given beside a file.
     """
     given = next((option for option, value in found.items() if value is not None), None)
     if cameras is None or given is None:
@@ -55,7 +60,7 @@ def refuse_beside_file(cameras: str | None, found: Given) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looking:
-    """The views that are looked at; None, and 0, for what is not given."""
+    """Options for rendering the model; None for those that are not given."""
 
     views: Annotated[
         int | None,
@@ -91,14 +96,14 @@ class Looking:
     max_memory: options.MaxMemory = None
 
     def asked(self, *, packed: bool) -> bool:
-        """Whether the model is to be looked at.
+        """Return whether the options request renders of the model.
 
         Args:
-            packed: Whether it is rendered anyway, as files give it back.
+            packed: Whether --packed is given, which renders the model in any case.
 
         Raises:
-            OptionError: Options are given that are for photographs, or for views that are found,
-                without these.
+            OptionError: Options for photographs or automatic views are given without these, or
+                exclude each other.
         """
         of_photos: Given = {"--images": self.images, "--split": self.split}
         found: Given = {"--views": self.views, "--pixels": self.pixels, "--up": self.up}
@@ -112,7 +117,7 @@ class Looking:
         return looks
 
     def looked(self, model: "Model", progress: "Progress") -> "Looked":
-        """Look at a model: evidence of its render mode, and what it takes to draw.
+        """Render a model, for evidence of its render mode and its draw cost.
 
         Raises:
             NanogsError: As for `nanogs.mode_evidence`.

@@ -1,4 +1,4 @@
-"""One command over several files: what goes where, and what is said of those that fail."""
+"""Running a command on one or several files: inputs and outputs, reports and failures."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -30,23 +30,23 @@ from nanogs.quantities import is_unit
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Outcome of a run on one file: the library's report, and what the command adds.
+    """The result of a run on one file.
 
     Attributes:
-        report: The library's, a dataclass with `to_dict`.
-        files: What the command says beside it: `input`, `output` and their sizes among others.
+        report: The library's report, a dataclass with `to_dict`.
+        files: Entries that the command adds, such as `input`, `output` and their sizes.
     """
 
     report: Any
     files: dict[str, Any]
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it, for JSON."""
+        """Return report and added entries, for JSON."""
         told: dict[str, Any] = self.report.to_dict() | self.files
         return told
 
     def named(self, pair: Pair) -> "Run":
-        """With the names of streams in place of files that stand in for them."""
+        """Return the run with "stdin" and "stdout" instead of their temporary files."""
         called = {"input": (pair.source, "stdin"), "output": (pair.target, "stdout")}
         named = {key: name for key, (path, name) in called.items() if path == DASH}
         return Run(self.report, self.files | {k: v for k, v in named.items() if k in self.files})
@@ -79,10 +79,10 @@ def plan_pairs(paths: list[Path], files: Files) -> list[Pair]:
 
 
 def refuse_units(paths: Sequence[Path]) -> None:
-    """Refuse the second half of a number that was typed as two words, such as `--size 2 MB`.
+    """Refuse a unit among the paths, as from `--size 2 MB`, typed as two words.
 
     Raises:
-        OptionError: A path is a unit, and no file.
+        OptionError: A path is a unit, and not an existing file.
     """
     for path in paths:
         if is_unit(str(path)) and not path.exists():
@@ -101,20 +101,20 @@ def run_all(
     writes: bool = True,
     overwrite: bool = False,
 ) -> list[Run]:
-    """Do one file after the other; of several, the failure of one leaves the others alone.
+    """Run a command on each file in turn; if one of several fails, the others are still done.
 
     Args:
-        pairs: What is read and written.
-        run_one: Does one of them, and tells its progress.
-        show: Says to people what became of one.
-        telling: What is said; with a model on stdout, JSON goes to stderr.
-        files: The folder for several, and the formats of stdin and stdout.
-        writes: Whether anything is written, and the folder made for it.
-        overwrite: Whether what is at a URL may be replaced; of files `run_one` knows.
+        pairs: Inputs and outputs.
+        run_one: Processes one pair, and reports its progress.
+        show: Prints the result of one pair for people.
+        telling: Options of the output; with a model on stdout, JSON goes to stderr.
+        files: The folder for several results, and the formats of stdin and stdout.
+        writes: Whether files are written, so that the folder is created.
+        overwrite: Whether an upload may replace what is at its URL; `run_one` checks files itself.
 
     Raises:
-        NanogsError: The only file failed, or the folder cannot be made.
-        typer.Exit: With code 2, one of several failed.
+        NanogsError: The only file failed, or the folder cannot be created.
+        typer.Exit: With code 2: one of several files failed.
     """
     out_dir, streams = files.out_dir, Streams(files.read_as, files.write_as)
     failed: list[dict[str, str]] = []
@@ -153,15 +153,15 @@ def _run_several(
     watch: Watch,
     streams: Streams,
 ) -> tuple[list[Run], list[dict[str, str]]]:
-    """The runs, and of each file that failed its name and why."""
+    """Return the runs, and for each file that failed its name and the error."""
     runs: list[Run] = []
     failed: list[dict[str, str]] = []
     for number, pair in enumerate(pairs, 1):
         name = str(pair.source)
         try:
             told = watch.of_file(number, len(pairs))
-            with notes_about(name), streams.local_copies(pair, within(told)) as near:
-                registry.reader(near.source)  # which says so first where it is no model
+            with notes_about(name), streams.at_hand(pair, within(told)) as near:
+                registry.reader(near.source)  # raises first of all if it is not a model
                 runs.append(run_one(near, told))
                 if show:
                     show(runs[-1])
@@ -175,14 +175,14 @@ def _run_several(
 
 
 def _remove_empty(made: Sequence[Path]) -> None:
-    """Take folders away, each before the one it is in, unless one holds something."""
+    """Remove folders, innermost first; those that are not empty stay."""
     for folder in made:
         with suppress(OSError):
             folder.rmdir()
 
 
 def _make(folder: Path) -> list[Path]:
-    """Make a folder and those above it; which were missing, from it upwards."""
+    """Create a folder with its parents, and return those that were missing, innermost first."""
     missing = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)

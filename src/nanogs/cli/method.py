@@ -1,4 +1,4 @@
-"""Options of `simplify` and `lod`: the method, its parameters, and how the work is done."""
+"""Options of `simplify` and `lod`: the preset, its parameters, views, filters and blocks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,13 +34,16 @@ def _summaries() -> str:
 
 
 def _defaults(name: str) -> str | bool:
-    """The values of a parameter where presets that render differ: "28, 224 in best"."""
+    """Return the shown default of a parameter that differs in `best`, as "28, 224 in best".
+
+    True if it does not differ, for the option's own default.
+    """
     usual, best = (getattr(PRESETS[preset], name, None) for preset in ("default", "best"))
     return usual == best or f"{usual}, {best} in best"
 
 
 def _parameters() -> Fields:
-    """An option for each parameter of a method that has one; None leaves the preset's value."""
+    """Build an option for each parameter that has a help text; None keeps the preset's value."""
     forest, paper = known_parameters(ForestParameters), known_parameters(PaperParameters)
     types = get_type_hints(PaperParameters) | get_type_hints(ForestParameters)
     found: Fields = {}
@@ -56,10 +59,10 @@ PARAMETERS = _parameters()
 
 
 def refuse_others(preset: str, given: dict[str, Any]) -> None:
-    """Refuse options of parameters that a preset does not have.
+    """Refuse parameters that a preset does not have.
 
     Raises:
-        OptionError: One is given.
+        OptionError: Such a parameter is given.
     """
     known = known_parameters(PRESETS[preset]) if preset in PRESETS else {}
     for name in given:
@@ -120,7 +123,7 @@ class Method(options.TransferProgress):
         return parameters(self.preset, self.overrides)
 
     def check(self, paths: Sequence[Path]) -> None:
-        """Refuse what does not go together, as far as the options alone tell.
+        """Refuse combinations of options that are invalid whatever the files hold.
 
         Raises:
             OptionError: A value is out of range, views are given where nothing is rendered, an up

@@ -1,7 +1,7 @@
-"""Mistyped commands and options in one sentence, as all other errors are said.
+"""Usage errors, such as mistyped commands and options, as one sentence like all other errors.
 
-What typer raises for them is not exported by it, and has changed its module; so it is told by what
-it can do.
+Typer does not export the exceptions that it raises for them, and has moved them between modules, so
+they are recognised by their attributes.
 """
 
 import re
@@ -9,7 +9,7 @@ from typing import Any
 
 from nanogs.errors import did_you_mean
 
-# What typer and click say of a value, and what the option takes instead.
+# Patterns in the messages of Typer and Click, and the kind of value that the option takes.
 _TAKES = (
     ("integer", "a whole number"),
     ("number|float", "a number"),
@@ -19,15 +19,15 @@ _TAKES = (
 
 
 def is_usage(error: Exception) -> bool:
-    """Whether typer raised it, for what was typed."""
+    """Return whether the error is a usage error of Typer."""
     return hasattr(error, "format_message") and hasattr(error, "exit_code")
 
 
 def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
-    """The sentence for people; empty where all has been said.
+    """Return the message for a usage error; empty if nothing more is to be printed.
 
     Args:
-        error: Of which `is_usage` holds.
+        error: An error for which `is_usage` is True.
     """
     context = getattr(error, "ctx", None)
     if type(error).__name__ == "NoArgsIsHelpError":
@@ -62,7 +62,7 @@ def _unknown_command(message: str, context: Any) -> str:  # noqa: ANN401
 
 
 def _bad_value(error: Any) -> str:  # noqa: ANN401
-    """Say what an option takes and what it was given; empty where something else is wrong."""
+    """Return which values an option takes and the one given; "" if something else is wrong."""
     param, message = getattr(error, "param", None), str(getattr(error, "message", ""))
     takes = next((word for sign, word in _TAKES if re.search(sign, message)), "")
     if param is None or not takes:
@@ -74,7 +74,7 @@ def _bad_value(error: Any) -> str:  # noqa: ANN401
 
 
 def _given(error: Any, message: str) -> str:  # noqa: ANN401
-    """The value as it was typed."""
+    """Return the value as typed, quoted."""
     if hasattr(error.__cause__, "errors"):
         return repr(error.__cause__.errors()[0]["input"])
     word = re.match(r"'?([^' ]*)'? is not", message)

@@ -1,4 +1,4 @@
-"""`nanogs compare --mixed`: streams as a viewer draws them."""
+"""`nanogs compare --mixed`: refused options and output; streams are scored as viewers draw them."""
 
 from typing import TYPE_CHECKING
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def refuse_others(**given: object) -> None:
-    """Refuse options that do not go with --mixed.
+    """Refuse options that do not apply to --mixed.
 
     Args:
-        given: Values by name; what is empty was not given.
+        given: Values of these options by name; empty values were not given.
 
     Raises:
         OptionError: One was given.
@@ -31,7 +31,7 @@ def refuse_others(**given: object) -> None:
 
 
 def show_mixed(comparison: "MixedComparison") -> None:
-    """Show each view, and the means of each stream."""
+    """Print the scores of each view, and the means of each stream."""
     for score in comparison.scores:
         table = Table("view", "chunks", box=None, pad_edge=False)
         for heading in ("splats", "PSNR", "SSIM", "coarse", "PSNR", "SSIM", "at seams", "worse by"):

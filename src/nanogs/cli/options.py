@@ -23,7 +23,7 @@ class Direction(NamedTuple):
 
 
 def parse_direction(text: str) -> Direction:
-    """A direction from `x,y,z`.
+    """Parse a direction from `x,y,z`.
 
     Raises:
         OptionError: It is not three numbers, or all are zero.
@@ -37,14 +37,14 @@ def parse_direction(text: str) -> Direction:
     return Direction(x, y, z)
 
 
-_LEAST_MEMORY = 10**6  # bytes: what is less was meant in another unit
+_LEAST_MEMORY = 10**6  # bytes; a smaller number was meant in another unit
 
 
 def parse_memory(text: str) -> int:
-    """Bytes of memory, as `quantities.parse_bytes` has it.
+    """Parse an amount of memory to bytes, with `quantities.parse_bytes`.
 
     Raises:
-        OptionError: It is no such size, or below a megabyte.
+        OptionError: It is not an amount of memory, or below a megabyte.
     """
     size = parse_bytes(text)
     if size < _LEAST_MEMORY:
@@ -56,10 +56,10 @@ def parse_memory(text: str) -> int:
 
 
 def parse_count(text: str | int) -> int:
-    """A number of splats from `100000`, `100k` or `1.5M`; k, M and G count in thousands.
+    """Parse a number of splats like `100000`, `100k` or `1.5M`; k, M and G are powers of 1000.
 
     Raises:
-        OptionError: It is no such number, or no whole one.
+        OptionError: It is not such a number, or not a whole one.
     """
     value = multiple(str(text), MULTIPLES)
     if value is None or value.denominator != 1:
@@ -68,7 +68,7 @@ def parse_count(text: str | int) -> int:
 
 
 def complete_format(start: str) -> list[str]:
-    """The formats that are written and begin so, without their dot, for the shell."""
+    """Return the writable formats that begin with `start`, without dots, for shell completion."""
     from nanogs.io.registry import formats
 
     names = [known.suffix.lstrip(".") for known in formats() if known.write]
@@ -79,7 +79,7 @@ VIEWS = "Views (automatic, or from a file)"
 
 
 def in_panel(panel: str) -> Callable[..., Any]:
-    """Return a maker of options in a panel of the help: `typer.Option`, but with the help first."""
+    """Return a variant of `typer.Option` for a panel of the help, with the help text first."""
 
     def option(help: str, *names: str, **more: Any) -> Any:  # noqa: A002, ANN401 - typer's own
         return typer.Option(*names, help=help, rich_help_panel=panel, **more)
@@ -91,12 +91,12 @@ _view = in_panel(VIEWS)
 
 
 def views(usual: int | str) -> Any:  # noqa: ANN401 - as typer has it
-    """The option --views of a command that takes so many by default."""
+    """Return the option --views with a number of views shown as default."""
     return _view("Number of automatic views.", "--views", min=1, show_default=str(usual))
 
 
 def pixels(usual: int | str) -> Any:  # noqa: ANN401 - as typer has it
-    """The option --pixels of a command whose views are of that size by default."""
+    """Return the option --pixels with a size shown as default."""
     about = "Width and height of an automatic view: 512 or 1280x720."
     return _view(about, "--pixels", metavar="W[xH]", show_default=str(usual))
 
@@ -252,21 +252,21 @@ Device = Annotated[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TransferProgress:
-    """The options `--json` and `--quiet`, and the end of a run told as they ask."""
+class Telling:
+    """The options `--json` and `--quiet`, and the printing of results according to them."""
 
     json: Json = False
     quiet: Quiet = False
 
     @property
     def hushed(self) -> bool:
-        """Whether nothing is said on the way."""
+        """Whether no progress and notes are printed during the run."""
         return self.json or self.quiet
 
     def tell(
         self, run: dict[str, Any], show: Callable[[], object], notes: Sequence[str] = ()
     ) -> None:
-        """Say how a run ended: as JSON on stdout, or to people by `show`, after the notes."""
+        """Print a result: as JSON on stdout, or the notes followed by `show()` for people."""
         from nanogs.cli.console import print_json, warn
 
         if self.json:
@@ -278,31 +278,31 @@ class TransferProgress:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Running(TransferProgress):
-    """How a command that looks at models works, and what it says."""
+class Running(Telling):
+    """Options of commands that render models: output, overwriting, threads and memory."""
 
     overwrite: Overwrite = False
     threads: Threads = None
     max_memory: MaxMemory = None
 
     def refuse_too_large(self, what: str, needed: int, remedy: str) -> None:
-        """Refuse what takes more memory than there is; see `memory.refuse_too_large`.
+        """Fail if there is not enough memory; see `memory.refuse_too_large`.
 
         Raises:
-            NotEnoughMemoryError: It does.
+            NotEnoughMemoryError: `needed` is more than is free or allowed.
         """
         refuse_too_large(what, needed, allowed_memory(self.max_memory), remedy)
 
 
 def count(about: str) -> Any:  # noqa: ANN401 - as typer has it
-    """The option --count of a command; `about` is what its help says."""
+    """Return the option --count with a help text."""
     return typer.Option("--count", "-n", parser=parse_count, metavar="COUNT", help=about)
 
 
 def of_parameter(
     name: str, known: Parameter, panel: str | None = None, shown: str | bool = True
 ) -> Any:  # noqa: ANN401 - as typer has it
-    """The option of a parameter, from what its field says; `shown` tells its default."""
+    """Return the option of a parameter, from its field's metadata; `shown` is its shown default."""
     return typer.Option(
         f"--{(known.option or name).replace('_', '-')}",
         help=known.help,
@@ -312,7 +312,7 @@ def of_parameter(
 
 
 def parse_pixels(text: str) -> tuple[int, int]:
-    """Width and height in pixels from `512` or `1280x720`.
+    """Parse width and height in pixels from `512` or `1280x720`.
 
     Raises:
         OptionError: It is neither, or not between 1 and 16384.
@@ -333,10 +333,10 @@ def _size_of(text: str) -> tuple[int, int] | None:
 
 
 def parse_sizes(text: str) -> list[tuple[int, int]]:
-    """Widths and heights in pixels from sizes with commas between, such as `512,1280x720`.
+    """Parse widths and heights in pixels from sizes separated by commas, like `512,1280x720`.
 
     Raises:
-        OptionError: One is no size.
+        OptionError: One of them is not a size.
     """
     sizes = []
     for part in text.split(","):
@@ -350,10 +350,10 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
 
 
 def parse_packed(text: str, of_format: dict[str, Any]) -> list[str]:
-    """Formats from their suffixes with commas between; none where the option is not given.
+    """Parse suffixes of formats separated by commas; [] if the option is not given.
 
     Raises:
-        OptionError: The option names none, or options of a format are given without it.
+        OptionError: The option names no format, or options of a format are given without it.
     """
     formats = [part.strip() for part in text.split(",") if part.strip()]
     if text and not formats:
@@ -365,7 +365,7 @@ def parse_packed(text: str, of_format: dict[str, Any]) -> list[str]:
 
 
 def parse_ratio(text: str) -> float:
-    """A ratio from `0.1` or `10%`.
+    """Parse a ratio like `0.1` or `10%`.
 
     Raises:
         OptionError: It is neither.
@@ -380,10 +380,10 @@ def parse_ratio(text: str) -> float:
 
 
 def parse_ratios(text: str) -> tuple[float, ...]:
-    """Ratios from `0.5,0.25,0.1` or `50%,25%,10%`.
+    """Parse ratios like `0.5,0.25,0.1` or `50%,25%,10%`.
 
     Raises:
-        OptionError: One of them is no ratio.
+        OptionError: One of them is not a ratio.
     """
     try:
         return tuple(parse_ratio(part) for part in text.split(","))
@@ -394,7 +394,7 @@ def parse_ratios(text: str) -> tuple[float, ...]:
 
 
 def parse_background(text: str) -> tuple[float, float, float]:
-    """RGB in [0, 1] from `black`, `white` or `#rrggbb`.
+    """Parse `black`, `white` or `#rrggbb` to RGB in [0, 1].
 
     Raises:
         OptionError: It is none of these.
@@ -408,14 +408,14 @@ def parse_background(text: str) -> tuple[float, float, float]:
 
 
 def parse_place(text: str | Path) -> Path:
-    """A path, or the address of a URL, of which a path would have one slash less."""
+    """Parse a path or URL; a URL is an `Address`, because `Path` would merge its slashes."""
     from nanogs.io.urls import place
 
     return place(text)
 
 
 def parse_model(text: str | Path) -> Path:
-    """The same of a model for a command that does not read stdin.
+    """Parse the path or URL of a model, for a command that does not read stdin.
 
     Raises:
         OptionError: It is `-`.
@@ -424,7 +424,7 @@ def parse_model(text: str | Path) -> Path:
 
 
 def parse_output(text: str | Path) -> Path:
-    """The same of what a command writes that does not write to stdout.
+    """Parse the path or URL of an output, for a command that does not write to stdout.
 
     Raises:
         OptionError: It is `-`.
@@ -439,7 +439,7 @@ def _no_dash(text: str | Path, instead: str) -> Path:
 
 
 def parse_page(text: str | Path) -> Path:
-    """A file for a page.
+    """Parse the path of a page.
 
     Raises:
         OptionError: Its suffix is not .html.
@@ -451,7 +451,7 @@ def parse_page(text: str | Path) -> Path:
 
 
 def parse_named(text: str) -> tuple[str, Path]:
-    """A name and a path or URL from `name=path`; the file's own name where none is given."""
+    """Parse a name and a path or URL from `name=path`; without a name, it is the file's name."""
     from nanogs.io.urls import is_url
 
     name, separator, path = text.partition("=")

@@ -1,4 +1,4 @@
-"""Options of where on Earth a scene is."""
+"""Options for the place of a scene on Earth."""
 
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -14,13 +14,13 @@ _on_earth = in_panel("Place on Earth (tileset.json)")
 
 
 class Columns(NamedTuple):
-    """The numbers of a transform, column after column."""
+    """The 16 numbers of a 4 x 4 transform in column-major order."""
 
     numbers: tuple[float, ...]
 
 
 def parse_columns(text: str) -> Columns:
-    """A transform from 16 numbers with commas or spaces between.
+    """Parse a transform from 16 numbers separated by commas or spaces.
 
     Raises:
         OptionError: They are not 16 numbers.
@@ -39,7 +39,7 @@ def parse_columns(text: str) -> Columns:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placing:
-    """Where on Earth a scene is."""
+    """Options for the place of a scene on Earth: position and orientation, or a transform."""
 
     longitude: Annotated[
         float | None,
@@ -95,10 +95,11 @@ class Placing:
 
     @property
     def place(self) -> "Place | F64 | None":
-        """The place that is asked for, as `chunks_of` takes it; None for none.
+        """The requested place, an argument of `chunks_of`; None if no option is given.
 
         Raises:
-            OptionError: It is said in two ways or by half, or a number is out of its range.
+            OptionError: Both kinds of options are given, longitude or latitude is missing, or a
+                number is out of range.
         """
         given = {
             each.name: value

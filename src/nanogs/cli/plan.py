@@ -1,4 +1,4 @@
-"""The plan of a run of `simplify` or `lod`: shown with `--dry-run`, or carried out."""
+"""The plan of a run of `simplify` or `lod`: printed with `--dry-run`, or executed."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -37,16 +37,17 @@ _LIBRARIES = f"{bytes_text(LIBRARIES)} for Python and its libraries"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """A run before it begins.
+    """A planned run.
 
     Attributes:
-        wish: What is asked of the library.
-        method: What the options say of how.
-        info: The input; of several files the first, with the splats and bytes of all.
-        count: What the first goal comes to, or None where it is not known beforehand.
-        free: Memory that the work may take.
+        wish: The request to the library.
+        method: Options of the method and of its execution.
+        info: Metadata of the input; for several files that of the first, with the splats and bytes
+            of all.
+        count: Number of splats of the (first) result, or None if it is not known beforehand.
+        free: Memory that the run may take.
         divided: Whether the model is simplified in blocks.
-        blocks: How it would be divided, where that is shown.
+        blocks: The division into blocks, if it was computed to be printed.
     """
 
     wish: Request
@@ -59,36 +60,36 @@ class Plan:
 
     @property
     def name(self) -> str:
-        """Name the input."""
+        """The names of the input files."""
         return ", ".join(map(str, self.wish.inputs))
 
     @property
     def process_memory(self) -> int | None:
-        """Bytes that each process may take in blocks; None where the library finds it."""
+        """Bytes that each process may take in blocks; None to let the library decide."""
         blocks = self.method.blocks
         if blocks.max_memory is not None or blocks.scheduler or self.wish.begun:
             return blocks.max_memory
         return process_memory(self.free, blocks.workers or 1)
 
     def executor(self) -> AbstractContextManager[Any]:
-        """Who does the tasks of a model in blocks."""
+        """Return the executor of the tasks of a model in blocks."""
         return executor_of(self.method.blocks.workers, self.method.blocks.scheduler)
 
     def memory(self) -> MemoryPlan:
-        """The memory it takes whole; an unknown count takes that of the whole model."""
+        """Compute the memory of an undivided run; an unknown count is taken as all splats."""
         info, most = self.info, self.count or self.info.splats
         return memory_of(self.wish, info.splats, info.sh_degree, info.extra_bytes(), most)
 
     @property
     def read(self) -> bool:
-        """Whether planning reads the splats, of which only usable ones count; or headers alone."""
+        """Whether planning reads the splats and counts the usable ones, or only headers."""
         return self.divided or self.wish.goal.size is not None or bool(self.wish.filters)
 
     def shown(self) -> "Plan":
-        """The plan with what only the splats tell: a count, what filters leave, and blocks.
+        """Complete the plan for printing by reading the splats: count after filters, and blocks.
 
         Raises:
-            NanogsError: It cannot be done.
+            NanogsError: The run is not possible.
         """
         wish = self.wish
         if self.divided:
@@ -113,7 +114,7 @@ class Plan:
         return plan_job(wish, *size)
 
     def notes(self) -> list[str]:
-        """Notes for the user on how it is done, one sentence each."""
+        """Return notes on the use of blocks and their options, one sentence each."""
         if not self.divided:
             return self.method.blocks.unused()
         each = self.process_memory
@@ -124,13 +125,13 @@ class Plan:
         return [f"{self._too_large()}: {how}"]
 
     def refuse_whole_model_wishes(self, *, piped: bool) -> None:
-        """Refuse what only a model in memory can be asked.
+        """Refuse requests that need the whole model in memory.
 
         Args:
             piped: Whether a model comes from stdin or goes to stdout.
 
         Raises:
-            NotEnoughMemoryError: Something asked for needs the whole model.
+            NotEnoughMemoryError: There is such a request.
         """
         wishes = {
             "--drop-floaters": any(each.whole for each in self.wish.filters),
@@ -150,7 +151,7 @@ class Plan:
         return f"{model} takes about {peak} of memory, and {self.free}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The plan as plain values, for JSON."""
+        """Return the plan as plain values, for JSON."""
         return {
             "input": self.name,
             "input_count": self.info.splats,
@@ -162,15 +163,15 @@ class Plan:
 
 
 def wish_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN401 - its fields
-    """Make the request to the library, but for its files; workers share the threads.
+    """Build the request to the library from the options; workers share the processors.
 
     Args:
-        method: What the options say of how.
-        goal: What is asked.
+        method: Options of the method and of its execution.
+        goal: The requested count, size or quality.
         **given: Other fields of the request.
 
     Raises:
-        OptionError: An option makes no sense.
+        OptionError: An option is invalid.
     """
     changes = parse_changes(method.edits, goal.psnr, looks=renders(method.chosen))
     threads, blocks = method.threads, method.blocks
@@ -191,15 +192,15 @@ def plan_run(
     *,
     piped: bool = False,
 ) -> Plan:
-    """Plan a run, and decide whether the model is held whole; only headers are read.
+    """Plan a run, and decide whether it is divided into blocks; only headers are read.
 
     Args:
-        wish: What the library is asked for.
-        method: What the options say of how.
+        wish: The request to the library.
+        method: Options of the method and of its execution.
         piped: Whether a model comes from stdin or goes to stdout.
 
     Raises:
-        NanogsError: It cannot be done.
+        NanogsError: The run is not possible.
     """
     info, goal = inspect_parts(wish.inputs), wish.goal
     count, free = goal.known_count(info.splats), allowed_memory(wish.max_memory)
@@ -211,7 +212,7 @@ def plan_run(
 
 
 def carry_out(plan: Plan, do: Callable[[Request], T]) -> T:
-    """Do what is asked of the library, in memory or with whoever does the tasks of blocks."""
+    """Execute a plan by calling `do` with its request; blocks are done by the plan's executor."""
     wish = plan.wish
     if not plan.divided:
         keep_freed_memory()
@@ -225,7 +226,7 @@ def carry_out(plan: Plan, do: Callable[[Request], T]) -> T:
 
 
 def _prepare_kernels(wish: Request) -> None:
-    """Have other processes compile: at once where all is missing, or as soon as something is."""
+    """Compile kernels in other processes: now if none is cached, else when one is missing."""
     preset = "paper" if isinstance(wish.parameters, PaperParameters) else "fast"
     if renders(wish.parameters) or is_measured(wish):
         preset = DEFAULT_PRESET
@@ -236,7 +237,7 @@ def _prepare_kernels(wish: Request) -> None:
 
 
 def show_plan(plan: Plan, text: str) -> None:
-    """Show on stderr what a run would do, with words for what it would write."""
+    """Print a plan on stderr; `text` describes the output."""
     info, memory = plan.info, plan.memory()
     known = effective(plan.method.chosen).items()
     rows = {

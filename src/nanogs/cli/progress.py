@@ -1,4 +1,4 @@
-"""How a run's progress is shown: a bar on a terminal, numbered lines elsewhere."""
+"""Display of a run's progress: a bar on a terminal, numbered lines elsewhere."""
 
 import threading
 import time
@@ -15,22 +15,23 @@ from nanogs.formatting import time_text
 from nanogs.kernels.compiling import watching
 from nanogs.progress import WAITING, Step
 
-PATIENCE = 2.0  # seconds before anything is shown: what is done by then needs no sign of life
-EVERY = 30.0  # seconds between lines within a stage, where there is no terminal
-_TICK = 0.25
-_SURE = 0.02  # of the whole, before which the time left is anybody's guess
+PATIENCE = 2.0  # seconds before anything is shown; shorter runs need no progress
+EVERY = 30.0  # seconds between lines within a stage, if there is no terminal
+_TICK = 0.25  # seconds between checks whether a line is due
+_SURE = 0.02  # fraction of the run from which the time left is estimated
 COMPILING = "compiling for this processor; later runs find it on the disk"
 
 
 @dataclass(slots=True)
 class Watch:
-    """A run as it stands; takes its steps.
+    """The state of a run; called with each step, it is a progress callback of the library.
 
     Attributes:
-        quiet: Whether nothing is to be said.
-        step: The latest, its fraction that of the whole run.
-        file: Such as "file 2 of 5", or empty.
-        compiling: Whether kernels are being compiled just now.
+        quiet: Whether to print nothing.
+        step: The latest step; its fraction is that of the whole run.
+        file: Text like "file 2 of 5", or empty.
+        compiling: Whether kernels are being compiled now.
+        changed: Called when the state has changed.
     """
 
     quiet: bool = False
@@ -38,15 +39,15 @@ class Watch:
     file: str = ""
     compiling: bool = False
     _start: float = field(default_factory=time.monotonic)
-    _told: float = 0.0  # when the latest step came
-    _before: float = 0.0  # seconds until then that went into compiling
-    _compiled: float = 0.0  # seconds until now that did
-    _since: float = 0.0  # when compiling began
+    _told: float = 0.0  # time of the latest step
+    _before: float = 0.0  # seconds of compiling until that time
+    _compiled: float = 0.0  # seconds of compiling until now
+    _since: float = 0.0  # start of the current compilation
     _waiting: bool = False
     changed: Callable[[], None] = lambda: None
 
     def __call__(self, step: Step) -> None:
-        """Take a step."""
+        """Record a step."""
         if step.stage == WAITING and not (self.quiet or self._waiting):
             warn("The cluster has no worker; waiting for one.")
         self._waiting = step.stage == WAITING
@@ -54,11 +55,11 @@ class Watch:
         self.changed()
 
     def of_file(self, number: int, files: int) -> "Callable[[Step], None]":
-        """A function that takes the steps of one of several files.
+        """Return a progress callback for one of several files.
 
         Args:
-            number: Of the file, from 1.
-            files: How many there are.
+            number: Number of the file, from 1.
+            files: Number of files.
         """
         if files == 1:
             return self
@@ -70,7 +71,7 @@ class Watch:
         return told
 
     def note_compiling(self, begun: bool) -> None:
-        """Take note that compiling has begun or ended."""
+        """Record that compiling has begun or ended."""
         now = time.monotonic()
         if begun:
             self._since = now
@@ -85,7 +86,7 @@ class Watch:
         return time.monotonic() - self._start
 
     def left(self) -> float | None:
-        """Seconds that the rest will take, going by what was done; None where that is unknown."""
+        """Estimate the seconds left from the speed so far, without compiling; None if unknown."""
         if self.step is None or self.step.fraction < _SURE or self.compiling:
             return None
         fraction = self.step.fraction
@@ -94,18 +95,18 @@ class Watch:
         return max(worked * (1 - fraction) / fraction - since, 0.0)
 
     def stage(self) -> str:
-        """The stage, and which of how many it is."""
+        """Return the stage with its number, such as "2/5 choose"."""
         if self.step is None:
             return "starting"
         of_files = f"{self.file}: " if self.file else ""
         return f"{of_files}{self.step.number}/{self.step.stages} {self.step.stage}"
 
     def what(self) -> str:
-        """The stage, and whether it waits for kernels to be compiled."""
+        """Return the stage, with a remark if kernels are being compiled."""
         return f"{self.stage()}, {COMPILING}" if self.compiling else self.stage()
 
     def how_far(self) -> str:
-        """Per cent of the whole, and the time left where it is known."""
+        """Return the per cent of the run that is done, and the time left if known."""
         left = self.left()
         percent = f"{int(100 * self.step.fraction) if self.step else 0} %"
         return percent if left is None else f"{percent}, {time_text(max(left, 1.0))} left"
@@ -113,13 +114,13 @@ class Watch:
 
 @contextmanager
 def shown(*, quiet: bool) -> Iterator[Watch]:
-    """Show the steps of a run, once it has taken two seconds.
+    """Show the progress of a run in a context manager, once it has taken two seconds.
 
     Args:
         quiet: Show nothing.
 
     Yields:
-        What is called with each step.
+        The progress callback.
     """
     watch = Watch(quiet)
     display: AbstractContextManager[object] = nullcontext()
@@ -130,7 +131,7 @@ def shown(*, quiet: bool) -> Iterator[Watch]:
 
 
 class _Words(ProgressColumn):
-    """Words beside the bar."""
+    """A column of text beside the bar."""
 
     def __init__(self, words: Callable[[], str]) -> None:
         super().__init__()
@@ -160,14 +161,14 @@ class _Bar(Progress):
 
 
 class _Lines:
-    """A line a stage and one each half minute, where there is no terminal."""
+    """A line for each stage and every half minute, for output that is not a terminal."""
 
     def __init__(self, watch: Watch) -> None:
         self._watch = watch
         self._done = threading.Event()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, daemon=True)
-        self._said, self._when = "", 0.0  # the stage of the latest line, and when it was written
+        self._said, self._when = "", 0.0  # stage and time of the latest line
         self._compiled = False
 
     def __enter__(self) -> None:
@@ -183,7 +184,7 @@ class _Lines:
             self._look()
 
     def _look(self) -> None:
-        """Write a line if it is time for one."""
+        """Print a line if one is due."""
         with self._lock:
             waits = self._watch.step is None and not self._watch.compiling
             if waits or self._watch.seconds < PATIENCE or self._done.is_set():

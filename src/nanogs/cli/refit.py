@@ -60,7 +60,7 @@ def refit(
     ] = False,
 ) -> None:
     """Fit a small model to renders of the original: no photographs, no training data."""
-    # What only a run needs is imported here, and not for `--help`.
+    # Imported here because `--help` does not need it.
     from nanogs.card.device import check_device
     from nanogs.cli.fetching import DOWNLOAD, a_bar
     from nanogs.io import check_writable, inspect
@@ -102,7 +102,7 @@ def _refit_files(
     device: str,
     run: options.Running,
 ) -> "RefitReport":
-    """Read, fit and write; the report with the seconds of I/O."""
+    """Read, fit and write; return the report with the seconds of I/O."""
     from nanogs.cli.progress import shown
     from nanogs.clock import StageClock
     from nanogs.fit.api import refit as library_refit
@@ -145,7 +145,7 @@ def _refit_files(
 def _stages(
     original: Path, small: Path, target: Path, parameters: RefitParameters
 ) -> "list[Stage]":
-    """The stages to come: reading, the fit's own ones, writing."""
+    """Return the stages: reading, those of the fit, writing."""
     from nanogs.fit.stages import refit_stages
     from nanogs.io import inspect
     from nanogs.pipeline.weights import read_weight, write_weight
@@ -165,7 +165,7 @@ def _print_report(report: "RefitReport", target: Path, *, verbose: bool) -> None
         show_report(report)
     before, after = number_text(report.psnr_before), number_text(report.psnr_after)
     views = counted(len(report.validation_views), "view")
-    # Cameras that were given have sizes of their own.
+    # Given cameras may have several sizes.
     sizes = " and ".join(dict.fromkeys(group.pixels for group in report.groups))
     say(
         f"{counted(report.count, 'splat')} in {target}, {before} {arrow()} {after} dB on"

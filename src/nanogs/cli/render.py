@@ -49,7 +49,7 @@ def render(
     run: options.Running,
 ) -> None:
     """Render a model to PNG files."""
-    # What only a run needs is imported here, and not for `--help`.
+    # Imported here because `--help` does not need it.
     from nanogs.cli.console import say
     from nanogs.cli.fetching import fetched
     from nanogs.cli.progress import shown
@@ -97,10 +97,10 @@ def render(
 
 
 def _is_picture(target: Path) -> bool:
-    """Whether a name is that of a picture and not of a folder.
+    """Return whether a path is an image file rather than a folder.
 
     Raises:
-        OptionError: It is that of a picture in another format than PNG.
+        OptionError: It is an image file of another format than PNG.
     """
     suffix = target.suffix.lower()
     if suffix in _OTHERS and not target.is_dir():

@@ -69,14 +69,14 @@ def simplify(
     method: Method,
 ) -> None:
     """Make a smaller model of the scene: of a ratio, count, file size, PSNR or draw cost."""
-    # What only a run needs is imported here, and not for `--help`.
+    # Imported here because `--help` does not need it.
     with uncollected():
         from nanogs.cli import many, plan, simplify_run
         from nanogs.cli.simplify_report import print_report
         from nanogs.io.collect import collect
         from nanogs.pipeline.target import Goal
 
-    # Whatever can be refused is refused here, before minutes of computing.
+    # All checks are made here, before minutes of computing.
     joined = tuple(collect(paths[:-1])) if method.blocks.join else ()
     pairs = many.plan_pairs([joined[0], paths[-1]] if joined else paths, files)
     method.check(paths)
@@ -100,7 +100,11 @@ def simplify(
 
 
 def _exit_if_short(runs: "list[Run]") -> None:
-    """Say which results are not what was asked for, and leave with exit code 3."""
+    """Name the results that miss the request, and exit with code 3 if there are any.
+
+    Raises:
+        typer.Exit: With code 3.
+    """
     from nanogs.cli.console import warn
     from nanogs.report import stop_text
 

@@ -1,4 +1,4 @@
-"""How `nanogs simplify` shows its report."""
+"""Printing of the report of `nanogs simplify`."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,7 +12,7 @@ from nanogs.report import SimplifyReport, measures
 
 
 def warn_of_input(notes: Iterable[str], dropped: int) -> None:
-    """Pass on the notes, and say how many splats were left out that are not finite."""
+    """Print the notes, and the number of splats left out because they are not finite."""
     for note in notes:
         warn(note)
     if dropped:
@@ -22,7 +22,7 @@ def warn_of_input(notes: Iterable[str], dropped: int) -> None:
 
 
 def print_report(run: Run, *, verbose: bool) -> None:
-    """Show on stderr what was delivered, in a line; with `verbose` all that is known of it."""
+    """Print the result in one line on stderr; with `verbose`, also the whole report."""
     report: SimplifyReport = run.report
     report_filters(run.report.filters)
     warn_of_input(report.notes, report.dropped_nonfinite)
@@ -40,7 +40,7 @@ def _file_text(run: Run, end: str, splats: int) -> str:
 
 
 def summary(run: Run) -> str:
-    """Sum up: "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s", with the PSNR if known."""
+    """Format the result: "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s", PSNR if known."""
     files, report, to = run.files, run.report, arrow()
     made = counted(report.achieved_count, "splat")
     given = report.format_options.items()
@@ -56,7 +56,7 @@ def summary(run: Run) -> str:
 
 
 def _formats_text(run: Run, to: str) -> str:
-    """Why fewer splats may take more bytes: such as " (.sog → .ply)"."""
+    """Return a change of format that explains a larger file, such as " (.sog → .ply)"; else ""."""
     files = run.files
     if files["output_bytes"] <= files["input_bytes"]:
         return ""

@@ -1,4 +1,4 @@
-"""`nanogs simplify` of each file: plan it, and simplify it, whole or in blocks."""
+"""`nanogs simplify` for one file: plan it, and simplify it, in memory or in blocks."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,14 +20,14 @@ from nanogs.protocol import Protocol
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """The wishes for every file, checked.
+    """The options of a run of `simplify`, parsed and the same for each file.
 
     Attributes:
-        wish: What is asked of the library, but for the files.
-        method: What the options say of how.
+        wish: The request to the library, without files.
+        method: Options of the method and of its execution.
         joined: Inputs that are parts of one scene, or none.
         piped: Whether a model comes from stdin or goes to stdout.
-        folder_later: Whether the folder of the results is still to be made.
+        folder_later: Whether the folder of the results does not exist yet.
     """
 
     wish: Request
@@ -38,10 +38,10 @@ class Wishes:
 
 
 def run_one(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
-    """Simplify a file, or plan to; the report.
+    """Simplify a file and return the report, or with --dry-run the plan.
 
     Raises:
-        NanogsError: It cannot be done.
+        NanogsError: The file cannot be simplified as requested.
     """
     plan, method = _plan(wishes, pair), wishes.method
     if plan.divided and not method.hushed:
@@ -57,7 +57,7 @@ def run_one(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
 
 
 def _plan(wishes: Wishes, pair: Pair) -> Plan:
-    """Check the files and the goal, and plan."""
+    """Check the files and the request, and plan the run."""
     method, target = wishes.method, pair.target
     turn = frames_of(pair, method.edits.frame)
     inputs = wishes.joined or (pair.source,)
@@ -70,7 +70,7 @@ def _plan(wishes: Wishes, pair: Pair) -> Plan:
 
 
 def _made(plan: Plan, progress: Progress) -> Run:
-    """Simplify a file, and measure the result."""
+    """Simplify a file, and return the report with names and sizes of the files."""
     wish, report = plan.wish, carry_out(plan, lambda wish: simplify_files(wish, progress))
     if not plan.divided:
         report = replace(report, notes=(*plan.notes(), *report.notes))
@@ -80,7 +80,7 @@ def _made(plan: Plan, progress: Progress) -> Run:
 
 
 def print_plan(run: Run) -> None:
-    """Show on stderr what a run would do."""
+    """Print the plan of a dry run on stderr."""
     plan: Plan = run.report
     if plan.count is None and plan.wish.goal.size is not None:
         text = f"as many splats as fit into {plan.wish.goal.size:,} B, found by writing some"

@@ -1,6 +1,6 @@
-"""`-` in place of a file: a model from stdin, a model to stdout.
+"""`-` instead of a file: a model from stdin or to stdout.
 
-Readers want files that they can map and seek in, so what comes is put into a temporary one first.
+Readers need files that they can map and seek in, so stdin is copied to a temporary file first.
 """
 
 import os
@@ -25,21 +25,21 @@ _REMEDY = "name it, as in --from splat"
 
 @dataclass(frozen=True, slots=True)
 class Streams:
-    """The formats of stdin and stdout as asked for, or None.
+    """The requested formats of stdin and stdout, which are replaced by temporary files.
 
     Attributes:
-        read_as: Of stdin, with or without its dot.
-        write_as: Of stdout.
+        read_as: Format of stdin or of a URL, with or without the dot; None to detect it.
+        write_as: Format of stdout; None for the format of the input.
     """
 
     read_as: str | None = None
     write_as: str | None = None
 
     def check(self, pair: Pair) -> None:
-        """Refuse options for streams that are not used, and terminals.
+        """Refuse format options for streams that are not used, and streams that are terminals.
 
         Raises:
-            OptionError: As said.
+            OptionError: There is such an option or stream.
         """
         for option, given, path, place in (
             ("--from", self.read_as, pair.source, "IN"),
@@ -57,7 +57,7 @@ class Streams:
 
     @contextmanager
     def opened(self, pair: Pair) -> Iterator[Pair]:
-        """Files in place of streams; what was written for stdout is sent there at the end.
+        """Replace streams by temporary files; the output is copied to stdout at the end.
 
         Raises:
             NanogsError: A format is unknown, stdin holds nothing, or what the block raises.
@@ -70,7 +70,7 @@ class Streams:
             try:
                 real = self._stand_ins(pair, folder)
                 yield real
-            except NanogsError as error:  # which names a folder the user has never seen
+            except NanogsError as error:  # remove the temporary folder from its message
                 inside = f"{folder}{os.sep}"
                 error.args = tuple(str(part).replace(inside, "") for part in error.args)
                 raise
@@ -81,11 +81,11 @@ class Streams:
 
     @contextmanager
     def received(self, source: Path, *, quiet: bool) -> Iterator[Path]:
-        """A file in place of stdin or a URL; other paths as they are.
+        """Replace stdin or a URL by a temporary file; other paths are yielded unchanged.
 
         Args:
-            source: What is read.
-            quiet: Show nothing of what is fetched.
+            source: The path, URL or `-` to read.
+            quiet: Do not show the progress of a download.
 
         Raises:
             NanogsError: As for `opened`.
@@ -95,18 +95,16 @@ class Streams:
             yield real.source
 
     @contextmanager
-    def local_copies(
-        self, pair: Pair, telling: TransferProgress, *, overwrite: bool = False
-    ) -> Iterator[Pair]:
-        """Files in place of URLs; what was written for one is sent there at the end.
+    def at_hand(self, pair: Pair, telling: Telling, *, overwrite: bool = False) -> Iterator[Pair]:
+        """Replace URLs by temporary files; the output is uploaded at the end.
 
         Args:
-            pair: What is read and written.
-            telling: Shows what is fetched and sent.
-            overwrite: Replace what is there.
+            pair: Input and output.
+            telling: Shows the progress of downloads and uploads.
+            overwrite: Replace what exists at the output's URL.
 
         Raises:
-            NanogsError: As for `nanogs.io.stand_ins`, and options for streams that are not used.
+            NanogsError: As for `nanogs.io.stand_ins`, and for options of streams that are not used.
         """
         self.check(pair)
         read_as = self.read_as if isinstance(pair.source, Address) else None
@@ -126,7 +124,7 @@ class Streams:
             source = self._received(folder)
         if target == DASH:
             if self.write_as:
-                registry.file_of(self.write_as)  # which refuses what is no format
+                registry.file_of(self.write_as)  # raises if it is not a format
                 suffix = registry.suffix_of(self.write_as)
             else:
                 suffix = _own_suffix(source)
@@ -152,7 +150,7 @@ class Streams:
 
 
 def _instead(path: Path, place: str, given: str) -> str:
-    """The remedy where an option for streams is given for a file."""
+    """Return the remedy if an option for streams is given for a file."""
     if registry.find(path) is not None:
         return f"the name of {path} says it"
     if place == "IN":

@@ -50,7 +50,7 @@ def studio(
     The page is of this machine alone. It reads and saves files below the folder in which the
     command was started; Ctrl-C ends it, and so does closing the page.
     """
-    # What only a run needs is imported here, and not for `--help`.
+    # Imported here because `--help` does not need it.
     from nanogs.cli.browsing import show_page
     from nanogs.cli.console import say
     from nanogs.studio.scene import StudioSettings, scene_of

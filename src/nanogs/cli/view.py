@@ -112,7 +112,7 @@ def view(
 
 @contextmanager
 def _threads(asked: int | None, measured: bool) -> Iterator[None]:
-    """The threads to use; what only reads and writes does not wait for Numba."""
+    """Set the number of threads; if it is not needed, Numba is not imported."""
     if asked is None and not measured:
         yield
         return

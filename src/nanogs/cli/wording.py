@@ -1,10 +1,10 @@
-"""The library's errors in the words of the command."""
+"""Rewording of the library's messages for the command: options instead of Python arguments."""
 
 import re
 
 from nanogs.errors import ExistsError, NanogsError
 
-# Arguments of Python, as the library's sentences name them, that the command has as options.
+# Python arguments in the library's messages that are also options of the command.
 _ARGUMENT = re.compile(
     r"`(bits|budget|cameras|chunk|count|device|draw_cost|environment|format|frame|images|interactive|job|k|level|levels|max_memory|model_pattern|nan|palette|pixels"
     r"|plain|psnr|ratio|render_mode|resume|scheduler|scratch|sh_bits|sh_degree|size|spare_bits|spz_version|up|view_size|views)(?:=([^`]+))?`"
@@ -12,17 +12,20 @@ _ARGUMENT = re.compile(
 
 
 def wording(error: NanogsError) -> str:
-    """The sentence for a user of the command, whose remedies are options."""
+    """Return an error's message with options instead of arguments."""
     return with_options(error.sentence("add -w") if isinstance(error, ExistsError) else str(error))
 
 
 def with_options(text: str) -> str:
-    """A sentence of the library, with options in place of arguments."""
+    """Replace Python arguments in a message of the library by options of the command."""
     return _ARGUMENT.sub(_option, text)
 
 
 def _option(argument: re.Match[str]) -> str:
-    """Say an argument as an option: `--nan drop` for `nan="drop"`, `--resume` for `resume=True`."""
+    """Convert an argument to an option: `nan="drop"` to `--nan drop`, `resume=True` to `--resume`.
+
+    `name=False` gives `--no-name`.
+    """
     name, value = argument.groups()
     option = f"--{'no-' * (value == 'False')}{name.replace('_', '-')}"
     return option if value in (None, "True", "False") else f"{option} {value.strip(chr(34))}"

@@ -50,11 +50,9 @@ def compare(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> "Comparison":
-    """Score models on test views against their original, or on photographs.
+    """Score models on test views against their original, or against photographs.
 
-    No method learns from the test views.
-
-    The numbers are those of the command `nanogs compare`.
+    No method learns from the test views. The numbers are those of the command `nanogs compare`.
 
     Args:
         original: The reference: a model, or a path.
