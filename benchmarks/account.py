@@ -1,4 +1,4 @@
-"""Print the stages' seconds beside the time it would take to stream their bytes once.
+"""Compare the seconds of each stage with the time to stream its bytes through memory once.
 
 python -m pytest benchmarks/bench_stages.py --benchmark-json build/stages.json
 python benchmarks/account.py build/stages.json
@@ -11,7 +11,7 @@ from statistics import median
 
 
 def main() -> None:
-    """One row for each stage, as Markdown."""
+    """Print a Markdown table with a row for each stage."""
     entries = json.loads(Path(sys.argv[1]).read_text())["benchmarks"]
     rows = {
         entry["name"].removeprefix("test_"): (

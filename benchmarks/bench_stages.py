@@ -1,10 +1,10 @@
-"""Seconds of every stage and kernel on one scene, by pytest-benchmark.
+"""Time each stage and kernel on one scene, with pytest-benchmark.
 
     python -m pytest benchmarks/bench_stages.py [--benchmark-json FILE]
 
-The scene is made up, 100,000 splats of SH degree 3; NANOGS_BENCH_MODEL names another file. Each
-stage is run once before it is timed. "MB" beside a stage is what it must read and write at least,
-once; over the seconds that is a rate to hold against `copy`, which moves memory and does no more.
+The scene is synthetic, 100,000 splats of SH degree 3; NANOGS_BENCH_MODEL names another file. Each
+stage is run once before it is timed. "MB" of a stage is the least amount of data that it must read
+and write; divided by the seconds, it is a rate to compare with `copy`, which only copies memory.
 """
 
 import os
@@ -33,23 +33,23 @@ from nanogs.raster import rendering
 from nanogs.views.automatic import automatic_cameras
 
 THREADS = os.cpu_count() or 1
-RATIO = 10  # splats for each one kept
+RATIO = 10  # number of input splats per output splat
 
 
 def nothing(*_):
-    """For progress."""
+    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
 def splats():
-    """The model."""
+    """Load or generate the model."""
     path = os.environ.get("NANOGS_BENCH_MODEL")
     return nanogs.load(path) if path else make_scene(100_000)
 
 
 @pytest.fixture(scope="module")
 def scene(splats):
-    """Inputs and outputs of the stages, which hand them on to each other."""
+    """Compute the inputs of all stages, each the output of an earlier one."""
     rows = np.flatnonzero(splats.finite())
     origin = gaussians.scene_origin(splats.means[rows])
     alphas = splats.opacities()[rows]
@@ -79,7 +79,7 @@ def scene(splats):
 
 @pytest.fixture
 def timed(benchmark):
-    """Time a call, with the bytes it must move."""
+    """Return a function that times a call and records the bytes that it must move."""
 
     def run(work, *arrays):
         result = benchmark.pedantic(work, rounds=7, iterations=1, warmup_rounds=1)
@@ -93,7 +93,7 @@ def timed(benchmark):
 
 
 def columns(splats):
-    """The model's float32 columns."""
+    """Return the model's float32 columns."""
     return splats.means, splats.log_scales, splats.quats, splats.opacity_logits, splats.sh
 
 

@@ -1,10 +1,10 @@
-"""Cost of simplifying in blocks: against in memory, on real scenes and views of several kinds.
+"""Compare the quality of simplifying in blocks and in memory, on real scenes.
 
     python benchmarks/blocks.py                              # default, six blocks, a tenth
     python benchmarks/blocks.py --preset best --scenes biker,kitchen --blocks 4
 
-Prints a table in Markdown: PSNR in memory, and what blocks add to it, on automatic views of 512 and
-1600 pixels and on roaming ones, none of which anything was learnt from.
+Prints a table in Markdown: PSNR in memory, and its change in blocks, on automatic views of 512 and
+1600 pixels and on roaming ones, which no method learns from.
 """
 
 import argparse
@@ -25,11 +25,11 @@ from nanogs.views.automatic import automatic_cameras
 from nanogs.views.roam import roaming_cameras
 from rivals import ROOT
 
-HIGHEST = 100.0  # dB
+HIGHEST = 100.0  # dB; cap of a view's PSNR in means
 
 
 def cameras_of(splats: Splats) -> dict[str, list[Camera]]:
-    """Views of each kind, by its name."""
+    """Return test views of each kind, by name of the kind."""
     large = automatic_cameras(splats, 8, width=1600, height=1600, split="test")
     return {
         "512": automatic_cameras(splats, 8, width=512, height=512, split="test"),
@@ -41,7 +41,7 @@ def cameras_of(splats: Splats) -> dict[str, list[Camera]]:
 def scores(
     original: PreparedSplats, small: Splats, cameras: Mapping[str, Sequence[Camera]]
 ) -> list[float]:
-    """Mean PSNR of each kind of views, dB."""
+    """Compute the mean PSNR on each kind of views, dB."""
     model = prepare(small)
     return [
         float(np.mean([min(_psnr(original, model, camera), HIGHEST) for camera in each]))
@@ -54,7 +54,7 @@ def _psnr(original: PreparedSplats, small: PreparedSplats, camera: Camera) -> fl
 
 
 def measure(path: Path, preset: str, ratio: float, blocks: int) -> tuple[list[float], list[float]]:
-    """Scores of the result in memory and of that in blocks."""
+    """Return the scores of the result made in memory and of the result made in blocks."""
     splats = nanogs.load(path)
     splats = replace(splats.take(splats.finite()), elements=())
     cameras, drawn = cameras_of(splats), prepare(splats)

@@ -1,10 +1,10 @@
-"""How far the brightness of whole views drifts: nine real scenes, after `quality.py` made them.
+"""Measure the change of mean brightness of views, on nine real scenes converted by `quality.py`.
 
     python benchmarks/brightness.py [--only biker,skull] [--ratio 0.1] [--presets default,fast]
         [--sizes 512,1600]
 
-Eight automatic views of each size over black that no method learns from; the change of a view's
-mean colour, largest of its channels, in 255ths.
+Eight automatic test views of each size over black, which no method learns from. The change of a
+view is that of its mean colour, the largest of the channels, in 255ths.
 """
 
 import argparse
@@ -45,14 +45,14 @@ def main() -> None:
 
 
 def drifts(original: PreparedSplats, small: PreparedSplats, cameras: Sequence[Camera]) -> F64:
-    """(n,) change of each view."""
+    """Compute the change (n,) of each view."""
     return np.array(
         [change(*(render(one, camera).shown() for one in (original, small))) for camera in cameras]
     )
 
 
 def change(wanted: F32, shown: F32) -> float:
-    """Change of the mean colour from one image (H, W, 3) to the other, in 255ths."""
+    """Return the change of the mean colour between two images (H, W, 3), in 255ths."""
     changes = np.abs((shown - wanted).mean(axis=(0, 1), dtype=np.float64))
     return float(changes.max() * 255)
 

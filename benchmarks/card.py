@@ -1,13 +1,13 @@
-"""Time what a graphics card does beside the CPU: presets, and pictures; and how far results differ.
+"""Compare a graphics card with the CPU: time of presets, frame rate, and quality of results.
 
     python benchmarks/card.py [MODEL] [--count 1000000] [--device cuda] [--presets default,best]
                               [--rounds 3] [--ratio 0.1] [--pixels 1280x720] [--frames 50]
 
-MODEL is a 3DGS file; without one, a scene of --count splats of SH degree 3 is made up. A device
-runs everything once before it is timed, as kernels are compiled and memory is taken then. Devices
-take turns; the table on stdout has medians, whole calls of `nanogs.simplify` without files, and
-PSNR as `nanogs compare` says it, measured on the CPU. Pictures are rendered one after the other,
-and fetched.
+MODEL is a 3DGS file; without one, a scene of --count splats of SH degree 3 is generated. Each
+device runs everything once before it is timed, to compile kernels and allocate memory. Devices
+alternate. The table on stdout has medians of whole calls of `nanogs.simplify` without files, and
+the PSNR of `nanogs compare`, measured on the CPU. Images are rendered in sequence, and copied to
+the host.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from nanogs.views.automatic import automatic_cameras
 
 
 def main() -> None:
-    """Print a table of presets, and one of pictures."""
+    """Print a table of presets, and one of frame rates."""
     options = arguments()
     splats = nanogs.load(options.model) if options.model else make_scene(options.count)
     devices = ["cpu", options.device]
@@ -70,7 +70,7 @@ def arguments() -> argparse.Namespace:
 
 
 def frames(model: Splats, cameras: list[Camera], device: str, count: int) -> float:
-    """Pictures a second of a model that is prepared once."""
+    """Measure the frames per second of a model that is prepared once."""
     prepared = prepare(model)
     with use_device(device):
         for camera in cameras:

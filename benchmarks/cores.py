@@ -1,15 +1,15 @@
-"""Print what a second thread is worth, stage by stage, of whole runs from file to file.
+"""Measure the speed-up by a second thread, stage by stage, of whole runs from file to file.
 
     python benchmarks/cores.py [MODEL] [--count 1000000] [--rounds 5] [--ratio 0.1] [--presets fast]
                                [--output out.ply]
 
-MODEL is a 3DGS file; without one, `nanogs demo` makes a scene of --count splats, SH degree 3. Every
-round runs each preset once with one thread and once with two, in turns, so that what else the
-machine does disturbs both. Rows are medians: the stages of the report, `rest` for what the call
-took beyond them, `start` for what the process took beyond the call, and `file to file`, the whole
-process. The last column is the serial share s by Amdahl's law, t2 / t1 = s + (1 - s) / 2; it is
-above 1 where a second thread makes a stage slower. After the table: the centres' query by scipy's
-cKDTree with two workers, as `benchmarks/speed.py` has it, in the same turns.
+MODEL is a 3DGS file; without one, a scene of --count splats of SH degree 3 is generated. Each round
+runs each preset once with one thread and once with two, so that other load of the machine disturbs
+both. Rows are medians: the stages of the report, `rest` for the rest of the call, `start` for the
+rest of the process, and `file to file` for the whole process. The last column is the serial share s
+by Amdahl's law, t2 / t1 = s + (1 - s) / 2; it is above 1 if a second thread makes a stage slower.
+After the table: a query of all centres by scipy's cKDTree with two workers, as in
+`benchmarks/speed.py`, measured in the same rounds.
 """
 
 import argparse
@@ -28,7 +28,7 @@ Seconds = dict[str, float]
 
 
 def main() -> None:
-    """A table for each preset."""
+    """Print a table for each preset."""
     options = arguments()
     WORK.mkdir(parents=True, exist_ok=True)
     model = options.model or scene(options.count)
@@ -67,7 +67,7 @@ def arguments() -> argparse.Namespace:
 
 
 def run(model: Path, preset: str, threads: int, options: argparse.Namespace) -> Seconds:
-    """One run of the command: its seconds by stage, and those around them."""
+    """Run the command once; return its seconds by stage, and those outside the stages."""
     command = simplify_command(model, WORK / options.output, preset, options.ratio, threads)
     start = time.perf_counter()
     done = subprocess.run([*command, "--json"], check=True, stdout=subprocess.PIPE, text=True)
@@ -78,12 +78,12 @@ def run(model: Path, preset: str, threads: int, options: argparse.Namespace) -> 
 
 
 def middle(runs: list[Seconds]) -> Seconds:
-    """The median of each row."""
+    """Return the median of each row."""
     return {name: median(each[name] for each in runs) for name in runs[0]}
 
 
 def show(preset: str, one: Seconds, two: Seconds) -> None:
-    """A preset's rows, as Markdown."""
+    """Print a preset's rows as Markdown."""
     print(f"\n| {preset} | 1 thread, s | 2 threads, s | times as fast | serial share |")
     print("|---|--:|--:|--:|--:|")
     for name, alone in one.items():

@@ -1,9 +1,9 @@
-"""Time what a first run waits for: seconds beyond those of the same run with kernels on the disk.
+"""Measure how much longer a first run takes, without cached kernels, than a second one.
 
     python benchmarks/first_run.py [--rounds 5] [--presets fast,default] [--count 3000]
 
-Every round and preset runs the command with an empty `NUMBA_CACHE_DIR`, and once more. Run it in an
-environment as users have, with byte code on the disk: `pip install .` compiles it.
+In each round each preset runs the command with an empty `NUMBA_CACHE_DIR`, and then again. Use an
+environment like that of users, with compiled byte code, as `pip install .` makes.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def seconds(model: Path, preset: str, cache: Path) -> float:
-    """One run, with its kernels in a folder."""
+    """Return the seconds of one run, with the kernel cache in a given folder."""
     words = ["-m", "nanogs", "simplify", model, model.with_name("out.ply"), "-w", "-q"]
     command = list(map(str, [sys.executable, *words, "--ratio", 0.1, "--preset", preset]))
     start = time.perf_counter()

@@ -1,9 +1,10 @@
-"""Make the pictures at the head of the README, and print the numbers below them.
+"""Make the pictures at the top of the README, and print the numbers below them.
 
     python benchmarks/front.py
 
 The scene of `nanogs demo` at 100, 10 and 1 %, each saved as .sog and read again. PSNR is that of
-`nanogs compare` at its defaults. Pictures go to docs/images, all from one of its views.
+`nanogs compare` at its defaults. The pictures are written to docs/images, all from the same of its
+test views.
 """
 
 import tempfile
@@ -19,7 +20,7 @@ from nanogs.views.automatic import automatic_cameras
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "images"
 RATIOS = (1.0, 0.1, 0.01)
 PRESET = "best"
-VIEW = 3  # of the held-out ones
+VIEW = 3  # index of the test view
 SIDE = 560  # pixels
 
 
@@ -38,7 +39,7 @@ def main() -> None:
 
 
 def _packed(original: nanogs.Splats, ratio: float) -> tuple[nanogs.Splats, int]:
-    """A model of so many of the splats as its file has it, and the bytes of that."""
+    """Simplify and save as .sog; return the model read back, and the file's bytes."""
     small = original if ratio == 1 else nanogs.simplify(original, ratio=ratio, preset=PRESET)[0]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "small.sog"

@@ -1,9 +1,9 @@
-"""Print how far our presets are ahead of the better of the other tool's two modes.
+"""Print the lead of our presets over the better of splat-transform's two modes.
 
     python benchmarks/leads.py ROWS [--scenes plant,biker]
 
-Reads rows that benchmarks/quality.py wrote with --rows. The better mode is found for each number
-alone, so it may be another one. Means leave photographs out.
+Reads rows that benchmarks/quality.py wrote with --rows. The better mode is chosen for each number
+separately. Means leave photographs out.
 """
 
 import argparse
@@ -34,7 +34,7 @@ def main() -> None:
 
 
 def report(rows: Sequence[Row]) -> str:
-    """All tables, as Markdown."""
+    """Return all tables as Markdown."""
     groups: dict[tuple[str, float, str], Group] = defaultdict(dict)
     for row in rows:
         groups[row["scene"], row["ratio"], row["kind"]][row["method"]] = row
@@ -51,7 +51,7 @@ def report(rows: Sequence[Row]) -> str:
 
 
 def title(kind: str) -> str:
-    """A kind of views as a heading."""
+    """Format a kind of views as a heading."""
     source, _, size = kind.partition("@")
     if source.isdigit():
         return f"{source}, automatic"
@@ -59,7 +59,7 @@ def title(kind: str) -> str:
 
 
 def lead(group: Group, method: str, value: str) -> float:
-    """How far a method is ahead of the better mode in one number."""
+    """Return the difference of a method to the better mode in one number."""
     found: float = group[method][value] - max(group[name][value] for name in RIVALS)
     return found
 
@@ -67,7 +67,7 @@ def lead(group: Group, method: str, value: str) -> float:
 def summary_table(
     groups: dict[tuple[str, float, str], Group], kinds: Sequence[str], value: str
 ) -> str:
-    """Mean and least lead of each preset at each ratio, a column for each kind."""
+    """Return the mean and least lead of each preset at each ratio, a column for each kind."""
     shown = [kind for kind in kinds if kind != "photographs"]
     lines = ["| | " + " | ".join(map(title, shown)) + " |", "|---|" + "--:|" * len(shown)]
     digits = 2 if value == "psnr" else 3
@@ -89,7 +89,7 @@ def summary_table(
 
 
 def scenes_table(groups: dict[tuple[str, float, str], Group]) -> str:
-    """Every scene: the better mode's PSNR and SSIM, and the leads."""
+    """Return the table of scenes: the better mode's PSNR and SSIM, and the leads."""
     present = [name for name in OURS if any(name in group for group in groups.values())]
     lines = [
         "| scene | ratio | views | better of the others | " + " | ".join(present) + " |",
@@ -111,7 +111,7 @@ def scenes_table(groups: dict[tuple[str, float, str], Group]) -> str:
 
 
 def order_text(groups: dict[tuple[str, float, str], Group]) -> str:
-    """Where a slower preset is not above a faster one."""
+    """List the cases in which a slower preset has no higher PSNR than a faster one."""
     lines = [
         f"- {scene} at {ratio:g}, {title(kind)}: {upper} {group[upper]['psnr']:.2f} dB,"
         f" {lower} {group[lower]['psnr']:.2f} dB"
@@ -127,7 +127,7 @@ def order_text(groups: dict[tuple[str, float, str], Group]) -> str:
 
 
 def means_table(rows: Sequence[Row], kinds: Sequence[str]) -> str:
-    """PSNR and SSIM of every method, means over the scenes that all methods have."""
+    """Return PSNR and SSIM of each method, means over the scenes that all methods have."""
     shown = [kind for kind in kinds if kind != "photographs"]
     lines = ["| method | ratio | " + " | ".join(map(title, shown)) + " |"]
     lines += ["|---|--:|" + "--:|" * len(shown)]

@@ -1,4 +1,4 @@
-"""Measurements of `quality.py`, kept as JSON lines, and how missing ones are made."""
+"""The measurements of `quality.py`: cached as JSON lines, and made if they are missing."""
 
 import hashlib
 import json
@@ -41,18 +41,18 @@ SCENES = {
     "kitchen": "kitchen.spz",
     "playbot": "playbot/lod-meta.json",
 }
-UP = {"chair": (0.0, 0.0, 1.0)}  # where the model itself does not show it
+UP = {"chair": (0.0, 0.0, 1.0)}  # up directions that cannot be found from the model
 PHOTOS = {"chair": "chair_photos"}
-SIZE = 512  # pixels of kinds that name no size
-BASELINE_VIEWS = 40  # that baselines may learn from
-APART = ("cli", "bench", "scoring", "view", "lod", "scale")  # sources that no result depends on
+SIZE = 512  # pixels of kinds of views without a size
+BASELINE_VIEWS = 40  # number of views that baselines learn from
+APART = ("cli", "bench", "scoring", "view", "lod", "scale")  # packages that do not affect results
 PACKAGE = Path(nanogs.__file__).parent
 Row = dict[str, Any]
 Tell = Callable[[str], None]
 
 
 class Key(NamedTuple):
-    """Key of a measurement."""
+    """The key of a measurement."""
 
     scene: str
     ratio: float
@@ -62,7 +62,7 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True)
 class Views:
-    """Views of one kind that a scene's results are compared with."""
+    """The reference views of one kind that a scene's results are compared with."""
 
     views: list[ReferenceView]
     background: Background
@@ -70,7 +70,7 @@ class Views:
 
 
 class Bench:
-    """Scenes, results and measurements in a folder."""
+    """A cache folder of scenes, results and measurements."""
 
     def __init__(self, scenes: Path, peers: Path, folder: Path) -> None:
         self.scenes, self.peers, self.folder = scenes, peers, folder
@@ -78,11 +78,11 @@ class Bench:
         self.ours = f"nanogs {digest_of_sources(APART)}"
 
     def offers(self, scene: str, kind: str) -> bool:
-        """Whether a scene has views of a kind."""
+        """Return whether a scene has views of a kind."""
         return kind != "photographs" or scene in PHOTOS
 
     def measure(self, keys: Sequence[Key], tell: Tell) -> list[Row]:
-        """The rows of the keys; those that are missing are measured and kept, scene by scene."""
+        """Return the rows of the keys; missing ones are measured and cached, scene by scene."""
         by_scene = defaultdict(list)
         for key in keys:
             by_scene[key.scene].append(key)
@@ -106,18 +106,18 @@ class Bench:
         return [known[names[key]] for key in keys]
 
     def _known(self) -> dict[str, Row]:
-        """All rows so far by name, the last of a name."""
+        """Read the cached rows by name; of several with one name, the last counts."""
         if not self.rows_file.exists():
             return {}
         rows = map(json.loads, self.rows_file.read_text().splitlines())
         return {row["name"]: row for row in rows}
 
     def _name(self, key: Key, cameras: Sequence[Camera]) -> str:
-        """Everything that a row depends on."""
+        """Return the cache key of a row: a text of everything that it depends on."""
         return " | ".join([*map(str, key), self.version(key.method), digest_of_cameras(cameras)])
 
     def version(self, method: str) -> str:
-        """Of the program that a method is of."""
+        """Return the version of the program that a method belongs to."""
         if method in RIVALS:
             return rival_version()
         return "kept" if self._kept(method) else self.ours
@@ -126,7 +126,7 @@ class Bench:
         return any(self.peers.glob(f"*_{method}.ply"))
 
     def _measured(self, key: Key, views: Views, name: str) -> Row:
-        """Make the result if it is missing, score it, and append the row to the file."""
+        """Make the result if it is missing, score it, and append the row to the cache."""
         path, figures = self._result(key)
         small = load(path)
         found = score(key.method, prepare(small), views.views, views.background)
@@ -139,7 +139,7 @@ class Bench:
         return row
 
     def _result(self, key: Key) -> tuple[Path, Row]:
-        """A method's model, made unless it is there, and what making it took."""
+        """Return a method's model, made if it is missing, with its seconds and peak memory."""
         if self._kept(key.method) and key.method not in RIVALS:
             return self.peers / f"{key.scene}_{key.ratio:g}_{key.method}.ply", {}
         target = result_file(
@@ -156,17 +156,17 @@ class Bench:
         return target, json.loads(note.read_text())
 
     def _decimate(self, key: Key, target: Path) -> Row:
-        """Simplify with the other tool: seconds are those of its process, files included."""
+        """Simplify with splat-transform; seconds include its reading and writing of files."""
         model = self.model(key.scene)
         count = target_count(inspect(model).splats, key.ratio, None)
         seconds, peak = run_tool(model, RIVALS[key.method], str(count), target)
         return {"seconds": seconds, "peak_memory": peak}
 
     def _simplify(self, key: Key, target: Path) -> Row:
-        """Simplify with a method of ours in a process of its own."""
+        """Simplify with one of our methods in a separate process."""
         model = self.model(key.scene)
         learnt: tuple[Camera, ...] = ()
-        if key.method in BASELINES:  # presets look from views of their own
+        if key.method in BASELINES:  # presets find views of their own
             learnt = tuple(automatic_cameras(load(model), BASELINE_VIEWS))
         outcome = run_job(Job(model, key.method, key.ratio, target, learnt))
         if outcome.error:
@@ -179,7 +179,7 @@ class Bench:
         return {"seconds": outcome.seconds, "peak_memory": outcome.peak_memory}
 
     def model(self, scene: str) -> Path:
-        """The scene as .ply, level 0 where there are levels; one of `unbounded` is made."""
+        """Return a scene as .ply, made if it is missing: converted (level 0), or by `unbounded`."""
         target = self.folder / "scenes" / f"{scene}.ply"
         if not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -194,7 +194,10 @@ class Bench:
         return target
 
     def cameras(self, scene: str, kind: str) -> list[Camera]:
-        """Test views of a kind, kept while the sources that place them stay; not of photographs."""
+        """Return test views of a kind, cached until sources change that affect them.
+
+        For photographs the result is empty.
+        """
         if kind == "photographs":
             return []
         rendering = digest_of_sources(
@@ -219,19 +222,19 @@ class Bench:
 
 
 def result_file(folder: Path, scene: str, ratio: float, method: str, version: str) -> Path:
-    """Where a method's model is."""
+    """Return the path of a method's model."""
     name = f"{scene}_{ratio:g}_{method}_{version}".replace(" ", "_").replace(":", "_")
     return folder / "results" / f"{name}.ply"
 
 
 def parse_kind(kind: str) -> tuple[str, int]:
-    """Where views are from, and their pixels: "512", "roam", "roam@1600"."""
+    """Split a kind like "512", "roam" or "roam@1600" into the kind of cameras and the pixels."""
     source, _, size = kind.partition("@")
     return ("auto", int(source)) if source.isdigit() else (source, int(size or SIZE))
 
 
 def text_of(row: Row) -> str:
-    """A row in a line."""
+    """Format a row in one line."""
     return (
         f"{row['scene']} {row['ratio']:g} {row['method']} {row['kind']}: {row['psnr']:.2f} dB,"
         f" worst {row['least_psnr']:.2f}, SSIM {row['ssim']:.4f}, {row.get('seconds', 0):.1f} s"
@@ -239,7 +242,7 @@ def text_of(row: Row) -> str:
 
 
 def digest_of_cameras(cameras: Iterable[Camera]) -> str:
-    """A few letters for where cameras are and how many pixels they have."""
+    """Return a short hash of the cameras' poses, focal lengths and sizes."""
     found = hashlib.sha1(usedforsecurity=False)
     for camera in cameras:
         numbers = [*camera.world_to_camera.ravel(), camera.fx, camera.width, camera.near]
@@ -248,7 +251,7 @@ def digest_of_cameras(cameras: Iterable[Camera]) -> str:
 
 
 def digest_of_sources(apart: Sequence[str]) -> str:
-    """A few letters for the package's sources, but for some of its parts."""
+    """Return a short hash of the package's sources, without some of its subpackages."""
     found = hashlib.sha1(usedforsecurity=False)
     for path in sorted(PACKAGE.rglob("*.py")):
         if path.relative_to(PACKAGE).parts[0] not in apart:

@@ -1,13 +1,13 @@
-"""Damage thousands of files of every format that is read, and see what reading them comes to.
+"""Fuzz the readers: damage thousands of files of each format, and check how they are read.
 
     python benchmarks/mutate.py [--count 10000] [--seed 1] [--only .sog,.npz] [--out FILE]
 
-Each file must be read as a model or be refused with a `FormatError`, in less than ten seconds of
-the processor, and in less memory than four times its size and 200 MB; every warning is an error.
-Anything else stops the format's run, whose last file is kept below build/mutated. Each format has a
-process of its own, so that a crash is seen. `tests/seeds.py` has the files and the ways to damage
-them. Memory is the peak of resident memory while one file is read and described, which Linux alone
-tells.
+Each file must be read as a model or refused with a `FormatError`, in less than ten seconds of
+processor time, and in less memory than four times its size plus 200 MB; warnings are errors.
+Otherwise the format's run stops, and its last file is kept in build/mutated. Each format has a
+separate process, so that a crash is noticed. `tests/seeds.py` has the files and the ways to damage
+them. Memory is the peak resident memory while one file is read and described; only Linux reports
+it.
 """
 
 import argparse
@@ -27,15 +27,15 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "build" / "mutated"
-PATIENCE = 10  # seconds of the processor for one file
-STUCK = 600  # seconds by the clock: one that waits for ever, however busy the machine is
+PATIENCE = 10  # seconds of processor time for one file
+STUCK = 600  # seconds of wall-clock time, for a file whose reader hangs without using the processor
 FREE_BYTES = 200 << 20
 TIMES = 4
 SELF = Path("/proc/self")
 
 
 def main() -> None:
-    """Run every format and print a table."""
+    """Run all formats and print a table."""
     options = _options()
     sys.path.insert(0, str(ROOT / "tests"))
     if options.worker:
@@ -74,7 +74,7 @@ def _line(result: dict[str, Any]) -> str:
 
 
 def _in_a_process(name: str, count: int, seed: int) -> dict[str, Any]:
-    """Run one format; the file it stopped at, if it did, is kept."""
+    """Run one format in a subprocess; if it fails, the last file is kept."""
     with tempfile.TemporaryDirectory() as folder:
         ran = subprocess.run(
             [sys.executable, __file__, "--worker", folder, "--only", name, "--count", str(count),
@@ -95,13 +95,13 @@ def _in_a_process(name: str, count: int, seed: int) -> dict[str, Any]:
 
 
 def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]:
-    """Damage and read `count` files of a format; the figures, or what went wrong.
+    """Damage and read files of a format; return the figures, with the failure if there was one.
 
     Args:
-        name: Of `seeds.FORMATS`.
-        count: Files.
-        seed: Of what is drawn.
-        folder: Where each file is put in turn.
+        name: A format of `seeds.FORMATS`.
+        count: Number of files.
+        seed: Seed of the random numbers.
+        folder: Folder for one file at a time.
     """
     import seeds
     from damage import outcome
@@ -109,7 +109,7 @@ def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]
     warnings.simplefilter("error")
     faulthandler.register(signal.SIGPROF, chain=True)
     made, rng = seeds.made(name), np.random.default_rng(seed)
-    for files in made.seeds:  # so that imports and tables count for no file
+    for files in made.seeds:  # so that time and memory of imports and tables are not measured
         assert outcome(_placed(folder, files)) == "model"
     found = {"model": 0, "refused": 0}
     slowest, most, failure = 0.0, 0, ""
@@ -118,7 +118,7 @@ def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]
         path = _placed(folder, files)
         before, start = _resident(reset=True), time.process_time()
         faulthandler.dump_traceback_later(STUCK, exit=True)
-        signal.setitimer(signal.ITIMER_PROF, PATIENCE)  # ends the process, in C code too
+        signal.setitimer(signal.ITIMER_PROF, PATIENCE)  # ends the process, even within C code
         found[outcome(path)] += 1
         signal.setitimer(signal.ITIMER_PROF, 0)
         faulthandler.cancel_dump_traceback_later()
@@ -139,7 +139,7 @@ def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]
 
 
 def _placed(folder: Path, files: dict[str, bytes]) -> Path:
-    """Write the files of a model, and nothing beside them; the first."""
+    """Empty the folder, write the files of a model into it, and return the first."""
     for path in folder.iterdir():
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     for name, data in files.items():
@@ -150,7 +150,7 @@ def _placed(folder: Path, files: dict[str, bytes]) -> Path:
 
 
 def _resident(*, reset: bool = False) -> int:
-    """The peak of resident memory in bytes since the last reset; 0 where there is no telling."""
+    """Return the peak resident memory, bytes, since the last reset; 0 if it is not reported."""
     if not SELF.exists():
         return 0
     if reset:

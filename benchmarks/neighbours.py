@@ -1,11 +1,11 @@
-"""Time the nearest neighbours against scipy's k-d tree, on real scenes and on uniform points.
+"""Time our nearest-neighbour search against scipy's k-d tree, on real scenes and uniform points.
 
     python benchmarks/neighbours.py [SCENES] [--only biker,uniform] [--repeats 7] [--threads 2]
 
 SCENES, or the environment variable NANOGS_SCENES, is the folder of the scenes; by default
 ../shared/scenes beside the repository. Both build their tree and query it with all points, which
-are in Morton order; they take turns, so that what else the machine does disturbs both. The table
-on stdout gives the median seconds of each, and the median of the ratios of neighbouring turns.
+are in Morton order; they alternate, so that other load of the machine disturbs both. The table on
+stdout gives the median seconds of each, and the median of the ratios of successive runs.
 """
 
 import argparse
@@ -32,7 +32,7 @@ SCENES = {
     "chair": "chair.splat",
 }
 UNIFORM = 1_000_000  # points in the unit cube
-FLYAWAYS = 0.001  # share of them that is put up to a million extents away
+FLYAWAYS = 0.001  # share of the points that are placed about a million extents away
 
 
 def main() -> None:
@@ -63,7 +63,7 @@ def arguments() -> argparse.Namespace:
 
 
 def point_sets(folder: Path, names: list[str]) -> Iterator[tuple[str, F64]]:
-    """The centres of each scene that is there, and points drawn at random."""
+    """Yield the centres of each scene that exists, and random points."""
     for name in names:
         if name in SCENES:
             if not (folder / SCENES[name]).exists():
@@ -81,7 +81,7 @@ def point_sets(folder: Path, names: list[str]) -> Iterator[tuple[str, F64]]:
 
 
 def compare(means: F64, k: int, threads: int, repeats: int) -> tuple[float, float, float]:
-    """Median seconds of the k-d tree and of ours, and the median of their ratios."""
+    """Return the median seconds of the k-d tree and of ours, and the median of their ratios."""
 
     def theirs() -> I32:
         return cKDTree(means, leafsize=16).query(means, k + 1, workers=threads)[1]
@@ -96,7 +96,7 @@ def compare(means: F64, k: int, threads: int, repeats: int) -> tuple[float, floa
 
 
 def seconds(work: Callable[[], I32]) -> float:
-    """Wall-clock time of one call."""
+    """Measure the wall-clock seconds of one call."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start

@@ -1,19 +1,20 @@
-"""Hold what nanogs reads and writes against other programs, on every real scene and SH degree.
+"""Compare our readers and writers with those of other programs, on real scenes and SH degrees.
 
     python benchmarks/oracles.py [SCENES] [--only biker,skull] [--rows 2000] [--whole] [--out FILE]
 
 splat-transform (npm, see rivals.py), gsply and gaussforge (`pip install gsply gaussforge
-imagecodecs`) open our files and write others that we open. Of each scene degrees 0 to 3 of --rows
-of its splats are taken, with higher coefficients drawn at random where the scene has none; with
---whole the scene as it is too. SCENES is by default ../shared/scenes beside the repository.
-tests/test_oracles.py does so in small.
+imagecodecs`) read our files and write files that we read. Each scene is used with --rows of its
+splats at degrees 0 to 3, with random higher coefficients if the scene has none; with --whole also
+unchanged. SCENES is by default ../shared/scenes beside the repository. tests/test_oracles.py does
+the same with a small model.
 
-The table gives the largest differences, in steps of the format's quantisation (of float32 columns,
-in millionths): *read* of what we and the other program read from our file, and from theirs; *kept*
-of the model and what is read back of it, from our file and from theirs. A nearest step is 0.5 away
-at most; of a rotation the largest part is computed from the others and may be further away. Values
-that a format cannot hold are clamped first. The palette of SOG has no steps, and the order in which
-gaussforge writes higher coefficients into `.ksplat` is not the format's: neither is compared.
+The table gives the largest differences, in quantisation steps of the format (for float32 columns,
+in millionths). *read* and *read theirs*: between the values that we and the other program read from
+our file, and from theirs. *kept*: between the model and the values that we read back from our file
+(row nanogs) or from theirs. Rounding to the nearest step differs by at most 0.5; the largest
+component of a rotation is computed from the others and may differ by more. Values that a format
+cannot hold are clamped first. Two things are not compared: the palette of SOG, which has no steps,
+and higher coefficients of `.ksplat`, which gaussforge writes in an order that is not the format's.
 """
 
 import argparse
@@ -39,13 +40,13 @@ from rivals import ROOT, install, run_tool
 
 FORMATS = (".ply", ".compressed.ply", ".splat", ".spz", ".spz v4", ".sog", ".glb", ".ksplat")
 COLUMNS = ("centre", "scale", "rotation", "alpha", "colour", "harmonics")
-CANDIDATES = 16  # rows of the file that a splat may be, of those with the nearest centres
-FINE = 1e6
+CANDIDATES = 16  # rows of the file, with the nearest centres, among which a splat is looked for
+FINE = 1e6  # steps per unit of float32 columns
 Steps = dict[str, np.ndarray]
 
 
 def main() -> None:
-    """Run all and print the table."""
+    """Run all comparisons and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
     parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
@@ -67,7 +68,7 @@ def main() -> None:
 
 
 def models(name: str, scene: Splats, options: argparse.Namespace) -> Iterator[tuple[str, Splats]]:
-    """Some splats of a scene at every degree up to 3, and all at the scene's own if asked for."""
+    """Yield some splats of a scene at each degree up to 3; with --whole also the whole scene."""
     if options.whole:
         yield name, plain(scene)
     some = scene.take(np.arange(0, len(scene), -(-len(scene) // options.rows)))
@@ -76,13 +77,13 @@ def models(name: str, scene: Splats, options: argparse.Namespace) -> Iterator[tu
 
 
 def plain(model: Splats) -> Splats:
-    """The part of a model that every format can hold: finite splats in float32, nothing else."""
+    """Reduce a model to what all formats can hold: finite splats in float32, nothing else."""
     model = model.take(np.flatnonzero(model.finite() & np.isfinite(model.log_scales).all(axis=1)))
     return replace(model, means=model.means.astype(np.float32), comments=(), notes=())
 
 
 def with_degree(model: Splats, degree: int) -> Splats:
-    """The model with fewer coefficients, or with more that are drawn."""
+    """Change the model's SH degree; missing coefficients are random."""
     missing = (degree + 1) ** 2 - model.sh.shape[1]
     if missing <= 0:
         return model.with_sh_degree(degree)
@@ -94,13 +95,13 @@ def with_degree(model: Splats, degree: int) -> Splats:
 
 
 def transform(source: Path, target: Path, *options: str) -> Path:
-    """Convert by splat-transform."""
+    """Convert a file with splat-transform."""
     run_tool(source, target, *options)
     return target
 
 
 def forge(source: Path, target: Path, version: int = 3) -> Path:
-    """Convert by gaussforge."""
+    """Convert a file with gaussforge."""
     from gaussforge import GaussForge
 
     kinds = [format_of(path).lstrip(".") for path in (source, target)]
@@ -112,12 +113,12 @@ def forge(source: Path, target: Path, version: int = 3) -> Path:
 
 
 def format_of(path: Path) -> str:
-    """Its suffix, of two parts for a compressed PLY."""
+    """Return the suffix of a file, which has two parts for a compressed PLY."""
     return ".compressed.ply" if path.name.endswith(".compressed.ply") else path.suffix
 
 
 def gsply_reads(path: Path) -> Splats:
-    """Read by gsply."""
+    """Read a file with gsply."""
     import gsply
 
     reads = {".spz": gsply.read_spz, ".sog": getattr(gsply, "sogread", None)}
@@ -129,7 +130,7 @@ def gsply_reads(path: Path) -> Splats:
 
 
 def gsply_writes(source: Path, target: Path, version: int = 3) -> Path:
-    """Write by gsply what it reads from a `.ply` file."""
+    """Convert a `.ply` file with gsply."""
     import gsply
 
     data = gsply.plyread(str(source))
@@ -141,7 +142,7 @@ def gsply_writes(source: Path, target: Path, version: int = 3) -> Path:
 
 
 def by_ply(convert: Callable[[Path, Path], Path], path: Path) -> Splats:
-    """The model that another program reads from a file, by way of its `.ply`."""
+    """Read a file with another program, which converts it to `.ply` for us."""
     return io.load(convert(path, path.with_name("read.ply")))
 
 
@@ -180,7 +181,7 @@ PROGRAMS: tuple[Program, ...] = (
 def held(
     model: Splats, folder: Path, programs: Sequence[Program] = PROGRAMS
 ) -> Iterator[dict[str, Any]]:
-    """The largest differences of one model, by format and program."""
+    """Yield the largest differences of one model, by format and program."""
     ply = folder / "model.ply"
     io.save(model, ply)
     for kind in FORMATS:
@@ -201,22 +202,23 @@ def held(
                     if kind in reads:
                         row["read theirs"] = alike(kind, theirs, read)
                     row["kept"] = kept(kind, expected, theirs)
-            except Exception as error:  # whatever another program does
+            except Exception as error:  # other programs may raise anything
                 row["failed"] = f"{type(error).__name__}: {error}"[:200]
             yield row
 
 
 def alike(kind: str, path: Path, read: Callable[[Path], Splats]) -> dict[str, float]:
-    """Differences of what we and another program read from one file, row by row."""
+    """Compare the values that we and another program read from one file, row by row."""
     ours = io.load(path)
     rows = np.arange(len(ours))
     return largest(ours, read(path), rows, quantised(kind, ours))
 
 
 def kept(kind: str, model: Splats, path: Path) -> dict[str, float]:
-    """Differences of a model and what a file holds of it, whatever the order of the file.
+    """Compare a model with the values in a file, whose rows may be in another order.
 
-    Splats may share their centre, so that the row most alike of some near ones is taken.
+    Several splats may have the same centre, so each is matched to the most similar of the nearest
+    rows.
     """
     file = io.load(path)
     if len(file) != len(model):
@@ -236,7 +238,7 @@ def kept(kind: str, model: Splats, path: Path) -> dict[str, float]:
 
 
 def with_axes_of(model: Splats, other: Splats) -> Splats:
-    """The other model, of the 24 ways to write each splat the one nearest to this model's."""
+    """Rewrite the other model's axes: of the 24 equivalent ways, the nearest to this model's."""
     own = model.unit_quats().astype(np.float64)
     between = product(own * [1, -1, -1, -1], other.unit_quats().astype(np.float64))
     turned, scales = minimise_rotation(replace(other, quats=between.astype(np.float32)))
@@ -244,7 +246,7 @@ def with_axes_of(model: Splats, other: Splats) -> Splats:
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of quaternions, wxyz."""
+    """Multiply quaternions, wxyz."""
     w, v, x, u = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
     real = w * x - (v * u).sum(axis=1, keepdims=True)
     return np.hstack([real, w * u + x * v + np.cross(v, u)])
@@ -253,7 +255,7 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def largest(
     a: Splats, b: Splats, rows: np.ndarray, measure: Callable[[Splats, np.ndarray], Steps]
 ) -> dict[str, float]:
-    """The largest difference of each column, in steps."""
+    """Return the largest difference of each column, in steps."""
     found = differences(a, b, measure, rows)
     return {name: float(column.max()) for name, column in found.items() if column.size}
 
@@ -261,18 +263,18 @@ def largest(
 def differences(
     a: Splats, b: Splats, measure: Callable[[Splats, np.ndarray], Steps], rows: np.ndarray
 ) -> Steps:
-    """(N, C) steps between the columns of two models of as many splats."""
+    """Compute the differences (N, C), in steps, of each column of two models of N splats."""
     first, second = measure(a, rows), measure(b, rows)
     sign = np.sign((first["rotation"] * second["rotation"]).sum(axis=1, keepdims=True))
     first["rotation"] = first["rotation"] * np.where(sign == 0, 1, sign)
     apart = {name: np.abs(first[name] - second[name]) for name in first if first[name].size}
-    # What cannot be seen has no colour: splat-transform leaves that of its SOG files to WebP.
+    # Colours of invisible splats are not compared: WebP may drop them in splat-transform's SOG.
     apart["colour"][second["alpha"][:, 0] == 0] = 0
     return apart
 
 
 def clamped(kind: str, model: Splats) -> Splats:
-    """The model within what the format has codes for."""
+    """Clamp the model to the ranges of the format."""
     scales, sh = model.log_scales, model.sh.copy()
     if kind.startswith(".spz"):
         scales = scales.clip(-10, 5.9375)
@@ -287,17 +289,17 @@ def clamped(kind: str, model: Splats) -> Splats:
 
 
 def quantised(kind: str, file: Splats) -> Callable[[Splats, np.ndarray], Steps]:
-    """A function from a model, and the rows of a file, to columns in which the file's steps are 1.
+    """Return a function of a model and rows of the file that scales columns to quantisation steps.
 
     Args:
         kind: The format.
-        file: What the file holds, in its order.
+        file: The model read from the file, in its order.
     """
     measures = {".compressed.ply": _chunks, ".sog": _books}
     return functools.partial(measures.get(kind, _even), kind, file)
 
 
-# Steps to one: of centres, log-scales, parts of rotations, alphas, base colours, higher bands.
+# Steps per unit of centres, log-scales, quaternion components, alphas, base colours, higher SH.
 _SPZ = (2**12, 16, 511 / 0.5**0.5, 255, 255 * 0.15, 16)
 _EVEN = {
     ".spz": _SPZ,
@@ -334,7 +336,7 @@ def _columns(
 
 
 def _chunks(_kind: str, file: Splats, model: Splats, rows: np.ndarray) -> Steps:
-    """Of centres, scales and base colours a step is a share of what the row's chunk extends to."""
+    """Scale columns of a compressed PLY, whose steps depend on the extents of each row's chunk."""
 
     def in_chunks(values: np.ndarray, own: np.ndarray, levels: tuple[int, ...]) -> np.ndarray:
         starts = np.arange(0, len(own), 256)
@@ -351,7 +353,7 @@ def _chunks(_kind: str, file: Splats, model: Splats, rows: np.ndarray) -> Steps:
 
 
 def _books(_kind: str, file: Splats, model: Splats, _rows: np.ndarray) -> Steps:
-    """Steps of centres are even in their logarithm; codebooks have steps of their own."""
+    """Scale columns of a SOG: centres in logarithmic steps, codebook columns in entry indices."""
     signed = [np.copysign(np.log1p(np.abs(m.means.astype(float))), m.means) for m in (file, model)]
     extent = np.maximum(signed[0].max(axis=0) - signed[0].min(axis=0), 1e-12)
     books = [np.unique(values) for values in (file.log_scales, file.sh[:, 0])]
@@ -365,7 +367,7 @@ def _books(_kind: str, file: Splats, model: Splats, _rows: np.ndarray) -> Steps:
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    """The largest differences over all scenes, as Markdown."""
+    """Return the largest differences over all scenes, as Markdown."""
     lines = ["| format | program | | " + " | ".join(COLUMNS) + " |", "|---" * 9 + "|"]
     for kind in FORMATS:
         for name in ("nanogs", *(program[0] for program in PROGRAMS)):

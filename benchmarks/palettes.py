@@ -1,11 +1,12 @@
-"""How far palettes of harmonics are from the splats that share them, and how long they take.
+"""Measure error and time of palettes (codebooks) of higher spherical harmonics.
 
     python benchmarks/palettes.py [SCENES] [--only skull,flowers:0.1] [--sets 1.5,3,8,32]
         [--repeats 3]
 
-Of each scene, or of what `fast` merges it to, the higher harmonics are given a palette of an entry
-for so many sets, 65,536 at most. The error is the mean square, weighed by how much of each splat is
-seen; to be held against that of another version, run there. Seconds are the least.
+For each scene, or its simplification by `fast`, a palette of the splats' higher SH coefficients is
+computed, with one entry per --sets splats, 65,536 at most. The error is the mean squared error,
+weighted by the visibility of each splat; compare it with that of another version, run there.
+Seconds are the minimum of the repeats.
 """
 
 import argparse
@@ -25,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main() -> None:
-    """Print a row for every scene and size of the palette."""
+    """Print a row for each scene and size of the palette."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
     parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))

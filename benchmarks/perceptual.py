@@ -1,9 +1,9 @@
-"""LPIPS of our presets and of splat-transform's results, after `quality.py` has made these.
+"""Measure LPIPS of our presets and of splat-transform's results, which `quality.py` must have made.
 
     python benchmarks/perceptual.py [--only biker,skull] [--ratios 0.1,0.01]
 
-Needs the extra `lpips`. Four automatic views of 256 x 256 a scene, which no method learns from;
-each cell is AlexNet / VGG, less is better.
+Needs the extra `lpips`. Each scene has four automatic test views of 256 x 256, which no method
+learns from; each cell is AlexNet / VGG, lower is better.
 """
 
 import argparse
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def distances(original: Splats, model: Splats, up: tuple[float, float, float] | None) -> str:
-    """Means over the views, with either backbone."""
+    """Return the mean LPIPS over the views, with either backbone."""
     cameras = automatic_cameras(original, 4, width=256, height=256, split="test", up=up)
     first, second = prepare(original), prepare(model)
     pairs = [(render(first, c).shown(), render(second, c).shown()) for c in cameras]

@@ -1,9 +1,9 @@
-"""Hold what `nanogs simplify --psnr` was asked for against what `nanogs compare` says then.
+"""Check that results of `nanogs simplify --psnr` have the requested PSNR by `nanogs compare`.
 
     python benchmarks/psnr.py biker.spz=35 playbot.ply=35,30 --presets default,fast
 
-Both are run as commands, with nothing else told to them; results are written as .ply files, or in
-the format of `--format`. Prints a table in Markdown.
+Both are run as separate commands with default options; results are written as .ply files, or in the
+format of `--format`. Prints a table in Markdown.
 """
 
 import argparse
@@ -49,7 +49,7 @@ def _nanogs(*words: object) -> dict[str, Any]:
     """Run a command of nanogs and return its JSON."""
     command = [sys.executable, "-m", "nanogs", *map(str, words), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
-    if done.returncode not in (0, 3):  # 3: not what was asked for, and the report says so
+    if done.returncode not in (0, 3):  # 3: the request was not met, and the report says so
         raise SystemExit(done.stderr)
     report: dict[str, Any] = json.loads(done.stdout)
     return report

@@ -1,4 +1,4 @@
-r"""Measure our methods and another tool on real scenes, and print the tables of docs/results.md.
+r"""Measure our methods and splat-transform on real scenes, and print the tables of docs/results.md.
 
     python benchmarks/quality.py                                        # all of it, hours
     python benchmarks/quality.py --scenes plant,biker --ratios 0.1 \
@@ -8,17 +8,17 @@ r"""Measure our methods and another tool on real scenes, and print the tables of
 
 A method is one of ours (a preset, one with parameters such as default:k=12, a baseline); `rival`,
 both modes of splat-transform 3.7.0 on the CPU; or `nanogs-ref`, files that were made beforehand. A
-kind is a number, the pixels of automatic views; `roam` or `inside`, which stand for roam@512 and
-inside@512; or `photographs`, of the scenes that have some.
+kind of views is a number, the pixels of automatic views; `roam` or `inside`, short for roam@512 and
+inside@512; or `photographs`, for scenes that have some.
 
-What is made and measured is kept under --cache, by default ~/.cache/nanogs-benchmarks or the
-environment's NANOGS_BENCHMARKS: a run that was ended goes on, and what a change of the sources does
-not touch is not measured again. A result of ours belongs to the sources it was made by, and a
-measurement also to its views. Node 22 and splat-transform are installed there by npm;
-splat-transform converts every scene to .ply, so that all tools start from the same file.
+Results and measurements are cached in --cache, by default the environment's NANOGS_BENCHMARKS or
+~/.cache/nanogs-benchmarks: an interrupted run can be continued, and only what a change of the
+sources affects is measured again. The cache key of our results has a hash of the sources, and that
+of a measurement also one of its views. Node 22 and splat-transform are installed there by npm;
+splat-transform converts each scene to .ply, so that all tools start from the same file.
 
-The scenes' folder is named by --folder or the environment's NANOGS_SCENES; by default it is
-../shared/scenes beside the repository. What was made beforehand is in `peers` beside it.
+The folder of the scenes is --folder or the environment's NANOGS_SCENES; by default it is
+../shared/scenes beside the repository. Files made beforehand are in `peers` beside it.
 """
 
 import argparse
@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def chosen_methods(options: argparse.Namespace) -> list[str]:
-    """Names of methods, `rival` for its two modes."""
+    """Return the names of the methods, with `rival` replaced by its two modes."""
     if options.methods:
         names = options.methods.split(",")
     elif options.ablations:

@@ -1,4 +1,4 @@
-"""Run other programs for the benchmarks: seconds, peak memory, and splat-transform from npm."""
+"""Running other programs: time and peak memory of a process, and splat-transform from npm."""
 
 import json
 import os
@@ -9,10 +9,10 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# What benchmarks make and measure, for all checkouts of the repository.
+# Cache of results and measurements, shared by all checkouts of the repository.
 BUILD = Path(os.environ.get("NANOGS_BENCHMARKS", Path.home() / ".cache" / "nanogs-benchmarks"))
 RIVALS = {"st-uniform": "--decimate", "st-adaptive": "--decimate-adaptive"}
-PACKAGES = ROOT / "tests" / "npm"  # names splat-transform's version, and the Node that it needs
+PACKAGES = ROOT / "tests" / "npm"  # package.json with the versions of splat-transform and Node
 NPM = BUILD / "npm"
 
 
@@ -26,25 +26,25 @@ def install() -> None:
 
 
 def splat_transform() -> Path:
-    """The tool's command: as tests have it, where they do, or else as `install` does."""
+    """Return the path of splat-transform: the tests' copy if it exists, else that of `install`."""
     places = [folder / "node_modules" / ".bin" / "splat-transform" for folder in (PACKAGES, NPM)]
     return next((path for path in places if path.exists()), places[-1])
 
 
 def rival_version() -> str:
-    """The tool's version, as it is asked for."""
+    """Return the version of splat-transform that package.json requests."""
     packages = json.loads((PACKAGES / "package.json").read_text())
     return f"splat-transform {packages['dependencies']['@playcanvas/splat-transform']}"
 
 
 def run_tool(*arguments: str | Path) -> tuple[float, int]:
-    """Seconds and peak resident bytes of one call of splat-transform on the CPU."""
+    """Run splat-transform on the CPU; return its seconds and peak resident bytes."""
     binaries = f"{splat_transform().parent}{os.pathsep}{os.environ['PATH']}"
     return timed([splat_transform(), "-q", "-w", "-g", "cpu", *arguments], {"PATH": binaries})
 
 
 def timed(command: list[str | Path], environment: dict[str, str]) -> tuple[float, int]:
-    """Seconds and peak resident bytes of a process; a failure ends the benchmark."""
+    """Run a process; return its seconds and peak resident bytes. A failure ends the benchmark."""
     start = time.perf_counter()
     process = subprocess.Popen(command, env={**os.environ, **environment}, stdout=sys.stderr)
     peak = 0
@@ -57,7 +57,7 @@ def timed(command: list[str | Path], environment: dict[str, str]) -> tuple[float
 
 
 def _resident_peak(pid: int) -> int:
-    """Most resident bytes of a process so far; 0 where the system does not tell."""
+    """Return the peak resident bytes of a process so far; 0 if the system does not report it."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:

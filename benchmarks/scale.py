@@ -1,4 +1,4 @@
-"""Models larger than memory: make them, measure time and memory, kill runs, look for seams.
+"""Test models larger than memory: make them, measure time and memory, kill runs, measure seams.
 
 python benchmarks/scale.py make city.ply --splats 20000000 --degree 3 scene.ply ...
 python benchmarks/scale.py run city.ply --max-memory 2GB --ratio 0.1
@@ -35,8 +35,8 @@ from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
 
 NANOGS = [sys.executable, "-m", "nanogs"]
-POLL = 0.2  # seconds: to find what many pages are shared with takes the processor too
-FILES = "a.ssog", "a.rad"  # levels in one file
+POLL = 0.2  # seconds between measurements of memory, which take processor time themselves
+FILES = "a.ssog", "a.rad"  # layouts of levels that are one file
 LAYOUTS = {
     "tileset.json": "3d tiles",
     "lod-meta.json": "streamed sog",
@@ -46,7 +46,7 @@ LAYOUTS = {
 
 
 def copies(scenes: list[Splats], count: int, degree: int) -> Iterator[Splats]:
-    """Scenes side by side, each shifted, scaled and recoloured a little, until there are enough."""
+    """Yield scenes side by side, slightly shifted, scaled and recoloured, `count` splats in all."""
     sizes = [float(np.quantile(np.ptp(s.means, axis=0), 0.5)) for s in scenes]
     across = math.ceil(math.sqrt(count / np.mean([len(s) for s in scenes])))
     place = 0
@@ -88,9 +88,9 @@ def make(args: argparse.Namespace) -> None:
 
 
 def resident(root: int) -> int:
-    """Bytes that a process and all its children hold, by /proc; those that they share count once.
+    """Return the resident bytes of a process and its children, from /proc; shared pages count once.
 
-    A child that is being started shares all pages with the process that starts it.
+    Without that, a child would count twice while it is being forked and shares all pages.
     """
     total, waiting = 0, [root]
     while waiting:
@@ -107,7 +107,7 @@ def resident(root: int) -> int:
 
 
 def watched(command: list[str]) -> tuple[float, float, int, str]:
-    """Run a command; its seconds, those of its processors, its peak memory and its output."""
+    """Run a command; return its seconds, processor seconds, peak memory and output."""
     before, start, peak = os.times(), time.perf_counter(), 0
     with tempfile.TemporaryFile("w+") as out:
         child = subprocess.Popen(command, stdout=out)
@@ -125,7 +125,7 @@ def watched(command: list[str]) -> tuple[float, float, int, str]:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Simplify a model and say what it took."""
+    """Simplify a model, and print time and memory."""
     out = args.source.with_name("small.ply")
     command = [*NANOGS, "simplify", str(args.source), str(out), "--ratio", str(args.ratio)]
     command += ["--preset", args.preset, "-w", "--json"]
@@ -146,7 +146,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def lod(args: argparse.Namespace) -> None:
-    """Make levels of detail and say what it took."""
+    """Make levels of detail, and print time and memory."""
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
         out = Path(folder) / ("" if args.name in FILES else "levels") / args.name
         command = [*NANOGS, "lod", str(args.source), str(out), "--preset", args.preset, "--json"]
@@ -165,7 +165,7 @@ def lod(args: argparse.Namespace) -> None:
 
 
 def kill(args: argparse.Namespace) -> None:
-    """Kill runs at random moments until one ends, again and again; every result is the same."""
+    """Kill and resume runs at random times; check that all results are identical."""
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
         out = Path(folder) / f"small{args.suffix}"
         if args.lod:
@@ -199,7 +199,7 @@ def kill(args: argparse.Namespace) -> None:
                     child.wait()
                     kills += 1
                     if [path.name for path in Path(folder).iterdir()] != [out.name]:
-                        continue  # else it had ended already, but for Python's own end
+                        continue  # otherwise the run was done, and only Python had not exited yet
                 break
             results += 1
             if digest(out) != wanted:
@@ -210,18 +210,18 @@ def kill(args: argparse.Namespace) -> None:
 
 
 def digest(path: Path) -> dict[str, str]:
-    """SHA-256 of a file, or of every file in a folder, by name."""
+    """Return the SHA-256 of a file, or of each file in a folder, by name."""
     files = [path, *path.rglob("*")]
     return {str(f): hashlib.sha256(f.read_bytes()).hexdigest() for f in files if f.is_file()}
 
 
 def remove(path: Path) -> None:
-    """Take a file or folder away if it is there."""
+    """Remove a file or folder if it exists."""
     shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def seam(args: argparse.Namespace) -> None:
-    """Blocks against the whole model: PSNR, and the error beside borders over that elsewhere."""
+    """Compare blocks with the whole model: PSNR, and ratio of the error at borders to elsewhere."""
     from seams import compare
 
     for path in args.scenes:
@@ -230,7 +230,7 @@ def seam(args: argparse.Namespace) -> None:
 
 
 def tree(args: argparse.Namespace) -> None:
-    """Levels of a tree made in blocks against those of one made in memory: PSNR of each."""
+    """Print the PSNR of each level of a tree that is made in memory, and of one made in blocks."""
     for path in args.scenes:
         model = nanogs.load(path)
         cameras = automatic_cameras(model, args.views, width=args.pixels, height=args.pixels)
@@ -249,7 +249,7 @@ def tree(args: argparse.Namespace) -> None:
 
 
 def chance(args: argparse.Namespace) -> None:
-    """Print how much results in memory differ by chance, to compare blocks with."""
+    """Print the random variation of results in memory, to compare that of blocks with."""
     from seams import chance
 
     for path in args.scenes:
@@ -258,7 +258,7 @@ def chance(args: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Do what the first argument says."""
+    """Run the subcommand."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     commands = parser.add_subparsers(required=True)
     one = commands.add_parser("make")

@@ -1,4 +1,4 @@
-"""How the error of a model made in blocks is spread, beside their borders and elsewhere; chance."""
+"""Measure the error of models made in blocks, at their borders and elsewhere; random variation."""
 
 import tempfile
 from dataclasses import replace
@@ -26,7 +26,7 @@ VIEWS, SIZE = 8, 512
 
 
 def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splats, np.ndarray]:
-    """The model made in so many blocks, and (N,) the block of each splat of the original."""
+    """Simplify in blocks; return the model, and the block (N,) of each splat of the original."""
     splats = nanogs.load(path)
     with tempfile.TemporaryDirectory() as name:
         source, folder = Path(name) / "in.ply", FolderScratch(Path(name) / "scratch")
@@ -49,16 +49,17 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
 
 
 def beside_borders(means: np.ndarray, of_block: np.ndarray, reach: int) -> np.ndarray:
-    """(N,) bool: splats with one of another block among so many nearest neighbours."""
+    """Return (N,) bool: splats with one of another block among their `reach` neighbours."""
     near = nearest_neighbours(means.astype(np.float64), reach, 2)
     return (of_block[near] != of_block[:, None]).any(axis=1)
 
 
 def compare(path: Path, ratio: float, blocks: int, rounds: int) -> dict[str, float]:
-    """Quality of both ways, and the squared error in the band over that elsewhere, of both.
+    """Compare results in memory and in blocks: quality, and error in the border band and elsewhere.
 
-    The band are the splats that have one of another block among as many neighbours as two groups
-    have splats; its share of a pixel is rendered.
+    The band consists of the splats that have one of another block among their nearest neighbours,
+    as many as two groups have splats. Its weight in each pixel is rendered. Errors are given as the
+    ratio of the mean squared error in the band to that elsewhere.
     """
     original = nanogs.load(path)
     original = original.take(original.finite())
@@ -97,7 +98,7 @@ def compare(path: Path, ratio: float, blocks: int, rounds: int) -> dict[str, flo
 
 
 def chance(path: Path, ratio: float, rounds: int, times: int) -> list[float]:
-    """How PSNR moves, in memory, where a thousandth of the splats is left out at random."""
+    """Return changes of PSNR, in memory, when a random thousandth of the splats is left out."""
     original = nanogs.load(path)
     original = original.take(original.finite())
     shown = prepare(original)

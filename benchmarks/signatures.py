@@ -1,10 +1,10 @@
-"""Make `src/nanogs/kernels/signatures.txt`: what commands compile, for which types, in their order.
+"""Make `src/nanogs/kernels/signatures.txt`: the kernels and types that commands compile, in order.
 
     python benchmarks/signatures.py [--check]
 
-Runs commands and notes what they compile or take from the disk. To be run when a kernel is new, or
-takes other arguments: `tests/test_warm.py` says so. With --check it writes nothing, and fails where
-the table is another.
+Runs commands, and records the kernels that they compile or load from the cache. Run it when a
+kernel is new or its arguments change; `tests/test_warm.py` fails then. With --check it writes
+nothing, and fails if the table is out of date.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from nanogs.views.automatic import automatic_cameras
 
 TABLE = Path(nanogs.__file__).parent / "kernels" / "signatures.txt"
 SMALL = "simplify scene.ply small.ply -w --ratio 0.1"
-# The commands of each mark; those after the presets' are for what is left.
+# Commands by mark: d(efault), f(ast), p(aper), and - for kernels that only other commands need.
 RUNS = {
     "d": [SMALL],
     "f": [f"{SMALL} --preset fast"],
@@ -58,7 +58,7 @@ HEAD = """\
 
 
 def main() -> None:
-    """Write the table, or compare it, or be one of the runs."""
+    """Write the table or check it; with --run, execute one of the commands."""
     if sys.argv[1:2] == ["--run"]:
         take_note(Path(sys.argv[2]), sys.argv[3:])
         return
@@ -73,7 +73,7 @@ def main() -> None:
 
 
 def made() -> str:
-    """The table."""
+    """Run all commands and return the table."""
     marks: dict[str, str] = {}
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -90,7 +90,7 @@ def made() -> str:
 
 
 def write_cameras(scene: nanogs.Splats, path: Path) -> None:
-    """Write a few views of the scene, as a user's."""
+    """Write a camera file with a few views of the scene."""
     poses = [camera.world_to_camera for camera in automatic_cameras(scene, 6)]
     ways = [(np.linalg.inv(pose) @ np.diag([1, -1, -1, 1])).tolist() for pose in poses]
     frames = [{"file_path": f"{n}.png", "transform_matrix": way} for n, way in enumerate(ways)]
@@ -99,7 +99,7 @@ def write_cameras(scene: nanogs.Splats, path: Path) -> None:
 
 
 def run(folder: Path, command: str, mark: str) -> None:
-    """Run a command, and have noted what it needs."""
+    """Run a command in a subprocess that records its kernels."""
     words = [sys.executable, __file__, "--run", folder / f"{mark}.txt", *command.split()]
     environment = os.environ | {"NUMBA_NUM_THREADS": "1"}
     done = subprocess.run(
@@ -111,7 +111,7 @@ def run(folder: Path, command: str, mark: str) -> None:
 
 
 def take_note(notes: Path, words: list[str]) -> None:
-    """Be the command, without other processes, and write a line for each kernel that it needs."""
+    """Run a command in this process, and write a line for each kernel that it compiles or loads."""
     load = _Cache.load_overload
 
     def noted(self: _Cache, asked: Any, context: Any) -> Any:  # noqa: ANN401
@@ -128,7 +128,7 @@ def take_note(notes: Path, words: list[str]) -> None:
 
 
 def text_of(kind: types.Type) -> str:
-    """A type as Numba reads it: float32[:, ::1] is an array whose rows lie one after the other."""
+    """Format a type as Numba parses it: float32[:, ::1] is a C-contiguous array."""
     if isinstance(kind, types.UniTuple):
         return f"UniTuple({text_of(kind.dtype)}, {kind.count})"
     if not isinstance(kind, types.Array):

@@ -1,16 +1,17 @@
-"""Make splat-transform's largest file that fits into a size, of scenes, sizes and formats.
+"""Make splat-transform's largest file within each of several sizes, for scenes and formats.
 
     python benchmarks/sizes.py FOLDER [--scenes guitar,biker,skull] [--sizes 0.5MB,1MB]
         [--formats sog,spz]
 
 Both of its modes decimate the scene's .ply to a count of splats, and a second process writes that
-in the format, since splat-transform decimates to .ply alone. The count is found by bisection on
-the bytes, until the file takes 99 % of the size, or a count half a percent larger is too large:
-its palettes leap. FOLDER gets `SCENE_SIZE_MODE.FORMAT`, beside each
-a .json with the seconds of the two processes that made it, its splats and how many counts were
-tried; a size that the whole scene fits into gets none. What is there is not made again. The last
-line that is printed hands the files to `nanogs bench --sizes-of-files`. Scenes and splat-transform
-are where `quality.py` has them.
+in the format, because splat-transform decimates to .ply only. The count is found by bisection on
+the bytes, until the file takes 99 % of the size, or a count half a percent larger is too large,
+because the size of its palettes is not continuous in the count. FOLDER gets
+`SCENE_SIZE_MODE.FORMAT`, and beside each a .json with the seconds of the two processes that made
+it, its splats and the number of counts tried. No file is made for a size that the whole scene fits
+into. Existing files are not made again. The last line that is printed is the command that passes
+the files to `nanogs bench --sizes-of-files`. Scenes and splat-transform are found as by
+`quality.py`.
 """
 
 import argparse
@@ -30,13 +31,13 @@ from nanogs.quantities import parse_bytes
 from rivals import BUILD, RIVALS, ROOT, install, run_tool
 
 SIZES = "0.25MB,0.5MB,1MB,2MB,4MB"
-ENOUGH = 0.99  # of the size: a file that takes so much of it ends the search
-CLOSE = 0.005  # of the count, between one that fits and one that does not
-FIRST = 14  # bytes a splat, to begin with
+ENOUGH = 0.99  # share of the size from which a file ends the search
+CLOSE = 0.005  # relative difference of a count that fits and one that does not, to end the search
+FIRST = 14  # bytes per splat, the initial guess
 
 
 class Found(NamedTuple):
-    """The largest count that fits, how many were tried, and the seconds of making its file."""
+    """The largest count that fits, the number of counts tried, and the seconds to make its file."""
 
     count: int
     tried: int
@@ -44,7 +45,7 @@ class Found(NamedTuple):
 
 
 def main() -> None:
-    """Make what is missing, and print the command that measures it."""
+    """Make the missing files, and print the command that measures all."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--scenes", default=",".join(SCENES))
@@ -68,17 +69,17 @@ def main() -> None:
 
 
 def make(model: Path, mode: str, size: int, target: Path, each: float) -> float:
-    """Make the largest file of a mode that fits, unless it is there.
+    """Make the largest file of a mode within a size, unless it exists.
 
     Args:
         model: The scene.
         mode: Key of `RIVALS`.
-        size: Bytes that the file may have.
+        size: Maximum bytes of the file.
         target: The file.
-        each: Bytes a splat to begin with.
+        each: Bytes per splat, an initial guess.
 
     Returns:
-        Those that it has, to begin the next one with.
+        Bytes per splat of the file, the guess for the next one.
     """
     note = target.with_name(f"{target.name}.json")
     if note.exists():
@@ -108,13 +109,14 @@ def make(model: Path, mode: str, size: int, target: Path, each: float) -> float:
 def largest(
     write: Callable[[int], tuple[int, float]], size: int, available: int, each: float
 ) -> Found | None:
-    """The largest count whose file fits; None where all fit.
+    """Search the largest count whose file fits; None if the whole scene fits.
 
     Args:
-        write: Bytes and seconds of the file of a count; a later one that fits has more splats.
-        size: Bytes that there are.
+        write: Writes the file of a count, and returns its bytes and seconds. Of the counts that
+            fit, each is larger than those before.
+        size: Maximum bytes.
         available: Splats of the scene.
-        each: Bytes a splat to begin with.
+        each: Bytes per splat, an initial guess.
     """
     fits, over, tried = Found(0, 0, 0.0), available + 1, 0
     fits_bytes, over_bytes = 0, 0
@@ -138,7 +140,10 @@ def largest(
 
 
 def _next(fits: int, fits_bytes: int, over: int, over_bytes: int, size: int, tried: int) -> int:
-    """Where the bytes should be just below the size; every third time the middle, for leaps."""
+    """Interpolate the count whose file is just below the size; bisect every third time.
+
+    Bisection is needed because the bytes are not continuous in the count.
+    """
     if not over_bytes:
         return int(fits * min(0.996 * size / fits_bytes, 4)) + 1
     share = 0.5 if tried % 3 == 0 else (0.996 * size - fits_bytes) / (over_bytes - fits_bytes)
@@ -146,11 +151,13 @@ def _next(fits: int, fits_bytes: int, over: int, over_bytes: int, size: int, tri
 
 
 def command(bench: Bench, options: argparse.Namespace) -> str:
-    """The command that measures the files beside ours; scenes that need an up direction run apart.
+    """Return the command that measures the files together with ours.
+
+    Scenes that need an up direction must be run separately, and are listed in a comment.
 
     Args:
-        bench: Where the scenes are.
-        options: What was made.
+        bench: The scenes.
+        options: The command line.
     """
     scenes = options.scenes.split(",")
     words = ["nanogs", "bench", *(f"--scene={name}={bench.model(name)}" for name in scenes)]

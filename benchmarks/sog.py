@@ -1,13 +1,13 @@
-"""Hold our SOG files against those of the format's own tool: bytes, seconds and PSNR.
+"""Compare our SOG files with those of splat-transform, the format's own tool: bytes, time, PSNR.
 
     python benchmarks/sog.py [SCENES] [--only biker,skull] [--views 8] [--rows N] [--out FILE]
         [--bits 7] [--palette ENTRIES]
 
-Every scene is written as `.sog` by nanogs and by splat-transform 3.7.0 (npm, see rivals.py), both
+Each scene is written as `.sog` by nanogs and by splat-transform 3.7.0 (npm, see rivals.py), both
 from the same `.ply` file, and both are compared with it on the views of `nanogs compare`. Seconds
-are those of whole processes, kernels warm. Without a GPU splat-transform takes many minutes for the
-harmonics of large scenes; --rows takes so many splats of each scene at most. SCENES is by default
-../shared/scenes beside the repository.
+are those of whole processes, with kernels compiled. Without a GPU, splat-transform takes many
+minutes for the spherical harmonics of large scenes; --rows limits the splats of each scene. SCENES
+is by default ../shared/scenes beside the repository.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from rivals import ROOT, install, run_tool, timed
 
 
 def main() -> None:
-    """Print a row for every scene."""
+    """Print a row for each scene."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
     parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
@@ -61,7 +61,7 @@ def main() -> None:
 def measured(
     name: str, model: Splats, folder: Path, views: int, packing: list[str]
 ) -> dict[str, Any]:
-    """Both files of a scene, and how they look."""
+    """Write both files of a scene; return bytes, PSNR and seconds of each."""
     ply, ours, theirs = (folder / file for file in ("scene.ply", "ours.sog", "theirs.sog"))
     io.save(model, ply)
     command = [sys.executable, "-m", "nanogs"]
@@ -83,7 +83,7 @@ def measured(
 
 
 def line(row: dict[str, Any]) -> str:
-    """A row of the table."""
+    """Format a row of the table."""
     (own, other), (psnr, other_psnr) = row["bytes"], row["psnr"]
     seconds, other_seconds = row["seconds"]
     cells = [

@@ -1,11 +1,11 @@
-"""Trees of levels of detail drawn by Spark at equal numbers of splats: ours, and its own.
+"""Compare level-of-detail trees in Spark at equal numbers of splats: ours, and Spark's own.
 
     python benchmarks/spark.py [--scenes biker.spz,plant.splat] [--shares 0.25,0.1] [--views 2]
 
-Each model is written as `nanogs lod` writes a `.rad`, and as `.spz`, of which Spark, as its npm
-package has it, makes a tree itself: `lod: true`, its quick way, and `lod: "quality"`. All are drawn
-in Chromium from the same cameras with the same number of splats at most (`lodSplatCount`), and held
-against what nanogs renders of the whole model. The page is that of `tests/sparkpage.py`.
+Each model is written as `.rad`, like `nanogs lod` does, and as `.spz`, from which Spark (its npm
+package) builds a tree itself: `lod: true`, its quick method, and `lod: "quality"`. All are drawn in
+Chromium from the same cameras with the same maximum number of splats (`lodSplatCount`), and
+compared with our renders of the whole model. The page is that of `tests/sparkpage.py`.
 """
 
 import argparse
@@ -24,7 +24,7 @@ OWN = {"quick": {"lod": True}, "quality": {"lod": "quality"}}
 
 
 def main() -> None:
-    """Print a table, a row for each scene and number of splats."""
+    """Print a table with a row for each scene and number of splats."""
     options = _options()
     sys.path.insert(0, str(ROOT / "tests"))
     print("| scene | splats | drawn | nanogs | Spark, quick | Spark, quality |")

@@ -1,15 +1,15 @@
-"""Time whole runs from file to file: our presets, splat-transform and one k-d tree query, in turns.
+"""Time whole runs from file to file: our presets, splat-transform and one k-d tree query.
 
     python benchmarks/speed.py [MODEL] [--count 1000000] [--rounds 3] [--ratio 0.1] [--alone]
                                [--presets fast,default,paper]
     python benchmarks/speed.py --scaling 100000,200000,500000,1000000,2000000,5000000 [--preset P]
     python benchmarks/speed.py --threads 1,2
 
-MODEL is a 3DGS file; without one, `nanogs demo` makes a scene of --count splats, SH degree 3. Every
-round runs each program once, one after the other, so that what else the machine does disturbs all;
-the tables on stdout give medians, and ratios of the medians. All runs are whole processes with warm
-kernels. The query is scipy's cKDTree, built and asked for 16 neighbours of every centre by all
-threads, in Morton order: its seconds are those of the query alone.
+MODEL is a 3DGS file; without one, a scene of --count splats of SH degree 3 is generated. Each round
+runs each program once, so that other load of the machine disturbs all; the tables on stdout give
+medians, and ratios of the medians. All runs are whole processes with compiled kernels. The query is
+by scipy's cKDTree, for the 16 nearest neighbours of each centre, with all threads, in Morton order;
+its seconds do not include building the tree.
 """
 
 import argparse
@@ -39,7 +39,7 @@ Run = Callable[[], tuple[float, int]]
 
 
 def main() -> None:
-    """Print the table asked for."""
+    """Print the requested table."""
     options = arguments()
     WORK.mkdir(parents=True, exist_ok=True)
     if options.scaling:
@@ -68,7 +68,7 @@ def arguments() -> argparse.Namespace:
 
 
 def scene(count: int) -> Path:
-    """A made-up scene of so many splats, kept for the next run."""
+    """Return a synthetic scene of `count` splats, generated if it does not exist yet."""
     path = WORK / f"scene_{count}.ply"
     if not path.exists():
         nanogs.save(make_scene(count), path)
@@ -76,7 +76,7 @@ def scene(count: int) -> Path:
 
 
 def ours(model: Path, preset: str, options: argparse.Namespace, threads: int | None = None) -> Run:
-    """One run of the command."""
+    """Return a function that runs `nanogs simplify` once."""
     command = simplify_command(model, WORK / "out.ply", preset, options.ratio, threads)
     return lambda: timed(command, {})
 
@@ -84,20 +84,20 @@ def ours(model: Path, preset: str, options: argparse.Namespace, threads: int | N
 def simplify_command(
     model: Path, output: Path, preset: str, ratio: float, threads: int | None = None
 ) -> list[str | Path]:
-    """The words of a run that does not look at what it has made, as other tools do not."""
+    """Return the command line of a run that does not measure its result, because others do not."""
     command: list[str | Path] = [sys.executable, "-m", "nanogs", "simplify", model, output]
     command += ["-w", "-q", "--no-measure", "--preset", preset, "--ratio", str(ratio)]
     return command + ([] if threads is None else ["--threads", str(threads)])
 
 
 def other(model: Path, flag: str, ratio: float) -> Run:
-    """One run of splat-transform."""
+    """Return a function that runs splat-transform once."""
     count = str(target_count(inspect(model).splats, ratio, None))
     return lambda: run_tool(model, flag, count, WORK / "other.ply")
 
 
 def query(model: Path) -> Run:
-    """The k-d tree's query of a model's centres."""
+    """Build the k-d tree of a model's centres; return a function that queries it once."""
     means = nanogs.load(model).means.astype(np.float64)
     means = means[morton_order(means)]
     tree = cKDTree(means, leafsize=16)
@@ -111,7 +111,7 @@ def query(model: Path) -> Run:
 
 
 def in_turns(runs: dict[str, Run], rounds: int) -> dict[str, list[tuple[float, int]]]:
-    """Seconds and peaks of every run, each once a round."""
+    """Run all functions once per round; return their seconds and peak memory."""
     taken: dict[str, list[tuple[float, int]]] = {name: [] for name in runs}
     for _ in range(rounds):
         for name, run in runs.items():
@@ -121,7 +121,7 @@ def in_turns(runs: dict[str, Run], rounds: int) -> dict[str, list[tuple[float, i
 
 
 def against_others(model: Path, options: argparse.Namespace) -> None:
-    """Every preset, the other tool's modes and the query."""
+    """Print time and memory of each preset, splat-transform's modes and the query."""
     presets = options.presets.split(",")
     runs = {preset: ours(model, preset, options) for preset in presets}
     if not options.alone:
@@ -145,13 +145,13 @@ def against_others(model: Path, options: argparse.Namespace) -> None:
 
 
 def warm(options: argparse.Namespace) -> None:
-    """Compile what is not in the cache, on a small scene."""
+    """Compile kernels that are not cached, by runs on a small scene."""
     for preset in options.presets.split(","):
         ours(scene(2000), preset, options)()
 
 
 def scaling(counts: list[int], options: argparse.Namespace) -> None:
-    """Seconds and memory of a preset over the count, and the slope on log-log."""
+    """Print time and memory of a preset by count, and the slope of log time over log count."""
     warm(options)
     runs = {f"{count:,}": ours(scene(count), options.preset, options) for count in counts}
     taken = in_turns(runs, options.rounds)
@@ -168,13 +168,13 @@ def scaling(counts: list[int], options: argparse.Namespace) -> None:
 
 
 def column_bytes(model: Path) -> int:
-    """Bytes of a model's float32 columns."""
+    """Return the bytes of a model's float32 columns."""
     columns = inspect(model)
     return columns.splats * splat_bytes(columns.sh_degree)
 
 
 def threads(numbers: list[int], model: Path, options: argparse.Namespace) -> None:
-    """Seconds of each preset over the number of threads."""
+    """Print the seconds of each preset by number of threads."""
     warm(options)
     runs = {
         f"{preset} | {number}": ours(model, preset, options, number)

@@ -1,14 +1,14 @@
-"""Slider to picture in `nanogs studio`, through a browser: the coarse answer, and the measured one.
+"""Time `nanogs studio` in a browser, from a slider's input to the coarse and the measured answer.
 
     python benchmarks/studio.py [MODEL ...] [--counts 1000000] [--ratios 0.5,0.2,0.1,0.05]
                                 [--preset default] [--rounds 1] [--json FILE]
 
-Without a model: biker.spz of the real scenes (NANOGS_SCENES), and made-up scenes of so many splats.
-The time begins as the slider says `input` in the page, and ends when nothing moves any more and a
-pixel of the answer's picture was read back, so that it is drawn and not only asked for. Beside it:
-until the answer was told, until its model had come, and until that was decoded; the rest is
-drawing. The result's picture comes before its figures, which are measured then. Where no graphics
-card is at hand, the processor draws (SwiftShader), which takes its cores from what is computed.
+Without a model: biker.spz of the real scenes (NANOGS_SCENES), and synthetic scenes of --counts
+splats. The time starts at the slider's `input` event in the page, and ends when the view is still
+and a pixel of the answer's image was read back, which waits until it is drawn. Further columns:
+until the event of the answer arrived, until its model was downloaded, and until that was decoded;
+the rest is drawing. The result's image is shown before its scores, which are measured afterwards.
+Without a graphics card, the processor draws (SwiftShader), and competes with the computation.
 """
 
 import argparse
@@ -31,7 +31,7 @@ COLUMNS = {
     "draft": "told", "model": "model there", "decoded": "decoded", "coarse": "coarse picture",
     "made": "result's picture", "measured": "measured",
 }  # fmt: skip
-# Put into the page before its own scripts: when each event and each model has come.
+# Inserted into the page before its own scripts: records the time of each event and download.
 WATCH = """
 (() => {
   const seen = (window.seen = {});
@@ -76,7 +76,7 @@ WATCH = """
   requestAnimationFrame(look);
 })();
 """
-# What the hand does: a slider passes a place and stays there.
+# Simulates a drag of the slider to a ratio: an `input` event and a `change` event.
 SLIDE = """(ratio) => {
   const { available, splats } = limits;
   const fewest = Math.max(limits.fewest, Math.min(100, available / 1000)); // as sliders.js has it
@@ -97,7 +97,7 @@ RENDERER = """() => {
 
 
 def main() -> None:
-    """Print a table, a row for each model and ratio, and medians; and what the studio takes."""
+    """Print a table with a row for each model and ratio, medians, and the studio's memory."""
     options = _options()
     sys.path.insert(0, str(ROOT / "tests"))
     found: list[dict[str, Any]] = []
@@ -133,7 +133,7 @@ def _models(options: argparse.Namespace, folder: Path) -> Iterator[Path]:
 
 
 def _measure(model: Path, folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """Seconds of each slide, and what draws."""
+    """Measure the seconds of each slider move, with the name of the WebGL renderer."""
     found = []
     with _opened(model, folder, options.preset) as (page, studio):
         renderer = page.evaluate(RENDERER)
@@ -156,7 +156,7 @@ def _measure(model: Path, folder: Path, options: argparse.Namespace) -> list[dic
 
 
 def _peak(pid: int) -> int:
-    """Bytes that a process and those that it started have taken at most, each on its own; Linux."""
+    """Sum the peak resident bytes of a process and its children, each at its own peak; Linux."""
     import psutil
 
     root = psutil.Process(pid)
@@ -170,7 +170,7 @@ def _peak(pid: int) -> int:
 
 @contextmanager
 def _opened(model: Path, folder: Path, preset: str) -> Iterator[Any]:
-    """The page of a studio, watched, and the studio."""
+    """Start a studio and open its page with `WATCH` inserted; yield both."""
     import studiopage
     from studio import running
 
@@ -185,7 +185,7 @@ def _opened(model: Path, folder: Path, preset: str) -> Iterator[Any]:
 
 
 def _settle(page: Any) -> None:  # noqa: ANN401 - a page of Playwright
-    """Wait until what the page begins with is measured."""
+    """Wait until the page's first result is measured."""
     page.wait_for_function("() => document.body.dataset.state === 'measured'", timeout=PATIENCE)
 
 

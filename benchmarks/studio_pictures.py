@@ -1,9 +1,9 @@
-"""Make the pictures of `nanogs studio` in the documentation, from the page itself.
+"""Make the documentation's screenshots of `nanogs studio`.
 
     python benchmarks/studio_pictures.py
 
-The scene of `nanogs demo`, cut to a twentieth, in Chromium; a page of 1280 pixels to
-docs/images/studio.jpg, and one of 390 to docs/images/studio_phone.jpg.
+The scene of `nanogs demo`, simplified to a twentieth, in Chromium: a page 1280 pixels wide as
+docs/images/studio.jpg, and one of 390 pixels as docs/images/studio_phone.jpg.
 """
 
 import io
@@ -26,11 +26,11 @@ TARGET = Path(__file__).resolve().parents[1] / "docs" / "images"
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PATIENCE = 300_000  # milliseconds
 SPLATS = 5_682  # a twentieth
-COARSE = 6  # points that the plot gets while nobody asks
+COARSE = 6  # number of coarse points that the studio adds to the plot while it is idle
 
 
 def main() -> None:
-    """Start a studio, open its page twice, and keep what is seen."""
+    """Start a studio, open its page in two sizes, and save screenshots."""
     browser = shutil.which("chromium") or sys.exit("This needs Chromium.")
     with _address() as address, sync_playwright() as driver:
         chromium = driver.chromium.launch(executable_path=browser, args=SOFTWARE)
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def _choose(page: Page) -> None:
-    """Type a count, and wait until the model, the plot and the picture are as they stay."""
+    """Type a count, and wait until the model, the plot and the image are final."""
     page.wait_for_selector("body[data-state=measured]")
     page.locator("#splats").fill(str(SPLATS))
     page.locator("#splats").press("Enter")
@@ -61,7 +61,7 @@ def _choose(page: Page) -> None:
 
 @contextmanager
 def _address() -> Iterator[str]:
-    """The address of a studio of the scene."""
+    """Start a studio with the scene, and yield its URL."""
     with tempfile.TemporaryDirectory() as folder:
         nanogs.save(load_plant(), Path(folder) / "plant.ply")
         command = [sys.executable, "-m", "nanogs", "studio", "plant.ply", "--no-open", "--json"]

@@ -1,11 +1,11 @@
-"""Scenes of several things for `quality.py`, most on a made-up ground, with hills and a sky.
+"""Composite scenes for `quality.py`, most with synthetic ground, hills and sky.
 
-    python benchmarks/unbounded.py FOLDER      # views from near by, with cameras there and without
+    python benchmarks/unbounded.py FOLDER      # close views, with and without given cameras
 
-None of the real scenes has a sky or hills, as most captures outdoors have. `outdoors` is playbot
-with plants around it; `meadow` is a plant among pieces of flowers, which hold most of the splats;
-`street` is eight things along a road. They are in units of the radius that holds nine tenths of the
-first model's centres, y down. `rooms` is four kitchens wall to wall. All are the same each time.
+None of the real scenes has a sky or hills, as most outdoor captures have. `outdoors` is playbot
+with plants around it; `meadow` is a plant among pieces of flowers, which have most of the splats;
+`street` is eight objects along a road. Their unit is the radius that holds nine tenths of the first
+model's centres, y down. `rooms` is four kitchens wall to wall. All are deterministic.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from nanogs.views.poses import look_at
 from rivals import ROOT
 
 UP = np.array([0.0, -1.0, 0.0])
-# Of cameras around the middle: how far away and how high, and how high they look.
+# Rings of cameras around the centre: distance, height, and height of the point they look at.
 RINGS = {"outdoors": (1.8, 1.1, 0.6), "meadow": (2.2, 1.3, 0.8)}
 THINGS = ("playbot", "plant", "biker", "guitar", "plant", "playbot", "biker", "plant")
 SAND, GREEN = (0.45, 0.38, 0.26), (0.25, 0.33, 0.22)
@@ -37,7 +37,7 @@ Source = Callable[[str], Path]
 
 
 def outdoors(source: Source, rng: np.random.Generator) -> list[Splats]:
-    """Playbot, nine plants four to nine radii away, ground, hills and sky."""
+    """Return playbot, nine plants four to nine radii away, ground, hills and sky."""
     bot = standing(load(source("playbot")), 1.0, 0.0, 0.97)
     plant = load(source("plant"))
     found = [bot]
@@ -50,14 +50,14 @@ def outdoors(source: Source, rng: np.random.Generator) -> list[Splats]:
 
 
 def meadow(source: Source, rng: np.random.Generator) -> list[Splats]:
-    """A plant, four pieces of flowers, of which one is around it, ground, hills and sky."""
+    """Return a plant, four pieces of flowers, one of them around it, ground, hills and sky."""
     plant, flowers = load(source("plant")), load(source("flowers"))
     found = [standing(thinned(plant, 0.6, rng), 1.0, 0.0, 0.99)]
     for number, (x, z, size, share) in enumerate(
         [(0, 0, 4, 0.5), (12, 5, 6, 0.25), (-10, -9, 6, 0.25), (5, -14, 7, 0.25)]
     ):
         piece = standing(thinned(flowers, share, rng), size, 1.3 * number, 0.6)
-        if number == 0:  # room for the plant
+        if number == 0:  # a hole for the plant
             level = np.linalg.norm(piece.means[:, [0, 2]], axis=1)
             piece = piece.take(np.flatnonzero((level > 1.2) | (piece.means[:, 1] > -0.1)))
         found.append(moved(piece, [x, 0.05, z]))
@@ -66,7 +66,7 @@ def meadow(source: Source, rng: np.random.Generator) -> list[Splats]:
 
 
 def street(source: Source, rng: np.random.Generator) -> list[Splats]:
-    """Eight things six radii apart, to the left and right of a road, ground, hills and sky."""
+    """Return eight objects six radii apart, on both sides of a road, ground, hills and sky."""
     found = []
     for number, name in enumerate(THINGS):
         thing = standing(thinned(load(source(name)), 0.5, rng), 1.0, 0.9 * number, 0.98)
@@ -75,19 +75,19 @@ def street(source: Source, rng: np.random.Generator) -> list[Splats]:
 
 
 def place_of(number: int) -> list[float]:
-    """Where a thing of `street` stands."""
+    """Return the position of an object of `street`."""
     return [6.0 * number - 21, 0.0, 3.0 if number % 2 else -3.0]
 
 
 def rooms(source: Source, rng: np.random.Generator) -> list[Splats]:
-    """Four kitchens, two by two."""
+    """Return four kitchens, two by two."""
     kitchen = load(source("kitchen"))
     ways = ways_of(kitchen)
     return [moved(thinned(kitchen, 0.6, rng), way.tolist()) for way in ways]
 
 
 def ways_of(kitchen: Splats) -> F64:
-    """(4, 3) from the first of `rooms` to each: multiples of the edges of the box it fills."""
+    """Return the offsets (4, 3) of `rooms`: sums of the edges of the kitchen's bounding box."""
     found = survey(kitchen)
     box = inside.fit_box(found.matter, found.core, np.array([0.0, 0.0, 1.0]))
     edges = (box.frame @ found.turn[:3, :3]) * (box.high - box.low)[:, None]
@@ -103,18 +103,18 @@ SCENES: dict[str, Callable[[Source, np.random.Generator], list[Splats]]] = {
 
 
 def make(name: str, source: Source, target: Path) -> None:
-    """Write one of `SCENES`, of real scenes in the files that `source` names."""
+    """Write one of `SCENES`, made from real scenes; `source` returns the file of a name."""
     save(concatenate(SCENES[name](source, np.random.default_rng(5))), target)
 
 
 def standing(model: Splats, size: float, spin: float, foot: float) -> Splats:
-    """A model of one colour a splat, of a radius, turned, on the ground at the origin.
+    """Put a model on the ground at the origin, without view-dependent colour, scaled and rotated.
 
     Args:
-        model: Whose way up is that of trained models.
-        size: The radius that holds nine tenths of its centres.
-        spin: About the vertical, radians.
-        foot: Quantile of its heights, from above, at which the ground is.
+        model: A model with y down, like trained models.
+        size: The radius that then holds nine tenths of its centres.
+        spin: Rotation about the vertical, radians.
+        foot: Quantile of its heights, from the top, that is placed at ground level.
     """
     model = model.with_sh_degree(0)
     middle = np.median(model.means, axis=0)
@@ -129,18 +129,18 @@ def standing(model: Splats, size: float, spin: float, foot: float) -> Splats:
 
 
 def thinned(model: Splats, share: float, rng: np.random.Generator) -> Splats:
-    """A share of the splats, at random."""
+    """Return a random share of the splats."""
     return model.take(np.flatnonzero(rng.random(len(model)) < share))
 
 
 def moved(model: Splats, way: Sequence[float]) -> Splats:
-    """The model elsewhere."""
+    """Translate the model in place, and return it."""
     model.means[:] += np.array(way, model.means.dtype)
     return model
 
 
 def ground(count: int, least: float, colour: Sequence[float], rng: np.random.Generator) -> Splats:
-    """A plane around the origin from so many radii to sixty, coarser where it is farther away."""
+    """Return a plane around the origin, from `least` to 60 radii, coarser with the distance."""
     far = np.exp(rng.uniform(np.log(least), np.log(60), count))
     turn = rng.uniform(0, 2 * np.pi, count)
     points = np.stack([far * np.cos(turn), np.full(count, 0.05), far * np.sin(turn)], axis=1)
@@ -151,7 +151,7 @@ def ground(count: int, least: float, colour: Sequence[float], rng: np.random.Gen
 
 
 def hills(count: int, far: float, colour: Sequence[float], rng: np.random.Generator) -> Splats:
-    """A ring of them, so far away."""
+    """Return a ring of hills at a distance of `far`."""
     turn, height = rng.uniform(0, 2 * np.pi, count), rng.random(count)
     tops = far / 8 * (1 + 0.5 * np.sin(3 * turn) + 0.3 * np.sin(7 * turn + 1))
     ring = np.stack([np.cos(turn), np.zeros(count), np.sin(turn)], axis=1)
@@ -162,7 +162,7 @@ def hills(count: int, far: float, colour: Sequence[float], rng: np.random.Genera
 
 
 def sky(rng: np.random.Generator) -> Splats:
-    """Half a sphere of large splats with clouds, 70 to 140 radii away."""
+    """Return a hemisphere of large splats with clouds, 70 to 140 radii away."""
     ways = rng.normal(size=(12_000, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     ways = ways[ways[:, 1] < 0.08]
@@ -176,15 +176,15 @@ def sky(rng: np.random.Generator) -> Splats:
 def surface(
     points: F64, normals: F64, widths: F64, shades: F64, flatness: float, rng: np.random.Generator
 ) -> Splats:
-    """Splats of uneven sizes and opacities that lie on a surface, as trained ones do.
+    """Return splats on a surface, with varying scales and opacities like those of trained models.
 
     Args:
-        points: (N, 3).
-        normals: (N, 3) unit.
-        widths: (N,) their usual deviations.
+        points: (N, 3) points on the surface.
+        normals: (N, 3) unit normals.
+        widths: (N,) typical scales along the surface.
         shades: (N, 3) RGB in [0, 1].
-        flatness: Thickness over width.
-        rng: Chooses.
+        flatness: Ratio of thickness to width.
+        rng: Source of the random numbers.
     """
     count = len(points)
     widths = widths * np.exp(rng.normal(0, 0.5, count))
@@ -205,13 +205,13 @@ def surface(
 def splats_of(
     means: F64, log_scales: F32 | F64, axes: F64, logits: F32 | F64, sh: F32 | F64
 ) -> Splats:
-    """Splats of these columns and of axes (N, 3, 3), which are columns, in float32."""
+    """Build splats in float32 from columns, with the axes as columns of rotations (N, 3, 3)."""
     columns = (means, log_scales, quaternions(axes), logits, sh)
     return Splats(*(np.ascontiguousarray(column, np.float32) for column in columns))
 
 
 def waves(points: F64, sizes: Sequence[tuple[float, float]], seed: int) -> F64:
-    """(N,) noise of a few frequencies, each with its height."""
+    """Compute noise (N,) as a sum of sines; `sizes` are pairs of frequency and amplitude."""
     rng, found = np.random.default_rng(seed), np.zeros(len(points))
     for frequency, height in sizes:
         for way in rng.normal(size=(6, 3)):
@@ -221,13 +221,13 @@ def waves(points: F64, sizes: Sequence[tuple[float, float]], seed: int) -> F64:
 
 
 def seen_from(place: F64, target: F64, name: str) -> Camera:
-    """A camera of 400 x 400 pixels and 60 degrees."""
+    """Return a camera of 400 x 400 pixels with a field of view of 60 degrees."""
     focal = 200 / np.tan(np.pi / 6)
     return Camera(400, 400, focal, focal, 200, 200, look_at(place, target, UP), name, near=0.02)
 
 
 def ring(name: str, count: int, start: float) -> list[Camera]:
-    """Cameras around the middle of a scene."""
+    """Return cameras in a ring around the centre of a scene."""
     far, height, target = RINGS[name]
     found = []
     for turn in start + np.arange(count) * 2 * np.pi / count:
@@ -237,7 +237,7 @@ def ring(name: str, count: int, start: float) -> list[Camera]:
 
 
 def walk(count: int, start: float) -> list[Camera]:
-    """So many cameras beside each thing of `street`, on the side of the road."""
+    """Return `count` cameras near each object of `street`, on the side of the road."""
     found = []
     for number in range(len(THINGS)):
         thing = np.array(place_of(number)) + 0.5 * UP
@@ -248,7 +248,7 @@ def walk(count: int, start: float) -> list[Camera]:
 
 
 def within(kitchen: Splats, count: int, split: Split) -> list[Camera]:
-    """Automatic cameras of 400 x 400 pixels in each of `rooms`."""
+    """Return automatic cameras of 400 x 400 pixels in each of `rooms`."""
     found = []
     for number, way in enumerate(ways_of(kitchen)):
         for camera in automatic_cameras(kitchen, count, width=400, height=400, split=split):
@@ -259,7 +259,7 @@ def within(kitchen: Splats, count: int, split: Split) -> list[Camera]:
 
 
 def near_views(name: str, source: Source) -> tuple[list[Camera], list[Camera]]:
-    """Views of a scene from near by: those that may be learnt from, and others."""
+    """Return close views of a scene: those that methods may learn from, and those to test on."""
     if name == "street":
         return walk(5, 0.3), walk(2, 0.6)
     if name == "rooms":
@@ -269,8 +269,8 @@ def near_views(name: str, source: Source) -> tuple[list[Camera], list[Camera]]:
 
 
 def main() -> None:
-    """Print what comes of each scene in views from near by, with cameras there and without."""
-    from measured import Bench  # which makes scenes of this file's
+    """Print the PSNR of each scene on close views, with and without given cameras."""
+    from measured import Bench  # imported here because it imports this module
 
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("folder", type=Path, help="where scenes and measurements are kept")

@@ -1,14 +1,15 @@
-"""Ask for random sizes of random small models, and see whether what comes is what was asked for.
+"""Test random requests ("wishes") for file sizes on random small models.
 
     python benchmarks/wishes.py [--count 1000] [--seed 1] [--only 17,23] [--scenes ../shared/scenes]
 
-A wish is a model (made up, odd, or a piece of a real scene), a format, a preset with few views and
-steps, a size from below the smallest possible to above the whole model (or, of every tenth, a PSNR)
-and some options; in memory, from a file, in blocks or through the command. The file must be no
-larger than asked, as large and of as many splats as the report says, and read back; where it takes
-less than 98 % of the size, notes say why. A refusal is one sentence and leaves nothing behind; the
-smallest possible size that it names can be had, and one byte less cannot. `tests/wishing.py` draws
-wishes and holds what comes against them. Wish K of a seed is the same however many there are.
+A wish is a model (synthetic, degenerate, or a piece of a real scene), a format, a preset with few
+views and steps, a size from below the smallest possible to above the whole model (or, for every
+tenth, a PSNR) and some options; in memory, from a file, in blocks or through the command. The file
+must not be larger than requested, must have the size and number of splats that the report states,
+and must be readable; if it takes less than 98 % of the size, notes must say why. A refusal must be
+one sentence and leave no files; the smallest possible size that it names must be possible, and one
+byte less must not. `tests/wishing.py` draws wishes and checks results. Wish K of a seed does not
+depend on the number of wishes.
 """
 
 import argparse
@@ -25,7 +26,7 @@ SCENES = ("guitar.compressed.ply", "biker.spz", "kitchen.spz", "skull.sog", "pla
 
 
 def main() -> None:
-    """Run the wishes and print tables of what came of them."""
+    """Run the wishes and print tables of their results."""
     options = _options()
     sys.path.insert(0, str(ROOT / "tests"))
     import nanogs

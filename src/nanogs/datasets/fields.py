@@ -17,7 +17,7 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens
 
 RIGID_TOLERANCE = 1e-3  # largest entry of |RᵀR - I| that counts as rounding
-MAX_SIDE = 65_536  # pixels; a larger side means a damaged file, and could not be allocated
+MAX_SIDE = 65_536  # pixels; larger means a damaged file, for which a renderer would allocate
 MAX_PIXELS = 1e9  # largest focal length and principal point, so that scaling stays finite
 MAX_DISTANCE = 1e12  # scene units; squares of much larger values overflow in single precision
 

@@ -128,7 +128,7 @@ def compare_mixed(
         FormatError: A model or the cameras cannot be read.
         ModelError: Nothing of the original is visible in any view.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
-        OptionError: An argument is out of range, or no stream or something else is given.
+        OptionError: An argument is out of range, no stream is given, or a path is not a stream.
     """
     paths = [place(stream) for stream in streams]
     for path in paths:

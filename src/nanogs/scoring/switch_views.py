@@ -22,7 +22,7 @@ from nanogs.splats import Splats
 from nanogs.switches import Switch, distance_of
 from nanogs.views.streamed import renderings
 
-LEAST_PIXELS = 32  # along the shorter side; SSIM, with its window of 11, needs about that many
+LEAST_PIXELS = 32  # along the shorter side; on fewer, SSIM with its window of 11 means nothing
 _LOOKS = 128  # pixels along the side of the depth images
 _SAMPLE = 1 << 16  # most splats for the median deviation
 _OPAQUE = 0.5  # alpha above which a pixel's depth is used
