@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-LIMIT = 900  # seconds for a command
+LIMIT = 900  # seconds; time-out of a command
 
 
 def main() -> None:

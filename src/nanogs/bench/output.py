@@ -18,7 +18,7 @@ from nanogs.errors import ExistsError, OutputError
 from nanogs.formatting import utf8
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
-PAGE, PICTURE = "results.html", "plot.png"  # of files of sizes
+PAGE, PICTURE = "results.html", "plot.png"  # only with file sizes
 UNFINISHED = "unfinished.jsonl"  # first line: `run_of` of the run; then its rows so far
 
 

@@ -78,7 +78,7 @@ def our_figures(rows: Sequence[BenchRow]) -> tuple[dict[str, Figures], list[str]
     first: dict[str, BenchRow] = {}
     remarks = []
     for mean in mean_rows(rows):
-        assert mean.wish.ratio is not None  # noqa: S101 - there is no table of sizes
+        assert mean.wish.ratio is not None  # noqa: S101 - the caller excludes file sizes
         if mean.left_out:
             remarks.append(f"at {mean.wish.text} without {', '.join(mean.left_out)}")
         for name, row in mean.methods.items():

@@ -19,7 +19,7 @@ from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 from nanogs.views.cameras import AUTOMATIC
 
-if TYPE_CHECKING:  # these bring Numba
+if TYPE_CHECKING:  # these import Numba
     from nanogs.datasets.dataset import Dataset
     from nanogs.datasets.frame import Frame
     from nanogs.scoring.scores import ReferenceView

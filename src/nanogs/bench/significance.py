@@ -50,7 +50,7 @@ def view_contributions(splats: Splats, cameras: Sequence[Camera]) -> F64:
     Raises:
         OptionError: There is no camera.
     """
-    from nanogs.raster.rendering import prepare, render  # brings Numba
+    from nanogs.raster.rendering import prepare, render  # imports Numba
 
     if not cameras:
         raise OptionError("Significance needs views to learn from; give at least one camera.")

@@ -83,7 +83,7 @@ def run_job(job: Job) -> Outcome:
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_serve, args=(job, sender), daemon=True)
 
-    def end() -> None:  # the result is written before it is announced
+    def end() -> None:  # nothing is lost: the result is written before it is announced
         if process.pid is not None:
             process.kill()
             process.join()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from nanogs.scoring.packing_cost import PackedFile, PackingCost
 
 _HINT = "; --views 8 says what speaks for it"
-# By the name of the render mode.
+# Texts by name of the render mode.
 _MODES = {"default": "default", "mip": "mip (antialiased)", "2dgs": "2dgs (flat splats)"}
 
 

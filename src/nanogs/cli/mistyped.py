@@ -31,7 +31,7 @@ def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
     """
     context = getattr(error, "ctx", None)
     if type(error).__name__ == "NoArgsIsHelpError":
-        error.show()  # the help itself
+        error.show()  # prints the help
         return ""
     command = f"{context.command_path} --help" if context else "nanogs --help"
     if option := _unknown_option(error):

@@ -149,7 +149,7 @@ def _background(usual: str) -> Any:  # noqa: ANN401 - as typer has it
 BackgroundOption = Annotated[
     str, _view("black, white, or #rrggbb.", "--background", metavar="COLOUR")
 ]
-GivenBackground = Annotated[str | None, _background("black")]  # None where none is given
+GivenBackground = Annotated[str | None, _background("black")]  # None if not given
 PhotoBackground = Annotated[
     str | None, _background("black; white for NeRF-Synthetic photographs with alpha")
 ]

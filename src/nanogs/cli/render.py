@@ -64,7 +64,7 @@ def render(
             "--background is without effect beside --transparent, which keeps alpha in its place;"
             " leave one of them out."
         )
-    color = options.parse_background(background or "black")  # alpha is taken from one over black
+    color = options.parse_background(background or "black")  # straight alpha needs it black
     from nanogs.card.device import device_notes, use_device
     from nanogs.progress import Stage, Tracker
     from nanogs.threads import use_threads

@@ -65,7 +65,7 @@ def view(
     run: options.Running,
 ) -> None:
     """Write a page that shows one or two models in 3D, offline; mouse, touch and keys move them."""
-    # What only a run needs is imported here, and not for `--help`.
+    # Imported here because `--help` does not need it.
     from nanogs.cli.browsing import show_page
     from nanogs.cli.console import say
     from nanogs.cli.fetching import fetched
