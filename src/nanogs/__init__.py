@@ -71,7 +71,7 @@ __all__ = [
     "write_levels",
 ]
 
-# Where the names are from. They are imported when they are first asked for: the command runs this
+# Module of each public name. Names are imported lazily, at first access: the command runs this
 # file too, and its `--help` needs neither NumPy nor any of these.
 _HOMES = {
     "Camera": "raster.camera",
@@ -108,7 +108,7 @@ _HOMES = {
     "simplify_blocks": "pipeline.files",
     "write_levels": "levels_of_detail",
 }
-_ATTRIBUTES = {"presets": "PRESETS"}  # what they are called there, if not the same
+_ATTRIBUTES = {"presets": "PRESETS"}  # names that differ from the attribute of the module
 _MODULES = (
     "datasets", "errors", "filters", "formatting", "frames", "io", "lod", "progress", "report",
     "source", "splats",
@@ -119,7 +119,7 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__, *_MODULES})
 
 
-if not TYPE_CHECKING:  # a type checker would take every name for one of ours
+if not TYPE_CHECKING:  # a type checker would accept any attribute name
 
     def __getattr__(name: str) -> object:
         if name in _MODULES:

@@ -1,4 +1,4 @@
-"""`nanogs.convert`: a model in another format, some rows at a time where formats let that be."""
+"""`nanogs.convert`: write a model in another format, streaming blocks of rows if formats allow."""
 
 import time
 from collections.abc import Sequence
@@ -36,18 +36,18 @@ class ConvertReport:
     Attributes:
         input: The file that was read.
         output: The file that was written.
-        filters: What each filter took.
-        frames: From and to which the model was turned, or None.
+        filters: Number of splats that each filter removed.
+        frames: Coordinate frames from and to which the model was turned, or None.
         input_bytes: Bytes of the input.
         output_bytes: Bytes of the output.
         format: Name of the output's format.
-        splats: Splats in it.
+        splats: Number of splats in the output.
         sh_degree: Degree of its spherical harmonics.
-        render_mode: The rasteriser that it names.
+        render_mode: The rasteriser that the output names.
         notes: What reading changed, one sentence each.
         losses: What the output leaves out, one sentence each.
         seconds: Time by stage, seconds.
-        total_seconds: The whole call, seconds.
+        total_seconds: Time of the whole call, seconds.
     """
 
     input: str
@@ -66,7 +66,7 @@ class ConvertReport:
     total_seconds: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Return the report as plain dictionaries, lists, numbers and strings."""
         return asdict(self)
 
 
@@ -84,29 +84,29 @@ def convert(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> ConvertReport:
-    """Write a model in another format, which the suffix says.
+    """Write a model in another format, chosen by the suffix of the target.
 
     Args:
         source: The file to read, or its URL.
         target: The file to write, or a URL to send it to; see `nanogs.save`.
-        level: Of a streamed model, which level of detail; 0 is the finest.
-        filters: What leaves out splats, such as `[nanogs.filters.box(low, high)]`.
-        sh_degree: The highest degree of spherical harmonics that stays, 0 to 4; all by default.
-        frame: From and to which the model is turned, such as ("rdf", "rub").
+        level: Level of detail to read of a streamed model; 0 is the finest.
+        filters: Filters that remove splats, such as `[nanogs.filters.box(low, high)]`.
+        sh_degree: The highest degree of spherical harmonics to keep, 0 to 4; all by default.
+        frame: Coordinate frames from and to which the model is turned, such as ("rdf", "rub").
         render_mode: "default" or "mip" in place of the render mode that the file names; see `open`.
         overwrite: Replace the output if it exists.
-        format_options: Of the output's format, as `save` takes them.
-        max_memory: Bytes that this process may take, a number or text like "4GB"; by default what
-            is free, less a tenth.
+        format_options: Options of the output's format; see `save`.
+        max_memory: Bytes of memory that this process may use, a number or text like "4GB"; by
+            default the free memory, less a tenth.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`.
 
     Raises:
         FormatError: The input cannot be read.
-        OptionError: An option makes no sense.
-        ModelError: A filter leaves nothing.
+        OptionError: An option is invalid.
+        ModelError: A filter leaves no splat.
         OutputError: The output exists, or it cannot be written.
-        NotEnoughMemoryError: It takes more memory than is free or allowed.
+        NotEnoughMemoryError: The conversion takes more memory than is free or allowed.
     """
     start, clock = time.perf_counter(), StageClock()
     given, wanted, filters = place(source), place(target), listed(filters)
@@ -125,13 +125,13 @@ def convert(
         saving["format_options"], said = keep_stated_frame(wanted, format_options, unturned)
         allowed = None if max_memory is None else as_bytes(max_memory)
         _refuse_too_large(file, path, filters, format_options, allowed)
-        typical = 1_000_000  # only how the two compare counts
+        typical = 1_000_000  # only the ratio of the two weights matters
         write = Stage("write", write_weight(path.suffix, typical))
         tracker = Tracker(tell, [Stage("read", read_weight(typical)), write])
         tracker.begin("read")
         with clock.time("read"):
             model, took = _changed(file, path, filters, sh_degree, frame)
-            # Asked now, as the output may take the place of the input.
+            # Read the input's facts now: the output may replace the input.
             notes, lost = _said(model, path)
             said = (*_which(file, level), *said)
             count, degree, read_bytes = model.count, model.columns.sh_degree, file.info.file_bytes
@@ -176,7 +176,10 @@ def _changed(
     sh_degree: int | None,
     frame: tuple[str, str] | None,
 ) -> tuple[Source, tuple[FilterReport, ...]]:
-    """The model as it is written, and what filters took; held whole where something needs that."""
+    """Return the model to write and the filters' reports.
+
+    It is loaded whole only if a filter or the target's format needs that.
+    """
     took: tuple[FilterReport, ...] = ()
     if _need_whole(filters):
         splats, took = apply(source.load(), filters)
@@ -192,14 +195,17 @@ def _changed(
 
 
 def _which(file: FileSource, level: int) -> tuple[str, ...]:
-    """Say which level was read of several; of 3D Tiles reading says so itself."""
+    """Return a note on the level that was read, if there are several.
+
+    Reading 3D Tiles adds such a note itself.
+    """
     if file.path.name == registry.TILESET or len(file.levels) < 2:
         return ()
     return (level_note(level, len(file.levels)),)
 
 
 def _said(model: Source, target: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Notes on the reading, and what the target leaves out, from one pass."""
+    """Collect the notes of reading and the losses of the target's format, in one pass."""
     losses, notes, lost = registry.writable(target).losses, [model.columns.notes], []
     for block in model.blocks():
         notes.append(tuple(block.notes))
@@ -208,7 +214,7 @@ def _said(model: Source, target: Path) -> tuple[tuple[str, ...], tuple[str, ...]
 
 
 def _written(target: Path, count: int, degree: int) -> dict[str, Any]:
-    """Describe the file that was written, by its own header where it can be read."""
+    """Describe the file that was written, by its own header if the format can be read."""
     known = registry.find(target)
     if known is None or not known.readable:
         own = {"format": target.suffix.lstrip("."), "splats": count, "sh_degree": degree}

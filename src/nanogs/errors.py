@@ -1,7 +1,7 @@
-"""The errors that nanogs raises for its users: one sentence each, with the remedy.
+"""The exceptions that nanogs raises; each message is one sentence that ends with the remedy.
 
-Everything a user can cause derives from `NanogsError`; the command line turns it into exit code 2.
-Anything else that escapes is a defect of ours.
+Every error that a user can cause derives from `NanogsError`; the command line turns it into exit
+code 2. Any other exception that escapes is a defect of nanogs.
 """
 
 import difflib
@@ -9,30 +9,30 @@ from collections.abc import Iterable
 
 
 class NanogsError(Exception):
-    """Base of every error caused by what the user gave; the message names place and remedy."""
+    """Base class of every error caused by user input; the message names the place and a remedy."""
 
 
 class FormatError(NanogsError):
-    """A file is not what its name says, is damaged, or holds something that cannot be kept."""
+    """A file does not match its suffix, is damaged, or holds data that nanogs cannot keep."""
 
 
 class ModelError(NanogsError):
-    """A model's arrays disagree with each other or hold no usable splat."""
+    """A model's arrays are inconsistent or hold no usable splat."""
 
 
 NONE_USABLE = "No splat is usable: every one holds a NaN or an infinite value."
 
 
 class OptionError(NanogsError):
-    """An option or a combination of options makes no sense for this input."""
+    """An option or a combination of options is invalid for this input."""
 
 
 class TooSmallError(OptionError):
-    """No result of this model fits into the size that was asked for."""
+    """No result of this model fits into the requested file size."""
 
 
 class CrowdedError(OptionError):
-    """More splats than a block may have lie in one place."""
+    """More splats than a block may hold share one place, so that they cannot be divided."""
 
 
 class OutputError(NanogsError):
@@ -40,17 +40,18 @@ class OutputError(NanogsError):
 
 
 class UnstorableError(OutputError):
-    """A format has no code for a value of this model, or not enough room for its splats."""
+    """A format cannot encode a value of this model, or cannot hold this number of splats."""
 
 
 class ExistsError(OutputError):
-    """The output exists, and nobody has said that it may be replaced.
+    """The output exists, and replacing it was not allowed.
 
-    Python and the command allow it in different words, so the sentence is put together late.
+    Python and the command allow it in different ways, so the message is completed only when it is
+    shown.
 
     Args:
-        fact: What is the case, without a full stop: "a.ply exists already".
-        deed: What may be allowed.
+        fact: The problem, without a full stop, such as "a.ply exists already".
+        deed: The action that the caller may allow, such as "replace it".
     """
 
     def __init__(self, fact: str, deed: str = "replace it") -> None:
@@ -60,22 +61,22 @@ class ExistsError(OutputError):
         return self.sentence("pass overwrite=True")
 
     def sentence(self, remedy: str) -> str:
-        """The message with what allows it, such as "add -w"."""
+        """Return the message with a remedy that allows the action, such as "add -w"."""
         fact, deed = self.args
         return f"{fact}; {remedy} to {deed}."
 
 
 class NotEnoughMemoryError(NanogsError):
-    """The memory that is free, or was allowed, is less than this takes."""
+    """The work takes more memory than is free or was allowed."""
 
 
 def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.6) -> str:
-    """` (did you mean 'x'?)` for the choice most like a word, to follow it; empty without one.
+    """Return ` (did you mean 'x'?)` for the choice most similar to a word; empty if none is.
 
     Args:
-        word: What was given.
-        choices: What there is.
-        cutoff: How alike they must be, 0 to 1.
+        word: The word that was given, after which the text is put.
+        choices: The known words.
+        cutoff: Least similarity, 0 to 1.
     """
     known = {choice.lower(): choice for choice in choices}
     close = difflib.get_close_matches(word.lower(), known, n=1, cutoff=cutoff)

@@ -1,7 +1,8 @@
-"""Which splats to keep before anything else is done: by place, by opacity, by company.
+"""Filters that remove splats before anything else is done: by place, opacity or isolation.
 
-A filter takes whole splats and changes none. The library's functions return the rest of the model;
-`apply` does several in a row and reports what each took. No Numba unless floaters are looked for.
+A filter removes whole splats and changes none. The public functions return the filtered model;
+`apply` runs several filters in turn and reports how many splats each removed. Numba is imported
+only to find floaters.
 """
 
 import math
@@ -16,28 +17,28 @@ from nanogs.formatting import counted
 from nanogs.ranges import is_number, value_text
 from nanogs.splats import Splats, refuse_misaligned_elements, refuse_other
 
-ENVIRONMENT = "environment"  # the filter that leaves levels without it
-NEIGHBOURS = 8  # clusters of up to so many splats can be floaters
+ENVIRONMENT = "environment"  # name of the filter that takes the environment out of the levels
+NEIGHBOURS = 8  # clusters of up to this number of splats can be floaters
 DEVIATIONS = 5.0  # of the logarithm of distances
-_LEAST_SPREAD = 0.3  # of that logarithm: evenly spaced splats have none
-_REACH = 3.0  # standard deviations that a splat is taken to extend
+_LEAST_SPREAD = 0.3  # least deviation of that logarithm: evenly spaced splats have none
+_REACH = 3.0  # extent of a splat in standard deviations
 
 
 Plain = tuple[str, tuple[float, ...]]
-"""The kind of a filter and its numbers, as a job records it."""
+"""A filter in serialisable form, for job records: its kind and its numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """A rule that tells which splats stay, and its name.
+    """A named predicate that selects the splats to keep.
 
     Attributes:
-        name: As in `--crop`, without the dashes.
-        argument: What it was given, as text; empty where it takes nothing.
-        keep: (N,) bool of a model: the rows that stay.
-        whole: Whether it has to see all splats to tell.
-        plain: Its kind and numbers, from which `filter_of` makes it again; None of one that is not
-            of this module.
+        name: Name of the command's option without the dashes, such as "crop".
+        argument: The option's value as text; empty if it takes none.
+        keep: Function of a model of N splats that returns an (N,) bool mask of the rows to keep.
+        whole: Whether it needs all splats at once.
+        plain: Kind and numbers, from which `filter_of` makes the filter again; None for a filter
+            that was not made by this module.
     """
 
     name: str
@@ -49,13 +50,13 @@ class Filter:
 
 @dataclass(frozen=True, slots=True)
 class FilterReport:
-    """How many splats one filter took.
+    """Number of splats that one filter removed.
 
     Attributes:
-        name: Of the filter.
-        argument: What it was given.
-        removed: Splats that it took.
-        left: Splats after it.
+        name: Name of the filter.
+        argument: Its argument as text.
+        removed: Number of splats that it removed.
+        left: Number of splats after it.
     """
 
     name: str
@@ -65,10 +66,10 @@ class FilterReport:
 
 
 def listed(filters: Iterable[Filter]) -> tuple[Filter, ...]:
-    """Filters as a caller gives them, to be gone through more than once.
+    """Return a caller's filters as a tuple, after a check of their type.
 
     Raises:
-        OptionError: They are no list of filters.
+        OptionError: The value is not an iterable of filters.
     """
     found = tuple(filters) if isinstance(filters, Iterable) else (None,)
     if not all(isinstance(each, Filter) for each in found):
@@ -79,10 +80,13 @@ def listed(filters: Iterable[Filter]) -> tuple[Filter, ...]:
 
 
 def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[FilterReport, ...]]:
-    """The model that several filters leave, each looking at what those before it left.
+    """Apply several filters in turn, each to the splats that those before it kept.
+
+    Returns:
+        The filtered model, and the report of each filter.
 
     Raises:
-        ModelError: Nothing is left, or an element has one row a splat.
+        ModelError: No splat is left, or a further PLY element has one row for each splat.
     """
     left, _, reports = sift(splats, filters)
     return left, reports
@@ -91,10 +95,13 @@ def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[Filt
 def sift(
     splats: Splats, filters: Sequence[Filter]
 ) -> tuple[Splats, Bool, tuple[FilterReport, ...]]:
-    """As `apply`, and which splats stay, (N,) bool, between the model and the reports.
+    """Apply several filters in turn, and also return the mask of the splats that stay.
+
+    Returns:
+        The filtered model, an (N,) bool mask of the input's rows, and the report of each filter.
 
     Raises:
-        ModelError: As for `apply`.
+        ModelError: See `apply`.
     """
     refuse_other(splats)
     reports, stays = [], np.ones(len(splats), np.bool_)
@@ -113,12 +120,12 @@ def sift(
 def in_order(
     regions: Sequence[Filter], min_opacity: float | None, *, floaters: bool
 ) -> list[Filter]:
-    """Filters in the order in which the command and the studio apply them.
+    """Return the filters in the order in which the command and the studio apply them.
 
     Args:
         regions: Boxes and spheres in which splats stay.
-        min_opacity: The lowest alpha that stays, or None.
-        floaters: Whether floaters are left out, of what the others have left.
+        min_opacity: The lowest alpha to keep, or None.
+        floaters: Whether floaters are removed, after the other filters.
 
     Raises:
         OptionError: The alpha is not from 0 to 1.
@@ -130,10 +137,10 @@ def in_order(
 
 
 def refuse_empty(given: Filter, before: int, left: int) -> None:
-    """Refuse a filter that leaves nothing of so many splats.
+    """Refuse a filter that leaves none of `before` splats.
 
     Raises:
-        ModelError: It does.
+        ModelError: No splat is left.
     """
     if not left:
         what = f"{given.name} {given.argument}".strip()
@@ -141,10 +148,10 @@ def refuse_empty(given: Filter, before: int, left: int) -> None:
 
 
 def refuse_whole(filters: Sequence[Filter]) -> None:
-    """Refuse filters that have to see all splats where a model is read in parts.
+    """Refuse filters that need all splats at once, for a model that is read in parts.
 
     Raises:
-        OptionError: There is one.
+        OptionError: There is such a filter.
     """
     for each in filters:
         if each.whole:
@@ -155,10 +162,10 @@ def refuse_whole(filters: Sequence[Filter]) -> None:
 
 
 def filter_of(kind: str, values: Sequence[float]) -> Filter:
-    """The filter that is `Filter.plain` of another, on another machine perhaps.
+    """Make a filter from the kind and numbers in `Filter.plain`, perhaps of another machine.
 
     Raises:
-        OptionError: There is no such kind, or it makes no sense.
+        OptionError: There is no such kind, or its numbers are invalid.
     """
     if kind == "box":
         return box(values[:3], values[3:])
@@ -176,45 +183,45 @@ def filter_of(kind: str, values: Sequence[float]) -> Filter:
 
 
 def crop_box(splats: Splats, low: Sequence[float], high: Sequence[float]) -> Splats:
-    """The splats whose centres lie in a box along the axes, its faces included.
+    """Keep the splats whose centres are in an axis-aligned box, its faces included.
 
     Args:
-        splats: N splats; a centre that is not finite lies nowhere.
+        splats: N splats; those whose centre is not finite are removed.
         low: x, y, z of the lowest corner, scene units.
-        high: Of the highest.
+        high: x, y, z of the highest corner, scene units.
 
     Raises:
         OptionError: A corner is not three numbers, or low is above high.
-        ModelError: No centre lies in it.
+        ModelError: No centre is in the box.
     """
     return apply(splats, [box(low, high)])[0]
 
 
 def crop_sphere(splats: Splats, centre: Sequence[float], radius: float) -> Splats:
-    """The splats whose centres lie in a ball, its surface included.
+    """Keep the splats whose centres are in a ball, its surface included.
 
     Args:
-        splats: N splats; a centre that is not finite lies nowhere.
-        centre: x, y, z, scene units.
-        radius: Scene units.
+        splats: N splats; those whose centre is not finite are removed.
+        centre: x, y, z of the ball's centre, scene units.
+        radius: Radius of the ball, scene units.
 
     Raises:
         OptionError: The centre is not three numbers, or the radius is not above 0.
-        ModelError: No centre lies in it.
+        ModelError: No centre is in the ball.
     """
     return apply(splats, [sphere(centre, radius)])[0]
 
 
 def min_opacity(splats: Splats, alpha: float) -> Splats:
-    """The splats whose alpha is not below a value; one that is NaN stays.
+    """Keep the splats whose alpha is not below a threshold; one whose alpha is NaN stays.
 
     Args:
         splats: N splats.
-        alpha: In [0, 1].
+        alpha: The threshold, in [0, 1].
 
     Raises:
-        OptionError: It is not.
-        ModelError: All are below.
+        OptionError: The threshold is not in [0, 1].
+        ModelError: All splats are below it.
     """
     return apply(splats, [opaque_enough(alpha)])[0]
 
@@ -222,20 +229,22 @@ def min_opacity(splats: Splats, alpha: float) -> Splats:
 def drop_floaters(
     splats: Splats, *, neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS
 ) -> Splats:
-    """The splats that are not far from everything.
+    """Remove floaters: splats that are far from all others.
 
-    The distance of each centre to its `neighbours`-th nearest is exact. A splat is a floater if
-    that distance is far above what is usual in the model, and beyond three standard deviations of
-    the splat's longest axis, so that it does not reach there either. Usual is the median; far is
-    above it by `deviations` times 1.4826 median absolute deviations, all of logarithms, so that
-    neither the scale of the scene nor the floaters matter; the deviation counts as 0.3 at least.
-    Distances of zero, between splats in the same place, are left out of what is usual. Groups of up
-    to `neighbours` splats in the void are taken, since the neighbour in question is outside.
+    A splat is a floater if the distance to its `neighbours`-th nearest neighbour, which is exact,
+    is an outlier among those of the model and is more than three standard deviations of the splat's
+    longest axis, so that the splat does not reach that neighbour either. An outlier is above the
+    median by `deviations` times 1.4826 median absolute deviations. Both are of the logarithms of
+    the distances, so that neither the scale of the scene nor the floaters themselves matter; the
+    deviation counts as 0.3 at least. Distances of zero, between splats in the same place, are left
+    out of these statistics. Isolated groups of up to `neighbours` splats are removed too, because
+    the neighbour that counts is outside the group.
 
     Args:
         splats: N splats; those whose centre or scale is not finite stay and are no neighbours.
-        neighbours: Which neighbour's distance counts, 1 or more.
-        deviations: How far is too far, above 0.
+        neighbours: Rank of the neighbour whose distance counts, 1 or more.
+        deviations: Number of deviations above the median from which a distance is an outlier, above
+            0.
 
     Raises:
         OptionError: A parameter is out of range.
@@ -244,7 +253,7 @@ def drop_floaters(
 
 
 def box(low: Sequence[float], high: Sequence[float]) -> Filter:
-    """The filter of `crop_box`."""
+    """Make the filter that `crop_box` applies."""
     bottom, top = _point(low), _point(high)
     if (bottom > top).any():
         raise OptionError(
@@ -260,7 +269,7 @@ def box(low: Sequence[float], high: Sequence[float]) -> Filter:
 
 
 def sphere(centre: Sequence[float], radius: float) -> Filter:
-    """The filter of `crop_sphere`."""
+    """Make the filter that `crop_sphere` applies."""
     middle = _point(centre)
     if not (is_number(radius) and 0 < radius < math.inf):
         given = value_text(radius)
@@ -276,7 +285,7 @@ def sphere(centre: Sequence[float], radius: float) -> Filter:
 
 
 def within(centre: Sequence[float], radius: float) -> Filter:
-    """The filter of a scene without its environment, what lies beyond a distance."""
+    """Make the filter that removes the environment: all splats beyond a distance from a point."""
     middle = _point(centre)
     plain = ("within", (*middle.tolist(), float(radius)))
     return Filter(
@@ -285,7 +294,7 @@ def within(centre: Sequence[float], radius: float) -> Filter:
 
 
 def beyond(centre: Sequence[float], radius: float) -> Filter:
-    """The filter of that environment, all that `within` leaves out."""
+    """Make the filter that keeps only the environment: the splats that `within` removes."""
     middle = _point(centre)
     plain = ("beyond", (*middle.tolist(), float(radius)))
     return Filter(
@@ -294,11 +303,11 @@ def beyond(centre: Sequence[float], radius: float) -> Filter:
 
 
 def distances(means: F, middle: F64) -> F64:
-    """(N,) distances of centres from a point, scene units; NaN of one that is not finite.
+    """Compute the (N,) float64 distances of centres from a point; not finite if the centre is not.
 
     Args:
-        means: (N, 3) centres.
-        middle: (3,) the point.
+        means: (N, 3) centres, scene units.
+        middle: (3,) the point, scene units.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         away: F64 = np.linalg.norm(means.astype(np.float64) - middle, axis=1)
@@ -306,7 +315,7 @@ def distances(means: F, middle: F64) -> F64:
 
 
 def opaque_enough(alpha: float) -> Filter:
-    """The filter of `min_opacity`."""
+    """Make the filter that `min_opacity` applies."""
     if not (is_number(alpha) and 0 <= alpha <= 1):
         raise OptionError(f"The lowest opacity must be from 0 to 1, not {value_text(alpha)}.")
     return Filter(
@@ -318,7 +327,7 @@ def opaque_enough(alpha: float) -> Filter:
 
 
 def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> Filter:
-    """The filter of `drop_floaters`."""
+    """Make the filter that `drop_floaters` applies."""
     if not is_number(neighbours, whole=True):
         raise OptionError(f"The number of neighbours must be a whole one, not {neighbours!r}.")
     if neighbours < 1:
@@ -347,7 +356,7 @@ def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
         return found
     with use_threads(None) as threads:
         nearest = nearest_neighbours(means, neighbours, threads)
-    with np.errstate(over="ignore"):  # doubles may be that far away
+    with np.errstate(over="ignore"):  # squares of distances between float64 centres may overflow
         distances: F64 = np.linalg.norm(means[nearest[:, -1]] - means, axis=1)
     apart = np.log(distances[distances > 0])
     if len(apart):

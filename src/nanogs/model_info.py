@@ -1,4 +1,4 @@
-"""Structure, bounds and statistics of a model, as one report."""
+"""`nanogs.info`: structure, bounds and statistics of a model, as one report."""
 
 from dataclasses import asdict, dataclass, field
 from os import PathLike
@@ -25,7 +25,7 @@ _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """How values are distributed: the least, percentiles, and the most."""
+    """Distribution of some values: minimum, percentiles and maximum."""
 
     min: float
     p1: float
@@ -43,20 +43,23 @@ class ModelInfo:
     """The report of `nanogs info`.
 
     Attributes:
-        file: What the header says.
-        frame: Which way is up, as far as the format says.
-        nonfinite: Splats with a NaN or an infinite value other than an opacity logit.
-        opaque: Splats whose opacity logit is +inf (alpha 1).
-        transparent: Splats whose opacity logit is -inf (alpha 0).
-        bounds: Lowest and highest centre of the finite splats, (2, 3) scene units; none without.
-        alpha: The finite splats' alpha; None without any.
-        scale: Their standard deviations, all axes together, scene units; None without any.
-        notes: What reading had to change or could not carry.
-        levels: Splats of each level of detail of a streamed model or of a folder of levels, the
-            finest first, which the rest is about; none for others.
-        environment: Splats of a stream's environment (its sky), which are part of every level.
-        losses: By the suffix of every format that is written, what it cannot hold of the model
-            besides quantisation, one sentence each.
+        file: Contents of the file's header.
+        frame: The coordinate frame, that is which way is up, as far as the format says.
+        nonfinite: Number of splats with a NaN, or an infinite value other than an opacity logit.
+        opaque: Number of splats whose opacity logit is +inf (alpha 1).
+        transparent: Number of splats whose opacity logit is -inf (alpha 0).
+        bounds: Lowest and highest coordinates of the finite splats' centres, (2, 3) scene units;
+            empty if there are none.
+        alpha: Distribution of the finite splats' alpha; None if there are none.
+        scale: Distribution of their standard deviations, all axes together, scene units; None if
+            there are none.
+        notes: Changes and losses of reading, one sentence each.
+        levels: Number of splats of each level of detail of a streamed model or a folder of levels,
+            the finest first, which all other fields describe; empty for other models.
+        environment: Number of splats of a stream's environment (its sky), which are part of every
+            level.
+        losses: For each format that can be written, by suffix: the parts of the model that it
+            cannot hold besides quantisation, one sentence each.
     """
 
     file: FileInfo
@@ -73,14 +76,14 @@ class ModelInfo:
     losses: dict[str, tuple[str, ...]]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Return the report as plain dictionaries, lists, numbers and strings."""
         data = asdict(self)
         file = data.pop("file")
         return {**file, "path": str(file["path"]), **data}
 
 
 def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelInfo:
-    """Read a model block by block, and describe it: a large one twice, for exact percentiles.
+    """Describe a model, which is read block by block; a large one twice, for exact percentiles.
 
     Args:
         path: The file, its URL, or the folder of a model.
@@ -88,7 +91,7 @@ def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelI
 
     Raises:
         NanogsError: The file is missing, damaged or of no known format, it cannot have that render
-            mode, or it takes more memory than is free.
+            mode, or reading it takes more memory than is free.
     """
     given = place(path)
     with local_copies([given]) as ([file], _):
@@ -96,7 +99,7 @@ def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelI
 
 
 def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
-    """As `info`, of a file; `given` is that or its folder."""
+    """Describe a file; `given` is the path that the caller named: the file or its folder."""
     with open_model(path, render_mode=render_mode) as source:
         file, levels, frame = source.info, source.levels, source.frame
         environment = source.environment
@@ -131,7 +134,7 @@ def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
 
 @dataclass(slots=True)
 class _Census:
-    """Counts so far, block by block."""
+    """Statistics that are accumulated block by block."""
 
     alphas: Percentiles
     scales: Percentiles
@@ -161,7 +164,7 @@ class _Census:
 
     @property
     def again(self) -> bool:
-        """Whether blocks are to be told to `add_again` too."""
+        """Whether `add_again` needs all blocks in a second pass."""
         return self.alphas.again or self.scales.again
 
     def add_again(self, block: Splats) -> None:

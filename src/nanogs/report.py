@@ -1,4 +1,4 @@
-"""The report of a simplification: frozen dataclasses that become JSON as they stand."""
+"""The report of a simplification: frozen dataclasses that convert directly to JSON."""
 
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
@@ -18,14 +18,14 @@ class StopReason(StrEnum):
     TARGET = "target"  # the asked count is reached
     NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
     NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
-    STEP = "step"  # what was asked is stepped over: a hundredth of the splats more or less misses
+    STEP = "step"  # no count comes closer: with 1 % of the splats more or fewer the goal is missed
     UNREACHED = "unreached"  # 99 % of the splats miss the asked PSNR; the whole model was delivered
-    PROBES = "probes"  # enough counts were tried; a smaller one may reach the asked PSNR too
-    SETTLED = "settled"  # enough counts were tried; a larger one may fit into the asked size too
+    PROBES = "probes"  # the number of tries ran out; a smaller count may reach the asked PSNR too
+    SETTLED = "settled"  # the number of tries ran out; a larger count may fit the asked size too
 
     @property
     def met(self) -> bool:
-        """Whether what was asked for is what was delivered."""
+        """Whether the result meets the request."""
         return self in (StopReason.TARGET, StopReason.STEP, StopReason.SETTLED)
 
 
@@ -34,12 +34,12 @@ class PassReport:
     """One pass of graph, cost, match and merge.
 
     Attributes:
-        count_before: Splats at its start.
-        candidates: Pairs of neighbours.
-        without_cost: Pairs left out because their cost is not a number.
-        merged: Pairs that became one splat each.
-        count_after: Splats at its end.
-        highest_cost: Cost of the dearest merge (dimensionless), or None where none was made.
+        count_before: Number of splats at its start.
+        candidates: Number of candidate pairs of neighbours.
+        without_cost: Number of pairs left out because their cost is not a number.
+        merged: Number of pairs that became one splat each.
+        count_after: Number of splats at its end.
+        highest_cost: Highest cost of a merge (dimensionless), or None if none was made.
         seconds: Time by stage, seconds.
     """
 
@@ -53,22 +53,24 @@ class PassReport:
 
     @property
     def stop(self) -> StopReason:
-        """Why merging ends with it, if it has merged nothing."""
+        """The reason to stop after this pass, given that it merged nothing."""
         tried = self.candidates > self.without_cost
         return StopReason.NO_PROGRESS if tried else StopReason.NO_CANDIDATES
 
 
 @dataclass(frozen=True, slots=True)
 class CandidateReport:
-    """One of the results that were rendered and held against the original.
+    """One of the candidate results that were rendered and compared with the original.
 
     Attributes:
-        balance: Of its cut, from groups of equal size (0) to groups of equal error (1).
+        balance: Balance of its cut, from groups of equal size (0) to groups of equal error (1).
         reassigned: Whether splats were moved between groups after the cut.
-        growth: Most that the axes of a splat could grow that cannot be opaque enough.
-        psnr: Mean over the small views it is chosen by, dB; not what `compare` measures.
+        growth: Largest factor by which the axes of a splat could grow to make up for an opacity
+            that would have to exceed 1.
+        psnr: Mean over the small views that candidates are chosen by, dB; not what `compare`
+            measures.
         ssim: Mean over these views.
-        quality: What was compared, dB: PSNR and what SSIM is worth.
+        quality: The score that candidates were ranked by, dB: PSNR plus weighted SSIM.
         chosen: Whether it is the result.
     """
 
@@ -83,13 +85,13 @@ class CandidateReport:
 
 @dataclass(frozen=True, slots=True)
 class ProbeReport:
-    """A count that was tried on the way to an asked PSNR.
+    """A count that was tried in the search for a requested PSNR.
 
     Attributes:
-        count: Splats of the result.
-        psnr: Of the result, as `SimplifyReport.judged` has it, dB.
-        quick: Whether it was a plain cut, to come near the count; else it was made as results are
-            delivered.
+        count: Number of splats of the result.
+        psnr: PSNR of the result, measured as for `SimplifyReport.judged`, dB.
+        quick: Whether it was a plain cut, to narrow down the count; else it was made in the same
+            way as a delivered result.
     """
 
     count: int
@@ -99,12 +101,12 @@ class ProbeReport:
 
 @dataclass(frozen=True, slots=True)
 class DrawProbeReport:
-    """A count that was tried on the way to an asked draw cost.
+    """A count that was tried in the search for a requested draw cost.
 
     Attributes:
-        count: Splats of the result.
-        share: Splats a pixel of the result, as a share of the original's.
-        quick: As `ProbeReport` has it.
+        count: Number of splats of the result.
+        share: Splats per pixel of the result over those of the original.
+        quick: Whether it was a plain cut; see `ProbeReport`.
     """
 
     count: int
@@ -114,11 +116,11 @@ class DrawProbeReport:
 
 @dataclass(frozen=True, slots=True)
 class SizeProbeReport:
-    """A count that was tried on the way to an asked size.
+    """A count that was tried in the search for a requested file size.
 
     Attributes:
-        count: Splats of the result.
-        bytes: Its file.
+        count: Number of splats of the result.
+        bytes: Size of its file.
     """
 
     count: int
@@ -127,16 +129,16 @@ class SizeProbeReport:
 
 @dataclass(frozen=True, slots=True)
 class PackingReport:
-    """A way of packing that was tried for a size.
+    """A setting of the file format that was tried for a requested file size.
 
     Attributes:
-        sh_degree: Of the spherical harmonics that are written.
-        options: Of the format, by name.
-        count: Splats of the result, a plain cut.
-        bytes: Its file.
-        psnr: Of the file as it is read back, on views by which is chosen, dB; not what `compare`
-            measures.
-        ssim: Over the same views.
+        sh_degree: Degree of the spherical harmonics that are written.
+        options: Options of the format by name.
+        count: Number of splats of the result, a plain cut.
+        bytes: Size of its file.
+        psnr: PSNR of the file when read back, on the views that settings are chosen by, dB; not
+            what `compare` measures.
+        ssim: SSIM over the same views.
     """
 
     sh_degree: int
@@ -149,16 +151,16 @@ class PackingReport:
 
 @dataclass(frozen=True, slots=True)
 class BlocksReport:
-    """How a model that was not held whole was divided.
+    """How a model that was not held whole in memory was divided into blocks.
 
     Attributes:
-        blocks: How many there were.
-        largest: Splats of the largest.
-        allowed: Most splats that a block might have had.
-        segments: Pieces of the input that were sorted.
-        seen: Splats that blocks saw of others, in all.
-        handed: Splats that moved to a group of another block.
-        resumed: Tasks that a run before had done.
+        blocks: Number of blocks.
+        largest: Number of splats of the largest block.
+        allowed: Most splats that a block could have had.
+        segments: Number of pieces of the input that were sorted.
+        seen: Number of splats that blocks read of their neighbours, summed over the blocks.
+        handed: Number of splats that moved to a group of another block.
+        resumed: Number of tasks that an earlier run had finished.
     """
 
     blocks: int
@@ -177,52 +179,53 @@ class SimplifyReport:
     Attributes:
         preset: Name of the preset.
         parameters: Every parameter of the method by name.
-        input_count: Splats in the input.
+        input_count: Number of splats in the input.
         asked_ratio: The compaction ratio asked for, or None.
-        asked_count: The count asked for, or what a ratio (ceil(ratio x finite splats)), a size or
-            a PSNR comes to.
-        dropped_nonfinite: Splats left out since a value is NaN or infinite.
-        pruned: Splats dropped by the opacity threshold.
+        asked_count: The count asked for, or the count found for a ratio
+            (ceil(ratio x finite splats)), a size or a PSNR.
+        dropped_nonfinite: Number of splats left out because a value is NaN or infinite.
+        pruned: Number of splats dropped by the opacity threshold.
         prune_threshold: Alpha below which splats were pruned, in [0, 1].
-        prune_limited: The threshold would have gone below the asked count; the most opaque
-            splats were kept instead.
+        prune_limited: Whether the threshold alone would have left fewer than the asked count; then
+            the most opaque splats were kept instead.
         passes: The passes in order.
-        achieved_count: Splats in the output.
+        achieved_count: Number of splats in the output.
         stop: Why it stopped.
         seconds: Time by stage over all passes, seconds.
-        total_seconds: The whole call, seconds.
-        threads: Threads used.
-        shown: Share of the model's prominence, which is alpha times footprint as large as screens
-            show it from where viewers stand, that has splats which the views show to a hundredth or
-            more: others are hidden or outside. None where none was rendered.
-        candidates: What was rendered to choose the result, in the order tried; none where the
+        total_seconds: Time of the whole call, seconds.
+        threads: Number of threads used.
+        shown: Share of the model's total prominence that belongs to splats which the views show to
+            a hundredth or more; the others are hidden or outside the views. Prominence is alpha
+            times footprint, as large as screens show it from the likely places of viewers. None if
+            nothing was rendered.
+        candidates: The results that were rendered to choose one, in the order tried; empty if the
             method does not measure.
-        refit: What fitting the result to the original gained (see `nanogs.refit`), or None.
-        notes: What else the user should know, one sentence each.
-        asked_size: The largest size of the file asked for, bytes, or None.
+        refit: Gain of fitting the result to the original (see `nanogs.refit`), or None.
+        notes: Further notes for the user, one sentence each.
+        asked_size: The largest file size asked for, bytes, or None.
         asked_psnr: The PSNR asked for, dB, or None.
         probes: The counts tried for a PSNR, in order.
-        achieved_size: Bytes of the result's file, at most the size asked for; None where none was.
-        size_probes: The counts written to find one that fits, in order; none where the size of a
-            file is known beforehand.
-        packings: The ways of packing that were tried for a size, in order.
-        format_options: Options of the format that were chosen for a size, and by which the result
-            has to be saved to have it.
-        blocks: How the model was divided, or None where it was held whole.
-        read_count: Splats of the inputs, before filters.
-        filters: What each filter took.
-        judged: The result held against the input as `nanogs compare` does it, on views that nothing
-            was learnt from; None where that was not measured, as it is only for an asked PSNR.
-        packed: Where that is the file's, in a format that rounds: what packing alone cost, beside
-            the same result unpacked; else None.
-        asked_draw_cost: The most that was asked for of the original's splats a pixel, as a share,
-            or None.
-        draw_probes: The counts tried for that, in order.
-        cost: What the result takes to draw, on the views of `nanogs compare`; None where that was
-            not measured.
-        original_cost: The same of the input.
-        reassign_rounds: Rounds of reassignment in which splats moved, of blocks the most of any:
-            fewer than the parameter `rounds` where nothing moved any more. None without any.
+        achieved_size: Bytes of the result's file, at most the size asked for; None if no size was.
+        size_probes: The counts written to find one that fits, in order; empty if the size of a file
+            is known beforehand.
+        packings: The format settings that were tried for a size, in order.
+        format_options: The format options that were chosen for a size; the result has that size
+            only if it is saved with them.
+        blocks: How the model was divided, or None if it was held whole.
+        read_count: Number of splats of the inputs, before filters.
+        filters: Number of splats that each filter removed.
+        judged: PSNR and SSIM of the result against the input, as by `nanogs compare`, on views that
+            nothing was fitted to; measured only if a PSNR was asked for, else None.
+        packed: If `judged` is that of the file and its format rounds: the loss by packing alone,
+            against the same result unpacked; else None.
+        asked_draw_cost: The largest share of the original's splats per pixel that was asked for, or
+            None.
+        draw_probes: The counts tried for a draw cost, in order.
+        cost: Cost of drawing the result on the views of `nanogs compare`; None if not measured.
+        original_cost: The same for the input.
+        reassign_rounds: Number of rounds of reassignment in which splats moved, the most of any
+            block: fewer than the parameter `rounds` if nothing moved any more. None if there were
+            none.
     """
 
     preset: str
@@ -263,18 +266,18 @@ class SimplifyReport:
     reassign_rounds: int | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""
+        """Return plain dictionaries, lists, numbers and strings, for `json.dumps`."""
         return asdict(self)
 
     def __str__(self) -> str:
-        """One line: the counts, how near the result is if that was measured, and the time."""
+        """Return one line: the counts, the measured quality and cost if any, and the time."""
         counts = f"{self.input_count:,} -> {counted(self.achieved_count, 'splat')}"
         text = ", ".join([counts, *measures(self), time_text(self.total_seconds)])
         return text if self.stop.met else f"{text}. {stop_text(self)}"
 
 
 def measures(report: SimplifyReport) -> list[str]:
-    """Texts of all that was measured: how near it is, what packing cost, what it takes to draw."""
+    """Return a text for each measurement: quality, loss by packing, and cost of drawing."""
     texts = [measured.text for measured in (report.judged, report.packed) if measured]
     if report.cost is not None and report.original_cost is not None:
         share = report.cost.share_of(report.original_cost)
@@ -283,7 +286,7 @@ def measures(report: SimplifyReport) -> list[str]:
 
 
 def stop_text(report: SimplifyReport) -> str:
-    """Why a result is not what was asked for, in one sentence."""
+    """Explain in one sentence why a result does not meet the request."""
     if report.stop == StopReason.UNREACHED:
         return (
             f"99 % of the splats do not reach {report.asked_psnr:g} dB{_nearest_text(report)}, so"
@@ -304,7 +307,7 @@ def stop_text(report: SimplifyReport) -> str:
 
 
 def _nearest_text(report: SimplifyReport) -> str:
-    """The PSNR of the largest count that was tried, in words."""
+    """Return the PSNR of the largest count that was tried, in words; empty if none was."""
     if not report.probes:
         return ""
     most = max(report.probes, key=attrgetter("count"))

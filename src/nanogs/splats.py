@@ -1,8 +1,8 @@
-"""The one model of a 3D Gaussian splatting scene: stored values, and what they mean.
+"""`Splats`, the in-memory model of a 3D Gaussian splatting scene.
 
-*Stored* values are those of a 3DGS `.ply` (log-scale, logit opacity, quaternion of any length);
-they are what `Splats` holds, so that reading and writing change no bit. *Activated* values (scale,
-alpha, unit quaternion) come from the methods, named after what they return.
+`Splats` holds *stored* values, those of a 3DGS `.ply` (log-scale, logit opacity, quaternion of any
+length), so that reading and writing change no bit. Its methods return *activated* values (scale,
+alpha, unit quaternion).
 """
 
 import os
@@ -32,7 +32,7 @@ _COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
 class RenderMode(StrEnum):
-    """How a model was trained to be rasterised; it must be rendered the same way."""
+    """The rasteriser that a model was trained for; it must be rendered the same way."""
 
     DEFAULT = "default"
     MIP = "mip"  # antialiased: opacity compensated for the screen-space dilation
@@ -41,7 +41,7 @@ class RenderMode(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExtraElement:
-    """A PLY element beside `vertex` whose rows are not splats; carried through unread.
+    """A PLY element other than `vertex`, whose rows are not splats; carried through unread.
 
     Attributes:
         name: The element's name in the header.
@@ -52,11 +52,11 @@ class ExtraElement:
     rows: Array
 
     def is_per_splat(self, count: int) -> bool:
-        """Whether it has one row for each of so many splats; of a single splat nobody can tell."""
+        """Return whether it has one row for each of `count` splats; False for a single splat."""
         return len(self.rows) == count > 1
 
     def of_rows(self, rows: I64 | I32 | Bool | slice, count: int) -> "ExtraElement":
-        """The element with the rows of some of `count` splats."""
+        """Return the element for some of `count` splats; unchanged if its rows are not theirs."""
         kept = pick(self.rows, rows) if self.is_per_splat(count) else self.rows
         return ExtraElement(self.name, kept)
 
@@ -65,25 +65,26 @@ class ExtraElement:
 class Splats:
     """N splats, one array for each stored quantity.
 
-    Whatever NumPy makes an array of is taken: lists, tensors, other number types, of which `means`
-    alone keeps doubles. `splats[rows]` are some of the splats, for a number, a slice, a mask or an
-    array of row numbers. Notebooks show a small picture.
+    Every argument that NumPy can convert to an array is accepted: lists, tensors, other number
+    types. All become float32, except that `means` may stay float64. `splats[rows]` selects splats
+    by a number, a slice, a mask or an array of row numbers. Notebooks show a small picture.
 
     Attributes:
         means: (N, 3) float32, or float64 where the file holds doubles; scene units.
         log_scales: (N, 3) float32, natural logarithm of the standard deviations in scene units.
         quats: (N, 4) float32, wxyz, of any length as stored.
-        opacity_logits: (N,) float32; ±inf stands for alpha 1 and 0 and is data.
+        opacity_logits: (N,) float32; ±inf means alpha 1 or 0 and is valid data.
         sh: (N, (degree + 1)², 3) float32, spherical-harmonic coefficients, RGB last; `sh[:, 0]` is
             the base colour's (`f_dc`).
         extras: Further columns by name, each (N,) of any dtype; never interpreted, never averaged.
-        render_mode: The rasteriser the model was trained for, or its value, such as "mip".
+        render_mode: The rasteriser the model was trained for, as a `RenderMode` or its value, such
+            as "mip".
         comments: Comment lines of the file, without the keyword.
         elements: Further PLY elements, carried through.
-        notes: What a reader had to change or could not carry, one sentence each, for the user.
+        notes: Changes and losses of reading, one sentence each, for the user.
 
     Raises:
-        ModelError: The arrays' shapes disagree, or something is no array of real numbers.
+        ModelError: The arrays' shapes disagree, or a value is no array of real numbers.
     """
 
     means: F
@@ -97,7 +98,7 @@ class Splats:
     elements: Sequence[ExtraElement] = ()
     notes: Sequence[str] = ()
 
-    if TYPE_CHECKING:  # what is given need not be what is held
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
         def __init__(
             self,
@@ -114,7 +115,7 @@ class Splats:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        """Make arrays of what is given, freeze the containers, and check the shapes."""
+        """Convert the arguments to arrays, freeze the containers, and check the shapes."""
         for name in _COLUMNS:
             array = as_floats(name, getattr(self, name), double=name == "means")
             if name == "opacity_logits" and array.shape[1:] == (1,):
@@ -128,7 +129,7 @@ class Splats:
         object.__setattr__(self, "extras", MappingProxyType(extras))
         for name in ("comments", "elements", "notes"):
             given = getattr(self, name)
-            if isinstance(given, str):  # each letter would be a line
+            if isinstance(given, str):  # tuple() would split it into letters
                 raise ModelError(f"{name} must be a list, not one text; put the text into a list.")
             object.__setattr__(self, name, tuple(given))
         if self.render_mode not in tuple(RenderMode):
@@ -156,7 +157,7 @@ class Splats:
 
     def __getstate__(self) -> dict[str, Any]:
         state = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return state | {"extras": dict(self.extras)}  # what freezes them cannot be pickled
+        return state | {"extras": dict(self.extras)}  # a MappingProxyType cannot be pickled
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         for name, value in state.items():
@@ -183,14 +184,14 @@ class Splats:
     def from_gsplat(
         cls, tensors: Mapping[str, object], *, render_mode: RenderMode | str = RenderMode.DEFAULT
     ) -> "Splats":
-        """A model from a dictionary as gsplat trains it, of arrays or of tensors on any device.
+        """Make a model from gsplat's dictionary of parameters: arrays, or tensors on any device.
 
         Args:
             tensors: `means` (N, 3), `scales` (N, 3) logarithms, `quats` (N, 4) wxyz, `opacities`
                 (N,) logits, `sh0` (N, 1, 3) and `shN` (N, K, 3); or in place of the last two
                 `colors`: (N, 1 + K, 3) for both, or (N, 3) for RGB from 0 to 1. Other names are
-                left out, with a note.
-            render_mode: "mip" where it was trained antialiased, "2dgs" where with 2DGS.
+                ignored, with a note.
+            render_mode: "mip" if the model was trained antialiased, "2dgs" if with 2DGS.
 
         Raises:
             ModelError: A name is missing, a shape is wrong, or the colours come from a network.
@@ -200,12 +201,12 @@ class Splats:
         return from_gsplat(tensors, render_mode)
 
     def to_gsplat(self) -> dict[str, F32]:
-        """Copies of the columns by gsplat's names, for `torch.from_numpy`.
+        """Return copies of the columns under gsplat's names, for `torch.from_numpy`.
 
         Returns:
             `means` (N, 3), `scales` (N, 3) logarithms, `quats` (N, 4) wxyz of any length,
-            `opacities` (N,) logits, `sh0` (N, 1, 3) and `shN` (N, K, 3); all float32, to which
-            centres that are doubles are rounded.
+            `opacities` (N,) logits, `sh0` (N, 1, 3) and `shN` (N, K, 3); all float32: float64
+            centres are rounded.
         """
         from nanogs.gsplat_arrays import to_gsplat
 
@@ -239,23 +240,26 @@ class Splats:
         raise ModelError(f"sh must be (N, 1|4|9|16|25, 3), not {self.sh.shape}.")
 
     def scales(self) -> F32:
-        """(N, 3) float32: standard deviations along the splat's own axes, scene units."""
+        """Return (N, 3) float32 standard deviations along the splats' own axes, scene units."""
         with np.errstate(over="ignore", invalid="ignore"):  # at signalling NaNs
             return np.exp(self.log_scales)
 
     def opacities(self) -> F64:
-        """(N,) float64 in [0, 1]: alpha; double precision keeps 1 - alpha for opaque splats."""
+        """Return (N,) float64 alpha in [0, 1].
+
+        Double precision keeps 1 - alpha accurate for opaque splats.
+        """
         return alphas(self.opacity_logits)
 
     def unit_quats(self) -> F32:
-        """(N, 4) float32, wxyz, unit; a zero quaternion stands for no rotation."""
+        """Return (N, 4) float32 unit quaternions, wxyz; a zero one becomes the identity."""
         return unit(self.quats)
 
     def finite(self) -> Bool:
-        """(N,) bool: rows without NaN, and infinite in nothing but the logit of the opacity.
+        """Return an (N,) bool mask of the splats without NaN or infinite values.
 
-        A log-scale of -inf is a scale of zero and counts as finite; a scale or a centre beyond
-        what float32 can hold does not.
+        An infinite opacity logit is allowed. A log-scale of -inf is a scale of zero and counts as
+        finite; a scale or a centre beyond the range of float32 does not.
         """
         found = np.empty(len(self), bool)
 
@@ -266,12 +270,12 @@ class Splats:
         return found
 
     def take(self, rows: Any) -> "Splats":  # noqa: ANN401 - many ways to name rows
-        """The given rows, named as in `splats[rows]`; every column and tag with them.
+        """Return some splats, selected as in `splats[rows]`, with all columns and metadata.
 
         Further PLY elements stay whole.
 
         Raises:
-            IndexError: They are no rows of this model.
+            IndexError: The model has no such rows.
         """
         rows = as_rows(rows, len(self))
         columns: dict[str, Any] = {name: pick(getattr(self, name), rows) for name in _COLUMNS}
@@ -279,14 +283,15 @@ class Splats:
         return replace(self, **columns, extras=extras)
 
     def span(self, start: int, stop: int) -> "Splats":
-        """The rows from `start` up to but not `stop`, as views of these."""
+        """Return rows `start` to `stop`, exclusive, as views of these arrays."""
         return self.take(slice(start, stop))
 
     def with_sh_degree(self, degree: int) -> "Splats":
-        """Leave out the bands of spherical harmonics above a degree.
+        """Return the model without the bands of spherical harmonics above a degree.
 
         Args:
-            degree: The highest that may stay, 0 to 4; a model of a lower one is returned as it is.
+            degree: The highest degree to keep, 0 to 4; a model of a lower one is returned
+                unchanged.
 
         Raises:
             OptionError: The degree is not from 0 to 4.
@@ -298,10 +303,10 @@ class Splats:
 
 
 def check_degree(sh_degree: int | None) -> None:
-    """Refuse a degree of harmonics that there is none of.
+    """Refuse a degree of spherical harmonics that models cannot have.
 
     Raises:
-        OptionError: It is neither None nor from 0 to 4.
+        OptionError: The degree is neither None nor from 0 to 4.
     """
     if sh_degree is None:
         return
@@ -312,28 +317,28 @@ def check_degree(sh_degree: int | None) -> None:
 
 
 def _finite(splats: Splats) -> Bool:
-    """As `Splats.finite` says."""
+    """Return the mask of finite splats; see `Splats.finite`."""
     ok = ~np.isnan(splats.opacity_logits)
     most = np.finfo(np.float32).max
     for column in (splats.means, splats.scales(), splats.quats, splats.sh):
         flags = np.isfinite(column) if column.dtype == np.float32 else np.abs(column) <= most
-        if not flags.all():  # a reduction by rows takes ten times as long, and is rarely needed
+        if not flags.all():  # reducing by rows takes ten times as long, and is rarely needed
             ok &= flags.reshape(len(splats), -1).all(axis=1)
     return ok
 
 
 def pick(column: Array, rows: I64 | I32 | Bool | slice) -> Array:
-    """The given rows of an array: indices, a mask or a slice."""
+    """Return some rows of an array, given by indices, a mask or a slice."""
     if isinstance(rows, slice) or rows.dtype == bool:
         return column[rows]
-    return column.take(rows, axis=0)  # in a fifth of the time that an index takes
+    return column.take(rows, axis=0)  # takes a fifth of the time of fancy indexing
 
 
 def refuse_other(model: object) -> None:
-    """Refuse what is no model where no path can stand for one.
+    """Refuse an argument that is not a `Splats`, such as a path.
 
     Raises:
-        ModelError: It is none.
+        ModelError: It is not a model.
     """
     if isinstance(model, str | os.PathLike):
         path = os.fspath(model)
@@ -343,15 +348,15 @@ def refuse_other(model: object) -> None:
 
 
 def refuse_misaligned(elements: Iterable[tuple[str, int]], count: int, target: int) -> None:
-    """Refuse to leave out splats of a model with an element that has one row for each of them.
+    """Refuse to remove splats from a model with a PLY element that has one row for each splat.
 
     Args:
-        elements: Name and rows of each.
-        count: Splats of the model.
-        target: Splats to be left.
+        elements: Name and number of rows of each element.
+        count: Number of splats of the model.
+        target: Number of splats to keep.
 
     Raises:
-        ModelError: There is such an element, and splats would be left out.
+        ModelError: There is such an element, and splats would be removed.
     """
     for name, rows in elements:
         if rows == count > max(target, 1):
@@ -362,16 +367,18 @@ def refuse_misaligned(elements: Iterable[tuple[str, int]], count: int, target: i
 
 
 def refuse_misaligned_elements(splats: Splats, target: int) -> None:
-    """Do so for a model in memory, see `refuse_misaligned`."""
+    """Apply `refuse_misaligned` to a model in memory."""
     elements = ((element.name, len(element.rows)) for element in splats.elements)
     refuse_misaligned(elements, len(splats), target)
 
 
 def concatenate(parts: Sequence[Splats]) -> Splats:
-    """Models of the same columns as one; tags of the first, zeros for coefficients that one lacks.
+    """Concatenate models that have the same columns.
+
+    Metadata is that of the first; missing spherical-harmonic coefficients become zeros.
 
     Args:
-        parts: One or more.
+        parts: One or more models.
     """
     first = parts[0]
     most = max(part.sh.shape[1] for part in parts)
@@ -389,7 +396,7 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
 
 
 def empty_arrays(count: int, degree: int) -> dict[str, Any]:
-    """The arrays of `Splats` by name, of so many rows and that SH degree; junk, to be filled."""
+    """Allocate the arrays of `Splats` by name, uninitialised, of `count` rows and an SH degree."""
     shapes: dict[str, tuple[int, ...]] = {
         "means": (3,),
         "log_scales": (3,),
@@ -401,7 +408,7 @@ def empty_arrays(count: int, degree: int) -> dict[str, Any]:
 
 
 def padded(sh: F32, coefficients: int) -> F32:
-    """(N, K, 3): the coefficients and zeros after them, K at least as many as asked for."""
+    """Pad (N, K, 3) coefficients with zeros to at least `coefficients` for each splat."""
     if sh.shape[1] >= coefficients:
         return sh
     longer = np.zeros((len(sh), coefficients, 3), np.float32)
