@@ -1,4 +1,4 @@
-"""`progress=True`: a bar in a notebook or, on stderr, a terminal; nothing in pipes and files."""
+"""The bar of `progress=True`, in a notebook or, on stderr, a terminal; none in pipes and files."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,11 +9,11 @@ from nanogs.progress import Progress, Step
 
 @contextmanager
 def drawn(progress: Progress | bool | None) -> Iterator[Progress | None]:
-    """The function that a call tells its steps to, for as long as it runs.
+    """Provide the progress callback of a call while it runs.
 
     Args:
-        progress: As the library's functions take it: True draws a bar, False and None nothing; a
-            function is given back.
+        progress: The `progress` argument of the library's functions: True draws a bar, False and
+            None nothing; a function is yielded unchanged.
     """
     if not isinstance(progress, bool):
         yield progress
@@ -26,7 +26,7 @@ def drawn(progress: Progress | bool | None) -> Iterator[Progress | None]:
 
 @contextmanager
 def _bar() -> Iterator[Progress]:
-    """One bar for the whole call; Rich knows how notebooks show one."""
+    """Draw one bar for the whole call with Rich, which also supports notebooks."""
     from rich import progress as rich
     from rich.console import Console
 
@@ -38,13 +38,13 @@ def _bar() -> Iterator[Progress]:
         rich.TimeRemainingColumn(elapsed_when_finished=True),
         console=console,
         disable=not (console.is_terminal or console.is_jupyter),
-        redirect_stdout=console.is_terminal,  # or cells would show what is printed as HTML
+        redirect_stdout=console.is_terminal,  # in notebooks it would turn printed text into HTML
     )
     task = bar.add_task("starting", total=1.0)
 
     def told(step: Step) -> None:
         stage = f"{step.number}/{step.stages} {step.stage}"
-        last = step.fraction == 1  # which Rich does not draw by itself in notebooks
+        last = step.fraction == 1  # Rich does not draw the last update by itself in notebooks
         bar.update(task, completed=step.fraction, description=stage, refresh=last)
 
     with bar, watching(_sayer(lambda text: bar.update(task, description=text))):
@@ -52,7 +52,7 @@ def _bar() -> Iterator[Progress]:
 
 
 def _sayer(say: Callable[[str], None]) -> Callable[[bool], None]:
-    """A line about kernels being compiled, which the next step overwrites."""
+    """Make a callback that shows when kernels are compiled; the next step overwrites the text."""
 
     def told(begun: bool) -> None:
         if begun:

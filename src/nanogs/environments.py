@@ -1,7 +1,8 @@
-"""The environment of streamed levels: which model it is, and a scene without it.
+"""The environment of streamed levels, such as a sky, and the scene without it.
 
-Viewers draw it with every level. It is another model that the caller names, or what `lod` finds in
-the model itself; levels are then made of the rest, so that each splat is drawn once.
+Viewers draw the environment with every level. It is another model that the caller names, or the
+part of the model that `lod` recognises as one; levels are then made of the rest, so that each splat
+is drawn once.
 """
 
 from collections.abc import Sequence
@@ -35,27 +36,28 @@ from nanogs.splats import Splats
 
 AUTO, NONE = "auto", "none"
 _LAYOUTS = (Layout.SOG, Layout.ARCHIVE)
-_HELD, _EACH = 7, 300  # times its columns, and bytes a splat, that a SOG file takes in the making
+# Memory for writing a SOG file: this many times the columns, and bytes for each splat.
+_HELD, _EACH = 7, 300
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """The environment that is asked for.
+    """A request for an environment.
 
     Attributes:
-        asked: "auto", which looks for one, "none", or the model.
-        ratio: What is kept of its splats, in (0, 1].
+        asked: "auto", which searches the model for one, "none", or the environment's model.
+        ratio: Share of the environment's splats to keep, in (0, 1].
     """
 
     asked: str | PathLike[str] | Splats | Source = NONE
     ratio: float = 1.0
 
     def in_memory(self, request: Request, splats: Splats) -> tuple[Splats, Environment | None]:
-        """A model without its environment, and the latter; None without.
+        """Split a model in memory into the rest and its environment, which is None if it has none.
 
         Args:
-            request: What is asked for.
-            splats: The model, of which filters have taken what they take.
+            request: The request for levels.
+            splats: The model after filters.
 
         Raises:
             NanogsError: The model of an environment cannot be read.
@@ -72,13 +74,15 @@ class Surroundings:
         return without, self._made(request, AUTO, len(sky), lambda: sky)
 
     def in_blocks(self, request: Request) -> tuple[Request, Environment | None]:
-        """The request for a model without its environment, and the latter; None without.
+        """Return the request with a filter that removes the environment, and the environment.
+
+        The latter is None if the model has none. The model is read block by block.
 
         Args:
-            request: What is asked for.
+            request: The request for levels.
 
         Raises:
-            NanogsError: The model cannot be read, or its environment is too large to be held.
+            NanogsError: The model cannot be read, or its environment is too large for memory.
         """
         if self.asked == NONE:
             return request, None
@@ -102,14 +106,14 @@ class Surroundings:
         return self._named(taken, found), found
 
     def planned(self, request: Request, *, divided: bool) -> tuple[Request, Environment | None]:
-        """As `in_blocks`, to be shown beforehand of a model in memory too.
+        """Do what `in_blocks` does for a plan that is shown before the work begins.
 
         Args:
-            request: What is asked for.
-            divided: Whether it is met in blocks.
+            request: The request for levels.
+            divided: Whether the model is to be processed in blocks; else it is read into memory.
 
         Raises:
-            NanogsError: As for `in_blocks`.
+            NanogsError: See `in_blocks`.
         """
         if divided or self.asked != AUTO:
             return self.in_blocks(request)
@@ -122,7 +126,7 @@ class Surroundings:
         return taken, self._made(request, AUTO, shell.splats, sky)
 
     def _named(self, request: Request, found: Environment) -> Request:
-        """The request as a job records it, which is not continued with another environment."""
+        """Add the environment to the request, so that no job resumes with a different one."""
         name = f"{found.source}, {counted(found.count, 'splat')}, ratio {self.ratio:g}"
         return replace(request, environment=name)
 
@@ -160,15 +164,16 @@ NOTHING = Surroundings()
 def surroundings(
     asked: str | PathLike[str] | Splats | Source, ratio: float | None, layout: Layout | str
 ) -> Surroundings:
-    """The environment that is asked for, of levels in a layout.
+    """Check the arguments about an environment, and make a request of them.
 
     Args:
         asked: "auto", "none", a path or a model.
-        ratio: What is kept of its splats, or None for all.
-        layout: How the levels lie.
+        ratio: Share of the environment's splats to keep, or None for all.
+        layout: Layout of the levels.
 
     Raises:
-        OptionError: The layout has none, the path is a URL, or the ratio is not in (0, 1].
+        OptionError: The layout has no environment, the path is a URL, or the ratio is not in
+            (0, 1].
     """
     named = not (isinstance(asked, str) and asked in (AUTO, NONE))
     if isinstance(asked, str | PathLike) and named:
@@ -191,7 +196,7 @@ def surroundings(
 
 
 def without_environment(reports: Sequence[SimplifyReport]) -> list[SimplifyReport]:
-    """Reports as they are without the filter that left the environment out of the levels."""
+    """Return the reports without that of the filter which removed the environment."""
     own = filters.ENVIRONMENT
     return [
         replace(each, filters=tuple(took for took in each.filters if took.name != own))
@@ -200,10 +205,10 @@ def without_environment(reports: Sequence[SimplifyReport]) -> list[SimplifyRepor
 
 
 def _usable(splats: Splats, source: str, nan: NanPolicy) -> Splats:
-    """An environment without splats that are not finite, which a note tells.
+    """Remove splats that are not finite from an environment, and add a note about them.
 
     Raises:
-        ModelError: None is usable, or `nan="error"` and one is not.
+        ModelError: No splat is finite, or with `nan="error"` one is not.
     """
     finite = splats.finite()
     if finite.all():
@@ -225,7 +230,7 @@ def _beyond(shell: Shell) -> filters.Filter:
 
 
 def _rows(request: Request, kept: Sequence[filters.Filter]) -> Source:
-    """The model of the files that are asked for, of which filters leave some rows."""
+    """Open the requested files as one source, with filters applied."""
     source: Source = Joined(open_parts(request.inputs, request.render_mode))
     return Filtered(source, kept) if kept else source
 

@@ -25,7 +25,7 @@ _REACH = 3.0  # extent of a splat in standard deviations
 
 
 Plain = tuple[str, tuple[float, ...]]
-"""A filter in serialisable form, for job records: its kind and its numbers."""
+"""The kind of a filter and its numbers, as a job records it."""
 
 
 @dataclass(frozen=True, slots=True)

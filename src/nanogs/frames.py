@@ -1,13 +1,14 @@
-"""Coordinate frames: where the axes of a model point, and turning a model from one to another.
+"""Coordinate frames (axis conventions), and conversion of models between them.
 
-A frame is named by where x, y and z point, seen by who looks at the scene: `r`ight or `l`eft, `u`p
-or `d`own, `f`orward (away) or `b`ack. Models are trained in `rdf`, the frame of COLMAP and OpenCV;
-SPZ is `rub` by its specification, as OpenGL; glTF is `luf`, Unity `ruf`, which is left-handed,
-Unreal `fru`, also left-handed, and Blender `rfu`. From `rdf` to `rub` is half a turn about x.
+A frame is named by the directions of x, y and z as seen by a viewer of the scene: `r`ight or
+`l`eft, `u`p or `d`own, `f`orward (away) or `b`ack. Models are trained in `rdf`, the frame of COLMAP
+and OpenCV; SPZ is `rub` by its specification, as OpenGL; glTF is `luf`, Unity `ruf`, which is
+left-handed, Unreal `fru`, also left-handed, and Blender `rfu`. From `rdf` to `rub` is half a turn
+about x.
 
-Between two frames axes are swapped and change their signs, which loses no bit of centres, scales
-and rotations. Nor of spherical harmonics where no axes are swapped: a basis function then keeps its
-value or changes its sign. Otherwise those of a band mix.
+A change of frames permutes the axes and flips their signs, which keeps every bit of centres, scales
+and rotations. It also keeps those of spherical harmonics if no axes are swapped: each basis
+function then keeps its value or changes its sign. Otherwise the coefficients of a band mix.
 """
 
 from collections.abc import Iterable, Sequence
@@ -40,28 +41,28 @@ class Change(NamedTuple):
 
     @property
     def matrix(self) -> F64:
-        """(3, 3): takes centres from here to there."""
+        """(3, 3) float64 matrix that maps centres from the old frame to the new one."""
         out = np.zeros((3, 3))
         out[range(3), self.axes] = self.signs
         return out
 
     def of_means(self, means: F) -> F:
-        """(N, 3) centres in the new frame."""
+        """Return (N, 3) centres in the new frame."""
         with np.errstate(invalid="ignore"):  # at signalling NaNs
             turned: F = means[:, list(self.axes)] * np.array(self.signs).astype(means.dtype)
         return turned
 
     @property
     def is_nothing(self) -> bool:
-        """Whether both frames are the same."""
+        """Whether both frames are the same, so that nothing changes."""
         return self == ((0, 1, 2), (1, 1, 1))
 
 
 def checked_frame(name: str) -> str:
-    """The name of a frame in small letters.
+    """Return the name of a frame in lower case.
 
     Raises:
-        OptionError: It is none.
+        OptionError: There is no such frame.
     """
     if name.lower() not in FRAMES:
         raise OptionError(
@@ -72,7 +73,7 @@ def checked_frame(name: str) -> str:
 
 
 def checked_frames(frames: Sequence[str] | None) -> tuple[str, str] | None:
-    """The frames from and to which something is turned, as a caller gives them; None for none.
+    """Check a caller's pair of frames, from and to which a model is turned; None stays None.
 
     Raises:
         OptionError: They are not two, or one of them is no frame.
@@ -90,7 +91,7 @@ def checked_frames(frames: Sequence[str] | None) -> tuple[str, str] | None:
 
 
 def change_between(source: str, target: str) -> Change:
-    """Find the change that leads from one frame to another.
+    """Compute the change of axes from one frame to another.
 
     Raises:
         OptionError: One of them is no frame.
@@ -105,12 +106,12 @@ def change_between(source: str, target: str) -> Change:
 
 
 def change_frame(splats: Splats, source: str, target: str) -> Splats:
-    """Put a scene into another frame; there and back again is the same, colours aside.
+    """Convert a scene to another frame; converting back restores every bit except of colours.
 
     Args:
-        splats: N splats; normals are turned too, other extra columns stay as they are.
-        source: The frame they are in, such as `rdf`.
-        target: The frame they are to be in.
+        splats: N splats; normals are turned too, other extra columns are unchanged.
+        source: The frame of the splats, such as `rdf`.
+        target: The frame to convert them to.
 
     Raises:
         OptionError: One of them is no frame.
@@ -120,7 +121,7 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
     if change.is_nothing:
         return splats
     axes, signs = list(change.axes), np.array(change.signs)
-    # The axes of a rotation are turned with all else; a mirror also changes its sense.
+    # The axis of a rotation is turned like any vector; a mirror also reverses its sense.
     sense = signs * round(np.linalg.det(change.matrix))
     quats = splats.quats.copy()
     with np.errstate(invalid="ignore"):  # at signalling NaNs
@@ -136,7 +137,7 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
 
 
 def _turned(sh: F32, change: Change) -> F32:
-    """(N, K, 3): coefficients whose colours are the old ones, seen from the turned side."""
+    """Return (N, K, 3) coefficients in the new frame, for the same colours from each side."""
     matrix = _band_matrix(int(sh.shape[1] ** 0.5) - 1, change)
     signs = np.diag(matrix)
     with np.errstate(invalid="ignore"):  # at signalling NaNs
@@ -147,7 +148,7 @@ def _turned(sh: F32, change: Change) -> F32:
 
 
 def _band_matrix(degree: int, change: Change) -> F64:
-    """(K, K): the new coefficients of the old ones."""
+    """Compute the (K, K) matrix that maps old spherical-harmonic coefficients to new ones."""
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(8 * (degree + 1) ** 2, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -157,9 +158,10 @@ def _band_matrix(degree: int, change: Change) -> F64:
 
 
 def _turned_normals(splats: Splats, axes: list[int], signs: Array) -> dict[str, Array]:
-    """The normals by name, if there are any; zeros, which most files have there, keep their sign.
+    """Return the turned normal columns by name, if the model has them.
 
-    So rows are turned alike whatever others are read with them.
+    Zeros, which most files have there, keep their sign, so that the result for a row does not
+    depend on the rows it is read with.
     """
     stored = [splats.extras.get(name) for name in _NORMALS]
     if any(column is None or column.dtype.kind != "f" for column in stored):

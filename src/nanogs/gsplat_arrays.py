@@ -1,6 +1,7 @@
-"""Models as gsplat holds them in memory: a dictionary of tensors, here of NumPy arrays.
+"""Conversion from and to gsplat's dictionary of parameter tensors.
 
-PyTorch is not needed: whatever NumPy makes an array of is taken, and NumPy's arrays are given.
+PyTorch is not needed: every value that NumPy can convert to an array is accepted, and NumPy arrays
+are returned.
 """
 
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ _COLOURS = ("colors", "sh0", "shN")
 
 
 def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode | str) -> Splats:
-    """See `Splats.from_gsplat`."""
+    """Make a model from gsplat's dictionary; see `Splats.from_gsplat`."""
     given = dict(tensors)
     missing = [name for name in _NEEDED if name not in given]
     if missing or not given.keys() & {"colors", "sh0"}:
@@ -41,13 +42,13 @@ def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode | str) ->
         means=means,
         **columns,
         sh=_harmonics(given, len(means) if means.ndim else 0),
-        render_mode=cast("RenderMode", render_mode),  # which looks at it
+        render_mode=cast("RenderMode", render_mode),  # Splats checks it
         notes=[f"Of gsplat's dictionary was left out: {', '.join(left_out)}."] if left_out else (),
     )
 
 
 def to_gsplat(splats: Splats) -> dict[str, F32]:
-    """See `Splats.to_gsplat`."""
+    """Return copies of the columns under gsplat's names; see `Splats.to_gsplat`."""
     columns: dict[str, F] = {
         "means": splats.means,
         "scales": splats.log_scales,
@@ -56,12 +57,12 @@ def to_gsplat(splats: Splats) -> dict[str, F32]:
         "sh0": splats.sh[:, :1],
         "shN": splats.sh[:, 1:],
     }
-    with np.errstate(over="ignore", invalid="ignore"):  # of centres that are doubles
+    with np.errstate(over="ignore", invalid="ignore"):  # float64 centres may overflow
         return {name: np.array(column, np.float32, order="C") for name, column in columns.items()}
 
 
 def _harmonics(given: Mapping[str, object], count: int) -> Array:
-    """(N, K, 3): of sh0 and shN, of both in one, or of plain colours."""
+    """Return (N, K, 3) coefficients from `sh0` and `shN`, from `colors`, or from RGB colours."""
     if "sh0" not in given:
         colors = as_floats("colors", given["colors"])
         return _base(colors) if colors.ndim == 2 else colors
@@ -77,5 +78,5 @@ def _harmonics(given: Mapping[str, object], count: int) -> Array:
 
 
 def _base(rgb: F) -> Array:
-    """(N, 1, 3) for colours (N, 3) from 0 to 1."""
+    """Return the (N, 1, 3) degree-0 coefficients for RGB colours (N, 3) from 0 to 1."""
     return base_colour(rgb.astype(np.float64))[:, None]

@@ -1,6 +1,6 @@
-"""`nanogs.write_levels`: levels of a model in a folder, with what describes them.
+"""`nanogs.write_levels`: write levels of detail of a model into a folder, with a manifest.
 
-Here who makes levels (`pipeline`) and who lays them out (`lod`) meet, and nowhere else.
+This is the only module that joins `pipeline`, which makes levels, and `lod`, which lays them out.
 """
 
 from collections.abc import Callable, Sequence
@@ -70,49 +70,50 @@ def write_levels(
     progress: Progress | bool | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` or `simplify_blocks` takes them
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
-    """Make the levels of a model; all of the folder appears or nothing.
+    """Write levels of detail of a model; the folder appears complete or not at all.
 
-    Files may be of any size: what does not fit into memory is made in blocks. In chunks, each block
-    then has a tree of its own, and what describes the folder joins them.
+    Files may be of any size: a model that does not fit into memory is processed in blocks. With a
+    layout of chunks, each block then has a tree of its own, and the manifest joins them.
 
     Args:
         model: The model, a source of it, a path, or paths of the parts of one scene.
         folder: The folder to make.
-        ratios: As `levels` takes them; by default the original and halves of halves, see
-            `lod.usual.default_ratios`.
-        source: Name of the model for the manifest; by default that of its files.
-        layout: "files", one a level; "streamed sog" or "3d tiles"; or "streamed sog archive" or
-            "spark tree", for which `folder` is the `.ssog` or `.rad` file to make.
+        ratios: Share of the splats to keep in each level, as for `levels`; by default 1,
+            1/2, 1/4 and so on, see `lod.usual.usual_ratios`.
+        source: Name of the model in the manifest; by default that of its files.
+        layout: "files", one for each level; "streamed sog" or "3d tiles"; or "streamed sog archive"
+            or "spark tree", for which `folder` is the `.ssog` or `.rad` file to make.
         chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
             default.
-        chunk_min: Least splats of such a chunk, and of a file of streamed SOG, unless a level has
+        chunk_min: Fewest splats of such a chunk, and of a file of streamed SOG, unless a level has
             fewer; 8,192 by default, or a quarter of `chunk`.
-        plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
-            them.
-        place: Where on Earth 3D Tiles are: a `nanogs.Place`, or a (4, 4) transform from their
-            frame, z up, to Earth-centred, Earth-fixed coordinates, with the shift in its last
-            column; scene units are metres there. By default the scene is nowhere.
-        suffix: Format of levels in files of their own, with or without its dot.
-        frame: From and to which the levels are turned before they are written.
+        plain: Store the contents of 3D Tiles uncompressed, every number unchanged; by default they
+            are compressed by SPZ.
+        place: Position on Earth of 3D Tiles: a `nanogs.Place`, or a (4, 4) transform from their
+            frame, z up, to Earth-centred, Earth-fixed coordinates, with the translation in its last
+            column; scene units are metres there. By default the scene has no position.
+        suffix: Format of the levels for the layout "files", with or without its dot.
+        frame: Coordinate frames from and to which the levels are turned before they are written.
         overwrite: Replace the folder if it holds nothing but earlier levels.
-        measured: Hold what was written of each level against the model, as `nanogs compare` does.
-            With None that is done where the preset renders and the model is in memory.
-        environment: What streamed SOG has beside the levels and draws with each of them, such as
-            the sky: "auto" takes it out of the model where it stands apart (`lod.environment`),
-            "none" leaves all splats in the levels, and a path or model, in the model's frame, is
-            written as it is.
-        environment_ratio: What is kept of its splats, in (0, 1]; all by default.
-        progress: As `levels` takes it; a stage "write" follows each level.
-        **options: As `simplify_blocks` takes them, such as `preset`, `max_memory` and `filters`;
-            `block`, `job`, `scratch`, `resume` and `executor` are for files.
+        measured: Compare the written files of each level with the model, as `nanogs compare` does.
+            With None that is done if the preset renders and the model is in memory.
+        environment: Splats that streamed SOG stores beside the levels and draws with each of them,
+            such as the sky: "auto" takes them out of the model if they are clearly separate
+            (`lod.environment`), "none" leaves all splats in the levels, and a path or a model, in
+            the model's frame, is written in addition.
+        environment_ratio: Share of the environment's splats to keep, in (0, 1]; all by default.
+        progress: Progress reporting as for `levels`; a stage "write" follows each level.
+        **options: Options of `simplify_blocks`, such as `preset`, `max_memory` and `filters`;
+            `block`, `job`, `scratch`, `resume` and `executor` need the model as files.
 
     Returns:
-        What the manifest says, and the report of each level.
+        The contents of the manifest, and the report of each level.
 
     Raises:
-        OptionError: As for `levels`, there is no such layout, it has no such chunks, contents or
-            place, no environment, the place is none, or the format of the files is not written.
-        ModelError: As for `levels`.
+        OptionError: See `levels`; or there is no such layout, the layout does not have chunks,
+            contents, a place or an environment to choose, the place is invalid, or the format of
+            the files cannot be written.
+        ModelError: See `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
     paths = [model] if isinstance(model, str | PathLike) else model
@@ -149,15 +150,15 @@ LevelsSink = LevelsFolder | LevelsTree
 def usual_levels(
     model: Splats | Source | Sequence[str | PathLike[str]], layout: Layout | str
 ) -> tuple[float, ...]:
-    """The levels of a model where nobody says which; see `lod.usual.default_ratios`.
+    """Return the default ratios of the levels of a model; see `lod.usual.usual_ratios`.
 
     Args:
         model: The model, a source of it, or paths of the parts of one scene.
-        layout: How the levels lie in the folder.
+        layout: Layout of the levels.
 
     Raises:
         FormatError: A path is no model.
-        OptionError: It has no splats.
+        OptionError: The model has no splats.
     """
     if isinstance(model, Splats | Source):
         splats = len(model)
@@ -173,7 +174,7 @@ def sink_of(
     source: str | None = None,
     layout: Layout | str = Layout.FILES,
 ) -> LevelsSink:
-    """The sink for the levels that are asked for; see `write_levels`."""
+    """Make the sink for the requested levels; see `write_levels` for the arguments."""
     name = source or ", ".join(path.name for path in request.inputs) or "a model"
     if layout == Layout.TREE:
         return LevelsTree(request.output, request.overwrite, name)
@@ -185,16 +186,16 @@ def sink_of(
 def write_levels_of_files(
     request: Request, sink: LevelsSink, told: Progress | None, sky: Surroundings = NOTHING
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
-    """Make the levels that are asked for, in memory or in blocks.
+    """Write the requested levels of files, in memory or in blocks.
 
     Args:
-        request: What is asked for.
-        sink: Takes the levels.
-        told: Called with each step.
-        sky: The environment that is asked for.
+        request: The request.
+        sink: Sink for the levels.
+        told: Called with each progress step.
+        sky: The requested environment.
 
     Raises:
-        NanogsError: It cannot be done.
+        NanogsError: The levels cannot be made or written.
     """
     refuse_device(request.device, request.preset, request.parameters, request.goal)
     plan = plan_files(request)
@@ -211,7 +212,7 @@ def write_levels_of_files(
 def _written(
     request: Request, plan: Plan, sink: LevelsSink, told: Progress | None, sky: Surroundings
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
-    """The levels of files."""
+    """Make and write the levels of files by a plan; the work of `write_levels_of_files`."""
     if plan.divided:
         request, left_out = fitted_for(request, plan.sh_degree, _file(sink))
         request, beside = sky.in_blocks(request)
@@ -225,7 +226,7 @@ def _written(
     import_stages(request.parameters)
     stages = _stages(request, plan.splats, sink)
     tracker = Tracker(told, [*reading_stages(request.edits, plan.splats), *stages])
-    with use_threads(request.threads):  # files are read and written on no more than that
+    with use_threads(request.threads):  # limits the threads of reading and writing too
         manifest, reports = _whole(
             request, read_changed(request.inputs, request.edits, tracker, StageClock()), sink,
             tracker.passing(), sky,
@@ -247,7 +248,7 @@ def _whole(
     told: Progress | None,
     sky: Surroundings,
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
-    """Make the levels of a model in memory."""
+    """Make and write the levels of a model in memory."""
     whole, filtered, notes = prepared
     request, left_out = fitted_for(request, whole.sh_degree, _file(sink))
     splats, beside = sky.in_memory(request, whole)
@@ -255,7 +256,7 @@ def _whole(
     if beside is not None and not beside.own and is_measured(request):
         whole = Joined([InMemory(whole), InMemory(beside.original())]).load()
     elif not is_measured(request):
-        whole = splats  # and what has become the environment is not held twice
+        whole = splats  # so that the splats of the environment are not held twice
     del prepared
     tracker = Tracker(told, _stages(request, len(splats), sink))
     made = judged_levels(
@@ -278,26 +279,27 @@ def _whole(
             turned = change_frame(small, *request.frame) if request.frame else small
             filling.add(turned, tracker.part)
             reports.append(replace(report, filters=filtered))
-            del small, turned  # or they would be kept while the next level is made
+            del small, turned  # frees them before the next level is made
         manifest = filling.finish(reports, judge)
     tracker.finish()
     return replace(manifest, notes=(*manifest.notes, *notes, *left_out)), tuple(reports)
 
 
 def _suffix(sink: LevelsSink) -> str:
-    """The format of the files that levels are in."""
+    """Return the suffix of the files that hold the levels."""
     return sink.chunks.suffix if sink.chunks else sink.suffix
 
 
 def _file(sink: LevelsSink) -> Path:
-    """Such a file."""
+    """Return an example of the name of a level's file, by which its format is recognised."""
     return Path(f"level{_suffix(sink)}")
 
 
 def _stages(request: Request, splats: int, sink: LevelsSink) -> list[Stage]:
-    """The stages of `_whole`: those of `levels`, and a "write" after each level.
+    """List the progress stages of `_whole`: those of `levels`, and a "write" after each level.
 
-    Where levels are measured, "measure" comes first, and the rest of it belongs to the writing.
+    If levels are measured, a stage "measure" comes first, in which the original is rendered; the
+    time to measure the levels themselves counts as writing.
     """
     measure = [measure_stage(splats)] if is_measured(request) else []
     counts = [target_count(splats, ratio, None) for ratio in request.ratios]

@@ -1,9 +1,9 @@
-"""Where on Earth a scene is: longitude, latitude and height, and how it is turned there.
+"""Geographic placement of a scene: longitude, latitude, height and orientation.
 
-The frames are those of 3D Tiles and CesiumJS. Earth-centred, Earth-fixed coordinates, metres: x
-goes through latitude 0, longitude 0, z through the north pole. The ellipsoid is that of WGS84,
-which heights are above; it is up to some 100 m from the level of the sea. At a place, x is east, y
-north and z up.
+The frames are those of 3D Tiles and CesiumJS. In Earth-centred, Earth-fixed coordinates, metres, x
+points to latitude 0, longitude 0, and z to the north pole. Heights are above the WGS84 ellipsoid,
+which is up to some 100 m from sea level. In the local frame of a place, x is east, y north and z
+up.
 """
 
 import math
@@ -17,36 +17,37 @@ from nanogs._types import F64
 from nanogs.errors import OptionError
 from nanogs.ranges import is_number, value_text
 
-# WGS84: half the axis through the equator, metres, and the flattening (NGA.STND.0036, table 3.1).
+# WGS84: semi-major axis, metres, and flattening (NGA.STND.0036, table 3.1).
 RADIUS = 6_378_137.0
 _FLATTENING = 1 / 298.257223563
-_SQUARED = _FLATTENING * (2 - _FLATTENING)  # of the eccentricity
-_POLAR = RADIUS * (1 - _FLATTENING)  # half the axis through the poles
-_ROUNDS = 5  # of `_geodetic`; three are enough near Earth
-# Metres: what is above is a slip, and squares of what is below are finite.
+_SQUARED = _FLATTENING * (2 - _FLATTENING)  # squared eccentricity
+_POLAR = RADIUS * (1 - _FLATTENING)  # semi-minor axis, metres
+_ROUNDS = 5  # iterations of `_geodetic`; three are enough near Earth
+# Largest number of a transform, metres: more is a mistake, and squares of less are finite.
 _FARTHEST = 1e12
-_FLAT = 1e-6  # of a box whose edges have length 1, the volume below which it is flat
-# Of the matrix of a `Place`, in which numbers of 1 are rounded.
+_FLAT = 1e-6  # volume of the box of unit axes below which a transform flattens
+# Tolerance for rounding errors in a rotation matrix.
 _ROUNDED = 1e-9
-_HIGH = 1e5  # metres above or below the ellipsoid: no scene is there
+_HIGH = 1e5  # largest distance of a scene from the ellipsoid, metres
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A place on Earth, and how a scene is turned there.
+    """The position and orientation of a scene on Earth.
 
-    Angles are degrees, and turn the scene about its own origin as CesiumJS has it: the roll first,
-    about the axis that points east, its north side up; then the pitch, about the one that points
-    north, its east side up; then the heading, about the one that points up, clockwise as seen from
-    above, so that by 90 what was north is east.
+    Angles are in degrees and rotate the scene about its own origin, in the convention of CesiumJS:
+    first the roll about the axis that points east, which lifts the north side; then the pitch about
+    the axis that points north, which lifts the east side; then the heading about the axis that
+    points up, clockwise as seen from above, so that 90 turns north to east.
 
     Attributes:
-        longitude: Of the scene's origin, east of Greenwich, -180 to 180.
-        latitude: Of the scene's origin, north of the equator, -90 to 90; geodetic, as on maps.
-        height: Of the scene's origin above the ellipsoid of WGS84, metres.
-        heading: As above.
-        pitch: As above.
-        roll: As above.
+        longitude: Longitude of the scene's origin, east of Greenwich, -180 to 180.
+        latitude: Latitude of the scene's origin, north of the equator, -90 to 90; geodetic, as on
+            maps.
+        height: Height of the scene's origin above the WGS84 ellipsoid, metres.
+        heading: Rotation about the axis that points up, degrees, applied last.
+        pitch: Rotation about the axis that points north, degrees, applied second.
+        roll: Rotation about the axis that points east, degrees, applied first.
     """
 
     longitude: float
@@ -57,7 +58,7 @@ class Place:
     roll: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is nowhere.
+        """Check the ranges of the fields.
 
         Raises:
             OptionError: An angle is out of its range, or a number is not finite or far too large.
@@ -69,15 +70,15 @@ class Place:
                 raise OptionError(_out_of_range(field.name, value, limit))
 
     def matrix(self) -> F64:
-        """The transform from the scene's frame, z up, to Earth-centred, Earth-fixed coordinates.
+        """Compute the transform from the scene's frame, z up, to Earth-centred, Earth-fixed axes.
 
-        It is T · Rz(-heading) · Ry(-pitch) · Rx(roll) with T from east, north and up, as
-        `Transforms.headingPitchRollToFixedFrame` of CesiumJS has it (its `Quaternion.
+        It is T · Rz(-heading) · Ry(-pitch) · Rx(roll), where T maps east, north and up, like
+        `Transforms.headingPitchRollToFixedFrame` of CesiumJS (its `Quaternion.
         fromHeadingPitchRoll` states the signs). T's axes and origin are those of EPSG method 9837,
         geographic to topocentric coordinates (IOGP 373-7-2).
 
         Returns:
-            (4, 4) float64, rotation and shift; columns are multiplied from the right.
+            (4, 4) float64, rotation and translation, to be multiplied by column vectors.
         """
         matrix = np.eye(4)
         axes, matrix[:3, 3] = _tangent(self.longitude, self.latitude, self.height)
@@ -87,9 +88,10 @@ class Place:
 
     @classmethod
     def of(cls, matrix: F64) -> Self | None:
-        """The place of a (4, 4) transform; None where it is not one of the surface of Earth.
+        """Make the place of a (4, 4) transform; None if there is none.
 
-        Its origin is farther than 100 km from the ellipsoid then, or it scales or mirrors.
+        There is none if the origin is farther than 100 km from the ellipsoid, or if the transform
+        scales or mirrors.
         """
         turn = matrix[:3, :3]
         rigid = np.abs(turn.T @ turn - np.eye(3)).max() < _ROUNDED and np.linalg.det(turn) > 0
@@ -102,25 +104,25 @@ class Place:
         roll = 0.0
         if level > _ROUNDED:
             heading, roll = math.atan2(-r[1, 0], r[0, 0]), math.atan2(r[2, 1], r[2, 2])
-        else:  # straight up or down, heading and roll are one: all is said to be heading
+        else:  # gimbal lock: heading and roll turn about one axis, and all is given to the heading
             heading = math.atan2(r[0, 1], r[1, 1])
         angles = np.rad2deg([heading, math.atan2(r[2, 0], level), roll]).tolist()
         return cls(longitude, latitude, height, *angles)
 
 
 def transform_of(place: Place | Sequence[Sequence[float]] | F64) -> F64:
-    """The transform that puts a scene into its place.
+    """Return the transform from a scene's frame to Earth-centred, Earth-fixed coordinates.
 
     Args:
         place: The place; or the transform itself, (4, 4), from the frame of 3D Tiles, z up, with
-            the shift in its last column.
+            the translation in its last column.
 
     Returns:
         (4, 4) float64.
 
     Raises:
         OptionError: It is no transform of that size, not finite or far too large, not affine (its
-            last row is not 0, 0, 0, 1), or it mirrors or flattens what it is applied to.
+            last row is not 0, 0, 0, 1), or it mirrors or flattens the scene.
     """
     if isinstance(place, Place):
         return place.matrix()
@@ -144,22 +146,25 @@ def transform_of(place: Place | Sequence[Sequence[float]] | F64) -> F64:
 
 
 def from_columns(values: Sequence[float]) -> F64:
-    """The (4, 4) float64 transform of 16 numbers, column after column, as 3D Tiles have them."""
+    """Make a (4, 4) float64 transform of 16 numbers in column-major order, as in 3D Tiles."""
     return np.array(values, np.float64).reshape(4, 4).T
 
 
 def columns(matrix: F64) -> tuple[float, ...]:
-    """The 16 numbers of a (4, 4) transform, column after column, as 3D Tiles have them."""
+    """Return the 16 numbers of a (4, 4) transform in column-major order, as in 3D Tiles."""
     return tuple(matrix.T.ravel().tolist())
 
 
 def text_of(matrix: F64) -> str:
-    """Text of the fields of a `Place`, or of the matrix's 16 numbers, column after column."""
+    """Describe a (4, 4) transform by the fields of its `Place`, or else by its 16 numbers.
+
+    The numbers are in column-major order.
+    """
     place = Place.of(matrix)
     if place is None:
         texts = (repr(value + 0.0).removesuffix(".0") for value in columns(matrix))
         return f"transform {','.join(texts)}"
-    # A tenth of a millimetre, and as much an angle is of it.
+    # Digits for a tenth of a millimetre on Earth.
     digits = {"longitude": 9, "latitude": 9, "height": 4}
     named = ((each.name, getattr(place, each.name)) for each in fields(place))
     rounded = ((name, round(value, digits.get(name, 7)) + 0.0) for name, value in named)
@@ -167,7 +172,7 @@ def text_of(matrix: F64) -> str:
 
 
 def _out_of_range(name: str, value: object, limit: float) -> str:
-    """Say that a number of a place cannot be meant."""
+    """Return the message for a field of a place that is out of range."""
     unit = "metres" if name == "height" else "degrees"
     if math.isinf(limit):
         return f"The {name} of a place is a finite number of {unit}, not {value_text(value)}."
@@ -175,7 +180,7 @@ def _out_of_range(name: str, value: object, limit: float) -> str:
 
 
 def _about(axis: int, angle: float) -> F64:
-    """(3, 3): a turn by an angle, radians, counterclockwise about an axis of the frame."""
+    """Make the (3, 3) rotation by an angle, radians, counterclockwise about a coordinate axis."""
     turn = np.eye(3)
     a, b = (axis + 1) % 3, (axis + 2) % 3
     turn[a, a] = turn[b, b] = math.cos(angle)
@@ -185,24 +190,24 @@ def _about(axis: int, angle: float) -> F64:
 
 
 def _tangent(longitude: float, latitude: float, height: float) -> tuple[F64, F64]:
-    """East, north and up, the columns of a (3, 3), and the (3,) origin of a place, metres."""
+    """Return a (3, 3) with columns east, north and up, and the (3,) origin of a place, metres."""
     east_of, north_of = math.radians(longitude), math.radians(latitude)
     sin_lon, cos_lon = math.sin(east_of), math.cos(east_of)
     sin_lat, cos_lat = math.sin(north_of), math.cos(north_of)
     up = np.array([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat])
     east = np.array([-sin_lon, cos_lon, 0.0])
     north = np.array([-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat])
-    # From the axis of Earth to the ellipsoid, along the normal.
+    # Radius of curvature in the prime vertical: from Earth's axis to the ellipsoid, on the normal.
     reach = RADIUS / math.sqrt(1 - _SQUARED * sin_lat**2)
     origin = up * [reach + height, reach + height, reach * (1 - _SQUARED) + height]
     return np.column_stack([east, north, up]), origin
 
 
 def _geodetic(point: F64) -> tuple[float, float, float]:
-    """Longitude and latitude, degrees, and height, metres, of an Earth-centred point.
+    """Compute longitude and latitude, degrees, and height, metres, of an Earth-centred point.
 
-    By the iteration of Bowring, "Transformation from spatial to geographical coordinates", Survey
-    Review 23 (1976), over the reduced latitude.
+    Uses the iteration over the reduced latitude of Bowring, "Transformation from spatial to
+    geographical coordinates", Survey Review 23 (1976).
     """
     x, y, z = point.tolist()
     away = math.hypot(x, y)

@@ -1,7 +1,7 @@
-"""How far a call has come: the library tells it in steps, and whoever called draws them.
+"""Progress reporting: the library emits steps, and the caller decides how to display them.
 
-A call knows its stages when it begins, and about how long each takes beside the others. So the
-fraction of the whole that it tells moves evenly, never falls, and is 1 only when all is done.
+A call knows its stages when it begins, and roughly the relative duration of each. So the reported
+fraction of the whole grows evenly, never falls, and is 1 only when all is done.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -10,22 +10,23 @@ from itertools import accumulate
 from typing import NamedTuple, TypeVar
 
 T = TypeVar("T")
-WAITING = "wait"  # told in place of a stage while a cluster has no worker
-_ALMOST = 0.999  # the most that is told before the end
+WAITING = "wait"  # reported in place of a stage while a cluster has no worker
+_ALMOST = 0.999  # largest fraction that is reported before the end
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Where a call is.
+    """The state of a call's progress.
 
     Attributes:
         stage: Name of the stage, such as "choose".
-        number: Of the stage, from 1.
-        stages: How many there are; some may be passed over.
-        done: Parts of the stage that are done; not whole where a part tells how far it is.
-        parts: Of the stage, 1 or more.
-        fraction: Of the whole call that is done, in [0, 1]. It never falls, and is 1 in the last
-            step alone, which is told when all is done.
+        number: Number of the stage, from 1.
+        stages: Number of stages; some may be skipped.
+        done: Number of parts of the stage that are done; fractional if a part reports its own
+            progress.
+        parts: Number of parts of the stage, 1 or more.
+        fraction: Fraction of the whole call that is done, in [0, 1]. It never falls, and is 1 only
+            in the last step, which is reported when all is done.
     """
 
     stage: str
@@ -43,21 +44,21 @@ Parts = Callable[[float, int], None]
 
 
 class Stage(NamedTuple):
-    """A stage to come, and how long it takes beside the others, in any unit."""
+    """A planned stage, and its duration relative to the others, in any unit."""
 
     name: str
     weight: float
 
 
 class Tracker:
-    """Makes steps of what the stages of a call report."""
+    """Turns the progress of a call's stages into steps for the callback."""
 
     def __init__(self, tell: Progress | None, stages: Sequence[Stage]) -> None:
-        """Begin before the first stage.
+        """Start before the first stage.
 
         Args:
-            tell: Called with each step, or None.
-            stages: All that may come, in their order.
+            tell: Callback for each step, or None.
+            stages: All stages that may come, in their order.
         """
         self._tell = tell or _ignore
         self._names = [stage.name for stage in stages] or [""]
@@ -68,33 +69,34 @@ class Tracker:
         self._fraction = 0.0
 
     def begin(self, name: str) -> None:
-        """Begin the next stage of a name; those before it are passed over.
+        """Begin the next stage of this name; the stages before it are skipped.
 
-        One that was not foreseen is told where the one before it is.
+        A stage that was not planned is reported at the position of the one before it.
         """
         self._enter(name)
         self.part(0, 1)
 
     def part(self, done: float, parts: int) -> None:
-        """Tell how many parts of the present stage are done, and of how many."""
+        """Report the number of parts of the current stage that are done, and of all its parts."""
         share = min(max(done / parts, 0.0), 1.0) if parts else 1.0
         fraction = self._starts[self._now] + self._shares[self._now] * share
         self._fraction = max(self._fraction, min(fraction, _ALMOST))
         self._step(self._name, done, max(parts, 1))
 
     def within(self, done: int, parts: int, stages: Sequence[Stage]) -> "Tracker":
-        """A tracker of stages that are, all together, one part of the present stage.
+        """Make a tracker whose stages are, all together, one part of the current stage.
 
         Args:
-            done: Parts done before; where more come than were expected, the last is told again.
-            parts: Of the present stage.
-            stages: Of the one part.
+            done: Number of parts done before; if more come than expected, the last is reported
+                again.
+            parts: Number of parts of the current stage.
+            stages: Stages of the one part.
         """
         before = min(done, parts - 1)
         return Tracker(lambda step: self.part(before + step.fraction, parts), stages)
 
     def passing(self) -> Progress:
-        """A function for a call whose stages are the next ones here."""
+        """Return a callback for a nested call whose stages are the next ones of this tracker."""
 
         def told(step: Step) -> None:
             self._enter(step.stage)
@@ -103,11 +105,11 @@ class Tracker:
         return told
 
     def aside(self, name: str) -> None:
-        """Tell something that is no stage, such as a wait; the fraction stays."""
+        """Report something that is not a stage, such as a wait; the fraction is unchanged."""
         self._step(name, 0, 1)
 
     def finish(self) -> None:
-        """Tell the last step: all is done."""
+        """Report the last step: all is done."""
         self._now, self._fraction = len(self._names) - 1, 1.0
         self._step(self._names[-1], 1, 1)
 
@@ -122,11 +124,11 @@ class Tracker:
 
 
 def each(items: Iterable[T], tell: Parts) -> Iterator[T]:
-    """The items one after the other, each told as a part.
+    """Iterate over items, and report each as a part.
 
     Args:
-        items: What takes about the same time each.
-        tell: Told before each item, and after the last, how many are done.
+        items: Items that take about the same time each.
+        tell: Progress callback, called before each item and after the last.
     """
     known = list(items)
     for done, item in enumerate(known):
@@ -136,7 +138,7 @@ def each(items: Iterable[T], tell: Parts) -> Iterator[T]:
 
 
 def untold(_done: float, _parts: int) -> None:
-    """Tell nobody of parts."""
+    """Ignore the progress of parts: the default callback."""
 
 
 def _ignore(_step: Step) -> None:

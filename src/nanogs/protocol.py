@@ -1,4 +1,4 @@
-"""How a PSNR was measured: what every number that is printed or stored names. No Numba here."""
+"""How a PSNR was measured; every PSNR that is printed or stored names it. Does not import Numba."""
 
 import math
 from collections.abc import Iterable
@@ -11,18 +11,17 @@ from nanogs.formatting import counted, number_text
 Background = tuple[float, float, float]
 Kind = Literal["auto", "orbit", "inside", "roam", "given", "photographs"]
 
-# The protocol of every PSNR that is not asked for in another way: `compare` and `view` at their
-# defaults, `simplify`, `lod`.
+# The default protocol of every PSNR: of `compare`, `view`, `simplify` and `lod`.
 VIEWS = 8
-ROAMING = 24  # views, where they roam: they differ more
-PIXELS = 512  # along both sides of a view
-UNMEASURED = "The PSNR cannot be measured: "  # begins the reason, where it is asked for
+ROAMING = 24  # number of roaming views, which differ more from each other
+PIXELS = 512  # width and height of a view
+UNMEASURED = "The PSNR cannot be measured: "  # first words of a reason
 BLACK: Background = (0.0, 0.0, 0.0)
 WHITE: Background = (1.0, 1.0, 1.0)
 
 
 def plain_background(colour: Iterable[float]) -> Background:
-    """A background as a caller gives it, in numbers of Python's.
+    """Convert a caller's background colour to a tuple of Python floats.
 
     Raises:
         OptionError: It is not three finite numbers.
@@ -30,7 +29,7 @@ def plain_background(colour: Iterable[float]) -> Background:
     try:
         red, green, blue = map(float, colour)
     except (TypeError, ValueError):
-        red = green = blue = math.nan  # which is no colour either
+        red = green = blue = math.nan  # refused below
     if not all(map(math.isfinite, (red, green, blue))):
         raise OptionError(f"background must be three finite numbers, not {colour!r}.")
     return red, green, blue
@@ -38,17 +37,18 @@ def plain_background(colour: Iterable[float]) -> Background:
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """The pictures that a PSNR and an SSIM are the means over; values do not compare across these.
+    """The set of views that a PSNR and an SSIM are averaged over.
+
+    Values of different protocols cannot be compared.
 
     Attributes:
         views: Number of views in the mean.
         pixels: Width and height of the first view.
-        kind: Where the views are from: "auto", "orbit", "inside" and "roam" are found from the
-            original model, "given" ones come from a file or the caller, "photographs" from a data
-            set.
-        split: "test" for views that nothing is learnt from, "train"; None for given ones.
+        kind: Source of the views: "auto", "orbit", "inside" and "roam" are chosen from the original
+            model, "given" ones come from a file or the caller, "photographs" from a data set.
+        split: "test" for held-out views, or "train"; None for given ones.
         background: RGB in [0, 1] behind the splats, and behind the photographs' transparent parts.
-        sizes: How many sizes the views have, of which given ones and photographs may mix several.
+        sizes: Number of different image sizes: given views and photographs may mix several.
     """
 
     views: int = VIEWS
@@ -60,12 +60,12 @@ class Protocol:
 
     @property
     def label(self) -> str:
-        """Two words, for tables: "auto 512"."""
+        """Short text for tables, such as "auto 512"."""
         return f"{self.kind} {size_text(self.pixels)}"
 
     @property
     def text(self) -> str:
-        """A few words, such as "8 held-out views of 512 pixels"."""
+        """Full text, such as "8 held-out views of 512 pixels"."""
         behind = ""
         if self.background != BLACK or self.kind == "photographs":
             behind = f" over {background_text(self.background)}"
@@ -84,10 +84,10 @@ class Protocol:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A model held against its original.
+    """PSNR and SSIM of a model against its original.
 
     Attributes:
-        psnr: Mean over the views, dB; infinite where all are the same to the last bit.
+        psnr: Mean over the views, dB; infinite if all are bit-identical.
         ssim: Mean over the views.
         protocol: The views.
     """
@@ -98,28 +98,28 @@ class Judged:
 
     @classmethod
     def usual(cls, psnr: float, ssim: float, views: int) -> "Judged":
-        """Marks by the usual protocol, on so many views."""
+        """Make scores by the default protocol, on a number of views."""
         return cls(psnr, ssim, Protocol(views=views))
 
     @property
     def text(self) -> str:
-        """The PSNR and its protocol: "36.12 dB on 8 held-out views of 512 pixels"."""
+        """The PSNR and its protocol, such as "36.12 dB on 8 held-out views of 512 pixels"."""
         return f"{number_text(self.psnr)} dB on {self.protocol.text}"
 
 
 @dataclass(frozen=True, slots=True)
 class PackingLoss:
-    """Loss of quality by packing alone, on the views of a model's scores.
+    """Loss of quality by the compression of the file format alone, on the views of the scores.
 
     Attributes:
         format: Suffix of the file's format.
-        psnr_cost: The model's PSNR less that of its file, both against the original, dB: what
-            packing costs. Infinite where the model equals the original, minus infinite where its
-            file does, as that which the original was read from.
-        ssim_cost: The same of SSIM.
-        psnr: Of the file against the model that was packed, mean over the views, dB.
-        ssim: The same of SSIM.
-        of: Name of the model that was packed, where it has one.
+        psnr_cost: PSNR of the model minus that of its file, both against the original, dB. Infinite
+            if the model equals the original, minus infinite if its file does, which happens for the
+            file that the original was read from.
+        ssim_cost: The same for SSIM.
+        psnr: PSNR of the file against the model that was packed, mean over the views, dB.
+        ssim: The same for SSIM.
+        of: Name of the model that was packed, if it has one.
     """
 
     format: str
@@ -131,28 +131,28 @@ class PackingLoss:
 
     @property
     def text(self) -> str:
-        """The cost in a few words: "packing alone costs 0.18 dB"."""
+        """The cost in words, such as "packing alone costs 0.18 dB"."""
         if self.psnr_cost == math.inf:
             return "the loss is packing alone"
         return f"packing alone costs {number_text(self.psnr_cost)} dB"
 
 
 def usual_views(kind: str) -> int:
-    """How many views of a kind there are unless told otherwise."""
+    """Return the default number of views of a kind."""
     return ROAMING if kind == "roam" else VIEWS
 
 
 def size_text(pixels: tuple[int, int]) -> str:
-    """Width and height, or one number for both: "512", "64 x 48"."""
+    """Format width and height, or one number if they are equal: "64 x 48", "512"."""
     width, height = pixels
     return f"{width}" if width == height else f"{width} x {height}"
 
 
 def background_text(background: Background) -> str:
-    """A background's name, or #rrggbb."""
+    """Return a background colour's name, or #rrggbb."""
     return {BLACK: "black", WHITE: "white"}.get(background, hex_text(background))
 
 
 def hex_text(background: Background) -> str:
-    """A background as #rrggbb."""
+    """Format a background colour as #rrggbb."""
     return "#" + "".join(f"{round(255 * part):02x}" for part in background)

@@ -1,4 +1,4 @@
-"""`nanogs.render`: pictures of a model, as arrays."""
+"""`nanogs.render`: render a model into arrays."""
 
 from collections.abc import Sequence
 
@@ -28,27 +28,27 @@ def render(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> list[F32]:
-    """Pictures of a model, one for each view; the same bytes for any number of threads.
+    """Render an image of a model for each view; the same bytes for any number of threads.
 
     Args:
         model: The model, or a path.
-        cameras: "auto" for views that are found from the model, "orbit" for views around it,
+        cameras: "auto" for views that are chosen from the model, "orbit" for views around it,
             "inside" for views in a room, "roam" for views from anywhere, near and far; or a camera
             file or data-set folder; or cameras.
         views: Number of automatic views.
-        pixels: Of an automatic view: width and height in one number, or both.
-        up: (3,) direction of automatic views, scene units; found from the model by default.
+        pixels: Size of an automatic view: one number for both width and height, or both.
+        up: (3,) up direction of automatic views in scene coordinates; found from the model by
+            default.
         background: RGB in [0, 1].
-        transparent: Give straight alpha too, and no background.
-        device: Where pictures are made: "cpu", which is the default; "cuda" for a graphics card,
-            "auto" for one where there is one. They differ by rounding.
-        threads: Threads to use; all by default.
-        max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
-            what is free, less a tenth. A model that does not fit is read some rows at a time, as
-            often as it takes: the pictures are the same.
+        transparent: Return straight (not premultiplied) alpha too, and no background.
+        device: Device that renders: "cpu", the default; "cuda" for a GPU; or "auto" for a GPU if
+            there is one. Their images differ by rounding.
+        threads: Number of threads; all by default.
+        max_memory: Bytes of memory that this process may use, a number or text such as "4GB"; by
+            default the free memory, less a tenth. A model that does not fit is streamed in blocks
+            of rows, in as many passes as needed: the images are the same.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
-            each `nanogs.progress.Step`; the views are
-            parts of one stage.
+            each `nanogs.progress.Step`; the views are parts of one stage.
 
     Returns:
         (H, W, 3) float32 for each view, RGB in [0, 1] as a screen shows it; with `transparent`
@@ -57,7 +57,7 @@ def render(
     Raises:
         FormatError: The model or the cameras cannot be read.
         ModelError: Nothing of the model is visible, so that no views are found.
-        NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
+        NotEnoughMemoryError: Even streaming takes more memory than is free or allowed.
         OptionError: An argument is out of range, or there is no such device.
     """
     wanted = known_cameras(cameras)
@@ -65,13 +65,13 @@ def render(
         most = None if max_memory is None else as_bytes(max_memory)
         room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), most)
         some = source_of(source).load() if room is None else source
-        # Here and not above: these bring Numba.
+        # Imported late, because these import Numba.
         from nanogs.card.device import use_device
         from nanogs.raster.images import straight
         from nanogs.threads import use_threads
         from nanogs.views.streamed import drawable, renderings
 
-        behind = BLACK if transparent else background  # straight alpha is taken from one over black
+        behind = BLACK if transparent else background  # straight alpha needs a render over black
         with use_device(device), use_threads(threads), drawn(progress) as tell:
             chosen, _ = chosen_cameras(some, wanted, views, pixels, up)
             tracker = Tracker(tell, [Stage("render", 1.0)])

@@ -1,4 +1,4 @@
-"""`nanogs.draw_cost`: what a model takes to draw."""
+"""`nanogs.draw_cost`: measure the cost of drawing a model."""
 
 from collections.abc import Sequence
 
@@ -25,30 +25,32 @@ def draw_cost(
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> DrawCost:
-    """Measure what a model takes to draw, which its count of splats alone does not tell.
+    """Measure the cost of drawing a model, which depends on more than its number of splats.
 
     Merged splats are larger: half as many may cover each pixel as often as before. The default
-    views are those of `compare`; the model is read some rows at a time, of any size.
+    views are those of `compare`. A model of any size is possible, because it is read in blocks of
+    rows.
 
     Args:
         model: The model, or a path.
-        cameras: As `render` takes them.
+        cameras: Cameras, or how to choose them; see `render`.
         views: Number of automatic views.
-        pixels: Of an automatic view: width and height in one number, or both.
-        up: (3,) direction of automatic views, scene units; found from the model by default.
-        threads: Threads to use; all by default. The result does not depend on it.
-        max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
-            what is free, less a tenth.
+        pixels: Size of an automatic view: one number for both width and height, or both.
+        up: (3,) up direction of automatic views in scene coordinates; found from the model by
+            default.
+        threads: Number of threads; all by default. The result does not depend on it.
+        max_memory: Bytes of memory that this process may use, a number or text such as "4GB"; by
+            default the free memory, less a tenth.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`.
 
     Returns:
-        Splats a pixel, tile pairs, and how much of them the largest splats make.
+        The number of splats per pixel, of tile pairs, and the share of the largest splats in them.
 
     Raises:
         FormatError: The model or the cameras cannot be read.
         ModelError: Nothing of the model is visible, so that no views are found.
-        NotEnoughMemoryError: It takes more memory than is free or allowed.
+        NotEnoughMemoryError: Measuring takes more memory than is free or allowed.
         OptionError: An argument is out of range.
     """
     wanted = known_cameras(cameras)
@@ -56,7 +58,7 @@ def draw_cost(
     with opened(model) as source:
         room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), limit)
         some = source_of(source).load() if room is None else source
-        # Here and not above: these bring Numba.
+        # Imported late, because these import Numba.
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
 
@@ -73,12 +75,12 @@ def draw_cost(
 def views_of(
     cameras: Sequence[Camera], kind: Kind, split: str = "test", background: Background = BLACK
 ) -> Protocol:
-    """The protocol of some views, as reports of numbers from them name it.
+    """Make the protocol that describes some views in reports.
 
     Args:
         cameras: The views.
-        kind: Where they are from.
-        split: Of those that are found, or photographs.
+        kind: Source of the views.
+        split: Split of automatic views or photographs, "test" or "train"; not used for given ones.
         background: RGB in [0, 1] behind the splats.
     """
     sizes = [(camera.width, camera.height) for camera in cameras]
@@ -89,7 +91,10 @@ def views_of(
 def pictures_of(
     wanted: str | list[Camera], views: int, pixels: int | tuple[int, int]
 ) -> tuple[int, int]:
-    """Pixels of the largest view, and the number of views; see `cameras.known_cameras`."""
+    """Return the pixels of the largest view and the number of views.
+
+    The first argument is that of `cameras.known_cameras`.
+    """
     if not isinstance(wanted, str):
         return max(camera.width * camera.height for camera in wanted), len(wanted)
     width, height = picture_size(pixels)
