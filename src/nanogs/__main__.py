@@ -1,4 +1,4 @@
-"""`python -m nanogs`."""
+"""Entry point of `python -m nanogs`."""
 
 from nanogs.cli import main
 

@@ -1,4 +1,4 @@
-"""Arrays from what people have: lists, other number types, tensors of other libraries."""
+"""Conversion of arguments to arrays: lists, other number types, tensors of other libraries."""
 
 import os
 from typing import Any
@@ -10,14 +10,14 @@ from nanogs.errors import ModelError
 
 
 def as_array(name: str, value: object) -> Array:
-    """An array of anything that NumPy takes; tensors are detached and copied off their device.
+    """Convert a value to an array; tensors are detached and copied to the CPU.
 
     Args:
-        name: What the value is called, for the message.
+        name: Name of the value, for the message.
         value: An array, nested lists, or a tensor of PyTorch, JAX and the like.
 
     Raises:
-        ModelError: It is a path, or NumPy makes no array of it.
+        ModelError: It is a path, or NumPy cannot convert it.
     """
     if isinstance(value, np.ndarray):
         return value
@@ -25,7 +25,7 @@ def as_array(name: str, value: object) -> Array:
         path = os.fspath(value)
         raise ModelError(f"{name} is the path {path!r}, not an array; nanogs.load reads files.")
     try:
-        for step in ("detach", "cpu"):  # of PyTorch, which is not needed for this
+        for step in ("detach", "cpu"):  # methods of PyTorch's tensors; PyTorch is not imported
             if callable(method := getattr(value, step, None)):
                 value = method()
         return np.asarray(value)
@@ -38,12 +38,12 @@ def as_floats(name: str, value: object, *, double: bool = False) -> F:
     """Convert to float32; an array that needs no conversion is returned itself.
 
     Args:
-        name: What the value is called, for the message.
+        name: Name of the value, for the message.
         value: See `as_array`.
-        double: Let arrays that hold doubles keep them.
+        double: Keep float64 arrays as float64.
 
     Raises:
-        ModelError: It is no array of real numbers, or one is too large for float32.
+        ModelError: It is no array of real numbers, or a number is too large for float32.
     """
     array = as_array(name, value)
     if array.dtype == np.float32 or (double and array.dtype == np.float64 and _typed(value)):
@@ -58,17 +58,17 @@ def as_floats(name: str, value: object, *, double: bool = False) -> F:
 
 
 def _typed(value: object) -> bool:
-    """Whether somebody chose the type of the numbers: those of lists are always doubles."""
+    """Return whether the value has a dtype of its own; numbers in lists always become float64."""
     return hasattr(value, "dtype")
 
 
 def as_rows(rows: Any, count: int) -> I64 | I32 | Bool | slice:  # noqa: ANN401 - it is found out here
-    """Rows of an array in one of the ways that NumPy knows, but always as many as are named.
+    """Convert an index of rows to a slice, a mask or an array of row numbers.
 
     Args:
         rows: A number, a slice, a mask of `count` flags, or row numbers; negative ones count from
             the end.
-        count: Rows that there are.
+        count: Number of rows of the model.
 
     Raises:
         IndexError: It is none of these, the mask has another length, or there is no such row.
@@ -85,7 +85,7 @@ def as_rows(rows: Any, count: int) -> I64 | I32 | Bool | slice:  # noqa: ANN401 
         raise _no_rows(rows)
     if array.dtype == bool and len(array) != count:
         raise IndexError(f"A mask has one flag for each of the {count:,} splats, not {len(array)}.")
-    # Others stay as they are: twice the memory would be much. NumPy takes no unsigned ones.
+    # NumPy's `take` refuses uint64. Signed types are kept: int64 could take twice the memory.
     return array.astype(np.int64) if array.dtype.kind == "u" else array
 
 

@@ -1,4 +1,4 @@
-"""Array types used in signatures; the shape stands in a comment or docstring beside them."""
+"""Array types for signatures; shapes are given in docstrings and comments."""
 
 from typing import Any, TypeAlias
 

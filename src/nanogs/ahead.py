@@ -1,8 +1,9 @@
-"""Compile ahead: on a first run, other processes compile what the first will need later.
+"""Compile ahead: on a first run, helper processes compile the kernels that are needed later.
 
-Numba compiles one function at a time in a process. So others begin with what is needed last, while
-the first compiles what it comes to, until they meet. All put what they compiled into the same cache
-on disk, and none compiles what another is at. Should one fail, the first compiles for itself.
+Numba compiles one function at a time in a process. So while the main process compiles kernels as it
+needs them, helpers compile them in the reverse order. All share one cache on disk, and no process
+compiles a kernel that another one is compiling. If a helper fails, the main process compiles the
+kernel itself.
 """
 
 import atexit
@@ -17,17 +18,17 @@ from pathlib import Path
 from nanogs.cleanup import clean_at_end, undisturbed
 from nanogs.threads import processors
 
-_MOST = 3  # processes beside the first: more would wait for the longest kernel
+_MOST = 3  # helper processes: more would only wait for the longest kernel
 
 
 @cache
 def compile_ahead(preset: str) -> None:
-    """Start the others, where there are processors for them; they end with this process.
+    """Start the helper processes, if there are processors for them; they end with this process.
 
-    Called again, it does nothing.
+    Further calls for the same preset do nothing.
 
     Args:
-        preset: See `nanogs.kernels.needed`.
+        preset: Preset whose kernels are compiled; see `nanogs.kernels.needed`.
     """
     for _ in range(min(processors() - 1, _MOST)):
         with undisturbed():
@@ -38,13 +39,15 @@ def compile_ahead(preset: str) -> None:
                 stderr=subprocess.DEVNULL,
             )
             clean_at_end(process.kill)
-        atexit.register(process.kill)  # the cache's files are written beside their places, renamed
+        # Killing is safe: files of the cache are written under another name and then renamed.
+        atexit.register(process.kill)
 
 
 def nothing_compiled() -> bool:
-    """Whether surely no kernel is on the disk, told without Numba, whose import takes a while.
+    """Return whether the cache on disk certainly holds no kernel; does not import Numba.
 
-    Where kernels may lie elsewhere it is False; then the first that is missing tells.
+    False if the cache may be in another folder; then the first missing kernel starts the
+    compilation ahead.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return False
@@ -56,14 +59,14 @@ def nothing_compiled() -> bool:
 
 
 def compile_from_the_end(preset: str) -> None:
-    """Compile what nobody has compiled or is at, what is needed last first."""
+    """Compile all kernels that are neither cached nor being compiled, in reverse order of need."""
     from nanogs.kernels.needed import needed
 
     for one in reversed(needed(preset)):
-        with suppress(Exception):  # whoever needs it says what is wrong
+        with suppress(Exception):  # the main process reports the error when it needs the kernel
             one.compile(wait=False)
 
 
 if __name__ == "__main__":
-    gc.disable()  # what has been compiled stays
+    gc.disable()  # compiled code is never freed anyway
     compile_from_the_end(sys.argv[1])

@@ -1,7 +1,7 @@
-"""How results lie that are made block by block: divided into chunks, or linked to a tree.
+"""Layouts of results that are made block by block: divided into chunks, or linked into a tree.
 
-Plain data that `lod` makes and `pipeline` hands to whoever works on a block, with the memory and
-the time that each takes.
+The interfaces here are implemented in `lod`; `pipeline` sends their instances, which are plain
+data, to the workers that process blocks, and plans with the memory and time that they state.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,20 +13,21 @@ from nanogs.progress import Parts, untold
 from nanogs.source import Source
 from nanogs.splats import Splats
 
-PLACED = 24  # bytes a splat of a level that is divided: its cell and place
+PLACED = 24  # bytes for each splat of a level while it is divided: its cell and row
 
 
 @dataclass(frozen=True, slots=True)
 class BlockChunks:
-    """A block of a result in chunks: all of it, or what one block of a job is left with.
+    """A block of a result in chunks: the whole result, or the part of one block of a job.
 
     Attributes:
-        cells: What divides it, as `Chunked.divide` gives it; empty where there is nothing at all.
-            Its files may hold splats of the blocks after it too, which then have no files.
-        splats: In it.
-        losses: The parts that its files leave out, one sentence each.
-        files: Name and contents of each file, one at a time.
-        chunks: Plain data that tell its layout of the chunks; complete once all files are taken.
+        cells: The division of space from `Chunked.divide`; empty if the result is empty. The files
+            may also hold splats of the blocks after it, which then have no files.
+        splats: Number of splats in the block.
+        losses: The parts of the model that its files leave out, one sentence each.
+        files: Name and contents of each file, made one at a time.
+        chunks: Plain data that describe the chunks to their layout; complete once all files have
+            been consumed.
     """
 
     cells: Mapping[str, Array]
@@ -38,14 +39,14 @@ class BlockChunks:
 
 @dataclass(frozen=True, slots=True)
 class Encoding:
-    """Memory and time that it takes to make chunks; none where there are none.
+    """Memory and time for making chunks; all zero if there are none.
 
     Attributes:
         file: Bytes for the file that is being made.
-        joined: Bytes for splats of further blocks that files of one hold too.
+        joined: Bytes for splats of further blocks that share the files of one.
         each: Bytes for each splat of a block.
-        described: Bytes for what describes the folder, which is held whole in the end.
-        seconds: Of one processor, for all files.
+        described: Bytes for the manifest of the folder, which is held whole at the end.
+        seconds: Seconds of one processor, for all files.
         sized: Whether the size of chunks can be chosen.
     """
 
@@ -57,11 +58,11 @@ class Encoding:
     sized: bool = True
 
     def held(self, block: int) -> float:
-        """Most bytes at any time, with blocks of so many splats."""
+        """Return the peak of memory in bytes, with blocks of `block` splats."""
         return max(self.file + self.joined + block * self.each, self.described)
 
     def most(self, room: float, block: int) -> int:
-        """Splats of a block for which there is room, and no more than so many."""
+        """Return the largest number of splats of a block, up to `block`, that fits into `room`."""
         if self.each == 0:
             return block
         if self.described > room:
@@ -69,7 +70,7 @@ class Encoding:
         return max(min(block, int((room - self.file - self.joined) / self.each)), 0)
 
     def remedy(self) -> str:
-        """Advice on what takes less, to end a sentence about memory."""
+        """Return the end of a sentence about memory: what is needed, and a remedy."""
         if self.each == 0:
             return "."
         if not self.sized:
@@ -80,18 +81,21 @@ class Encoding:
 
 @runtime_checkable
 class Chunked(Protocol):
-    """A layout that divides results into chunks: plain data, which travel to any worker."""
+    """A layout that divides results into chunks; instances are plain data, for any worker."""
 
     @property
     def weight(self) -> float:
-        """Seconds of a machine for a million splats."""
+        """Seconds that a machine takes for a million splats."""
 
     @property
     def fewest(self) -> int:
-        """Splats of a result below which a block is put together with the next; 0 for never."""
+        """Fewest splats that a block of a result may have; smaller ones are joined with the next.
+
+        0 joins none.
+        """
 
     def divide(self, means: F) -> dict[str, Array]:
-        """Divide space around (N, 3) finite centres, N at least 1, of the finest result."""
+        """Divide space into cells by (N, 3) finite centres, N at least 1, of the finest result."""
 
     def encode(
         self,
@@ -101,36 +105,37 @@ class Chunked(Protocol):
         prefix: str,
         tell: Parts = untold,
     ) -> BlockChunks:
-        """The files of a block, or of neighbouring ones, which are made as they are taken.
+        """Make the files of a block, or of neighbouring blocks, lazily.
 
         Args:
-            splats: N splats, all finite, block after block.
-            blocks: How many splats each has, and as `divide` gives them the cells of its finest
-                result; one block, where `fewest` is 0.
+            splats: N splats, all finite, sorted by block.
+            blocks: Number of splats of each block, and the cells of its finest result from
+                `divide`; a single block if `fewest` is 0.
             finer: Chunks of this block's next finer result; None for the finest.
-            prefix: How names of files begin.
-            tell: Told of the parts that are done.
+            prefix: Prefix of the file names.
+            tell: Progress callback for the parts that are done.
         """
 
     def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:
-        """Memory and time for all chunks.
+        """Estimate memory and time for all chunks.
 
         Args:
             row: Bytes of a splat.
-            degree: Of the spherical harmonics.
-            splats: Of the whole model.
-            shares: Shares that the results keep of them; a block can keep more than others.
+            degree: Degree of the spherical harmonics.
+            splats: Number of splats of the whole model.
+            shares: Share of them that each result keeps; a block can keep more than others.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class BlockTree:
-    """A tree of the levels of a block, down from several roots; not all are splats of the result.
+    """A tree (forest) of the levels of a block; its nodes include splats that are in no result.
 
     Attributes:
-        layers: The splats of each, the finest first and the roots last, children of one row side by
-            side and in the order of their parents.
-        children: Tells of each layer how many children the rows from one to before another have.
+        layers: The splats of each layer, the finest first and the roots last; children of one
+            parent are adjacent, and in the order of their parents.
+        children: For each layer a function that returns the number of children of its rows `start`
+            to `stop`, exclusive.
         roots: Moments of the roots, by name, each with a row for each root.
     """
 
@@ -141,27 +146,32 @@ class BlockTree:
 
 @runtime_checkable
 class Linked(Protocol):
-    """A layout that links results to a tree: plain data, which travel to any worker."""
+    """A layout that links results into a tree; instances are plain data, for any worker."""
 
     @property
     def weight(self) -> float:
-        """Seconds of a machine for a million splats."""
+        """Seconds that a machine takes for a million splats."""
 
     def link(self, levels: Sequence[Source], some: Splats, threads: int, steps: int) -> BlockTree:
-        """The tree of a block.
+        """Build the tree of a block.
 
         Args:
-            levels: What results leave of it, the finest first, of 1 splat or more each.
-            some: Splats of the finest result, the same for all blocks.
-            threads: To search with.
-            steps: How often splats of the coarsest are merged, so that there are few roots.
+            levels: The block's part of each result, the finest first, of 1 splat or more each.
+            some: A sample of the finest result, the same for all blocks.
+            threads: Threads for the search.
+            steps: Number of times that splats of the coarsest level are merged again, so that there
+                are few roots.
 
         Raises:
-            OptionError: A splat would stand for too many others.
+            OptionError: A node would have too many children.
         """
 
     def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:
-        """As `Chunked` says, of linking."""
+        """Estimate memory and time for linking; see `Chunked.encoding` for the arguments."""
 
     def whole(self, row: int) -> int:
-        """Bytes for each splat of the finest result, of a model in memory, beside its own."""
+        """Return the extra bytes for each splat of the finest result, for a model in memory.
+
+        Args:
+            row: Bytes of a splat.
+        """

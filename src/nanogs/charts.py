@@ -1,4 +1,4 @@
-"""Line charts as SVG, for pages and files that any browser opens."""
+"""Line charts as SVG, for pages and for files."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,8 +7,8 @@ from html import escape
 
 Points = Sequence[tuple[float, float]]
 
-_WIDTH, _HEIGHT = 440, 300  # of the axes, pixels
-_LEFT, _TOP, _BOTTOM, _LEGEND = 70, 40, 60, 190  # around them
+_WIDTH, _HEIGHT = 440, 300  # plot area, pixels
+_LEFT, _TOP, _BOTTOM, _LEGEND = 70, 40, 60, 190  # margins, and the legend on the right
 _COLOURS = (
     "#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f",
     "#bcbd22", "#17becf",
@@ -17,12 +17,12 @@ _COLOURS = (
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """PSNR, in dB, against something on a logarithmic axis.
+    """A chart of PSNR, in dB, over a quantity on a logarithmic axis.
 
     Attributes:
-        title: Above it.
-        across: Below the horizontal axis.
-        lines: By name, points (x, PSNR); x above 0, both finite.
+        title: Title above the chart.
+        across: Label of the horizontal axis.
+        lines: Points (x, PSNR) of each line by name; x above 0, both finite.
     """
 
     title: str
@@ -32,7 +32,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """An axis from one value to another, over so many pixels; of logarithms, or not."""
+    """A linear axis from `low` to `high` over a number of pixels; values may be logarithms."""
 
     low: float
     high: float
@@ -43,11 +43,11 @@ class _Axis:
 
 
 def svg(charts: Sequence[Chart], columns: int | None = None) -> str:
-    """An SVG element with charts beside each other.
+    """Draw charts in rows as one SVG element.
 
     Args:
-        charts: In the order of reading.
-        columns: How many are beside each other, before the next row begins; by default all.
+        charts: The charts, row by row.
+        columns: Number of charts in a row; by default all.
     """
     columns = columns or max(len(charts), 1)
     across, down = _LEFT + _WIDTH + _LEGEND, _TOP + _HEIGHT + _BOTTOM
@@ -84,17 +84,17 @@ def _drawn(chart: Chart) -> str:
 
 
 def _axis(values: Sequence[float], pixels: int) -> _Axis:
-    """Around values, with some room at both ends."""
+    """Make an axis that spans the values, with a margin at both ends."""
     low, high = min(values, default=0.0), max(values, default=1.0)
     room = 0.05 * (high - low) or 0.5
     return _Axis(low - room, high + room, pixels)
 
 
 def _marks(axis: _Axis) -> list[float]:
-    """Round values on an axis of logarithms.
+    """Choose tick values for a logarithmic axis.
 
-    Powers of ten, and twice and five times those where they are few; where it has none of these or
-    one, values at equal distances.
+    Powers of ten; on a short axis 2 and 5 times these too; equidistant values if that gives fewer
+    than two.
     """
     exponents = range(math.floor(axis.low), math.ceil(axis.high) + 1)
     leads = (1, 2, 5) if axis.high - axis.low < 2.5 else (1,)
@@ -104,7 +104,7 @@ def _marks(axis: _Axis) -> list[float]:
 
 
 def _steps(axis: _Axis) -> list[float]:
-    """From three to seven round values on an axis."""
+    """Choose three to seven round tick values for a linear axis."""
     least = (axis.high - axis.low) / 7
     power = 10.0 ** math.floor(math.log10(least))
     step = next(lead * power for lead in (1, 2, 5, 10) if lead * power >= least)
@@ -122,7 +122,7 @@ def _rule(y: float, value: float) -> str:
 
 
 def _line(places: Points, name: str, number: int) -> str:
-    """A line with dots, and its entry in the legend."""
+    """Draw a line with dots, and its entry in the legend."""
     colour = _COLOURS[number % len(_COLOURS)]
     points = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
     dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4"/>' for x, y in places)

@@ -1,7 +1,7 @@
-"""Files and processes that must not outlive a run that is ended in the middle.
+"""Clean-up of temporary files and child processes when a run is killed by a signal.
 
-An exception runs `finally` blocks; a signal that ends the process at once does not. So what they
-would do is also noted here, for the command to do before it ends (`nanogs.cli.cancel`).
+An exception runs `finally` blocks; a signal that ends the process at once does not. So their
+actions are also registered here, and the command runs them before it ends (`nanogs.cli.cancel`).
 """
 
 import signal
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _pending: dict[object, Callable[[], None]] = {}
-_undisturbed = 0  # blocks that are not to be ended in their middle
+_undisturbed = 0  # number of nested blocks during which the process must not end
 _postponed: Callable[[], None] | None = None
 
 
 @contextmanager
 def cleaned_up(clean: Callable[[], None]) -> Iterator[None]:
-    """Clean up when the block ends, and also if the process is ended in it.
+    """Clean up when the block ends, and also if a signal ends the process within it.
 
     Args:
-        clean: May be called twice, and when there is nothing to clean up.
+        clean: Clean-up function; may be called twice, and when there is nothing to clean up.
     """
     entry = object()
     _pending[entry] = clean
@@ -35,9 +35,9 @@ def cleaned_up(clean: Callable[[], None]) -> Iterator[None]:
 
 @contextmanager
 def temporary_folder(prefix: str) -> Iterator["Path"]:
-    """An empty folder where the system keeps temporary ones; it goes when the block ends."""
+    """Make an empty folder in the system's temporary folder; it is removed when the block ends."""
     from pathlib import Path
-    from tempfile import TemporaryDirectory  # here, as the command imports this file at once
+    from tempfile import TemporaryDirectory  # imported late: the command imports this file at start
 
     made: list[TemporaryDirectory[str]] = []
 
@@ -52,12 +52,12 @@ def temporary_folder(prefix: str) -> Iterator["Path"]:
 
 
 def clean_at_end(clean: Callable[[], None]) -> None:
-    """Have something done if the process is ended from outside."""
+    """Register a function to be called if a signal ends the process."""
     _pending[object()] = clean
 
 
 def clean_all() -> None:
-    """Do all that is pending, the latest first; what fails is left."""
+    """Call all registered functions, the latest first; exceptions are ignored."""
     for clean in reversed(list(_pending.values())):
         with suppress(Exception):
             clean()
@@ -65,7 +65,7 @@ def clean_all() -> None:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Put off the end of the process until the block is done, which takes no time to speak of."""
+    """Postpone the end of the process by a signal until the block, which must be short, is done."""
     global _undisturbed  # noqa: PLW0603
     _undisturbed += 1
     try:
@@ -78,11 +78,12 @@ def undisturbed() -> Iterator[None]:
 
 @contextmanager
 def starting_processes() -> Iterator[None]:
-    """Start processes in this block: they are there whole, or not at all, when this one is ended.
+    """Protect the start of child processes in this block from signals.
 
-    One that was left while it starts would miss what it is to do, and say so in a traceback. They
-    inherit from the thread that starts them that interrupts wait (not on Windows): Ctrl-C reaches
-    every process of a terminal, and is for the first of them to deal with.
+    If this process ends, each child has either started completely or not at all: one that lost its
+    parent while it starts would print a traceback. The children inherit a signal mask that blocks
+    interrupts (not on Windows), because Ctrl-C reaches every process of a terminal, and the parent
+    alone handles it.
     """
     with undisturbed():
         if not hasattr(signal, "pthread_sigmask"):
@@ -96,10 +97,10 @@ def starting_processes() -> Iterator[None]:
 
 
 def when_undisturbed(end: Callable[[], None]) -> None:
-    """End the process now, or as soon as nothing speaks against it.
+    """End the process now, or after the last `undisturbed` block.
 
     Args:
-        end: Does not return.
+        end: Function that ends the process; does not return.
     """
     global _postponed  # noqa: PLW0603
     if _undisturbed:

@@ -1,4 +1,4 @@
-"""Seconds by stage."""
+"""A clock that measures the time spent in each stage."""
 
 import time
 from collections.abc import Iterator

@@ -1,7 +1,7 @@
-"""Sentences about a model that can be put together from those about its parts.
+"""Notes about a model that can be merged from notes about its parts.
 
-A reader that streams sees blocks of rows; what it or a writer says of each block becomes one
-sentence about the model.
+A streaming reader sees blocks of rows; its notes and those of writers about each block are merged
+into one note about the model.
 """
 
 import operator
@@ -12,13 +12,13 @@ from nanogs.formatting import counted
 
 
 class Finding(str):
-    """A sentence with a value in it, and how the values of two parts become one.
+    """A sentence with a value in it that can be merged with the same sentence about another part.
 
     Attributes:
-        template: The sentence, with a replacement field for the value; that of a number may say
-            what it counts: "{:splat has|splats have} a negative scale."
-        value: Of the part that was looked at.
-        merge: The value of two parts together.
+        template: The sentence, with a replacement field for the value; that of a number may hold
+            the counted noun in singular and plural: "{:splat has|splats have} a negative scale."
+        value: Value for this part of the model.
+        merge: Function that combines the values of two parts.
     """
 
     __slots__ = ("merge", "template", "value")
@@ -32,19 +32,19 @@ class Finding(str):
         value: Any,  # noqa: ANN401 - whatever the template shows
         merge: Callable[[Any, Any], Any] = operator.add,
     ) -> Self:
-        """The sentence as plain text, which is all that most callers look at."""
+        """Make a string of the formatted sentence, which is all that most callers use."""
         shown = _Count(value) if isinstance(value, int) else value
         text = super().__new__(cls, template.format(shown))
         text.template, text.value, text.merge = template, value, merge
         return text
 
     def __reduce__(self) -> tuple[type[str], tuple[str]]:
-        """A copy is plain text: reports are copied, and are about one whole."""
+        """Pickle and copy as plain text: reports, which are copied, need no merging."""
         return str, (str(self),)
 
 
 class _Count(int):
-    """A number that says what it counts, if its format is of the form `one|more`."""
+    """An integer that a format of the form `one|more` shows with the fitting noun."""
 
     __slots__ = ()
 
@@ -54,7 +54,7 @@ class _Count(int):
 
 
 class Names(tuple[str, ...]):
-    """Names in the order met, shown with commas between."""
+    """Names in order of appearance, formatted with commas between them."""
 
     __slots__ = ()
 
@@ -62,15 +62,15 @@ class Names(tuple[str, ...]):
         return ", ".join(self)
 
     def union(self, other: "Names") -> "Names":
-        """The names of both, each once."""
+        """Return the names of both, each once."""
         return Names(dict.fromkeys((*self, *other)))
 
 
 def join_findings(parts: Iterable[Iterable[str]]) -> tuple[str, ...]:
-    """The sentences about a whole from those about its parts, in the order they are first met.
+    """Merge the sentences about parts into those about the whole, in order of first appearance.
 
     Args:
-        parts: The sentences about each part; plain texts are kept once.
+        parts: The sentences about each part; of equal plain texts one is kept.
     """
     found: dict[str, str] = {}
     for sentences in parts:
@@ -91,7 +91,7 @@ _MERGES = {merge.__name__: merge for merge in (operator.add, min, Names.union)}
 
 
 def to_plain(sentence: str) -> str | dict[str, Any]:
-    """A sentence as JSON holds it; of a finding, what it takes to join it with others."""
+    """Convert a sentence for JSON; a finding becomes a dictionary and can still be merged later."""
     if not isinstance(sentence, Finding) or sentence.merge.__name__ not in _MERGES:
         return str(sentence)
     return {
@@ -102,7 +102,7 @@ def to_plain(sentence: str) -> str | dict[str, Any]:
 
 
 def of_plain(data: str | Mapping[str, Any]) -> str:
-    """A sentence from what `to_plain` made of it."""
+    """Restore a sentence from the result of `to_plain`."""
     if isinstance(data, str):
         return data
     value = data["value"]
@@ -111,12 +111,12 @@ def of_plain(data: str | Mapping[str, Any]) -> str:
 
 
 def became_infinite(name: str, count: int) -> Finding:
-    """The sentence on so many values of a column that are beyond single precision."""
+    """Make the note that `count` values of a column overflow float32."""
     quoted = repr(name).replace("{", "{{").replace("}", "}}")
     return Finding(f"{{:value|values}} of {quoted} beyond float became infinite.", count)
 
 
 def negative_scales(count: int) -> list[str]:
-    """A sentence if so many splats of a file have a negative scale, which has no logarithm."""
+    """Make the note that `count` splats have a negative scale, whose logarithm is NaN, if any has."""
     text = "{:splat has|splats have} a negative scale, which became NaN."
     return [Finding(text, count)] if count else []

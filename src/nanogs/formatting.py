@@ -1,4 +1,4 @@
-"""Numbers as people read them, the same on the terminal and on pages, and values for JSON."""
+"""Formatting of numbers for people, the same on terminal and pages, and of values for JSON."""
 
 import math
 from dataclasses import asdict, is_dataclass
@@ -10,7 +10,7 @@ NONE = "–"  # noqa: RUF001 - an en dash stands for "no value"
 
 
 def number_text(value: float | None, digits: int = 2) -> str:
-    """A rounded number with commas at thousands, the sign of infinity, or a dash for none."""
+    """Format a rounded number with thousands separators; infinity as ∞, None and NaN as a dash."""
     if value is None or math.isnan(value):
         return NONE
     if math.isinf(value):
@@ -19,43 +19,43 @@ def number_text(value: float | None, digits: int = 2) -> str:
 
 
 def counted(count: int, one: str, more: str = "") -> str:
-    """A number and what it is of: "1 splat holds", "2,000 splats hold".
+    """Format a number with its noun in singular or plural: "1 splat holds", "2,000 splats hold".
 
     Args:
         count: The number.
-        one: What follows 1.
-        more: What follows any other number; by default with an s at its end.
+        one: Text after 1.
+        more: Text after any other number; by default `one` and an s.
     """
     return f"{count:,} {one if count == 1 else more or f'{one}s'}"
 
 
 def undrawn(count: int) -> str:
-    """How many splats a picture leaves out, as the rasteriser and the viewer cannot draw them."""
+    """Return the note that `count` splats cannot be drawn by the rasteriser and the viewer."""
     one = "splat with a NaN or infinite value was not drawn"
     return counted(count, one, one.replace("splat", "splats").replace("was", "were"))
 
 
 def bytes_text(count: int | None) -> str:
-    """Bytes in the unit that fits: 1,500,000 becomes 1.5 MB; a dash for none."""
+    """Format a number of bytes in a fitting unit: 1,500,000 becomes 1.5 MB; None a dash."""
     if count is None:
         return NONE
     value = float(count)
     for unit in ("B", "kB", "MB"):
-        if value < 999.95:  # and not 1000.0 of a unit
+        if value < 999.95:  # so that none is rounded to 1000.0
             return f"{value:.0f} {unit}" if unit == "B" else f"{value:.1f} {unit}"
         value /= 1000
     return f"{value:.1f} GB"
 
 
 def sizes_text(before: int | None, after: int | None, arrow: str) -> str:
-    """Two sizes with the unit said once where it is the same: 76.0 → 1.2 MB."""
+    """Format two sizes, with the unit once if it is the same: 76.0 → 1.2 MB."""
     first, second = bytes_text(before), bytes_text(after)
     value, _, unit = first.rpartition(" ")
     return f"{value if second.endswith(f' {unit}') else first} {arrow} {second}"
 
 
 def time_text(seconds: float) -> str:
-    """Seconds as people say them, roughly: 0.4 s, 6 s, 12 min, 1.5 h."""
+    """Format a duration roughly: 0.4 s, 6 s, 12 min, 1.5 h."""
     if seconds < 0.95:
         return f"{seconds:.1f} s"
     if seconds < 90:
@@ -64,12 +64,12 @@ def time_text(seconds: float) -> str:
 
 
 def utf8(text: str) -> bytes:
-    r"""A text as pages and tables hold it; bytes that a file's name has beyond UTF-8 as \udcff."""
+    r"""Encode a text for pages and tables; invalid bytes of file names are written as \udcff."""
     return text.encode("utf-8", "backslashreplace")
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 - whatever a report holds
-    """Dictionaries, lists, numbers and text; infinities and NaN, which JSON lacks, as text."""
+    """Convert a report for JSON; infinities and NaN, which JSON lacks, become text."""
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, dict):

@@ -1,13 +1,13 @@
-"""How much memory this process may still take: what the machine has free, and what limits it.
+"""The memory that this process may still use: free memory of the machine, and limits.
 
-Three things count, and the least decides:
+The least of three counts:
 
-- what the machine can give without swapping (psutil's `available`; on Linux, MemAvailable);
-- what the control group of a container or job leaves (Linux, versions 1 and 2);
-- `ulimit -v` and `ulimit -d`, which count what is mapped, not what is used: libraries, stacks and
-  the reserves of each thread map far more than they ever touch.
+- memory that the machine can give without swapping (psutil's `available`; on Linux, MemAvailable);
+- memory left in the control group of a container or job (Linux, versions 1 and 2);
+- `ulimit -v` and `ulimit -d`, which count mapped address space, not used memory: libraries, stacks
+  and the reserves of each thread map far more than they ever touch.
 
-No NumPy here: a process that has too little for NumPy can still be told so.
+Does not import NumPy, so that a process with too little memory for NumPy can still say so.
 """
 
 import sys
@@ -20,47 +20,47 @@ from nanogs.errors import NotEnoughMemoryError
 from nanogs.formatting import bytes_text
 from nanogs.threads import most_threads
 
-LIBRARIES = 210_000_000  # bytes, measured, that Python and its libraries take at the most
+LIBRARIES = 210_000_000  # most bytes, measured, that Python and its libraries take
 _PLAIN = 70_000_000  # the same without Numba
-SHARE = 0.9  # of what is free is planned with: plans are off by up to a tenth, and others want some
+SHARE = 0.9  # share of free memory to plan with: plans err by up to a tenth, and others need some
 
 # Address space in bytes, measured (Linux, glibc, wheels of NumPy and Numba): of one thread, and for
 # each further one: a stack, the allocator's reserve of 64 MiB, and 40 MB for NumPy's OpenBLAS.
 _MAPPED, _MAPPED_THREAD = 500_000_000, 120_000_000
 _DATA, _DATA_THREAD = 190_000_000, 95_000_000  # the part of it that `ulimit -d` counts
 _PLAIN_MAPPED, _PLAIN_THREAD = 200_000_000, 45_000_000  # `ulimit -v`, without Numba
-_NUMPY, _NUMPY_THREAD = 130_000_000, 45_000_000  # what NumPy alone maps
-_BLAS_THREADS = 64  # at the most, as the wheels are built
-_UNFRAGMENTED = 0.8  # of address space: what is given back leaves gaps that are mapped all the same
-_UNLIMITED = 1 << 60  # control groups of version 1 say a little less than 2^63 where there is none
+_NUMPY, _NUMPY_THREAD = 130_000_000, 45_000_000  # NumPy alone
+_BLAS_THREADS = 64  # most threads of OpenBLAS in NumPy's wheels
+_UNFRAGMENTED = 0.8  # usable share of address space: freed memory leaves gaps that stay mapped
+_UNLIMITED = 1 << 60  # control groups of version 1 report a little less than 2^63 for no limit
 
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """Memory that work may take, beside what Python and its libraries do.
+    """Memory that work may use in addition to Python and its libraries.
 
     Attributes:
-        bytes: How much; below 0 where not even the libraries fit.
-        limit: What sets it, to end a sentence that says how much there is.
+        bytes: Number of bytes; below 0 if not even the libraries fit.
+        limit: Source of this limit, as the end of a sentence that states the number.
     """
 
     bytes: int
     limit: str
 
     def __str__(self) -> str:
-        """`1.9 GB are free on this machine`, to be a part of a sentence."""
+        """Return a part of a sentence, such as `1.9 GB are free on this machine`."""
         return f"{bytes_text(self.bytes)} are {self.limit}"
 
 
 def allowed_memory(max_memory: int | None, *, compiled: bool = True) -> Memory:
-    """Bytes that work may take: of those allowed to a process, or of those that are free.
+    """Return the memory that work may use, out of that allowed to the process or that is free.
 
     Args:
-        max_memory: Bytes that a process may take in all; None for what is free, less a tenth.
+        max_memory: Bytes that the process may use in all; None for the free memory, less a tenth.
         compiled: Whether the work needs Numba.
 
     Raises:
-        NotEnoughMemoryError: There is none beside what Python and its libraries take.
+        NotEnoughMemoryError: The free memory is not enough for Python and its libraries.
     """
     if max_memory is not None:
         limit = "left of the memory allowed, beside Python and its libraries"
@@ -75,11 +75,14 @@ def allowed_memory(max_memory: int | None, *, compiled: bool = True) -> Memory:
 
 
 def process_memory(memory: Memory, processes: int = 1) -> int:
-    """Bytes that each of some processes may take in all, in three digits so that they can be named.
+    """Divide memory between processes, and round it down to three digits for use in messages.
 
     Args:
-        memory: What is free for all of them, the libraries of one allowed for.
-        processes: How many share it.
+        memory: Memory for all processes, without the libraries of one of them.
+        processes: Number of processes.
+
+    Returns:
+        Bytes that each process may use in all, with its libraries.
     """
     each = (memory.bytes - (processes - 1) * LIBRARIES) // processes + LIBRARIES
     step: int = 10 ** (len(str(max(each, 100))) - 3)
@@ -87,16 +90,16 @@ def process_memory(memory: Memory, processes: int = 1) -> int:
 
 
 def refuse_too_large(what: str, needed: int, memory: Memory, remedy: str) -> None:
-    """Refuse work before it begins that there is too little memory for.
+    """Refuse work before it begins if there is not enough memory for it.
 
     Args:
-        what: The work, to begin the sentence, such as `Rendering this model`.
-        needed: Bytes that it takes beside the libraries.
-        memory: What it may take.
-        remedy: What to do instead, to end the sentence.
+        what: The work, as the beginning of the message, such as `Rendering this model`.
+        needed: Bytes that it needs in addition to the libraries.
+        memory: Memory that it may use.
+        remedy: Advice, as the end of the message.
 
     Raises:
-        NotEnoughMemoryError: It takes more.
+        NotEnoughMemoryError: The work needs more.
     """
     if needed > memory.bytes:
         raise NotEnoughMemoryError(
@@ -107,18 +110,18 @@ def refuse_too_large(what: str, needed: int, memory: Memory, remedy: str) -> Non
 def free_memory(
     proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup"), *, compiled: bool = True
 ) -> Memory:
-    """The least of what the machine, the control group and `ulimit` leave beside the libraries.
+    """Return the least memory that the machine, the control group and `ulimit` leave for work.
 
     Args:
-        proc: Where the system describes processes (Linux).
-        groups: Where it describes control groups (Linux).
+        proc: Root of the system's process information (Linux).
+        groups: Root of the control groups (Linux).
         compiled: Whether the work needs Numba.
     """
     import psutil
 
     held = psutil.Process().memory_info()
     libraries = LIBRARIES if compiled else _PLAIN
-    coming = max(libraries - held.rss, 0)  # most of them load later
+    coming = max(libraries - held.rss, 0)  # the part of them that is not loaded yet
     found = [Memory(psutil.virtual_memory().available - coming, "free on this machine")]
     if sys.platform == "linux":
         left = [limit - used for limit, used in _group_limits(proc, groups)]
@@ -131,7 +134,7 @@ def free_memory(
 
 
 def refuse_without_numpy() -> None:
-    """Refuse to begin where NumPy could not even be loaded: its libraries would end the process.
+    """Refuse to start if not even NumPy can be loaded, whose libraries would abort the process.
 
     Raises:
         NotEnoughMemoryError: `ulimit -v` is too low.
@@ -146,12 +149,15 @@ def refuse_without_numpy() -> None:
 
 
 def _ulimits(mapped: int, data: int, compiled: bool) -> Iterator[tuple[int, str, int]]:
-    """Each limit in force, its option, and the bytes that it counts once all libraries are loaded.
+    """Iterate over the active limits.
 
     Args:
-        mapped: Bytes of address space that this process has.
-        data: Bytes of it that are writable and its own.
+        mapped: Bytes of address space of this process.
+        data: Bytes of it that are writable and private.
         compiled: Whether the work needs Numba.
+
+    Yields:
+        The limit, its `ulimit` option, and the bytes that count once all libraries are loaded.
     """
     more = min(most_threads(), _BLAS_THREADS) - 1
     libraries = {"-v": _MAPPED + more * _MAPPED_THREAD, "-d": _DATA + more * _DATA_THREAD}
@@ -163,7 +169,7 @@ def _ulimits(mapped: int, data: int, compiled: bool) -> Iterator[tuple[int, str,
 
 
 def set_ulimits() -> Iterator[tuple[int, str]]:
-    """The limits on address space and data that are in force, where the system keeps to them."""
+    """Iterate over the active limits on address space and data, on systems that enforce them."""
     if sys.platform != "win32" and sys.platform != "darwin":
         import resource
 
@@ -174,7 +180,7 @@ def set_ulimits() -> Iterator[tuple[int, str]]:
 
 
 def _group_limits(proc: Path, groups: Path) -> Iterator[tuple[int, int]]:
-    """Limit and use in bytes of this process's control group and of those above it."""
+    """Iterate over limit and use, in bytes, of this process's control group and its ancestors."""
     for line in _text(proc / "self" / "cgroup").splitlines():
         _number, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")
@@ -187,7 +193,10 @@ def _group_limits(proc: Path, groups: Path) -> Iterator[tuple[int, int]]:
 
 
 def _and_above(root: Path, path: str) -> Iterator[Path]:
-    """A group's folder and those above it; in a container, which sees its own as the root, that."""
+    """Iterate over the folders of a group and its ancestors up to the root.
+
+    A container may see its own group as the root.
+    """
     inner = PurePosixPath(path.lstrip("/"))
     for each in (inner, *inner.parents):
         yield root / each
@@ -195,7 +204,7 @@ def _and_above(root: Path, path: str) -> Iterator[Path]:
 
 def _second_version(group: Path) -> Iterator[tuple[int, int]]:
     used = _number(group / "memory.current")
-    for name in ("memory.max", "memory.high"):  # above the second, the system slows it to a crawl
+    for name in ("memory.max", "memory.high"):  # above `high`, the system throttles the group heavily
         limit = _number(group / name)
         if limit is not None and used is not None:
             yield limit, used - _cache(group, "inactive_file", "active_file")
@@ -208,19 +217,19 @@ def _first_version(group: Path) -> Iterator[tuple[int, int]]:
 
 
 def _cache(group: Path, *names: str) -> int:
-    """Bytes of files in memory, which the system gives back before anything runs out."""
+    """Return the bytes of cached files, which the system frees before memory runs out."""
     facts = dict(line.split()[:2] for line in _text(group / "memory.stat").splitlines() if line)
     return sum(int(facts.get(name, "0")) for name in names)
 
 
 def _number(path: Path) -> int | None:
-    """The number in a file; None where there is none, or `max`."""
+    """Read the number in a file; None if the file is missing or holds `max`."""
     text = _text(path).strip()
     return int(text) if text.isdigit() else None
 
 
 def _text(path: Path) -> str:
-    """The contents of a small file of the system's; nothing where there is none."""
+    """Read a small system file; empty if there is none."""
     try:
         return path.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):

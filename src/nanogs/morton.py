@@ -1,4 +1,4 @@
-"""The bits of Morton codes (Morton 1966): those of three axes in turn."""
+"""Bit interleaving for Morton codes (Morton 1966) of three axes."""
 
 import numpy as np
 

@@ -1,6 +1,7 @@
-"""How much memory looking at models and converting them takes: bytes, by counts alone.
+"""Estimates of the memory, in bytes, for rendering, measuring and converting models.
 
-Measured on half a million splats of SH degree 3; Python and its libraries come on top.
+They follow from counts alone. The constants were measured on half a million splats of SH degree 3;
+Python and its libraries come on top.
 """
 
 from collections.abc import Sequence
@@ -18,31 +19,35 @@ from nanogs.io.spz.packing import packing_bytes
 from nanogs.source import Source
 from nanogs.splats import Splats
 
-_PREPARED, _DRAWN = 45, 136  # a splat: as the rasteriser reads it, and as one view lists it
-_PICTURE, _KEPT = 90, 32  # a pixel: of the view at hand, and of each that is kept to compare with
-_SHOWN = 16  # a pixel of a picture alone, with alpha
-_PHOTO = 12  # a pixel of a photograph
-_PACKED = 160  # a splat on a page: packed, as text, and in the page
-_FITTED, _FITTING = 450, 1_900  # a splat of the original, and of the model that is fitted to it
-_ROOM = 88  # a splat of the original, kept for its next view while a step is made
-_FIT_KEPT = 8  # a pixel of each view that is fitted to
-_READ = 1.4  # the model and what a reader of a packed file holds beside it, over the model
-_WHOLE = 0.4  # what is held beside the model where something has to see all of it
-_ROWS = 25_000_000  # blocks of rows on their way from file to file, filtered and turned
-# A splat: of .spz of version 4 a column is packed whole, and .compressed.ply is sorted by centres.
+# Bytes for each splat: as prepared for the rasteriser, and as projected and listed for one view.
+_PREPARED, _DRAWN = 45, 136
+# Bytes for each pixel: of the view being rendered, and of each view kept for comparison.
+_PICTURE, _KEPT = 90, 32
+_SHOWN = 16  # bytes for each pixel of a picture alone, with alpha
+_PHOTO = 12  # bytes for each pixel of a photograph
+_PACKED = 160  # bytes for each splat on a page: packed, as text, and in the page
+# Bytes for each splat of the original, and of the model that is fitted to it.
+_FITTED, _FITTING = 450, 1_900
+_ROOM = 88  # bytes for each splat of the original, kept for its next view during a step
+_FIT_KEPT = 8  # bytes for each pixel of each view that is fitted to
+_READ = 1.4  # peak while reading a packed file, over the size of the model
+_WHOLE = 0.4  # extra memory if the whole model must be held, over its size
+_ROWS = 25_000_000  # bytes for blocks of rows that are read, filtered, turned and written
+# Bytes for each splat: .spz of version 4 packs a whole column, .compressed.ply sorts by centres.
 _COLUMN = {".spz": 90, ".compressed.ply": 60}
-_DOUBLE = 12  # more bytes for a centre in double precision
-_STREAMED = 60_000_000  # blocks of rows that are read and projected, and rows to place cameras by
-_COUNTED = 20  # a splat: what the percentiles of `info` are from; or, of many, their counts
+_DOUBLE = 12  # extra bytes for a centre in double precision
+_STREAMED = 60_000_000  # bytes for blocks of rows being projected, and rows to place cameras by
+# Percentiles of `info`: bytes for each splat, or for the counts if there are many splats.
+_COUNTED = 20
 _TALLIED = 80_000_000
 
 
 def models_bytes(models: Sequence[Model], *, all_of_it: bool) -> int:
-    """Bytes that reading models takes.
+    """Estimate the bytes for reading models.
 
     Args:
         models: Models, or paths.
-        all_of_it: Count those too that are held already.
+        all_of_it: Also count models that are in memory already.
 
     Raises:
         FormatError: A path is no model.
@@ -59,10 +64,10 @@ def models_bytes(models: Sequence[Model], *, all_of_it: bool) -> int:
 
 
 def streaming_bytes(source: Source) -> tuple[int, int]:
-    """Rendering a model some rows at a time, beside the pictures and the splats that they draw.
+    """Estimate the bytes for streaming a model while rendering, without pictures and their splats.
 
     Returns:
-        Bytes that it takes throughout, and those that it takes before any splat is held.
+        Bytes that are held throughout, and bytes that are held only before any splat is kept.
     """
     source = file_of(source)
     if isinstance(source, Packed):
@@ -71,29 +76,29 @@ def streaming_bytes(source: Source) -> tuple[int, int]:
 
 
 def model_bytes(info: FileInfo) -> int:
-    """Bytes of the model as loaded."""
+    """Compute the bytes of the loaded model."""
     row = splat_bytes(info.sh_degree) + info.extra_bytes() + _DOUBLE * info.double_means
     return info.splats * row
 
 
 def drawn_bytes(splats: int) -> int:
-    """So many splats while a view of them is rendered, beside the model."""
+    """Estimate the extra bytes for a number of splats while a view of them is rendered."""
     return splats * (_PREPARED + _DRAWN)
 
 
 def shown_bytes(pixels: int, views: int) -> int:
-    """Pictures that are kept, and the view at hand."""
+    """Estimate the bytes for the pictures that are kept and the view being rendered."""
     return pixels * (_PICTURE + _SHOWN * views)
 
 
 def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int, *, paged: bool) -> int:
-    """Scoring models against the first of them.
+    """Estimate the bytes for scoring models against the first of them.
 
     Args:
         infos: The models.
-        pixels: Of a view.
-        views: Their number.
-        paged: Whether the models are put into a page.
+        pixels: Number of pixels of a view.
+        views: Number of views.
+        paged: Whether the models are also put into a page.
     """
     held = sum(map(model_bytes, infos))
     scoring = scoring_bytes([info.splats for info in infos], pixels, views)
@@ -101,39 +106,39 @@ def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int, *, paged: 
 
 
 def scoring_bytes(counts: Sequence[int], pixels: int, views: int) -> int:
-    """Scoring models against the first of them, beside the models themselves.
+    """Estimate the bytes for scoring models against the first, without the models themselves.
 
     Args:
-        counts: Splats of each.
-        pixels: Of a view.
-        views: Their number.
+        counts: Number of splats of each model.
+        pixels: Number of pixels of a view.
+        views: Number of views.
     """
     return counts[0] * _PREPARED + max(counts) * _DRAWN + pictures_bytes(pixels, views)
 
 
 def pictures_bytes(pixels: int, views: int) -> int:
-    """Views of the original to compare with, and the one at hand."""
+    """Estimate the bytes for the kept views of the original and the view being rendered."""
     return pixels * (_PICTURE + _KEPT * views)
 
 
 def photographs_bytes(pixels: Sequence[int]) -> int:
-    """Photographs to compare with, of so many pixels each, and the view at hand."""
+    """Estimate the bytes for photographs, of `pixels` each, and the view being rendered."""
     return _PHOTO * sum(pixels) + (_PICTURE + _KEPT) * max(pixels, default=0)
 
 
 def page_bytes(infos: Sequence[FileInfo]) -> int:
-    """A page that shows models."""
+    """Estimate the bytes for making a page that shows models."""
     return sum(model_bytes(info) + info.splats * _PACKED for info in infos)
 
 
 def refit_bytes(original: FileInfo, small: FileInfo, pixels: int, views: int) -> int:
-    """Fitting a model to renders of the original.
+    """Estimate the bytes for fitting a model to renders of the original.
 
     Args:
         original: The original.
         small: The model.
-        pixels: Of a view.
-        views: To fit to, and to decide by.
+        pixels: Number of pixels of a view.
+        views: Number of views, to fit to and to validate.
     """
     held = model_bytes(original) + 2 * model_bytes(small)
     stepping = original.splats * _ROOM + small.splats * _FITTING
@@ -144,13 +149,13 @@ def refit_bytes(original: FileInfo, small: FileInfo, pixels: int, views: int) ->
 def convert_bytes(
     source: FileSource, target: Path, *, whole: bool, options: FormatOptions | None = None
 ) -> int:
-    """Writing a model in another format.
+    """Estimate the bytes for writing a model in another format.
 
     Args:
         source: The model.
-        target: What is written.
-        whole: Whether something has to see the whole model, in whatever format.
-        options: Of the format that is written.
+        target: The file to write.
+        whole: Whether the whole model must be held regardless of the format.
+        options: Options of the target's format.
     """
     info, known = source.info, registry.find(target)
     held = known is None or known.holds_whole(options or {})
@@ -162,7 +167,7 @@ def convert_bytes(
 
 
 def _columns_bytes(suffix: str, info: FileInfo) -> int:
-    """Columns that a writer of rows holds whole."""
+    """Estimate the bytes of the columns that a streaming writer holds whole."""
     each = _COLUMN.get(suffix, 0) * info.splats
     if suffix != ".spz":
         return each
@@ -171,12 +176,12 @@ def _columns_bytes(suffix: str, info: FileInfo) -> int:
 
 
 def info_bytes(source: FileSource) -> int:
-    """Describing a model."""
+    """Estimate the bytes for describing a model by `info`."""
     return _held(source) + min(source.count * _COUNTED, _TALLIED)
 
 
 def _held(given: FileSource) -> int:
-    """Bytes that reading in parts holds: the whole, of formats that can only be read so."""
+    """Estimate the bytes that streaming a source holds: all of a format that is only read whole."""
     source = file_of(given)
     if isinstance(source, Whole):
         return _read(source.info)

@@ -1,4 +1,4 @@
-"""Nearest neighbours of every centre: exact, and the same for any number of threads."""
+"""Exact k-nearest-neighbour search; results are the same for any number of threads."""
 
 import numba
 import numpy as np
@@ -12,19 +12,20 @@ from nanogs.kernels.nearest import find_nearest
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.threads import use_threads
 
-_EXPONENT = 500  # coordinates are scaled to 2^500: their squares fit, and so do those of 2^-1000
+_EXPONENT = 500  # coordinates are scaled to 2^500, so that neither their squares nor those of
+# differences down to 2^-1000 of that leave the range of float64
 
 
 def nearest_neighbours(means: F64, k: int, threads: int | None = None) -> I32:
-    """Exact nearest neighbours of every row among the others.
+    """Find the exact nearest neighbours of every row among the others.
 
-    They are the k first by (squared distance in float64, row), with one exception: in a group of
+    They are the first k by (squared distance in float64, row), with one exception: in a group of
     more than k rows with the same centre, all would have the same k partners. There the
-    neighbours of a row are the next k rows of the group, around its end.
+    neighbours of a row are the next k rows of the group, cyclically.
 
     Args:
         means: (N, 3) finite, scene units.
-        k: Neighbours wanted; fewer where N - 1 is less.
+        k: Number of neighbours; at most N - 1 are returned.
         threads: Threads for the search; by default those in use.
 
     Returns:
@@ -45,10 +46,10 @@ def nearest_neighbours(means: F64, k: int, threads: int | None = None) -> I32:
 
 
 def nearest_to(places: F64, means: F64, threads: int) -> tuple[F64, I32]:
-    """The nearest of some centres to other places: the first by (squared distance, row).
+    """Find the nearest centre to each query point: the first by (squared distance, row).
 
     Args:
-        places: (Q, 3) finite, scene units.
+        places: (Q, 3) query points, finite, scene units.
         means: (N, 3) finite, N at least 1, coordinates below 1e150.
         threads: Threads for the search.
 
@@ -64,14 +65,14 @@ def nearest_to(places: F64, means: F64, threads: int) -> tuple[F64, I32]:
 
 
 def coincident_groups(means: F64) -> tuple[I64, I64]:
-    """Rows sorted by centre.
+    """Group rows that have the same centre.
 
     Args:
         means: (N, 3) finite.
 
     Returns:
-        (N,) int64, rows with the same centre beside each other, ascending; and (G + 1,) int64,
-        where each of the G groups starts, and N.
+        (N,) int64 rows, those with the same centre adjacent and ascending; and (G + 1,) int64, the
+        start of each of the G groups, and N.
     """
     order = np.lexsort(means.T)
     starts = (np.diff(means[order], axis=0) != 0).any(axis=1)
@@ -79,14 +80,14 @@ def coincident_groups(means: F64) -> tuple[I64, I64]:
 
 
 def _scaled(means: F64) -> F64:
-    """(3, N) coordinates times a power of two, which changes no order of distances."""
+    """Return (3, N) coordinates times a power of two, which keeps the order of distances."""
     ends: list[float] = []
 
     def measure(part: slice) -> None:
         ends.append(max(-float(means[part].min()), float(means[part].max())))
 
     spread.each(slices(len(means), SLICE_STEPS), measure)
-    if not np.isfinite(ends).all():  # kernels would read beyond their arrays
+    if not np.isfinite(ends).all():  # kernels would read out of bounds
         raise ValueError("centres must be finite")
     exponent = _EXPONENT - int(np.frexp(max(ends))[1])
     scaled = np.empty((3, len(means)))
@@ -100,14 +101,14 @@ def _scaled(means: F64) -> F64:
 
 
 def _search(scaled: F64, threads: int, neighbours: I32, crowded: Bool) -> None:
-    """Fill the neighbours; the scaled centres are reordered."""
+    """Fill the neighbours by a search in a tree; reorders the scaled centres in place."""
     points = scaled.reshape(-1)
     rows, boxes = _tree(points, threads)
     search_tree(points, rows, boxes, neighbours, crowded)
 
 
 def _tree(points: F64, threads: int) -> tuple[I32, F64]:
-    """Sort (3 N,) points into the leaves of a tree, in place: their rows, and the nodes' boxes."""
+    """Sort (3 N,) points into the leaves of a tree, in place; return rows and boxes of nodes."""
     rows = np.arange(len(points) // 3, dtype=np.int32)
     leaves = -(-len(rows) // LANES)
     boxes = np.empty((2 << (leaves - 1).bit_length(), 6))
@@ -116,7 +117,7 @@ def _tree(points: F64, threads: int) -> tuple[I32, F64]:
 
 
 def _uncrowd(scaled: F64, rows: I64, neighbours: I32) -> None:
-    """Fill the neighbours of rows that have k others at distance zero."""
+    """Fill the neighbours of rows for which k others are at distance zero."""
     k = neighbours.shape[1]
     order, bounds = coincident_groups(scaled[:, rows].T)
     sizes = np.diff(bounds)
@@ -126,7 +127,8 @@ def _uncrowd(scaled: F64, rows: I64, neighbours: I32) -> None:
     for step in range(1, k + 1):
         following = (place + step) % sizes[group] + bounds[group]
         neighbours[rows[order[large]], step - 1] = rows[order[following[large]]]
-    # The others are not equal, but squares of their distances underflow. No float32 can do that.
+    # The other rows are not coincident: squares of their distances underflow. float32 input cannot
+    # cause that.
     for row in rows[order[~large]]:
         offsets = scaled - scaled[:, row, None]
         squares = offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2

@@ -1,7 +1,8 @@
-"""Exact percentiles of any number of values in little memory: values are told twice where need be.
+"""Exact percentiles of many values in little memory, in one pass or two.
 
-Bits of a float32 that is not negative sort as it does. Of many values the upper halves are counted;
-then, of those that a percentile falls among, the lower ones: a radix selection.
+The bits of non-negative float32 values sort like the values. For many values a radix selection is
+used: the first pass counts the upper 16 bits, and the second one counts the lower 16 bits of the
+values whose upper half a percentile falls into.
 """
 
 from collections.abc import Sequence
@@ -10,23 +11,23 @@ import numpy as np
 
 from nanogs._types import F32, I64, U32
 
-HELD = 4_000_000  # values that are held, so that they need not be told twice
+HELD = 4_000_000  # up to this number of values are stored, and one pass is enough
 _HALVES = 1 << 16
 
 
 class Percentiles:
-    """The values so far. None may be negative or NaN.
+    """Percentiles of a stream of float32 values, none of them negative or NaN.
 
     Attributes:
-        again: Whether they have to be told once more, after all have been.
+        again: Whether a second pass with `add_again` is needed.
     """
 
     def __init__(self, most: int, shares: Sequence[float]) -> None:
-        """Begin without a value.
+        """Start without values.
 
         Args:
-            most: Values that there will be at most.
-            shares: Percentages, of which the values are asked for.
+            most: Largest number of values.
+            shares: The percentiles to compute, 0 to 100.
         """
         self.again = most > HELD
         self._shares = shares
@@ -36,7 +37,7 @@ class Percentiles:
         self._lower: dict[int, I64] = {}
 
     def add(self, values: F32) -> None:
-        """Take (N,) float32 into account."""
+        """Add (N,) float32 values, in the first pass."""
         if self.again:
             self._upper += np.bincount(_bits(values) >> 16, minlength=_HALVES)
         else:
@@ -44,7 +45,7 @@ class Percentiles:
         self._count += len(values)
 
     def add_again(self, values: F32) -> None:
-        """Take the same values into account once more, when all have been added."""
+        """Add the same values again, in the second pass, when all have been added."""
         if not self._lower:
             ends = np.cumsum(self._upper)
             halves = {int(np.searchsorted(ends, rank, side="right")) for rank in self._ranks()}
@@ -55,7 +56,7 @@ class Percentiles:
             self._lower[half] += np.bincount(bits[upper == half] & 0xFFFF, minlength=_HALVES)
 
     def values(self) -> list[float] | None:
-        """The percentiles asked for, interpolated between two values; None without values."""
+        """Return the percentiles, interpolated between two values; None if there are no values."""
         if not self._count:
             return None
         if not self.again:
@@ -73,7 +74,7 @@ class Percentiles:
         return {int(rank) for place in places for rank in (np.floor(place), np.ceil(place))}
 
     def _ranked(self, rank: int) -> float:
-        """The value before which so many others come."""
+        """Return the value at a rank, from 0, in ascending order."""
         ends = np.cumsum(self._upper)
         half = int(np.searchsorted(ends, rank, side="right"))
         within = rank - int(ends[half] - self._upper[half])

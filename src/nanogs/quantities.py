@@ -1,4 +1,4 @@
-"""Numbers with units, as people write them."""
+"""Parsing of numbers with units, such as "20MB"."""
 
 import re
 from collections.abc import Mapping
@@ -17,10 +17,10 @@ _UNITS = {
 
 
 def parse_bytes(text: str) -> int:
-    """Bytes from `20MB`, `20M`, `1.5 GiB` or `4096`; k, M and G count in thousands, Ki in 1024.
+    """Parse a number of bytes: `20MB`, `20M`, `1.5 GiB` or `4096`; k is 1000 and Ki is 1024.
 
     Raises:
-        OptionError: It is no such size.
+        OptionError: The text is no such size.
     """
     value = multiple(text, _UNITS)
     if value is None:
@@ -31,12 +31,12 @@ def parse_bytes(text: str) -> int:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a word is a unit without its number: MB, k or %."""
+    """Return whether a word is a unit without its number, such as MB, k or %."""
     return text == "%" or (bool(text) and text.lower() in _UNITS)
 
 
 def as_bytes(size: int | str) -> int:
-    """A number of bytes that is given as one, or as text.
+    """Convert a size, given as a number of bytes or as text, to bytes.
 
     Raises:
         OptionError: It is neither.
@@ -53,7 +53,7 @@ def as_bytes(size: int | str) -> int:
 
 
 def multiple(text: str, units: Mapping[str, int]) -> "Fraction | None":
-    """A number times its unit; None for other text."""
+    """Parse a number with a unit of `units`, and multiply them; None for other text."""
     from fractions import Fraction
 
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text.strip().lower())

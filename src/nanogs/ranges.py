@@ -1,4 +1,4 @@
-"""Parameters as fields of dataclasses: their default, range, and what the command says of them."""
+"""Parameters as dataclass fields with a default, a range, and a help text for the command."""
 
 import math
 from collections.abc import Hashable
@@ -11,17 +11,17 @@ from nanogs.errors import OptionError
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter's range, unit and help: what its field holds beside name, type and default.
+    """Range, unit and help text of a parameter: the metadata of its dataclass field.
 
     Attributes:
         low: The least value.
-        high: The largest; infinity itself is refused in any case.
+        high: The largest value; infinity itself is always refused.
         above: Whether `low` itself is refused.
-        unit: What follows the range, such as " pixels".
-        help: Of the command's option; empty where it has none.
-        option: The option's name, where it is not the parameter's.
-        views: Whether it is about views.
-        whole: Whether it is a whole number, as its default is.
+        unit: Text after the range in messages, such as " pixels".
+        help: Help of the command's option; empty if there is no option.
+        option: Name of the option, if it differs from that of the parameter.
+        views: Whether the parameter is about views.
+        whole: Whether it must be a whole number, as its default is.
     """
 
     low: float
@@ -34,7 +34,7 @@ class Parameter:
     whole: bool
 
     def expected(self, value: Any) -> str:  # noqa: ANN401 - whatever a caller gives
-        """The words that follow "must be" where a value is refused; empty where it is not."""
+        """Return the words after "must be" for a value that is refused; empty if it is valid."""
         if not is_number(value, whole=self.whole):
             return "a whole number" if self.whole else "a number"
         if not math.isfinite(value):
@@ -60,27 +60,27 @@ def parameter(
     option: str = "",
     views: bool = False,
 ) -> Any:  # noqa: ANN401 - as `dataclasses.field` has it
-    """A field of a dataclass with a range; see `Parameter`."""
+    """Make a dataclass field with a range; see `Parameter`."""
     known = Parameter(low, high, above, unit, help, option, views, isinstance(default, int))
     return field(default=default, metadata={"parameter": known})
 
 
 def known_parameters(kind: Any) -> dict[str, Parameter]:  # noqa: ANN401 - any dataclass
-    """The `Parameter` of each field that has one, by name; of a dataclass or an instance."""
+    """Return the `Parameter` of each field that has one, by name, of a dataclass or an instance."""
     found = {each.name: each.metadata.get("parameter") for each in fields(kind)}
     return {name: known for name, known in found.items() if known}
 
 
 def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
-    """Refuse values out of their range, and take those of NumPy for Python's: JSON has no others.
+    """Refuse values out of range, and convert NumPy numbers to Python's, which JSON needs.
 
-    Fields that are True or False by default are switches.
+    Fields whose default is True or False must be boolean.
 
     Args:
-        chosen: Parameters, whose fields are made by `parameter`; a new instance.
+        chosen: A new instance of a dataclass whose fields are made by `parameter`.
 
     Raises:
-        OptionError: One is; the sentence says its name, what is expected, and the value.
+        OptionError: A value is out of range; the message has its name, the range, and the value.
     """
     for name, known in known_parameters(chosen).items():
         value = getattr(chosen, name)
@@ -95,14 +95,14 @@ def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
 
 
 def as_switch(name: str, value: object) -> bool:
-    """True or False, of Python, NumPy or as 1 and 0; any text would count as true, "no" as well.
+    """Convert a boolean of Python or NumPy, or 1 or 0, to bool; text, such as "no", is refused.
 
     Args:
-        name: What it is called, for the message.
+        name: Name of the value, for the message.
         value: The value.
 
     Raises:
-        OptionError: It is neither.
+        OptionError: It is none of these.
     """
     if not isinstance(value, Hashable) or value not in (True, False):
         raise OptionError(f"{name} must be True or False, not {value_text(value)}.")
@@ -110,10 +110,10 @@ def as_switch(name: str, value: object) -> bool:
 
 
 def value_text(value: Any) -> str:  # noqa: ANN401 - whatever a caller gives
-    """A value for a message: a number in few digits, all else as Python shows it."""
+    """Format a value for a message: a number in few digits, all else by `repr`."""
     return f"{value:g}" if is_number(value) else repr(value)
 
 
 def is_number(value: object, *, whole: bool = False) -> bool:
-    """Whether it is a number, or a whole one, of Python or NumPy; True and False are none."""
+    """Return whether a value is a real (or whole) number of Python or NumPy, and not a bool."""
     return not isinstance(value, bool) and isinstance(value, Integral if whole else Real)
