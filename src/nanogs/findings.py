@@ -117,6 +117,6 @@ def became_infinite(name: str, count: int) -> Finding:
 
 
 def negative_scales(count: int) -> list[str]:
-    """Make the note that `count` splats have a negative scale, whose logarithm is NaN, if any has."""
+    """Return a note if any splats have a negative scale, which has no logarithm; else none."""
     text = "{:splat has|splats have} a negative scale, which became NaN."
     return [Finding(text, count)] if count else []

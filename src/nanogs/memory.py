@@ -204,7 +204,7 @@ def _and_above(root: Path, path: str) -> Iterator[Path]:
 
 def _second_version(group: Path) -> Iterator[tuple[int, int]]:
     used = _number(group / "memory.current")
-    for name in ("memory.max", "memory.high"):  # above `high`, the system throttles the group heavily
+    for name in ("memory.max", "memory.high"):  # above `high` the group is throttled
         limit = _number(group / name)
         if limit is not None and used is not None:
             yield limit, used - _cache(group, "inactive_file", "active_file")

@@ -1,7 +1,7 @@
 """Real spherical harmonics in the order and with the signs of 3DGS models.
 
 The reference rasteriser's colour is 0.5 + Σ sh_k Y_k(d), d the unit direction from the camera to
-the splat. These values are for building scenes; the rasteriser has its own kernel.
+the splat. This module is for making and turning models; the rasteriser has its own kernel.
 """
 
 from math import factorial, pi, sqrt
@@ -12,7 +12,7 @@ from nanogs._types import F64
 
 
 def basis(directions: F64, degree: int) -> F64:
-    """Values of the basis functions, ordered by degree l and then by m from -l to l.
+    """Evaluate the basis functions, ordered by degree l and then by m from -l to l.
 
     Args:
         directions: (N, 3) float64, unit.
@@ -43,10 +43,10 @@ def basis(directions: F64, degree: int) -> F64:
 
 
 def lobe(axes: F64, degree: int, width: float) -> F64:
-    """Coefficients of a smooth highlight that peaks at 1 when seen along an axis.
+    """Compute the coefficients of a smooth highlight that peaks at 1 when seen along an axis.
 
     Args:
-        axes: (N, 3) float64, unit: from the splat to where the highlight is brightest.
+        axes: (N, 3) float64, unit: from the splat towards the brightest highlight.
         degree: Highest degree, 0 or more.
         width: Variance of the lobe, about that of its angle in square radians.
 
@@ -56,7 +56,7 @@ def lobe(axes: F64, degree: int, width: float) -> F64:
     levels = np.arange(degree + 1)
     blur = np.exp(-levels * (levels + 1) * width / 2)
     blur /= (blur * (2 * levels + 1)).sum() / (4 * pi)
-    # Models are evaluated along camera -> splat, the opposite of the way to the eye.
+    # Models are evaluated along camera -> splat, the opposite of the direction to the eye.
     weights = np.repeat(blur, 2 * levels + 1)
     coefficients: F64 = basis(-axes, degree) * weights
     return coefficients

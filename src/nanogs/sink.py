@@ -1,8 +1,8 @@
-"""Where results go: a file, or a folder of levels of detail, whoever makes them.
+"""Output sinks: the interface through which results are written to a file or a folder of levels.
 
-A sink is handed to whoever makes results: `lod` has one for each layout of levels, and `OneFile` is
-here. It is opened at a place of its own, takes results one after the other, the finest first, and
-its name is given to what it made when that is complete.
+The pipeline is given a sink: `lod` has one for each layout of levels, and `OneFile` is here. A sink
+is opened at a temporary path, takes results in turn, the finest first, and its output is moved to
+the final path when it is complete.
 """
 
 import os
@@ -33,24 +33,25 @@ Read = Callable[[], Splats]
 
 
 class Written(NamedTuple):
-    """A result as it was written.
+    """Record of a result that was written.
 
     Attributes:
-        splats: In it.
-        files: Each model's file, as a path from the folder with slashes.
-        bytes: Size of these files and of those that they name.
+        splats: Number of splats.
+        files: Files of the result, as paths relative to the folder, with slashes.
+        bytes: Total size of these files and of the files that they refer to.
         losses: The parts of the model that they leave out, one sentence each.
-        sha256: Of the file where it is one, hexadecimal.
-        judged: PSNR in dB and SSIM against the model it was made of, and over how many views; None
-            where that was not measured.
-        notes: Why it was not, one sentence each.
-        costs: What it takes to draw, and the model it was made of: the numbers of `DrawCost` but
-            for the views; None where that was not measured.
-        requests: Files that a viewer asks for, of those in chunks: those named here and those that
-            they name.
-        switch: The fields of `Switch`; None where that was not measured.
-        environment: Of an environment that is beside all results: where it is from, its splats,
-            its bytes, its files, and how many splats of the model have become it; nothing without.
+        sha256: Hexadecimal hash of the file, if there is a single one.
+        judged: PSNR in dB and SSIM against the original model, and the number of views; None if not
+            measured.
+        notes: Reasons for what was not measured, one sentence each.
+        costs: Costs of drawing the result and the original model: the numbers of `DrawCost` without
+            the views; None if not measured.
+        requests: Number of files that a viewer requests, for a result in chunks: the files above
+            and those that they refer to.
+        switch: The fields of `Switch`; None if not measured.
+        environment: Of an environment beside all results: its source, number of splats, bytes and
+            files, and the number of splats of the model that were moved into it; empty if there is
+            none.
     """
 
     splats: int
@@ -67,17 +68,17 @@ class Written(NamedTuple):
 
     @property
     def switched(self) -> Switch | None:
-        """How it looks where a viewer begins to draw it."""
+        """Scores at the distance at which a viewer starts to draw it; None if not measured."""
         return None if self.switch is None else Switch(*self.switch)
 
     @property
     def drawn(self) -> tuple[DrawCost, ...]:
-        """The same with the views: of the result, and of the model; none without."""
+        """The costs of the result and of the model with their views; empty if not measured."""
         return tuple(DrawCost.usual(*each) for each in self.costs or ())
 
     @property
     def marks(self) -> Judged | None:
-        """The same with the protocol by which it was measured."""
+        """PSNR and SSIM with the protocol of the measurement; None if not measured."""
         return None if self.judged is None else Judged.usual(*self.judged)
 
 
@@ -86,11 +87,11 @@ class Environment:
     """A model that viewers draw with every result, such as the sky.
 
     Attributes:
-        source: Where it is from: the name of its file, or "auto".
-        count: Splats of it before any were merged.
-        own: Whether they were taken out of the model itself.
-        original: Reads it as it was, in the frame of the model.
-        made: Reads it as it is written.
+        source: Its source: the name of its file, or "auto".
+        count: Number of its splats before simplification.
+        own: Whether these were taken out of the model itself.
+        original: Reads it unsimplified, in the frame of the model.
+        made: Reads it in the form that is written.
     """
 
     source: str
@@ -101,27 +102,27 @@ class Environment:
 
 
 class Judge(Protocol):
-    """Measures files."""
+    """Measures written files against the original model."""
 
     @property
     def notes(self) -> Sequence[str]:
-        """Why one was not measured so far, one sentence each."""
+        """Reasons why files were not measured so far, one sentence each."""
 
     def of(self, path: Path, level: int = 0) -> Judged | None:
-        """Scores of a file, or of a level in there; None where nothing can be measured."""
+        """Measure PSNR and SSIM of a file, or of a level in it; None if that is impossible."""
 
     def costs(self, path: Path, level: int = 0) -> Sequence[DrawCost]:
-        """Costs of drawing it and the model; none where they are not measured."""
+        """Return the costs of drawing the file and the original; empty if not measured."""
 
     def at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> Switch | None:
-        """A level where a viewer begins to draw it; None where that is not measured."""
+        """Measure a level at the distance at which a viewer starts to draw it; None if not done."""
 
 
 class Filling(ABC):
-    """A sink that has been opened, and is being filled.
+    """An open sink, to which results are written.
 
     Attributes:
-        written: Results so far.
+        written: Records of the results so far.
     """
 
     def __init__(self) -> None:
@@ -129,31 +130,31 @@ class Filling(ABC):
 
     @abstractmethod
     def add(self, model: Splats | Source, tell: Parts = untold) -> None:
-        """Write the next result, which is one block, and tell how much of it is written."""
+        """Write the next result, given whole, and report the progress."""
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
-        """Write the next result, of whose blocks the sink's chunks have made the files."""
+        """Write the next result, given as blocks whose files the sink's `chunks` have made."""
         raise NotImplementedError
 
     def add_trees(
         self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = untold
     ) -> None:
-        """Take what a sink's layout has linked; results are added afterwards.
+        """Accept the trees that the sink's layout has linked; results are added afterwards.
 
         Args:
-            trees: Of each block.
-            levels: How many results they have, the finest first.
-            some: As `Linked.link` took it.
-            tell: Told how much has been written, which is done in the end.
+            trees: The tree of each block.
+            levels: Number of results in the trees.
+            some: The sample of splats that `Linked.link` was given.
+            tell: Progress callback for the writing, which happens at the end.
         """
         raise NotImplementedError
 
     @abstractmethod
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> object:
-        """Measure each result, and write what describes all of them.
+        """Measure each result, and write the manifest.
 
         Args:
-            reports: Of each.
+            reports: The report of each result.
             judge: Measures files; by default nothing is measured.
         """
 
@@ -163,12 +164,12 @@ class Filling(ABC):
         files: Sequence[tuple[Path, int]],
         pixel_of: PixelOf | None = None,
     ) -> None:
-        """Add to what was written how it was measured.
+        """Measure the results, and add the scores to their records in `written`.
 
         Args:
             judge: Measures files, or None.
-            files: Each result's file, and its level in there.
-            pixel_of: How a viewer chooses among them; None where none does.
+            files: File of each result, and the level in it.
+            pixel_of: Rule by which a viewer chooses a level; None if no viewer switches levels.
         """
         if judge is None:
             return
@@ -186,7 +187,7 @@ class Filling(ABC):
 
 
 class Sink(Protocol):
-    """Where results go."""
+    """A destination for results: a file, or a folder of levels."""
 
     @property
     def place(self) -> Path:
@@ -194,11 +195,11 @@ class Sink(Protocol):
 
     @property
     def overwrite(self) -> bool:
-        """Whether what is there is replaced, as far as it may be."""
+        """Whether an existing output is replaced, if it is of a kind that may be."""
 
     @property
     def chunks(self) -> Chunked | Linked | None:
-        """How results are divided, or linked; None where each is one file."""
+        """The layout that divides or links results; None if each result is one file."""
 
     @property
     def environment(self) -> Environment | None:
@@ -206,54 +207,54 @@ class Sink(Protocol):
 
     @property
     def suffix(self) -> str:
-        """Format of the files in which results can be measured."""
+        """Suffix of the file format in which results can be measured."""
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
-        """Refuse results that would have to be held whole and are too large for that.
+        """Refuse results that the format's writer must hold whole and that are too large for that.
 
         Args:
-            count: Splats of the largest.
+            count: Number of splats of the largest result.
             row: Bytes of a splat.
-            max_memory: Bytes, or None for no limit.
+            max_memory: Bytes of memory, or None for no limit.
 
         Raises:
-            OptionError: They are too large, or their format is not written.
+            OptionError: They are too large, or their format cannot be written.
         """
 
     def check(self) -> None:
-        """Look whether results can be written.
+        """Check that results can be written.
 
         Raises:
             OutputError: They cannot.
         """
 
     def open(self, making: Path, options: FormatOptions) -> Filling:
-        """Begin at a place with the same suffix; what is there of a run before is removed.
+        """Open the sink at a temporary path; the remains of an earlier run there are removed.
 
         Args:
-            making: The place.
-            options: Of the format, beside those that were given.
+            making: The path, with the same suffix as `place`.
+            options: Options of the format, in addition to those of the sink.
         """
 
     def move(self, made: Path) -> None:
-        """Give its name to what was made, across file systems if need be.
+        """Move the finished output to its final path, across file systems if necessary.
 
         Raises:
-            OutputError: There is something of that name which stays, or it cannot be written.
+            OutputError: Something exists there that is not replaced, or it cannot be written.
         """
 
     def files(self, made: Path) -> Sequence[str]:
-        """Name all files of what was made, as paths from it; that which tells of them first."""
+        """List all files of the output as paths relative to it, the manifest first."""
 
 
 @dataclass(frozen=True, slots=True)
 class OneFile:
-    """A sink of one result.
+    """A sink for a single result in one file.
 
     Attributes:
         place: The file to write.
-        overwrite: Whether a file that exists is replaced.
-        format_options: As `save` takes them.
+        overwrite: Whether an existing file is replaced.
+        format_options: Options of the format; see `save`.
     """
 
     place: Path
@@ -264,29 +265,29 @@ class OneFile:
 
     @property
     def suffix(self) -> str:
-        """As `Sink` says."""
+        """Suffix of the file's format."""
         known = registry.find(self.place)
         return known.suffix if known else self.place.suffix
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
-        """As `Sink` says; folders are refused too."""
+        """Refuse a result that is too large to be held whole, and a folder; see `Sink`."""
         refuse_large(self.place, count, row, max_memory, self.format_options)
 
     def check(self) -> None:
-        """As `Sink` says."""
+        """Check that the file can be written; see `Sink.check`."""
         check_writable(self.place, overwrite=self.overwrite, format_options=self.format_options)
 
     def open(self, making: Path, options: FormatOptions) -> Filling:
-        """As `Sink` says."""
+        """Open the sink at a temporary path; see `Sink.open`."""
         return _File(making, {**(self.format_options or {}), **options})
 
     def move(self, made: Path) -> None:
-        """As `Sink` says."""
+        """Move the finished file to its final path; see `Sink.move`."""
         self.check()
         move_file(made, self.place, overwrite=self.overwrite)
 
     def files(self, made: Path) -> Sequence[str]:  # noqa: ARG002 - it is one
-        """As `Sink` says."""
+        """Return the output itself as the only file; see `Sink.files`."""
         return (".",)
 
 
@@ -302,13 +303,13 @@ class _File(Filling):
         self.written.append(Written(len(model), (self._making.name,), size, left_out))
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> None:  # noqa: ARG002
-        """A file speaks for itself."""
+        """Measure the file; it needs no manifest."""
         self.measure(judge, [(self._making, 0)])
 
 
 @contextmanager
 def made_beside(sink: Sink, suffix: str) -> Iterator[Path]:
-    """A name for making a sink's file beside its place, which it takes at the end without an error.
+    """Provide a temporary path beside a sink's file, which is moved there if no error occurs.
 
     Raises:
         OutputError: The file may not be replaced, or it cannot be written.
@@ -322,10 +323,10 @@ def made_beside(sink: Sink, suffix: str) -> Iterator[Path]:
 
 
 def move_file(made: Path, place: Path, *, overwrite: bool) -> None:
-    """Give its name to a file, across file systems if need be.
+    """Move a finished file to its final path, across file systems if necessary.
 
     Raises:
-        OutputError: There is a file of that name which stays, or it cannot be written.
+        OutputError: A file exists there that is not replaced, or it cannot be written.
     """
     target = Path(os.path.realpath(place))
     if not target.exists() and made.stat().st_dev == target.parent.stat().st_dev:
@@ -343,19 +344,19 @@ def refuse_large(
     max_memory: int | None,
     options: FormatOptions | None = None,
 ) -> None:
-    """Refuse a result that would have to be held whole and is too large for that.
+    """Refuse a result that the format's writer must hold whole and that is too large for that.
 
     Args:
-        path: What is to be written.
-        count: Splats of it.
+        path: The file to write.
+        count: Number of splats of the result.
         row: Bytes of a splat.
-        max_memory: Bytes, or None for no limit.
-        options: Of the format.
+        max_memory: Bytes of memory, or None for no limit.
+        options: Options of the format.
 
     Raises:
-        OptionError: It is too large, a folder, or in a format that is not written.
+        OptionError: It is too large, a folder, or in a format that cannot be written.
     """
-    registry.writer(path)  # which refuses folders
+    registry.writer(path)  # refuses folders
     known = registry.writable(path)
     most = held_splats(path, row, max_memory)
     if known.holds_whole(options or {}) and most is not None and count > most:
@@ -367,12 +368,12 @@ def refuse_large(
 
 
 def held_splats(path: Path, row: int, max_memory: int | None) -> int | None:
-    """Splats of a file that a writer may hold whole; None for any number.
+    """Return the number of splats that a format's writer can hold in memory; None for no limit.
 
     Args:
-        path: What is to be written.
+        path: The file to write.
         row: Bytes of a splat.
-        max_memory: Bytes, or None for no limit.
+        max_memory: Bytes of memory, or None for no limit.
     """
     if max_memory is None:
         return None

@@ -1,15 +1,15 @@
-"""Rows taken a slice at a time: what is computed on the way takes no memory worth counting."""
+"""Processing of rows in slices, so that temporary arrays take negligible memory."""
 
 from collections.abc import Iterator
 
-SLICE = 1 << 13  # few, since each thread keeps what it once freed
-# Of few and simple steps on few numbers a row: each long enough for threads not to wait for Python.
+SLICE = 1 << 13  # rows; few, because the allocator keeps the memory that each thread has freed
+# Rows for a few simple steps on few numbers each: long enough that threads do not wait for the GIL.
 SLICE_STEPS = 1 << 15
-SLICE_PAIRS = 1 << 15  # pairs, of which a kernel takes milliseconds
-IN_HAND = 16 * SLICE_PAIRS  # at once, by as many threads: what memory is planned with
+SLICE_PAIRS = 1 << 15  # pairs; a kernel takes milliseconds for these
+IN_HAND = 16 * SLICE_PAIRS  # pairs that 16 threads process at once, for planning memory
 
 
 def slices(count: int, size: int = SLICE) -> Iterator[slice]:
-    """Consecutive rows, so many at a time."""
+    """Iterate over consecutive slices of `size` rows."""
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))

@@ -1,4 +1,4 @@
-"""Sorting on all threads: the order that NumPy's stable sort gives, for any number of threads."""
+"""Multi-threaded stable sort; the result equals NumPy's, for any number of threads."""
 
 import numba
 import numpy as np
@@ -6,16 +6,17 @@ import numpy as np
 from nanogs import spread
 from nanogs._types import I64, U64, Bool
 
-_LEAST = 1 << 15  # keys that are worth a part of their own
-_SAMPLE = 4096  # keys of which the parts' bounds are chosen
+_LEAST = 1 << 15  # least number of keys in a part
+_SAMPLE = 4096  # keys sampled to choose the bounds of the parts
 
 
 def stable_order(keys: U64) -> I64:
-    """(N,) int64: rows in ascending order of their keys, ties by row.
+    """Return the (N,) int64 rows in ascending order of their keys, ties by row.
 
-    Each part has the keys between two bounds. Its rows ascend, so that parts which are stable make
-    a whole that is. NumPy sorts faster where it need not be stable: equal keys, seldom many, are
-    put right afterwards.
+    The keys are divided into parts between sampled bounds, and each part is sorted by one thread.
+    The rows of a part are collected in ascending order, so that stable parts make a stable whole.
+    NumPy's unstable sort is faster, so the order of equal keys, which are few, is corrected
+    afterwards.
 
     Args:
         keys: (N,) uint64.
@@ -35,7 +36,7 @@ def stable_order(keys: U64) -> I64:
 
 
 def _between(keys: U64, bounds: U64, part: int) -> Bool:
-    """(N,) bool: the keys of a part, from the bound before it up to but not the one after it."""
+    """Return the (N,) bool mask of a part's keys, from its lower bound to its upper, exclusive."""
     found: Bool = np.ones(len(keys), bool) if part == 0 else keys >= bounds[part - 1]
     if part < len(bounds):
         found &= keys < bounds[part]
@@ -43,7 +44,7 @@ def _between(keys: U64, bounds: U64, part: int) -> Bool:
 
 
 def _order(keys: U64) -> I64:
-    """(N,) int64: as `stable_order`, on one thread."""
+    """Sort on one thread; see `stable_order`."""
     order = np.argsort(keys)
     ascending = keys.take(order)
     equal = ascending[1:] == ascending[:-1]

@@ -1,7 +1,7 @@
-"""Run the ranges of a kernel, or other parts of some work, on all threads.
+"""Parallel execution: run a kernel over ranges, or other work in parts, on a thread pool.
 
-Numba's own parallel loops compile to the same speed, but in two to three times the time: the body
-of each is optimised as a function of its own and again with all that surrounds it.
+Numba's own parallel loops run at the same speed, but take two to three times as long to compile:
+the body of each loop is optimised as a function of its own and again inlined into its caller.
 """
 
 import inspect
@@ -26,7 +26,7 @@ R = TypeVar("R")
 class Spread(Generic[P]):
     """A compiled kernel `f(start, stop, *args)` that is called as `f(*args)`.
 
-    The range is split, and its parts are run on the thread pool.
+    The range is split, and the parts are run on the thread pool.
     """
 
     def __init__(
@@ -45,11 +45,11 @@ class Spread(Generic[P]):
 
     @property
     def signatures(self) -> list[Any]:
-        """The signatures that it was compiled for."""
+        """The signatures that the kernel was compiled for."""
         return getattr(self._compiled, "signatures", [])
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> None:
-        """Run the whole range; the arguments of the kernel but for the first two, by position."""
+        """Run the kernel over the whole range; takes its arguments after `stop`, by position."""
         assert not kwargs  # noqa: S101 - a kernel is called by position
         count = len(args[self._place])  # type: ignore[arg-type]
         threads = _threads()
@@ -58,23 +58,25 @@ class Spread(Generic[P]):
         _on(threads, ranges, lambda part: self._compiled(*part, *args))
 
     def here(self, *args: P.args, **kwargs: P.kwargs) -> None:
-        """Run the whole range on this thread alone: for a part of what is spread already."""
+        """Run the whole range on this thread only, for use within work that is parallel already."""
         assert not kwargs  # noqa: S101 - as above
         self._compiled(0, len(args[self._place]), *args)  # type: ignore[arg-type]
 
 
 def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
-    """Do some work for each part, in any order, on all threads; for NumPy, which lets others run.
+    """Call a function for each part, in any order, on all threads.
+
+    This is for NumPy, which releases the GIL.
 
     Args:
-        parts: What the work takes; what it does for one must not touch what it does for another.
-        work: Called once for each.
+        parts: Arguments of the calls, which must write to disjoint memory.
+        work: Function that is called once for each part.
     """
     _on(_threads(), list(parts), work)
 
 
 def results(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
-    """Do some work on each part, and return its results in the order of the parts; see `each`."""
+    """Call a function for each part as `each` does, and return the results in order."""
     every = list(parts)
     found: dict[int, R] = {}
 
@@ -86,9 +88,9 @@ def results(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
 
 
 def asked(pool: "Executor", work: Callable[..., R], *args: object) -> "Future[R] | None":
-    """Have a pool do some work; None where it takes no more, which is then to be done here.
+    """Submit work to a pool; None if the pool is shut down, and the caller must do the work itself.
 
-    Python shuts all pools when the main thread ends, and other threads may have work to do yet.
+    Python shuts down all pools when the main thread ends, while other threads may still work.
     """
     try:
         return pool.submit(work, *args)
@@ -99,14 +101,14 @@ def asked(pool: "Executor", work: Callable[..., R], *args: object) -> "Future[R]
 
 
 class _Parts(Generic[T]):
-    """Parts of some work, of which each is taken once, by one of several threads."""
+    """A shared queue of parts of work, each of which is taken once by one of several threads."""
 
     def __init__(self, parts: Sequence[T], work: Callable[[T], None]) -> None:
         self._waiting, self._lock = list(reversed(parts)), Lock()
         self._work: Callable[[T], None] | None = work
 
     def work_on(self) -> None:
-        """Take one part after the other, until none is left or one has failed anywhere."""
+        """Process parts until none is left or one has failed in any thread."""
         while True:
             with self._lock:
                 if not self._waiting or self._work is None:
@@ -119,14 +121,14 @@ class _Parts(Generic[T]):
                 raise
 
     def drop(self) -> None:
-        """Leave what nobody has begun, and hold none of its arrays: the pool may hold this long."""
+        """Discard parts not yet begun, and release their arrays: the pool may keep this object."""
         with self._lock:
             self._waiting.clear()
             self._work = None
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """Let nobody begin before the end of the block; or at all, if it fails."""
+        """Keep threads from starting before the end of the block, or at all if it raises."""
         with self._lock:
             try:
                 yield
@@ -136,20 +138,22 @@ class _Parts(Generic[T]):
 
 
 def _on(threads: int, parts: Sequence[T], work: Callable[[T], None]) -> None:
-    """Work on parts with at most so many threads, this one among them; none works on afterwards.
+    """Process parts with up to `threads` threads, including this one; all have finished on return.
 
-    On this one alone, if it is of the pool: all that are would wait for each other.
+    If this thread belongs to the pool, it works alone: otherwise all pool threads could wait for
+    each other.
     """
     shared, more = _Parts(parts, work), 0 if _own.of_pool else min(threads, len(parts)) - 1
     others: list[Future[None]] = []
     try:
-        with shared.closed():  # who begins before all are known is not waited for if it fails
+        # If submitting fails, threads that had started already would not be waited for.
+        with shared.closed():
             called = (asked(_pool(), shared.work_on) for _ in range(more))
             others = [other for other in called if other is not None]
         shared.work_on()
         failures = _ended(others)
         shared.drop()
-    except BaseException:  # an interrupt may come while others are waited for
+    except BaseException:  # such as an interrupt while waiting for other threads
         shared.drop()
         _ended(others)
         raise
@@ -158,18 +162,18 @@ def _on(threads: int, parts: Sequence[T], work: Callable[[T], None]) -> None:
 
 
 def _ended(others: "Sequence[Future[None]]") -> list[BaseException]:
-    """Wait for those that have begun, let the others be, and say what failed."""
+    """Wait for the threads that have started, cancel the others, and return the exceptions."""
     failures = [other.exception() for other in others if not other.cancel()]
     return [failure for failure in failures if failure is not None]
 
 
 class _Own(local):
-    """Of each thread: whether it is one of the pool's."""
+    """Thread-local flag: whether the thread belongs to the pool."""
 
     of_pool = False
 
     def join(self) -> None:
-        """Be one of them."""
+        """Mark this thread as one of the pool."""
         self.of_pool = True
 
 
@@ -184,11 +188,14 @@ def _pool() -> "ThreadPoolExecutor":
 
 
 def _threads() -> int:
-    """How many threads to use: as many as Numba, which files are read and written without."""
+    """Return the number of threads that Numba uses; its limit from outside if it is not imported.
+
+    Files are read and written without Numba.
+    """
     found = getattr(sys.modules.get("numba"), "get_num_threads", most_threads)()
     return int(found)
 
 
-# A forked process has the pool but none of its threads, for which it would wait for ever.
+# A forked process inherits the pool without its threads, and would wait for them for ever.
 if hasattr(os, "register_at_fork"):  # not on Windows, where nothing forks
     os.register_at_fork(after_in_child=_pool.cache_clear)

@@ -1,4 +1,4 @@
-"""Formulas between the values that files store and those that are drawn, in NumPy."""
+"""Conversion between stored values (logits, SH coefficients) and activated ones, in NumPy."""
 
 from typing import TypeVar
 
@@ -12,34 +12,34 @@ Floats = TypeVar("Floats", F32, F64)
 
 
 def alphas(logits: F) -> F64:
-    """(N,) float64 in [0, 1]: what logits stand for."""
+    """Return (N,) float64 alpha in [0, 1], the sigmoid of the logits."""
     with np.errstate(over="ignore", invalid="ignore"):  # at signalling NaNs
         return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
 
 
 def logit(alpha: F64) -> F64:
-    """Logarithm of the odds; exactly ±inf for alpha 1 and 0."""
+    """Return the logit of alpha; exactly ±inf for alpha 1 and 0."""
     with np.errstate(divide="ignore"):
         result: F64 = -np.log(1 / alpha - 1)
     return result
 
 
 def base_colour(rgb: F64) -> F64:
-    """The SH coefficient of degree 0 for a colour from 0 to 1."""
+    """Return the SH coefficient of degree 0 for a colour from 0 to 1."""
     result: F64 = (rgb - 0.5) / SH_C0
     return result
 
 
 def rounded_bytes(values: F) -> U8:
-    """The nearest of 0 to 255, in the same shape."""
+    """Clip to 0 to 255 and round to uint8, in the same shape."""
     result: U8 = np.rint(np.clip(values, 0, 255)).astype(np.uint8)
     return result
 
 
 def unit(quats: F32) -> F32:
-    """(N, 4) float32: quaternions of length 1; a zero one stands for no rotation."""
-    # In single precision, but divided by the largest part first: tiny and huge quaternions
-    # must not under- or overflow. The result is unit to 1e-7 either way.
+    """Normalise quaternions to (N, 4) float32; a zero one becomes the identity."""
+    # In single precision, but divided by the largest component first, so that tiny and huge
+    # quaternions do not under- or overflow. The length is 1 to within 1e-7 either way.
     w, x, y, z = np.abs(quats).T
     largest = np.maximum(np.maximum(w, x), np.maximum(y, z))
     zero = largest == 0
@@ -51,9 +51,9 @@ def unit(quats: F32) -> F32:
 
 
 def rotations(quats: Floats) -> Floats:
-    """(N, 3, 3) rotation matrices of (N, 4) unit quaternions, wxyz; of the same dtype.
+    """Convert (N, 4) unit quaternions, wxyz, to (N, 3, 3) rotation matrices of the same dtype.
 
-    The axes of a splat are the columns.
+    The columns are the axes of the splat.
     """
     w, x, y, z = quats.T
     matrix = np.empty((len(quats), 3, 3), quats.dtype)
@@ -70,10 +70,10 @@ def rotations(quats: Floats) -> Floats:
 
 
 def quaternions(matrices: F64) -> F64:
-    """(N, 4) unit quaternions, wxyz, of (N, 3, 3) rotation matrices.
+    """Convert (N, 3, 3) rotation matrices to (N, 4) unit quaternions, wxyz.
 
-    By the largest of the four parts, which is then positive, so that none is divided by near zero
-    (Shepperd 1978).
+    Computed from the largest of the four components, which is made positive, so that nothing is
+    divided by almost zero (Shepperd 1978).
     """
     xx, xy, xz, yx, yy, yz, zx, zy, zz = matrices.reshape(-1, 9).T
     table = np.empty((len(matrices), 4, 4))

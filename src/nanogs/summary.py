@@ -1,4 +1,4 @@
-"""A model at a glance: one line for `repr`, and a small picture above it for notebooks."""
+"""Summary of a model: one line for `repr`, and with a small picture above it for notebooks."""
 
 import base64
 import html as markup
@@ -16,7 +16,7 @@ _pictures: "WeakKeyDictionary[Splats, bytes | str]" = WeakKeyDictionary()
 
 
 def one_line(splats: Splats) -> str:
-    """How many there are, of what degree and render mode, where, and which columns they have."""
+    """Return the number of splats, SH degree, render mode, bounds and extra columns in one line."""
     parts = [
         counted(len(splats), "splat"),
         f"SH degree {splats.sh_degree}",
@@ -29,7 +29,7 @@ def one_line(splats: Splats) -> str:
 
 
 def html(splats: Splats) -> str:
-    """The picture, and the line beneath it; or the line, and why there is no picture."""
+    """Return the picture with the line beneath it, or the line and why there is no picture."""
     line = f"<div>{markup.escape(repr(splats))}</div>"
     found = picture(splats)
     if isinstance(found, str):
@@ -39,11 +39,11 @@ def html(splats: Splats) -> str:
 
 
 def picture(splats: Splats) -> bytes | str:
-    """A PNG of the whole model, made when first asked for; or why there is none. Never raises."""
+    """Return a PNG of the whole model, or the reason why there is none; cached. Never raises."""
     if splats not in _pictures:
         try:
             _pictures[splats] = _render(splats)
-        except Exception as error:  # a cell that shows a model must not fail for its picture
+        except Exception as error:  # a missing picture must not fail the notebook's cell
             _pictures[splats] = str(error) or type(error).__name__
     return _pictures[splats]
 
@@ -62,7 +62,7 @@ def _render(splats: Splats) -> bytes:
 
 
 def _overview(splats: Splats) -> Camera:
-    """Where `nanogs view` begins too."""
+    """Return the camera that `nanogs view` starts from too."""
     from nanogs.views.opening import opening_for
     from nanogs.views.poses import look_at
 

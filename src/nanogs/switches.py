@@ -1,8 +1,8 @@
-"""How viewers choose among levels of detail, and how a level looks where they begin to draw it.
+"""How viewers switch between levels of detail, and the quality of a level where it is first drawn.
 
-Each viewer has a rule of its own; what they have in common is the size of a pixel: how many scene
-units it shows of what is drawn there. A level is drawn wherever a pixel shows that much or more,
-until the next coarser one is. The numbers are the viewers' defaults.
+Each viewer has its own rule. All are expressed here by the pixel footprint: the scene units that a
+pixel covers at the drawn surface. A level is drawn from a certain footprint on, up to that of the
+next coarser level. The numbers are the viewers' defaults.
 """
 
 import math
@@ -17,14 +17,14 @@ SCREEN = 1024  # pixels along the shorter side of a viewer's window, where that 
 # for a field of view of 45 degrees along the shorter side; distances to the boxes of chunks.
 BASE_DISTANCE, MULTIPLIER = 5.0, 3.0
 HALF_FIELD = math.tan(math.radians(22.5))
-# CesiumJS 1.145: `maximumScreenSpaceError` of a tileset, pixels that a tile's error may have.
+# CesiumJS 1.145: `maximumScreenSpaceError` of a tileset, largest error of a tile in pixels.
 ERROR_PIXELS = 16.0
-# Spark 2.2: `lodRenderScale`, pixels that a splat has at least; here its width is two deviations.
+# Spark 2.2: `lodRenderScale`, least width of a splat in pixels; its width here is two deviations.
 SPLAT_PIXELS, SPLAT_WIDTH = 1.0, 2.0
 
-# What people call good, 4 of 5: a difference that they notice and that does not disturb them. Both
-# from Zinner, Hohlfeld, Abboud, Hossfeld, "Impact of frame rate and resolution on objective QoE
-# metrics", QoMEX 2010, where good is 33 to 45 dB and 0.95 to 0.99.
+# Limits of quality that people rate good, 4 of 5: they notice a difference, but it does not disturb
+# them. From Zinner, Hohlfeld, Abboud, Hossfeld, "Impact of frame rate and resolution on objective
+# QoE metrics", QoMEX 2010, where good is 33 to 45 dB and 0.95 to 0.99.
 GOOD_PSNR, GOOD_SSIM = 33.0, 0.95
 
 PixelOf: TypeAlias = Callable[[int, float], float]
@@ -34,16 +34,16 @@ and of the deviation of a typical splat of it along its longest axis, scene unit
 
 @dataclass(frozen=True, slots=True)
 class Switch:
-    """A level where a viewer begins to draw it, held against the original there.
+    """Quality of a level against the original at the distance where a viewer starts to draw it.
 
     Attributes:
-        distance: From how far a window of `SCREEN` pixels and 45 degrees shows as much in a pixel,
-            scene units.
-        psnr: Mean over the views, dB; None where every one equals the original's.
+        distance: Distance, scene units, at which a pixel has the switch's footprint, for a window
+            of `SCREEN` pixels and 45 degrees.
+        psnr: Mean over the views, dB; None if every one equals the original's.
         ssim: Mean over the views.
-        views: Number of views: those of `nanogs compare` at its defaults, from which the camera
-            goes as much nearer or farther as makes pixels show so much.
-        pixels: Mean width of their pictures.
+        views: Number of views: the default ones of `nanogs compare`, moved nearer or farther until
+            pixels have that footprint.
+        pixels: Mean width of their images.
     """
 
     distance: float
@@ -54,47 +54,50 @@ class Switch:
 
     @property
     def seen(self) -> bool:
-        """Whether one sees the level come, by what people call good."""
+        """Whether the switch is visible: the quality is below what people rate good."""
         return (self.psnr is not None and self.psnr < GOOD_PSNR) or self.ssim < GOOD_SSIM
 
     @property
     def text(self) -> str:
-        """Scores at the distance they were measured at: "35.10 dB / 0.9713 from 15 units on"."""
+        """The scores and their distance, such as "35.10 dB / 0.9713 from 15 units on"."""
         return f"{self.marks} from {self.distance_text} units on"
 
     @property
     def distance_text(self) -> str:
-        """The distance to three digits: "15", "7.27"."""
+        """The distance in three digits, such as "15" or "7.27"."""
         return f"{float(f'{self.distance:.3g}'):,g}"
 
     @property
     def marks(self) -> str:
-        """PSNR and SSIM: "35.10 dB / 0.9713"."""
+        """PSNR and SSIM, such as "35.10 dB / 0.9713"."""
         psnr = "equal" if self.psnr is None else f"{number_text(self.psnr)} dB"
         return f"{psnr} / {number_text(self.ssim, 4)}"
 
 
 def streamed_distance(level: int) -> float:
-    """From how far on the PlayCanvas engine draws a level of a streamed SOG, scene units.
+    """Return the distance, scene units, from which PlayCanvas draws a level of a streamed SOG.
 
     Args:
-        level: 1 or more; the finest, 0, is drawn from anywhere nearer.
+        level: 1 or more; the finest, 0, is drawn at smaller distances.
     """
     return BASE_DISTANCE * MULTIPLIER ** (level - 1)
 
 
 def streamed_pixel(level: int) -> float:
-    """Scene units that a pixel shows at `streamed_distance`."""
+    """Return the footprint of a pixel, scene units, at `streamed_distance`."""
     return 2 * HALF_FIELD * streamed_distance(level) / SCREEN
 
 
 def distance_of(pixel: float) -> float:
-    """From how far a pixel shows so many scene units, on `SCREEN` pixels and 45 degrees."""
+    """Return the distance at which a pixel has a footprint, for `SCREEN` pixels and 45 degrees.
+
+    Both are in scene units.
+    """
     return pixel * SCREEN / (2 * HALF_FIELD)
 
 
 def tile_pixel(error: float) -> float:
-    """Scene units that a pixel shows where CesiumJS begins to draw a tile.
+    """Return the footprint of a pixel, scene units, from which CesiumJS draws a tile.
 
     Args:
         error: The tile's `geometricError`, scene units.
@@ -103,9 +106,9 @@ def tile_pixel(error: float) -> float:
 
 
 def tree_pixel(deviation: float) -> float:
-    """Scene units that a pixel shows where Spark's tree no longer divides a splat.
+    """Return the footprint of a pixel, scene units, from which Spark draws a splat undivided.
 
     Args:
-        deviation: Of the splat along its longest axis, scene units.
+        deviation: Standard deviation of the splat along its longest axis, scene units.
     """
     return SPLAT_WIDTH * deviation / SPLAT_PIXELS

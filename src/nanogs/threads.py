@@ -1,4 +1,4 @@
-"""How many threads there are, and how many of them the kernels use."""
+"""The number of processors and threads, and the number that kernels use."""
 
 import os
 from collections.abc import Iterator
@@ -9,21 +9,21 @@ from nanogs.ranges import is_number
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def most_threads() -> int:
-    """How many threads Numba has, told without its import, which takes a while."""
+    """Return the number of threads of Numba's pool without the slow import of Numba."""
     asked = os.environ.get("NUMBA_NUM_THREADS", "")
     return int(asked) if asked.isdecimal() and int(asked) else processors()
 
 
 @contextmanager
 def use_threads(threads: int | None) -> Iterator[int]:
-    """Run the block's kernels on so many threads; None takes all that Numba has.
+    """Run the kernels in the block on a number of threads; None for all that Numba has.
 
     Yields:
         The number in use.
@@ -40,7 +40,7 @@ def use_threads(threads: int | None) -> Iterator[int]:
         raise OptionError(f"threads must be a whole number, not {chosen!r}.")
     if not 1 <= chosen <= most:
         raise OptionError(f"threads must be from 1 to {most} on this machine, not {chosen}.")
-    before, chosen = numba.get_num_threads(), int(chosen)  # which may be a number of NumPy
+    before, chosen = numba.get_num_threads(), int(chosen)  # converts a NumPy integer
     numba.set_num_threads(chosen)
     try:
         yield chosen

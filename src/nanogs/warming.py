@@ -1,4 +1,4 @@
-"""Compile every kernel now, so that no run has to: for images, and for CI."""
+"""Compile all kernels in advance, for container images and CI."""
 
 import time
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Warmth:
-    """Kernels on the disk, and how many of them were compiled now.
+    """Report of compiling the kernels in advance.
 
     Attributes:
-        kernels: How many there are.
-        compiled: How many of these were missing, and were compiled.
-        seconds: That it took.
-        processor: Whom they are for, as LLVM names it; others do not take them.
-        folders: Where they are kept.
+        kernels: Number of kernels in the cache.
+        compiled: Number of these that were missing and were compiled.
+        seconds: Duration.
+        processor: Processor they were compiled for, by LLVM's name; others cannot use them.
+        folders: Folders of the cache.
     """
 
     kernels: int
@@ -34,15 +34,15 @@ class Warmth:
 
 
 def warm(workers: int | None = None, progress: Progress | None = None) -> Warmth:
-    """Compile all kernels that commands need and that are not on the disk, in several processes.
+    """Compile all kernels that commands need and that are not cached, in several processes.
 
     Args:
-        workers: Processes, 1 or more; by default as many as there are processors.
-        progress: Called with each step.
+        workers: Number of processes, 1 or more; by default the number of processors.
+        progress: Progress callback.
 
     Raises:
-        OptionError: Numba was told to compile nothing, or there is no worker.
-        NanogsError: What was compiled cannot be kept.
+        OptionError: Compilation by Numba is disabled, or `workers` is below 1.
+        NanogsError: The cache cannot be written.
     """
     from concurrent.futures import as_completed
 
@@ -60,7 +60,7 @@ def warm(workers: int | None = None, progress: Progress | None = None) -> Warmth
     folders = tuple(sorted({one.folder for one in every}))
     tracker = Tracker(progress, [Stage("compile", 1.0)])
     tracker.begin("compile")
-    # What is needed last takes longest.
+    # Kernels that are needed last take longest to compile, so they are compiled first.
     missing = [one for one in reversed(every) if not one.held()]
     if missing:
         for folder in folders:
@@ -81,7 +81,7 @@ def warm(workers: int | None = None, progress: Progress | None = None) -> Warmth
 
 
 def _check_writable(folder: Path) -> None:
-    """See to it that a folder is there and can be written to."""
+    """Create a folder if it is missing, and check that it can be written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=folder):
@@ -94,8 +94,8 @@ def _check_writable(folder: Path) -> None:
 
 
 def _compile(one: "Needed") -> None:
-    """Compile one kernel of the table, in a process of its own."""
+    """Compile one kernel, in a worker process."""
     from nanogs.kernels.compiling import watching
 
-    with watching(lambda _begun: None):  # or each process would say that it compiles
+    with watching(lambda _begun: None):  # otherwise each process would log that it compiles
         one.compile()
