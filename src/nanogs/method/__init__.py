@@ -1,1 +1,4 @@
-"""The methods: one stage a module, called by `nanogs.pipeline`; the paper's are in `paper`."""
+"""The simplification methods: one module for each stage, called by `nanogs.pipeline`.
+
+The stages of the published method are in `paper`.
+"""

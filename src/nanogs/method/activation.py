@@ -1,4 +1,4 @@
-"""Activation: centres, sizes and turns of splats as their stored values stand for."""
+"""Activation: means, scales and unit quaternions from stored values."""
 
 import numpy as np
 
@@ -10,12 +10,12 @@ from nanogs.stored import unit
 
 
 def activated(splats: Splats, rows: I32, origin: F64) -> tuple[F64, F32, F32]:
-    """Means, scales and quaternions of splats.
+    """Compute the activated means, scales and quaternions of some splats.
 
     Args:
         splats: The input.
         rows: (M,) rows of it, all finite.
-        origin: (3,) taken off the centres, scene units.
+        origin: (3,) subtracted from the centres, scene units.
 
     Returns:
         (M, 3) float64 centres, scene units from the origin; (M, 3) float32 standard deviations,

@@ -1,4 +1,4 @@
-"""The error-guided cut: which merges of a forest are done for a count."""
+"""The error-guided cut: select the merges of a forest that give a requested count."""
 
 import numpy as np
 
@@ -13,21 +13,22 @@ from nanogs.kernels.forest import (
 from nanogs.method.forest import Forest
 from nanogs.slices import SLICE_STEPS, slices
 
-# A unit of geometry (weight times nats) against one of squared colour.
+# Weight of the geometry error (weight times nats) relative to the squared colour error.
 LAMBDA_GEO = 0.1
 
 
 def merge_scores(forest: Forest, balance: float, typical: float | None = None) -> F64:
-    """(M,) float64: how late each merge is to be done; none comes before those below it.
+    """Compute the (M,) float64 scores of the merges; those of lowest score are done first.
 
-    (1 - balance) level + balance log2(E / median E), E the sum over the merges below of the
-    colour's increment and LAMBDA_GEO times the geometry's. Balance 0 makes groups of equal size,
-    balance 1 groups of equal error.
+    The score is (1 - balance) level + balance log2(E / median E), where E is the error of the node:
+    the sum, over all merges of its subtree, of the colour increment and LAMBDA_GEO times the
+    geometry increment. No score is below those of the merges under it. Balance 0 makes groups of
+    equal size, balance 1 groups of equal error.
 
     Args:
         forest: The merges.
         balance: In [0, 1].
-        typical: What takes the place of the median, so that scores of several forests compare.
+        typical: Value in place of the median, so that scores of several forests are comparable.
     """
     first = forest.splats
     increments = np.empty(len(forest.children))
@@ -35,7 +36,7 @@ def merge_scores(forest: Forest, balance: float, typical: float | None = None) -
     def weigh(part: slice) -> None:
         some = LAMBDA_GEO * forest.increments[part, 1].astype(np.float64)
         some += forest.increments[part, 0]
-        # Rounding can leave the increment of two equal splats a hair below zero.
+        # Rounding can make the increment of two equal splats slightly negative.
         np.maximum(some, 0.0, out=increments[part])
 
     spread.each(slices(len(increments), SLICE_STEPS), weigh)
@@ -43,29 +44,29 @@ def merge_scores(forest: Forest, balance: float, typical: float | None = None) -
     subtree_sums(forest.children, increments, sums)
     errors = np.maximum(sums[first:], np.finfo(np.float64).tiny, out=increments)
     middle = np.log2(np.median(errors) if typical is None else typical)
-    scores = sums  # in the same memory
+    scores = sums  # reuses the memory
     scores[:first] = -np.inf
     above = scores[first:]
 
     def score(part: slice) -> None:
-        # A difference and not a ratio: that overflows where most merges cost nothing.
+        # A difference of logarithms: the ratio overflows if most merges cost nothing.
         logs = np.log2(errors[part])
         logs -= middle
         above[part] = (1 - balance) * forest.levels[part]
         above[part] += np.multiply(balance, logs, out=logs)
 
     spread.each(slices(len(above), SLICE_STEPS), score)
-    raise_to_children(forest.children, scores)  # log2 may round two errors the wrong way
+    raise_to_children(forest.children, scores)  # rounding in log2 may have swapped two errors
     return above
 
 
 def cut(forest: Forest, target: int, balance: float) -> I32:
-    """Group the splats: the merges of lowest score are done, exactly as many as are needed.
+    """Group the splats by doing the merges of lowest score, exactly as many as are needed.
 
     Args:
         forest: The merges.
-        target: Groups wanted, from `Forest.fewest` to the number of splats.
-        balance: As `merge_scores` takes it.
+        target: Number of groups, from `Forest.fewest` to the number of splats.
+        balance: See `merge_scores`.
 
     Returns:
         (N,) int32: each splat's group in [0, target), numbered by their first splats.
@@ -76,16 +77,16 @@ def cut(forest: Forest, target: int, balance: float) -> I32:
 
 
 def label_groups(splats: int, children: I32, scores: F, target: int) -> I32:
-    """The groups that the merges of lowest score leave; ties go to the earlier merge.
+    """Label the groups that the merges of lowest score make; ties go to the earlier merge.
 
     Args:
         splats: N.
-        children: (M, 2) int32, of each merge, children before parents.
-        scores: (M,) of each merge, none below those of the merges below it.
-        target: Groups wanted, from N - M to N.
+        children: (M, 2) int32, the two nodes of each merge, children before parents.
+        scores: (M,) score of each merge, not below those of the merges under it.
+        target: Number of groups, from N - M to N.
 
     Returns:
-        As `cut` does.
+        (N,) int32 labels; see `cut`.
     """
     done = _lowest(scores, splats - target)
     roots = np.arange(splats + len(done), dtype=np.int32)
@@ -96,7 +97,10 @@ def label_groups(splats: int, children: I32, scores: F, target: int) -> I32:
 
 
 def _lowest(scores: F, wanted: int) -> Bool:
-    """Which merges are the `wanted` lowest; a parent's score is no lower and its number higher."""
+    """Return a mask of the `wanted` merges of lowest score, which are closed under children.
+
+    A parent's score is not below its children's, and its number is higher.
+    """
     if wanted == 0:
         return np.zeros(len(scores), dtype=bool)
     highest = np.partition(scores, wanted - 1)[wanted - 1]

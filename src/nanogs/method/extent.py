@@ -1,4 +1,4 @@
-"""How far from each splat viewers are likely to stand, and what a pixel is there."""
+"""Likely distance of viewers from each splat, and the size of a pixel at that distance."""
 
 from dataclasses import dataclass
 
@@ -11,27 +11,28 @@ from nanogs.kernels.surroundings import nearness, reach
 from nanogs.splats import RenderMode
 from nanogs.views.occupancy import quantiles
 
-# Share of all alpha that lies within a splat's surroundings; less than half, so that a second copy
-# of the scene far away does not widen them.
+# Share of all alpha within a splat's surroundings, the ball around it by whose radius the distance
+# of viewers is estimated. Less than half, so that a second copy of the scene far away does not
+# widen it.
 SHARE = 0.25
-USUAL = 0.1  # quantile of the anchors' radii that stands for the least of them
-ANCHORS = 64  # splats whose surroundings are measured; others have them from the nearest ones
-NEAR = 2.5  # times the least radius: up to there viewers may stand beside any splat
-FARTHEST = 16.0  # times the usual radius; a stray's pixel must not outweigh all splats together
-MOST_VIEWERS = 64  # of those that a user's cameras tell, evenly chosen
-# Times the usual distance from the nearest viewer: what is nearer than that counts little more.
+USUAL = 0.1  # quantile of the anchors' radii that is used as a robust minimum
+ANCHORS = 64  # splats whose radius is measured; that of others follows from the nearest anchors
+NEAR = 2.5  # distance over the least radius, up to which viewers may stand beside any splat
+FARTHEST = 16.0  # largest distance over the median radius, so that no stray outweighs all splats
+MOST_VIEWERS = 64  # of a user's cameras at most this number are used, evenly chosen
+# Softening distance of `Viewers` over the typical distance from the nearest viewer.
 APART = 0.3
-_SAMPLE = 4096  # splats looked at; a stride thins larger models
+_SAMPLE = 4096  # number of splats examined; larger models are sampled by a stride
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dilation:
-    """Where viewers are likely to stand, and the size that rasterisers add to splats there.
+    """Estimate of viewers' distances from the model, and of the rasteriser's dilation there.
 
     Attributes:
-        anchors: (A, 3) float64, some centres, scene units from the origin of the run.
-        radii: (A,) float64, scene units around them within which a quarter of the alpha lies.
-        per_radius: Standard deviation that is added, over the radius.
+        anchors: (A, 3) float64, some splats' centres, scene units from the origin of the run.
+        radii: (A,) float64, radius around each that holds a quarter of the alpha, scene units.
+        per_radius: Standard deviation of the dilation over the distance of the viewer.
     """
 
     anchors: F64
@@ -39,31 +40,35 @@ class Dilation:
     per_radius: float
 
     def at(self, means: F64) -> F64:
-        """(N,) float64: the standard deviation added at each of (N, 3) float64 centres."""
+        """Return the (N,) float64 standard deviation of the dilation at (N, 3) float64 centres."""
         return self.added(self.distances(means))
 
     def distances(self, means: F64) -> F64:
-        """(N,) float64: how far viewers stand from (N, 3) float64 centres, scene units."""
+        """Return the (N,) float64 likely distance of viewers from (N, 3) float64 centres.
+
+        It is the least sqrt(r² + d²) over the anchors, for their radius r and distance d, scene
+        units.
+        """
         found = np.empty(len(means))
         reach(np.ascontiguousarray(means), self.anchors, self.radii, found)
         return found
 
     def added(self, distances: F64) -> F64:
-        """(N,) float64: the standard deviation added to what is so far from viewers."""
+        """Return the (N,) float64 standard deviation of the dilation at distances from viewers."""
         found = np.minimum(distances, FARTHEST * np.median(self.radii))
         found *= self.per_radius
         return found
 
     def nearness(self, means: F64) -> F64:
-        """(N,) float64 in (0, 1]: how large screens show what is at (N, 3) float64 centres."""
+        """Return the (N,) float64 relative size on screen, in (0, 1], at (N, 3) float64 centres."""
         return self.nearness_at(self.distances(means))
 
     def nearness_at(self, distances: F64) -> F64:
-        """(N,) float64 in (0, 1]: how large screens show what is so far from viewers.
+        """Return the (N,) float64 relative size on screen, in (0, 1], at distances from viewers.
 
-        Viewers stand where most splats are. Up to `NEAR` times the radius there, which is as far
-        as a room or an object reaches, they stand beside everything: 1. What lies beyond, such as
-        hills and sky, is looked at from there, and falls with the square of its distance.
+        Viewers are assumed where most splats are. Up to `NEAR` times the least radius, which is the
+        extent of a room or an object, they may come close to everything: 1. Farther splats, such as
+        hills and sky, are seen from there, and their size falls with the square of the distance.
         """
         near = NEAR * float(np.quantile(self.radii, USUAL))
         if near == 0:
@@ -74,27 +79,28 @@ class Dilation:
 
     @property
     def least(self) -> float:
-        """The least of the anchors' above 0, scene units; 0 where there is none."""
+        """The least dilation above 0 over the anchors, scene units; 0 if there is none."""
         some = self.per_radius * self.radii
         return float(some[some > 0].min()) if (some > 0).any() else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Viewers:
-    """Where viewers stand, as a user's cameras tell.
+    """Positions of viewers, taken from a user's cameras.
 
     Attributes:
         places: (V, 3) float64, V >= 1, scene units from the origin of the run.
-        apart: Distance within which a splat counts hardly more for being nearer, scene units.
+        apart: Softening distance, scene units: within it a splat hardly counts more if it is
+            nearer.
     """
 
     places: F64
     apart: float
 
     def nearness(self, means: F64) -> F64:
-        """(N,) float64 in (0, 1]: how large screens show what is at (N, 3) float64 centres.
+        """Return the (N,) float64 relative size on screen, in (0, 1], at (N, 3) float64 centres.
 
-        The mean over viewers of 1 / (1 + (distance / apart)²).
+        It is the mean over viewers of 1 / (1 + (distance / apart)²).
         """
         if self.apart == 0:
             return np.ones(len(means))
@@ -104,11 +110,11 @@ class Viewers:
 
 
 def viewers(places: F64, means: F64) -> Viewers:
-    """Viewers at the places of cameras.
+    """Make viewers from the positions of cameras.
 
     Args:
         places: (V, 3) float64, V >= 1, scene units from the origin of the run.
-        means: (N, 3) float64, N >= 1, splats of the model, in the same units.
+        means: (N, 3) float64, N >= 1, centres of the model's splats, in the same units.
     """
     some = means[:: len(means) // _SAMPLE + 1]
     nearest = np.min([np.linalg.norm(some - place, axis=1) for place in places], axis=0)
@@ -116,17 +122,17 @@ def viewers(places: F64, means: F64) -> Viewers:
 
 
 def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilation:
-    """Find what a rasteriser adds to splats where a model is looked at as a whole.
+    """Estimate the dilation by the rasteriser in a view of the model as a whole.
 
-    That is where a splat's surroundings, the ball about it that holds a quarter of the alpha, are
-    `pixels` across: about as far away as viewers stand, whatever else the model holds elsewhere.
-    For a MIP model it is 0: the rasteriser takes from the opacity what it adds to the size.
+    In that view a splat's surroundings, the ball around it that holds a quarter of the alpha, are
+    `pixels` across: about the distance of viewers, independent of distant parts of the model. For a
+    MIP model the dilation is 0, because the rasteriser compensates it in the opacity.
 
     Args:
         means: (N, 3) float64, N >= 1, scene units.
         alphas: (N,) float64 in [0, 1].
         mode: The rasteriser the model was trained for.
-        pixels: Across the surroundings' diameter.
+        pixels: Diameter of the surroundings in pixels.
     """
     step = len(means) // _SAMPLE + 1
     anchors = np.ascontiguousarray(means[:: (len(means) - 1) // ANCHORS + 1])
@@ -138,5 +144,5 @@ def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilati
 
 
 def _radius(point: F64, means: F64, weights: F64) -> float:
-    """Distance from a point within which the share of the weight lies."""
+    """Return the radius around a point that holds the share of the weight."""
     return quantiles(np.linalg.norm(means - point, axis=1), weights, SHARE)[0]

@@ -1,6 +1,6 @@
-"""The merge forest: full matching passes down to one node, every merge kept.
+"""The merge forest: matching passes that merge pairs down to one node, with every merge recorded.
 
-One forest answers every count: `cut` chooses which of its merges are done.
+One forest serves every count: `cut` selects the merges to do.
 """
 
 from collections.abc import Callable
@@ -25,15 +25,15 @@ from nanogs.slices import SLICE_PAIRS, slices
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forest:
-    """Merges of N splats. Node r below N is splat r; node N + m is what merge m made.
+    """The merges of N splats. Node r below N is splat r; node N + m is the result of merge m.
 
     Attributes:
         splats: N.
         children: (M, 2) int32, the two nodes of each merge; children come before parents.
         levels: (M,) int32, the pass that made the merge, from 1.
-        increments: (M, 2) float32, what it added to the error of colour and of geometry.
-        passes: What each pass did.
-        stop: `TARGET` where one node is left, else why not.
+        increments: (M, 2) float32, increase of the colour error and of the geometry error by it.
+        passes: Report of each pass.
+        stop: `TARGET` if one node is left, else the reason why not.
     """
 
     splats: int
@@ -45,22 +45,22 @@ class Forest:
 
     @property
     def fewest(self) -> int:
-        """Splats left when every merge is done."""
+        """Number of splats left when every merge is done."""
         return self.splats - len(self.children)
 
 
 def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell: Parts) -> Forest:
-    """Match nearly all nodes with a neighbour, merge, and again until one is left.
+    """Grow a forest: match nearly all nodes with a neighbour and merge them, until one is left.
 
     Args:
-        leaves: N nodes, one a splat.
+        leaves: N nodes, one for each splat.
         parameters: k and lambda_app are used.
         threads: Threads for the nearest-neighbour query.
-        tell: Told of the merges done.
+        tell: Progress callback for the merges done.
     """
     count = made = len(leaves)
     nodes, ids = leaves, np.arange(count, dtype=np.int32)
-    del leaves  # if the caller does not keep them, this frees memory for the passes
+    del leaves  # frees memory for the passes if the caller does not keep them
     parts: list[tuple[I32, F32]] = []
     passes: list[PassReport] = []
     stop = StopReason.TARGET
@@ -77,7 +77,7 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
             parts.append((children, increments))
             made += len(plan)
             del plan  # frees memory for the next nodes
-            # The features of pairs of splats, half a model, are not stored but mixed when needed.
+            # Features of pairs of splats, half a model, are not stored but averaged when needed.
             told(0.9)
             nodes = (gather_groups if passes else gather_pairs)(nodes, starts, members)
         passes.append(replace(report, seconds=report.seconds | clock.seconds))
@@ -86,7 +86,17 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
 
 
 def _joined_pairs(pairs: I32, ids: I32, made: int) -> tuple[I32, I32, I64, I32]:
-    """Children of the merges, numbers of the nodes that are left, and which rows these are of."""
+    """Merge pairs of nodes.
+
+    Args:
+        pairs: (P, 2) rows of the nodes to merge.
+        ids: (n,) node numbers of the rows.
+        made: Number of nodes so far: that of the first merge.
+
+    Returns:
+        (P, 2) node numbers of the merges' children; (n - P,) node numbers of the rows that are
+        left; and their members as in `member_lists`.
+    """
     children, left = np.empty_like(pairs), len(ids) - len(pairs)
     merges = np.full(len(ids), -1, dtype=np.int32)
     starts, members = np.empty(left + 1, dtype=np.int64), np.empty(len(ids), dtype=np.int32)
@@ -95,14 +105,14 @@ def _joined_pairs(pairs: I32, ids: I32, made: int) -> tuple[I32, I32, I64, I32]:
 
 
 def _tell_within(tell: Parts, splats: int, nodes: int, share: float) -> None:
-    """Tell how many of a forest's merges are done within a pass that halves its nodes."""
+    """Report the number of a forest's merges done, within a pass that halves the nodes."""
     tell(splats - nodes * (1 - share / 2), splats)
 
 
 def _one_pass(
     nodes: Nodes, parameters: ForestParameters, threads: int, told: Callable[[float], None]
 ) -> tuple[MergePlan, F32, PassReport]:
-    """Graph, cost and match; the plan, the increments of its pairs, and what was done."""
+    """Run graph, cost and match; return the plan, its pairs' increments, and the pass's report."""
     count, clock = len(nodes), StageClock()
     told(0)
     with clock.time("graph"):
@@ -125,7 +135,10 @@ def _one_pass(
 
 
 def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) -> F32:
-    """(E,) float32: weighted sums of increments, by slices, as those take twice the memory."""
+    """Compute (E,) float32 costs, weighted sums of the increments.
+
+    Done in slices, because all increments would take twice the memory.
+    """
     costs = np.empty(len(pairs), dtype=np.float32)
 
     def weigh(part: slice) -> None:
@@ -140,7 +153,10 @@ def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) ->
 
 
 def _increments(call: Callable[..., None], pairs: I32, nodes: Nodes, dets: F64) -> F32:
-    """(P, 2) float32, by the kernel on all threads, or on this one alone."""
+    """Compute the (P, 2) float32 increments of pairs.
+
+    `call` is `merge_increments` on all threads, or its `here` on this thread alone.
+    """
     increments = np.empty((len(pairs), 2), dtype=np.float32)
     call(
         pairs, nodes.weights, nodes.means, nodes.covariances, dets,

@@ -1,4 +1,4 @@
-"""Splats as the method works on them: activated values, converted once on the way in and out."""
+"""The working set of the published method: activated splats, converted once in and once out."""
 
 from dataclasses import dataclass, field
 
@@ -12,8 +12,8 @@ from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 from nanogs.stored import alphas
 
-_SAMPLE = 40_000  # centres, at most, of which the median is taken
-# Limits within which the logarithms and logits that are stored stay finite.
+_SAMPLE = 40_000  # most centres that the median is taken of
+# Limits within which stored logarithms and logits stay finite.
 LEAST_SCALE = float(np.finfo(np.float32).tiny)
 LEAST_ALPHA = float(np.finfo(np.float32).tiny)
 MOST_ALPHA = 1 - float(np.finfo(np.float64).epsneg)
@@ -21,7 +21,7 @@ MOST_ALPHA = 1 - float(np.finfo(np.float64).epsneg)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussians:
-    """N splats in the form in which they are compared and merged.
+    """N activated splats, in the form in which they are compared and merged.
 
     Attributes:
         means: (N, 3) float64, scene units, relative to the origin that `activate` chose.
@@ -30,11 +30,11 @@ class Gaussians:
         opacities: (N,) float64, alpha in [0, 1].
         features: (F, C) float32, all spherical-harmonic coefficients; those of splats are the
             input's own, in its order, and are not copied.
-        rows: (N,) int32, which row of the features is each splat's.
+        rows: (N,) int32, row of the features for each splat.
         sources: (N,) int32, row in the input of the splat itself or of its dominant member.
-        merged: (N,) bool, False for a splat of the input as it was.
-        seconds: (N,) int32, another row of each splat, whose features are then the mean of both;
-            none, (0,), where each has its own.
+        merged: (N,) bool, False for an unchanged splat of the input.
+        seconds: (N,) int32, a second row of the features for each splat, whose features are then
+            the weighted mean of both; empty, (0,), if each splat has one row.
         shares: (N, 2) float64, the weights of that mean, or (0, 2).
     """
 
@@ -53,7 +53,7 @@ class Gaussians:
         return len(self.means)
 
     def take(self, rows: I64 | I32 | Bool) -> "Gaussians":
-        """The given rows, by index or mask."""
+        """Return some rows, given by indices or a mask."""
         return Gaussians(
             pick(self.means, rows),
             pick(self.scales, rows),
@@ -68,17 +68,17 @@ class Gaussians:
         )
 
     def colours(self) -> F32:
-        """(N, C) float32: the features of every splat."""
+        """Return the (N, C) float32 features of all splats."""
         every, alone = np.arange(len(self), dtype=np.int32), np.array((1.0, 0.0))
         return self.mean_features(every, every, np.broadcast_to(alone, (len(self), 2)).copy())
 
     def mean_features(self, firsts: I32, others: I32, weights: F64) -> F32:
-        """(M, C) float32: means of the features of two splats each.
+        """Return the (M, C) float32 weighted means of the features of M pairs of splats.
 
         Args:
-            firsts: (M,) one of the two.
-            others: (M,) the other one, which may be the same.
-            weights: (M, 2) of both, 1 together.
+            firsts: (M,) the first splat of each pair.
+            others: (M,) the second one, which may be the same.
+            weights: (M, 2) weights of both, which sum to 1.
         """
         means = np.empty((len(firsts), self.features.shape[1]), np.float32)
         mean_features(
@@ -88,10 +88,10 @@ class Gaussians:
 
 
 def scene_origin(means: F) -> F64:
-    """(3,) float64: the median of the centres along each axis, scene units.
+    """Return the (3,) float64 median of the centres along each axis, scene units.
 
-    Differences of centres far from zero keep their digits when this is taken off first. A few
-    splats that strayed far away do not move it.
+    Subtracting it keeps the precision of centres far from zero. A few strays far away do not move
+    it.
 
     Args:
         means: (N, 3) finite, scene units; evenly spread rows of a large model.
@@ -103,12 +103,12 @@ def scene_origin(means: F) -> F64:
 
 
 def activate(splats: Splats, rows: I64 | I32, origin: F64) -> Gaussians:
-    """Activated values of the given rows, in Morton order of their centres.
+    """Activate some rows of a model, in Morton order of their centres.
 
     Args:
         splats: The input.
         rows: (M,) rows of it, all finite.
-        origin: (3,) taken off the centres, scene units.
+        origin: (3,) subtracted from the centres, scene units.
     """
     rows = rows[morton_order(pick(splats.means, rows) - origin)].astype(np.int32)
     means, scales, quats = activated(splats, rows, origin)
@@ -125,15 +125,15 @@ def activate(splats: Splats, rows: I64 | I32, origin: F64) -> Gaussians:
 
 
 def store(gaussians: Gaussians, splats: Splats, origin: F64) -> Splats:
-    """Stored values of a working set, in the order of the input's rows.
+    """Convert a working set back to stored values, in the order of the input's rows.
 
-    A splat that was not merged gets the input's bytes back. A merged one takes its extra columns
-    from its dominant member, since they have no meaning that could be averaged.
+    A splat that was not merged keeps the bytes of the input. A merged one takes its extra columns
+    from its dominant member, because their meaning is unknown and they cannot be averaged.
 
     Args:
         gaussians: The working set.
         splats: The input it came from.
-        origin: (3,) what `activate` took off the centres, scene units.
+        origin: (3,) the origin that `activate` subtracted from the centres, scene units.
     """
     order = np.argsort(gaussians.sources)
     stored = splats.take(gaussians.sources[order])

@@ -1,4 +1,4 @@
-"""Stage 2, graph: the k nearest neighbours of every centre, and the pairs they make."""
+"""Stage 2, graph: the k nearest neighbours of every centre, as candidate pairs."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from nanogs.threads import use_threads
 
 
 def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
-    """Pairs of rows of which one is among the k nearest neighbours of the other.
+    """List the pairs of rows of which one is among the k nearest neighbours of the other.
 
     Args:
         means: (N, 3) finite, scene units; nearby rows should be near in space.
@@ -17,7 +17,7 @@ def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
         threads: Threads for the query.
 
     Returns:
-        (E, 2) int32, i < j in every row, each pair once, ascending; one column after the other in
+        (E, 2) int32, i < j in every row, each pair once, ascending; in column-major order in
         memory.
     """
     neighbours = nearest_neighbours(means, k, threads)
@@ -25,17 +25,17 @@ def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
     with use_threads(threads):
         count_pairs(neighbours, starts)
         columns: I32 = np.empty((2, starts[-1]), dtype=np.int32)
-        # Half as wide where their number allows: memory is scarcest here.
+        # 32 bits if the number of pairs allows: peak memory is reached here.
         width: type = np.uint32 if starts[-1] < 1 << 32 else np.int64
         nexts: U32 | I64 = starts[:-1].astype(width)
         fill_seconds(neighbours, starts, nexts, columns[1])
-        del neighbours, nexts  # the other column takes no memory before it is written
+        del neighbours, nexts  # before the first column is written and takes memory
         fill_firsts(starts, columns[0])
     return columns.T
 
 
 def random_pairs(n: int, k: int, seed: int) -> I32:
-    """Pairs of rows of which one drew the other: what the graph's nearness is measured against.
+    """List random pairs of rows, to measure what choosing near neighbours is worth.
 
     Args:
         n: Number of rows.

@@ -1,4 +1,4 @@
-"""Growth: merged splats that block too little light although they are opaque become larger."""
+"""Growth: enlarge merged splats that would block too little light even if they were opaque."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from nanogs.method.nodes import LIGHTEST, Nodes, member_lists
 from nanogs.neighbours import nearest_neighbours
 from nanogs.slices import slices
 
-# Most that an axis of a group may grow that lies on a sheet, or between others on all sides.
+# Largest growth factor of an axis for groups on a sheet, or covered by others on all sides.
 MOST_GROWTH = 1.8
-_AROUND = 16  # nearest groups that may cover the sides of one
+_AROUND = 16  # number of nearest groups that may cover the sides of one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cover:
-    """Merged splats without growth, which may cover the sides of groups.
+    """Groups of splats as Gaussians without growth, which may cover the sides of other groups.
 
     Attributes:
         means: (G, 3) float64, scene units, relative to the origin of the run.
@@ -34,7 +34,7 @@ class Cover:
 
     @staticmethod
     def joined(parts: Sequence["Cover"]) -> "Cover":
-        """One after the other."""
+        """Concatenate several of them."""
         return Cover(
             np.concatenate([part.means for part in parts]),
             np.concatenate([part.covariances for part in parts]),
@@ -43,16 +43,17 @@ class Cover:
 
 
 def blocked(coverages: F64, areas: F64) -> F64:
-    """(G,) float64: how much light each group blocks, as the area that blocks all, square units.
+    """Compute the (G,) float64 light that each group blocks, as an opaque area, square scene units.
 
-    Less than its members cover together, since they hide each other. Of many splats with the
-    moments of a group, exp(-u g) of the light gets through where its Gaussian is g, for u their
-    coverage over its footprint; 1 - exp(-u g) over the whole plane is
+    It is less than the sum of its members' coverages, because they hide each other. Where the
+    group's Gaussian has the value g, the transmittance of many splats with the moments of the group
+    is exp(-u g), for u their coverage over its footprint; 1 - exp(-u g) integrated over the plane
+    is
 
         footprint (E1(u) + ln u + 0.5772) = footprint (u - u²/4 + u³/18 - ...) = footprint Ein(u).
 
     Args:
-        coverages: (G,) float64, of all members, 0 or more, square scene units.
+        coverages: (G,) float64, sum of all members' coverages, 0 or more, square scene units.
         areas: (G,) float64, footprints of the groups, above 0, square scene units.
     """
     return areas * exponential_integral(coverages / areas)
@@ -61,26 +62,27 @@ def blocked(coverages: F64, areas: F64) -> F64:
 def area_needs(
     merged: Nodes, leaves: Nodes, labels: I32, areas: F64, *, sheets: bool
 ) -> tuple[F64, F64]:
-    """How much larger each group has to be for an opaque splat to block enough light.
+    """Compute the factor by which each group's area must grow for an opaque splat to block enough.
 
-    A group has to block as much light as its members do (`blocked`), where each counts by how
-    visible it is. Their coverage is then (sum w)² / (sum w²/a), for weights w and coverages a: that
-    of all members where all are equally visible, without those that are hidden behind others.
-    Members of the least weight, such as splats of alpha 0, have it whatever they cover, and are
-    left out; of a group that has no others all coverage counts.
+    A group has to block as much light as its members do (`blocked`), each counted by its
+    visibility. Their coverage is then (sum w)² / (sum w²/a), for weights w and coverages a: the sum
+    of all coverages if all are equally visible, and without those of hidden members otherwise.
+    Members of the least weight, such as splats of alpha 0, have that weight for any coverage, and
+    are left out; if a group has no others, all coverage counts.
     Members side by side on a flat sheet do not hide each other: there all their coverage counts.
-    Numbers of groups of one member mean nothing.
+    The factors of groups of one member have no meaning.
 
     Args:
         merged: G nodes from `gather`.
-        leaves: (M) their members.
-        labels: (M,) the group of each.
+        leaves: M nodes, their members.
+        labels: (M,) the group of each member.
         areas: (G,) float64, footprints of the groups, square scene units.
-        sheets: Whether groups on flat sheets grow, however little others may (`growth_on_sheets`).
+        sheets: Whether groups on flat sheets grow even if other groups may not
+            (`growth_on_sheets`).
 
     Returns:
-        (G,) float64, how much larger to block enough, and (G,) float64, from 1, how much larger
-        for flat sheets.
+        (G,) float64, factor of the area to block enough, and (G,) float64, 1 or more, factor for
+        flat sheets.
     """
     squares = np.zeros(len(merged))
     with np.errstate(divide="ignore", over="ignore"):
@@ -98,11 +100,11 @@ def area_needs(
 
 
 def widened(scales: F32, larger: F64) -> F32:
-    """(G, 3) float32 scales of which the two longer are longer: no surface becomes thicker.
+    """Enlarge the two longer scales, so that no surface becomes thicker; returns (G, 3) float32.
 
     Args:
         scales: (G, 3) float32, scene units.
-        larger: (G,) float64, factor of the product of the two longer scales.
+        larger: (G,) float64, factor for the product of the two longer scales.
     """
     factors = np.repeat(np.sqrt(larger)[:, None], 3, axis=1)
     factors[np.arange(len(scales)), np.argmin(scales, axis=1)] = 1.0
@@ -110,16 +112,16 @@ def widened(scales: F32, larger: F64) -> F32:
 
 
 def covered_around(cover: Cover, groups: I32, scales: F32, quats: F32) -> F64:
-    """(R,) float64 in [0, 1], how far others cover all four sides of some groups.
+    """Compute the (R,) float64 degree, in [0, 1], to which others cover all four sides of groups.
 
-    Where they do, a group that grows fills gaps between it and them; where they do not, it reaches
-    beyond the surface.
+    A covered group that grows fills gaps between it and its neighbours; an uncovered one would
+    extend beyond the surface.
 
     Args:
-        cover: G groups, these among them.
-        groups: (R,) int32, rows of those asked for.
-        scales: (R, 3) float32 of these, scene units.
-        quats: (R, 4) float32 of these, wxyz, unit.
+        cover: G groups, including the given ones.
+        groups: (R,) int32, rows of the given groups.
+        scales: (R, 3) float32, scales of these, scene units.
+        quats: (R, 4) float32, quaternions of these, wxyz, unit.
     """
     shares = np.zeros(len(groups))
     if len(groups) and len(cover.means) > 1:
@@ -131,16 +133,16 @@ def covered_around(cover: Cover, groups: I32, scales: F32, quats: F32) -> F64:
 
 
 def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -> F64:
-    """(G,) float64: most that the axes of each group may grow, more on flat sheets.
+    """Compute the (G,) float64 limits on the growth of each group's axes, higher on flat sheets.
 
-    Half the light gets through between Gaussians that have the moments of the pieces of a sheet,
-    and nothing behind the sheet stops it. Pieces of a thicker surface have others behind them.
+    Half the light passes between Gaussians that have the moments of the pieces of a sheet, and
+    nothing behind the sheet stops it. Pieces of a thicker surface have others behind them.
 
     Args:
         merged: G nodes from `gather`.
-        leaves: (M) their members.
-        labels: (M,) the group of each.
-        growth: Most that an axis may grow elsewhere.
+        leaves: M nodes, their members.
+        labels: (M,) the group of each member.
+        growth: Largest factor of an axis elsewhere.
     """
     starts, members = member_lists(labels, len(merged))
     growths = np.empty(len(merged))

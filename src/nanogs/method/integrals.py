@@ -4,15 +4,15 @@ import numpy as np
 
 from nanogs._types import F64
 
-_SPLIT = 4.0  # from here on the continued fraction takes few terms
-_TERMS = 32  # of the series, up to the split: what follows is below 1e-17 of it
-_DEPTH = 24  # of the fraction, from the split on: E1 is then below 0.004, and need not be as exact
+_SPLIT = 4.0  # from here on the continued fraction needs few terms
+_TERMS = 32  # of the series up to the split: the remainder is below 1e-17 of it
+_DEPTH = 24  # of the fraction from the split on: E1 is below 0.004 there and may be less exact
 _FIRST = np.arange(1, _TERMS + 1, dtype=np.float64)
 _COEFFICIENTS = np.cumsum(1 / _FIRST) / np.cumprod(_FIRST)
 
 
 def exponential_integral(u: F64) -> F64:
-    """(N,) float64 Ein(u): the integral of (1 - exp(-t)) / t from 0 to u, for (N,) u from 0.
+    """Compute (N,) float64 Ein(u), the integral of (1 - exp(-t)) / t from 0 to u, for (N,) u >= 0.
 
     Up to 4 it is exp(-u) Σ H_k u^k / k! (Abramowitz and Stegun 5.1.11, after Kummer), whose terms
     are all positive, so that nothing cancels; from there on E1(u) + ln u + 0.5772, with E1 as a

@@ -1,4 +1,4 @@
-"""Stage 4, match: choose disjoint pairs, cheapest first. No geometry here, only rows and costs."""
+"""Stage 4, match: choose disjoint pairs, cheapest first, from rows and costs alone."""
 
 from dataclasses import dataclass
 
@@ -17,19 +17,19 @@ from nanogs.kernels.pairs import (
 )
 from nanogs.slices import SLICE_STEPS, slices
 
-# The pairs are sorted in batches, the cheapest first: those that an earlier batch made impossible
+# The pairs are sorted in batches, the cheapest first: pairs whose rows an earlier batch has taken
 # are never sorted, and the keys take little memory.
-BATCH = 0.5  # pairs for each row
+BATCH = 0.5  # pairs in a batch, for each row
 SMALLEST_BATCH = 1 << 16
-STRETCH = 1 << 15  # rows that one thread goes through; fixed, so that threads do not matter
+STRETCH = 1 << 15  # rows in a unit of work; fixed, so that results do not depend on threads
 MOST_PAIRS = (1 << 31) - 1
-ALL = 1 << 16  # upper halves of the bits of a cost
-FEW = 0.01  # share of the rows that is no longer worth a round
+ALL = 1 << 16  # number of values of the upper half of a cost's bits
+FEW = 0.01  # least share of the rows that a round must take to be followed by another
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergePlan:
-    """Which rows become one.
+    """The pairs of rows to merge.
 
     Attributes:
         pairs: (P, 2) int32, i < j, no row twice; cheapest first.
@@ -46,21 +46,21 @@ class MergePlan:
 
 
 def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
-    """Take pairs in ascending order of (cost, pair) while both ends are free.
+    """Match greedily: take pairs in ascending order of (cost, pair) while both ends are free.
 
-    A pair that is the cheapest of both its rows is taken whatever the order of the others (Preis,
-    "Linear time 1/2-approximation algorithm for maximum weighted matching", 1999). So rounds of
-    taking all of these, in which rows need not wait for each other, come before sorting the few
-    pairs that are left: the matching is the same.
+    A pair that is the cheapest of both its rows is always taken, independent of the order of the
+    others (Preis, "Linear time 1/2-approximation algorithm for maximum weighted matching", 1999).
+    So rounds that take all of these in parallel come first, and only the few pairs that are left
+    are sorted: the matching is the same.
 
     Args:
         pairs: (E, 2) candidates, i < j, ascending.
         costs: (E,) float32; a pair whose cost is NaN is no candidate.
-        rows: Number of rows the pairs index.
+        rows: Number of rows that the pairs refer to.
         limit: Most pairs to take.
 
     Raises:
-        ModelError: There are more pairs than their numbers have bits for.
+        ModelError: There are more pairs than fit into the bits of a key.
     """
     if len(pairs) > MOST_PAIRS:
         raise ModelError(
@@ -71,7 +71,7 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     taken = np.zeros(rows, dtype=bool)
     stretches = -(-rows // STRETCH)
     starts = np.minimum(np.arange(stretches + 1) * STRETCH, rows)
-    # Of the pairs' own type: they would be copied otherwise.
+    # int32 like the pairs, which would be copied otherwise.
     bounds = np.searchsorted(firsts, starts.astype(np.int32))
     joined = _agree(firsts, seconds, costs, taken, starts, bounds)
     left, without_cost = _match_sorted(firsts, seconds, costs, taken, bounds)
@@ -93,10 +93,9 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
 def _agree(
     firsts: I32, seconds: I32, costs: F32, taken: Bool, starts: I64, bounds: I64
 ) -> list[U64]:  # fmt: skip
-    """Keys of the pairs that are the cheapest of both their rows, then of those left, and so on.
+    """Take pairs that are the cheapest of both their rows, in rounds; return their keys in parts.
 
-    They are in parts. It ends when a round takes few: in a chain of ascending costs each round
-    would take one.
+    Stops when a round takes few: in a chain of ascending costs each round would take one.
     """
     rows, stretches = len(taken), len(starts) - 1
     crossing, reached = _crossing(seconds, starts, bounds)
@@ -120,7 +119,7 @@ def _agree(
 
 
 def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
-    """Pairs whose rows are in two stretches, by the stretch of the larger row.
+    """List the pairs whose rows are in two stretches, by the stretch of the larger row.
 
     Args:
         seconds: (E,) the larger row of each pair.
@@ -139,7 +138,7 @@ def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
 
     found = spread.results(range(stretches), find)
     pairs = np.concatenate([*found, np.empty(0, np.int32)])
-    # Rows are int32: fewer than 2^31 of them make at most 2^16 stretches.
+    # Rows are int32: fewer than 2^31, which is at most 2^16 stretches.
     reached = (seconds.take(pairs) // STRETCH).astype(np.uint16)
     order = np.argsort(reached, kind="stable")
     ends = np.searchsorted(reached.take(order), np.arange(stretches + 1))
@@ -149,7 +148,7 @@ def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
 def _match_sorted(
     firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64
 ) -> tuple[U64, int]:  # fmt: skip
-    """Keys of the pairs that are taken of what is free, and how many pairs have no cost."""
+    """Match the free rows by sorting; return the keys of the pairs and the number without cost."""
     chosen: U64 = np.empty((len(taken) - np.count_nonzero(taken)) // 2, dtype=np.uint64)
     room = max(int(BATCH * len(taken)), SMALLEST_BATCH)
     count, end = 0, 0
@@ -170,7 +169,11 @@ def _match_sorted(
 def _count_free(
     firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64, end: int
 ) -> tuple[I64, int]:  # fmt: skip
-    """(S,) int64, the free pairs of each stretch below a bound, and how many have no cost."""
+    """Count pairs of free rows below a bound of the cost.
+
+    Returns:
+        (S,) int64 count for each stretch, and the number of pairs whose cost is NaN.
+    """
     free, without = np.zeros((2, len(bounds) - 1), dtype=np.int64)
     none: U64 = np.empty(0, dtype=np.uint64)
     collect_free(firsts, seconds, costs, taken, bounds, end, free, without, none)
@@ -178,7 +181,12 @@ def _count_free(
 
 
 def _end_of_batch(counts: I64, room: int) -> int:
-    """Upper halves of cost bits up to which the pairs fit into the room, or the lowest alone."""
+    """Return the exclusive bound of a batch: as many upper halves as fit into `room`, at least one.
+
+    Args:
+        counts: (ALL,) number of pairs by the upper half of their cost's bits.
+        room: Most pairs of a batch.
+    """
     lowest = int(np.argmax(counts > 0))
     return max(int(np.searchsorted(np.cumsum(counts), room, side="right")), lowest + 1)
 

@@ -1,7 +1,7 @@
-"""Nodes: splats, or groups of splats, by their moments; what the merge forest is made of.
+"""Nodes of the merge forest: splats, or groups of splats, described by their moments.
 
-The weight of a node says how much its errors matter: its coverage, less where it is far from all
-viewers (`prominence`), times the share that is seen. A merge must conserve the coverage alone
+The weight of a node says how much its errors matter: its coverage, reduced if it is far from all
+viewers (`prominence`), times its visibility. A merge conserves only the coverage
 (`store_groups`).
 """
 
@@ -23,26 +23,26 @@ from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats, pick
 from nanogs.stored import alphas
 
-UNRESOLVED = 1e-15  # of the squared trace: smaller minors may be rounding alone
-NEARER = 4.0  # times as near as for a view of the whole model, to look at a part
-LIGHTEST = 1e-9  # weight, over the mean of all, of what covers nothing or nearly so
-FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
+UNRESOLVED = 1e-15  # sum of minors over the squared trace below which it may be rounding alone
+NEARER = 4.0  # factor by which a close view is nearer than a view of the whole model
+LIGHTEST = 1e-9  # least weight, over the mean of all
+FLATTEST = 1e-3  # least ratio of a node's axes, shortest to longest: log-determinants stay finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """N nodes, in an order in which neighbours in space are near.
+    """N nodes, in an order that keeps spatial neighbours close together.
 
     Attributes:
-        weights: (N,) float64, above 0; 1 on the mean of all splats.
+        weights: (N,) float64, above 0; the mean over all splats is 1.
         coverages: (N,) float64, alpha times footprint, square scene units.
         means: (N, 3) float64, scene units, relative to the origin of the run.
         covariances: (N, 6) float64, xx, xy, xz, yy, yz, zz, square scene units.
         features: (F, C) float32, all spherical-harmonic coefficients; those of splats are the
             input's own, in its order, and are not copied.
-        rows: (N,) int32, which row of the features is each node's.
-        seconds: (N,) int32, another row of each node, whose features are then the mean of both;
-            none, (0,), where each has its own.
+        rows: (N,) int32, row of the features for each node.
+        seconds: (N,) int32, a second row of the features for each node, whose features are then the
+            weighted mean of both; empty, (0,), if each node has one row.
         shares: (N, 2) float64, the weights of that mean, or (0, 2).
     """
 
@@ -60,22 +60,22 @@ class Nodes:
 
 
 def footprints(covariances: F64, pixel: F64 | float) -> F64:
-    """(N,) float64: what covers the screen, averaged over directions, square scene units.
+    """Compute (N,) float64 footprints: projected areas, mean over directions, square scene units.
 
-    The determinant of a covariance seen along n is nᵀ adj(Sigma) n, whose mean over directions is
-    the sum of the principal 2x2 minors over 3: the same however the scene is turned. As the
-    rasteriser does, the variance of 0.3 pixels² is added first: what is thinner than a pixel
-    covers no less. A pixel is smaller where one stands nearer, so this is the mean of two places:
-    where the model is seen as a whole, and `NEARER` times as near.
+    The determinant of a covariance projected along n is nᵀ adj(Sigma) n, whose mean over directions
+    is the sum of the principal 2x2 minors over 3: independent of the rotation of the scene. As in
+    the rasteriser, the variance of 0.3 pixels² is added first, so that a splat thinner than a pixel
+    covers no less. A pixel is smaller for a nearer viewer, so the mean of two distances is taken:
+    that of a view of the whole model, and one `NEARER` times as near.
 
     Args:
         covariances: (N, 6), square scene units.
-        pixel: Standard deviation of the rasteriser's dilation, scene units: (N,), or for all.
+        pixel: Standard deviation of the rasteriser's dilation, scene units: (N,), or one for all.
     """
     xx, xy, xz, yy, yz, zz = covariances.T
     trace = xx + yy + zz
     minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
-    # Of a covariance far longer than wide, rounding leaves anything, zero and below among it.
+    # For a covariance far longer than wide, rounding errors dominate, and may be negative.
     minors = np.maximum(minors, UNRESOLVED * trace * trace)
     far, near = np.square(pixel), np.square(pixel / NEARER)
     areas: F64 = np.sqrt((minors + far * (2 * trace + 3 * far)) / 3)
@@ -92,15 +92,15 @@ def activate_nodes(
     thinnest: float | None = None,
     coverages: F64 | None = None,
 ) -> Nodes:
-    """One node for each splat, all of the splat's footprint visible.
+    """Make one node for each splat, with full visibility.
 
     Args:
         splats: The input.
         rows: (M,) rows of it, all finite, in the nodes' order.
-        origin: (3,) taken off the centres, scene units.
-        dilation: What rasterisers add, by where splats are from the origin.
-        thinnest: Axis of any node, scene units, above 0; by default what `thinnest_axis` says.
-        coverages: (M,) float64 of the same nodes, where they are known from a call before.
+        origin: (3,) subtracted from the centres, scene units.
+        dilation: The rasteriser's dilation by position, relative to the origin.
+        thinnest: Shortest axis of any node, scene units, above 0; by default from `thinnest_axis`.
+        coverages: (M,) float64 of the same nodes, if they are known from an earlier call.
 
     Returns:
         The nodes; their rows are those of the input.
@@ -116,12 +116,12 @@ def activate_nodes(
 
 
 def prominence(coverages: F64, means: F64, viewers: Dilation | Viewers) -> F64:
-    """(N,) float64: coverages as screens show them, less where splats are far from all viewers.
+    """Compute (N,) float64 prominences: coverages times the relative size on viewers' screens.
 
     Args:
         coverages: (N,) float64, square scene units.
         means: (N, 3) float64, scene units, relative to the origin of the run.
-        viewers: Where they stand, as the model or a user's cameras tell.
+        viewers: Positions of viewers, estimated from the model or taken from a user's cameras.
     """
     prominences = viewers.nearness(means)
     prominences *= coverages
@@ -129,7 +129,7 @@ def prominence(coverages: F64, means: F64, viewers: Dilation | Viewers) -> F64:
 
 
 def _coverages(splats: Splats, rows: I32, covariances: F64, pixels: F64) -> F64:
-    """(M,) float64: alpha times footprint, in the memory of the pixels."""
+    """Compute (M,) float64 coverages, alpha times footprint; overwrites and returns `pixels`."""
     coverages = pixels
 
     def cover(part: slice) -> None:
@@ -143,8 +143,9 @@ def _coverages(splats: Splats, rows: I32, covariances: F64, pixels: F64) -> F64:
 def _shapes(
     splats: Splats, rows: I32, origin: F64, pixel: float, thinnest: float | None
 ) -> tuple[F64, F64]:
-    """The means and covariances of `activate_nodes`."""
-    covariances = np.empty((len(rows), 6))  # before temporaries, whose freeing leaves no hole
+    """Compute the means and covariances for `activate_nodes`."""
+    # Allocated before the temporaries below, so that freeing them leaves no hole in the heap.
+    covariances = np.empty((len(rows), 6))
     means, scales, quats = activated(splats, rows, origin)
     least = thinnest_axis(scales, means, pixel) if thinnest is None else thinnest
     covariances_of(scales, quats, FLATTEST, least, covariances)
@@ -152,16 +153,16 @@ def _shapes(
 
 
 def without_coverages(nodes: Nodes) -> Nodes:
-    """The nodes for growing, which has no use for coverages: they take no memory of their own."""
+    """Drop the coverages, which growing a forest does not need; they share the weights' memory."""
     return replace(nodes, coverages=nodes.weights)
 
 
 def without_features(nodes: Nodes, chosen: Bool | I64 | slice) -> Nodes:
-    """Some of the nodes, for what has no use for colours; they have no rows of them either.
+    """Return some of the nodes without features, for uses that need no colours.
 
     Args:
-        nodes: N nodes, each of one row.
-        chosen: (N,) which, or the numbers of these.
+        nodes: N nodes, each with one row of features.
+        chosen: (N,) mask, indices or a slice of the nodes.
     """
     return replace(
         nodes, weights=nodes.weights[chosen], coverages=nodes.coverages[chosen],
@@ -171,42 +172,42 @@ def without_features(nodes: Nodes, chosen: Bool | I64 | slice) -> Nodes:
 
 
 def thinnest_axis(scales: F32, means: F64, pixel: float) -> float:
-    """Thinnest axis of any node, scene units: points have one too; above 0 for every scene."""
+    """Return the least length of a node's axes, scene units, for points too; always above 0."""
     if pixel > 0:
         return 1e-3 * pixel
     return 1e-6 * float(scales.max()) or 1e-6 * float(np.ptp(means, axis=0).max()) or 1.0
 
 
 def normalised(weights: F64) -> F64:
-    """(N,) float64: weights over their mean, `LIGHTEST` or more."""
+    """Divide weights by their mean, and raise them to `LIGHTEST` at least."""
     mean = float(weights.mean())
     return np.maximum(weights / mean, LIGHTEST) if mean > 0 else np.ones(len(weights))
 
 
 def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:
-    """One node for each group: moments matched, weights and coverages added up.
+    """Merge each group into one node: moments are matched, weights and coverages summed.
 
     Args:
         nodes: N nodes.
         labels: (N,) int32, each node's group in [0, groups); no group is empty.
-        groups: Their number.
+        groups: Number of groups.
     """
     return gather_groups(nodes, *member_lists(labels, groups))
 
 
 def gather_groups(nodes: Nodes, starts: I64, members: I32) -> Nodes:
-    """As `gather`, of groups as `member_lists` lists them."""
+    """Merge groups, given as by `member_lists`, into one node each; see `gather`."""
     rows = np.arange(len(starts) - 1, dtype=np.int32)
     return _gathered(nodes, starts, members, nodes.features, rows)
 
 
 def gather_pairs(leaves: Nodes, starts: I64, members: I32) -> Nodes:
-    """Gather groups of one or two splats; their features stay those of the splats.
+    """Merge groups of one or two splats; features are not averaged but refer to the splats' rows.
 
     Args:
-        leaves: N nodes, one a splat.
-        starts: (G + 1,) as `member_lists` lists them.
-        members: (N,) likewise.
+        leaves: N nodes, one for each splat.
+        starts: (G + 1,) start of each group; see `member_lists`.
+        members: (N,) members of the groups; see `member_lists`.
     """
     merged = _gathered(leaves, starts, members, np.empty((0, 0), np.float32), leaves.rows[:0])
     groups = len(starts) - 1
@@ -227,7 +228,7 @@ def gather_pairs(leaves: Nodes, starts: I64, members: I32) -> Nodes:
 
 
 def _gathered(nodes: Nodes, starts: I64, members: I32, features: F32, rows: I32) -> Nodes:
-    """The nodes of `gather`, with the means of these features and these rows of them."""
+    """Compute the nodes of `gather`, with averaged `features` and the given rows of them."""
     groups = len(starts) - 1
     weights = np.empty(groups)
     result = Nodes(
@@ -259,7 +260,7 @@ def _gathered(nodes: Nodes, starts: I64, members: I32, features: F32, rows: I32)
 
 
 def member_lists(labels: I32, groups: int) -> tuple[I64, I32]:
-    """List where each group starts (groups + 1,), and the members (N,), group after group."""
+    """Sort nodes by group: return the start of each group, (groups + 1,), and the members, (N,)."""
     starts = np.zeros(groups + 1, dtype=np.int64)
     members = np.empty(len(labels), dtype=np.int32)
     group_members(labels, starts, members)
@@ -267,18 +268,18 @@ def member_lists(labels: I32, groups: int) -> tuple[I64, I32]:
 
 
 def dominant_members(nodes: Nodes, labels: I32, groups: int) -> I64:
-    """(groups,) int64: the member of largest weight of each group, the first of equal ones."""
+    """Return the (groups,) int64 members of largest weight, the first of equal ones."""
     dominant = np.full(groups, -1, dtype=np.int64)
     heaviest_members(labels, nodes.weights, dominant)
     return dominant
 
 
 def stored_order(leaves: Nodes, labels: I32, groups: int) -> tuple[I64, I64, Bool]:
-    """How groups are stored: in the order of their dominant members in the input.
+    """Sort groups by the rows of their dominant members in the input, the order of the output.
 
     Returns:
-        Each (groups,), in this order: the row in the input of the dominant member, the group, and
-        whether it has several members.
+        Three (groups,) arrays in this order: row in the input of the dominant member, group, and
+        whether the group has several members.
     """
     sources = leaves.rows[dominant_members(leaves, labels, groups)].astype(np.int64)
     order = np.argsort(sources)

@@ -1,4 +1,4 @@
-"""Morton order of the centres: what is near in space lies near in memory (Morton 1966)."""
+"""Morton order of the centres, which keeps spatial neighbours close in memory (Morton 1966)."""
 
 import numpy as np
 
@@ -13,11 +13,11 @@ _TAIL = 0.01  # share of the centres on either side that does not set the size o
 
 
 def morton_codes(means: F64) -> U64:
-    """(N,) uint64: interleaved bits of the centres' cubic cells.
+    """Compute the (N,) uint64 Morton codes: interleaved bits of the centres' cubic cells.
 
-    The cells divide a box around the central 98 % of the centres, three times as wide; what lies
-    outside goes into its border cells. A few splats far away then do not make every cell so wide
-    that all others share one.
+    The cells divide a box three times as wide as the central 98 % of the centres; centres outside
+    are clamped to its border cells. So a few splats far away do not make the cells so large that
+    all others share one.
 
     Args:
         means: (N, 3) finite, scene units.
@@ -26,7 +26,7 @@ def morton_codes(means: F64) -> U64:
 
 
 def code_box(means: F64) -> tuple[F64, float]:
-    """The box whose cells `morton_codes` numbers: its lowest corner (3,) and width, scene units.
+    """Return the box of `morton_codes`: its lowest corner (3,) and its width, scene units.
 
     Args:
         means: (N, 3) finite, scene units.
@@ -39,11 +39,10 @@ def code_box(means: F64) -> tuple[F64, float]:
 
 
 def _quantiles(means: F64, shares: tuple[float, ...]) -> F64:
-    """(S, 3) float64: quantiles along each axis, in the same bits as `np.quantile` has them.
+    """Compute (S, 3) float64 quantiles along each axis, bit for bit those of `np.quantile`.
 
-    Of one row at least; shares are below 1.
-
-    One call of that would find all of them on one thread.
+    Needs at least one row and shares below 1. Uses a thread for each axis; a single call of
+    `np.quantile` would use only one.
     """
     found = np.empty((len(shares), 3))
     places = [(len(means) - 1) * share for share in shares]
@@ -60,12 +59,12 @@ def _quantiles(means: F64, shares: tuple[float, ...]) -> F64:
 
 
 def codes_in(means: F64, low: F64, width: float) -> U64:
-    """(N,) uint64: Morton codes in a given box; what lies outside goes into its border cells.
+    """Compute the (N,) uint64 Morton codes in a given box; centres outside are clamped to it.
 
     Args:
         means: (N, 3) finite, scene units.
         low: (3,) lowest corner, scene units.
-        width: Scene units; 0 for a box that is a point.
+        width: Width of the box, scene units; 0 for a point.
     """
     codes: U64 = np.zeros(len(means), dtype=np.uint64)
     if width == 0:
@@ -82,7 +81,7 @@ def codes_in(means: F64, low: F64, width: float) -> U64:
 
 
 def morton_order(means: F64) -> I64:
-    """(N,) int64: rows in Morton order, ties by row.
+    """Return the (N,) int64 rows in Morton order, ties by row.
 
     Args:
         means: (N, 3) finite, scene units.

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from nanogs.ranges import check_ranges, parameter
 
-USUAL_BALANCE = 0.8  # the safest where nothing is measured
-PICTURES = 64  # that are kept at most: 3 MB each at 896 pixels
+USUAL_BALANCE = 0.8  # the safest if nothing is measured
+PICTURES = 64  # most views that are rendered in advance and kept: 3 MB each at 896 pixels
 BALANCES = (0.5, 1.0)  # one between them is hardly ever better than both
 
 
@@ -14,30 +14,32 @@ class ForestParameters:
     """The parameters of the default method (`docs/method.md`).
 
     Attributes:
-        k: Neighbours of each node in the graph.
-        lambda_app: Weight of the colour's error beside the geometry's while the forest grows.
-        balance: Of the cut, from groups of equal size (0) to groups of equal error (1). Where
-            results are measured 0.5 and 1 are tried, and this beside them if it is not the usual
-            one.
+        k: Number of neighbours of each node in the graph.
+        lambda_app: Weight of the colour error relative to the geometry error while the forest
+            grows.
+        balance: Balance of the cut, from groups of equal size (0) to groups of equal error (1). If
+            results are measured, 0.5 and 1 are tried, and this value too unless it is the default.
         rounds: Rounds of reassignment after the cut.
-        pixels: Across a splat's surroundings, the ball about it that holds a quarter of the alpha,
-            where the model is seen as a whole: rasterisers widen what is thinner than a pixel, and
-            what is merged must cover as much there and four times as near.
-        hidden: Weight of a splat that no view sees over that of one in full sight, above 0; 1
-            weighs all alike.
-        growth: Most that a merged splat's two longer axes may grow where an opaque one would cover
-            too little; where nothing is measured, pieces of flat sheets grow by what they need, up
-            to 1.8.
-        measure: Render the original: weigh splats by what is seen of them, and choose between
-            results by how they look.
-        steps: Of fitting the result to the original, each on one view; a long fit is made in
-            rounds of about 32, so that it may take a few more; 0 fits nothing.
-        views: Views of the original to look at, where it is rendered: for what is hidden, to choose
-            by and to fit to; one in six of them decides.
-        further: More views to fit to, few of which are kept, and many drawn when their turn comes.
-        halves: Whether a step of the fit follows half of its view's pixels, every other block of
-            4 x 4: half of the work, and less than 0.1 dB lost where steps are few.
-        roaming: Small views from anywhere in free space, that only say what is hidden.
+        pixels: Diameter in pixels of a splat's surroundings, the ball around it that holds a
+            quarter of the alpha, in a view of the whole model. It sets the size of a pixel:
+            rasterisers widen splats thinner than a pixel, and merged splats must cover as much in
+            that view and in one four times as near.
+        hidden: Weight of a splat that no view sees relative to a fully visible one, above 0; 1
+            weights all alike.
+        growth: Largest factor by which a merged splat's two longer axes may grow if an opaque one
+            would cover too little; if nothing is measured, pieces of flat sheets grow by as much as
+            they need, up to 1.8.
+        measure: Render the original: weight splats by their visibility, and choose between results
+            by their renders.
+        steps: Number of steps of fitting the result to the original, each on one view; a long fit
+            is made in rounds of about 32 and may take a few more; 0 fits nothing.
+        views: Number of views of the original, if it is rendered: to find hidden splats, to choose
+            by and to fit to; one in six of them is held out to decide.
+        further: Number of further views to fit to. Few are rendered in advance and kept, many are
+            rendered when their turn comes.
+        halves: Whether a step of the fit uses half of its view's pixels, every other block of
+            4 x 4: half the work, and a loss of less than 0.1 dB if there are few steps.
+        roaming: Number of small views from anywhere in free space, used only to find hidden splats.
         view_size: Pixels along the longer side of a view.
     """
 
@@ -64,20 +66,20 @@ class ForestParameters:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
+        """Check the ranges of the parameters."""
         check_ranges(self)
 
     @property
     def pictured(self) -> int:
-        """How many of `further` are drawn beforehand and kept: all, or none where they are many.
+        """Number of `further` views that are rendered in advance and kept: all if few, else none.
 
-        What is drawn while a result is fitted takes memory beside all that the fit holds.
+        Views that are rendered during a fit take memory in addition to that of the fit.
         """
         return self.further if self.steps and self.views + self.further <= PICTURES else 0
 
     @property
     def balances(self) -> tuple[float, ...]:
-        """The balances of the cuts that are tried, at least one."""
+        """Balances of the cuts to try, at least one."""
         if not self.measure:
             return (self.balance,)
         return tuple(sorted({*BALANCES, self.balance} - {USUAL_BALANCE}))

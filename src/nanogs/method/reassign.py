@@ -1,4 +1,4 @@
-"""Reassignment: move splats between neighbouring groups where they fit better (hard EM)."""
+"""Reassignment: move splats to the neighbouring group where they fit best (hard EM)."""
 
 from collections.abc import Iterator
 
@@ -9,27 +9,27 @@ from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.method.nodes import Nodes, gather
 from nanogs.neighbours import nearest_neighbours
 
-NEIGHBOURS = 12  # groups beside its own that a splat may move to
-LAMBDA_APP = 0.2  # weight of the squared distance of the colours beside the log likelihood
+NEIGHBOURS = 12  # number of other groups that a splat may move to
+LAMBDA_APP = 0.2  # weight of the squared colour distance relative to the log likelihood
 
 
 def reassign(
     leaves: Nodes, labels: I32, groups: int, rounds: int, threads: int
 ) -> tuple[I32, int]:  # fmt: skip
-    """Give each splat to the group it is likeliest under, match the moments again, and repeat.
+    """Assign each splat to the group of highest likelihood, match moments again, and repeat.
 
-    A group that loses all its splats takes the worst fitting one of a group that has more: the
-    number of groups stays.
+    A group that loses all its splats takes the worst fitting splat of a group with several, so that
+    the number of groups is unchanged.
 
     Args:
-        leaves: N nodes, one a splat.
+        leaves: N nodes, one for each splat.
         labels: (N,) int32, the group of each in [0, groups), none empty.
-        groups: Their number.
-        rounds: How often; ends earlier when nothing moves.
+        groups: Number of groups.
+        rounds: Number of rounds; ends earlier when nothing moves.
         threads: Threads for the nearest-neighbour query.
 
     Returns:
-        (N,) int32, new labels, of which no group is empty; and in how many rounds splats moved.
+        (N,) int32, new labels, no group empty; and the number of rounds in which splats moved.
     """
     for done in range(rounds):
         moved = _one_round(leaves, labels, groups, threads)
@@ -66,12 +66,12 @@ def _one_round(leaves: Nodes, labels: I32, groups: int, threads: int) -> I32:
 
 
 def _refill(labels: I32, misfits: F64, groups: int) -> None:
-    """Give every empty group the worst fitting splat of a group that keeps others; in place.
+    """Refill empty groups in place, each with the worst fitting splat of a group with several.
 
     Args:
-        labels: (N,) int32, the group of each; changed.
-        misfits: (N,) how badly each fits; overwritten.
-        groups: Their number.
+        labels: (N,) int32, the group of each splat; changed.
+        misfits: (N,) misfit of each splat to its group; overwritten.
+        groups: Number of groups.
     """
     sizes = np.bincount(labels, minlength=groups)
     empty = np.flatnonzero(sizes == 0)
@@ -79,7 +79,7 @@ def _refill(labels: I32, misfits: F64, groups: int) -> None:
         return
     worst = _ascending(np.negative(misfits, out=misfits), 2 * len(empty))
     for group in empty:
-        # There are at least as many splats as groups, so one is always left.
+        # There are at least as many splats as groups, so some group has several.
         row = next(row for row in worst if sizes[labels[row]] > 1)
         sizes[labels[row]] -= 1
         sizes[group] += 1
@@ -87,7 +87,7 @@ def _refill(labels: I32, misfits: F64, groups: int) -> None:
 
 
 def _ascending(values: F64, first: int) -> Iterator[int]:
-    """Rows by ascending value, ties by row: the first few are sorted, and all only if asked for."""
+    """Iterate over rows by ascending value, ties by row; sorts the `first` few before the rest."""
     if first >= len(values):
         yield from np.argsort(values, kind="stable")
         return

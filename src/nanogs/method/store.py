@@ -1,4 +1,4 @@
-"""Groups of splats as stored splats."""
+"""Conversion of groups of splats to stored splats."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,21 +22,21 @@ from nanogs.method.nodes import Nodes, footprints, gather, stored_order
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 
-MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
+MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer supports
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
-    """Groups of splats as stored splats, of which the opaque ones may still grow.
+    """Groups of splats as stored splats, before growth.
 
     Attributes:
-        model: G splats as they are without growth.
-        new: (G,) bool, those of more than one member.
-        scales: (M, 3) float32 of the new ones without growth, scene units.
-        needed: (M,) float64, how much larger they have to be to block enough light.
-        least: (M,) float64, from 1, how much larger those on flat sheets become in any case.
-        covered: (M,) float64 in [0, 1], how far others cover all sides of each: the more, the more
-            it may grow.
+        model: G splats without growth.
+        new: (G,) bool, groups of more than one member.
+        scales: (M, 3) float32, scales of the new splats without growth, scene units.
+        needed: (M,) float64, factor by which their areas must grow to block enough light.
+        least: (M,) float64, 1 or more, factor by which those on flat sheets grow in any case.
+        covered: (M,) float64 in [0, 1], degree to which others cover all sides of each: the higher,
+            the more it may grow.
     """
 
     model: Splats
@@ -47,9 +47,9 @@ class Groups:
     covered: F64
 
     def grown(self, growth: float) -> Splats:
-        """The model, whose axes may grow by so much at most; its other columns are shared.
+        """Return the model with axes grown by a factor of at most `growth`; shares other columns.
 
-        Those that others cover on all sides may grow by `MOST_GROWTH`, if that is more.
+        Splats that others cover on all sides may grow by up to `MOST_GROWTH`, if that is more.
         """
         most = growth + max(MOST_GROWTH - growth, 0.0) * self.covered
         larger = np.maximum(np.clip(self.needed, 1.0, most**2), self.least)
@@ -69,28 +69,29 @@ def store_groups(
     growth: float | None = None,
     others: Sequence[Cover] = (),
 ) -> Groups:
-    """Stored values of groups, in the order of their dominant members in the input.
+    """Convert groups to stored splats, in the order of their dominant members in the input.
 
-    alpha = min(1, blocked / footprint): as much light is stopped as was (`growth.blocked`). Where
-    that asks for more than an opaque splat, it may grow (`area_needs`). A group of one gets the
-    input's bytes back; a larger one takes its extra columns from its dominant member.
+    alpha = min(1, blocked / footprint), so that as much light is blocked as by the members
+    (`growth.blocked`). If even an opaque splat blocks too little, it may grow (`area_needs`). A
+    group of one keeps the bytes of the input; a larger one takes its extra columns from its
+    dominant member.
 
     Args:
-        leaves: (M) nodes, one for each splat.
+        leaves: M nodes, one for each splat.
         labels: (M,) the group of each; no group is empty.
         splats: The input.
-        origin: (3,) what `activate_nodes` took off the centres, scene units.
-        dilation: As `activate_nodes` takes it.
-        growth: Most that others will grow where groups on flat sheets, and those that others cover
-            on all sides, may grow more (`growth.growth_on_sheets`, `growth.covered_around`); None
-            where all may grow alike.
-        others: Groups near by that are stored elsewhere and may cover these.
+        origin: (3,) the origin that `activate_nodes` subtracted from the centres, scene units.
+        dilation: The rasteriser's dilation; see `activate_nodes`.
+        growth: Largest growth of most groups, while groups on flat sheets, and those that others
+            cover on all sides, may grow more (`growth.growth_on_sheets`, `growth.covered_around`);
+            None if all may grow alike.
+        others: Neighbouring groups that are stored elsewhere and may cover these.
     """
     groups = int(labels.max()) + 1
     sources, order, new = stored_order(leaves, labels, groups)
     places = np.empty(groups, np.int32)
     places[order] = np.arange(groups, dtype=np.int32)
-    # Numbered in the order in which groups are stored, so that gathered features need no copy.
+    # Groups are renumbered in the order of the output, so that gathered features need no copy.
     labels = places[labels]
     merged = gather(leaves, labels, groups)
     scales = np.empty((np.count_nonzero(new), 3), np.float32)
@@ -123,13 +124,13 @@ def store_groups(
 
 
 def cover_of(leaves: Nodes, labels: I32, groups: int, dilation: Dilation) -> Cover:
-    """Groups as what may cover others.
+    """Make the Gaussians of groups by which these may cover other groups.
 
     Args:
-        leaves: (M) nodes, one for each splat; they need no features.
+        leaves: M nodes, one for each splat; they need no features.
         labels: (M,) the group of each; no group is empty.
-        groups: Their number.
-        dilation: As `activate_nodes` takes it.
+        groups: Number of groups.
+        dilation: The rasteriser's dilation; see `activate_nodes`.
     """
     merged = gather(leaves, labels, groups)
     areas = footprints(merged.covariances, dilation.at(merged.means))
@@ -137,12 +138,12 @@ def cover_of(leaves: Nodes, labels: I32, groups: int, dilation: Dilation) -> Cov
 
 
 def _alphas(coverages: F64, areas: F64) -> F64:
-    """Opacities with which groups of such footprints block as much as their members do."""
+    """Compute the alphas with which groups of these footprints block as much as their members."""
     return np.clip(blocked(coverages, areas) / areas, LEAST_ALPHA, MOST_OPAQUE)
 
 
 def _of_sources(splats: Splats, sources: I64, sh: F32) -> Splats:
-    """The given rows of all columns but the harmonics, which are these."""
+    """Return the given rows of all columns, with `sh` as the spherical harmonics."""
     return replace(
         splats,
         means=_taken(splats.means, sources),
@@ -155,7 +156,7 @@ def _of_sources(splats: Splats, sources: I64, sh: F32) -> Splats:
 
 
 def _taken(column: Array, rows: I64) -> Array:
-    """The given rows of a column, copied by all threads: mostly they wait for memory."""
+    """Copy the given rows of a column on all threads, because the copy is bound by memory."""
     found = np.empty((len(rows), *column.shape[1:]), column.dtype)
 
     def take(part: slice) -> None:

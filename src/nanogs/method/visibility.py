@@ -1,4 +1,4 @@
-"""Views of the original: how visible each splat is, and what a result is held against."""
+"""Visibility of splats in views of the original, and weights that depend on it."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -16,22 +16,30 @@ from nanogs.splats import Splats
 from nanogs.views.roam import roaming_cameras
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; grey takes a third of the work
-SHOWN = 0.01  # of a splat that reaches the views, from which it counts as shown
-SMALL = 128  # pixels of a roaming view
-NEW = 0.01  # share of the light of a further view that is new, from which views leave out much
-DECIDING = 6  # one view in so many decides which candidate is chosen and whether a fit is kept
+SHOWN = 0.01  # visibility from which a splat counts as shown
+SMALL = 128  # width and height of a roaming view, pixels
+NEW = 0.01  # share of light seen by only one view, above which the views are taken as incomplete
+DECIDING = 6  # one view in six is held out, to choose a candidate and to accept a fit
 
 
 class Light:
-    """How much of N splats reaches views."""
+    """The light of N splats, summed over views: contributions, with and without occlusion.
+
+    Attributes:
+        seen: (N,) float64, sum of transmittance x alpha over all pixels.
+        whole: (N,) float64, about the same without other splats in front.
+        times: (N,) uint8, number of views that show each, more than one as 2.
+        views: Number of views.
+        pixels: Number of pixels of all views.
+    """
 
     def __init__(self, count: int) -> None:
         self.seen, self.whole = np.zeros(count), np.zeros(count)
-        self.times = np.zeros(count, np.uint8)  # views that show each, more than one as 2
+        self.times = np.zeros(count, np.uint8)
         self.views = self.pixels = 0
 
     def add(self, view: Rendering) -> None:
-        """Count a view, rendered with contributions."""
+        """Add a view, which was rendered with contributions."""
         assert view.contributions is not None  # noqa: S101 - asked for
         assert view.unhidden is not None  # noqa: S101 - asked for
         self.seen += view.contributions
@@ -42,7 +50,7 @@ class Light:
         self.pixels += view.alpha.size
 
     def shares(self) -> F64:
-        """(N,) float64 in [0, 1], of the alpha of each in the views that it lies in; 0 in none."""
+        """Return (N,) float64 visibilities in [0, 1]: `seen` over `whole`; 0 outside all views."""
         shares = np.zeros(len(self.seen))
         np.divide(self.seen, self.whole, out=shares, where=self.whole > 0)
         return np.minimum(shares, 1.0, out=shares)
@@ -50,16 +58,16 @@ class Light:
 
 @dataclass(frozen=True, slots=True)
 class Discovery:
-    """How much views have shown that no other of them does, which says what they leave out.
+    """Statistics that estimate how much of a model the views have missed.
 
-    Of what further views will show, about as much is new as of these views' light one view alone
-    has (Good, "The population frequencies of species and the estimation of population
+    The share of new light in further views is about the share of these views' light that is seen by
+    one view alone (Good, "The population frequencies of species and the estimation of population
     parameters", 1953).
 
     Attributes:
-        once: Light of splats that one view alone shows, pictures.
-        light: Light of all splats, pictures.
-        unseen: Light of splats that lie in views of which none shows them, if nothing hid them.
+        once: Light of splats that only one view shows, in units of whole pictures.
+        light: Light of all splats, in the same units.
+        unseen: Unoccluded light of splats that are inside views but shown by none.
     """
 
     once: float = 0.0
@@ -67,19 +75,20 @@ class Discovery:
     unseen: float = 0.0
 
     def __add__(self, other: "Discovery") -> "Discovery":
-        """Of both parts of a scene."""
+        """Add the statistics of two parts of a scene."""
         return Discovery(
             self.once + other.once, self.light + other.light, self.unseen + other.unseen
         )
 
     def hidden(self, least: float) -> float:
-        """Weight of a splat that no view shows, over that of one in full sight, in (0, 1].
+        """Return the weight of an unseen splat relative to a fully visible one, in (0, 1].
 
-        Further views of the same kind would show the unseen ones, on average, so much of their
-        light. Where little is new it is not asked: what is unseen then is hidden.
+        It is the share of their light that further views of the same kind would show of unseen
+        splats, on average. If such views would show little that is new, unseen splats are taken as
+        hidden and the weight is `least`.
 
         Args:
-            least: What it is at least.
+            least: The least weight.
         """
         if self.once <= NEW * self.light or self.unseen <= 0:
             return least
@@ -87,7 +96,13 @@ class Discovery:
 
 
 def discovery_of(looked: Light, anywhere: Light | None, count: int) -> Discovery:
-    """How much views leave out of the first `count` splats; lights as in `visibility_of`."""
+    """Compute the statistics of missed light for the first `count` splats.
+
+    Args:
+        looked: Light in the views of the model; see `visibility_of`.
+        anywhere: Light in roaming views, or None.
+        count: Number of splats.
+    """
     lights = [looked] if anywhere is None else [looked, anywhere]
     seen, whole, times = np.zeros(count), np.zeros(count), np.zeros(count, np.uint8)
     for light in lights:
@@ -101,7 +116,7 @@ def discovery_of(looked: Light, anywhere: Light | None, count: int) -> Discovery
 
 
 def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> Light:
-    """Render views that are not kept, and add up the light of each splat in them."""
+    """Render views without keeping the images, and sum up the light of each splat."""
     light = Light(len(prepared))
     for camera in cameras:
         light.add(render(prepared, camera, contributions=True, sh_degree=0))
@@ -109,14 +124,14 @@ def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> Light:
 
 
 def visibility_of(looked: Light, anywhere: Light | None) -> tuple[F64, Bool]:
-    """How visible splats are, and which lie in no view.
+    """Compute the visibility of splats, and which are outside all views.
 
     Args:
-        looked: Light in the views of the model; a splat that lies in none counts as visible.
-        anywhere: Light in roaming views, which can only make splats more visible; None without.
+        looked: Light in the views of the model; a splat outside all of them counts as visible.
+        anywhere: Light in roaming views, which can only increase visibilities; or None.
 
     Returns:
-        (N,) float64 in [0, 1], and (N,) bool.
+        (N,) float64 visibilities in [0, 1], and (N,) bool, True outside all views.
     """
     visible, missed = looked.shares(), looked.whole == 0
     visible[missed] = 1.0
@@ -129,38 +144,38 @@ def visibility_of(looked: Light, anywhere: Light | None) -> tuple[F64, Bool]:
 def roaming_views(
     splats: Splats, count: int, tell: Parts = untold
 ) -> tuple[list[Camera], tuple[str, ...]]:
-    """Small roaming cameras to look from, and a note where fewer of them were found."""
+    """Find small roaming cameras; return them, and a note if fewer than `count` were found."""
     found: list[Camera] = []
-    with suppress(ModelError):  # none was found, which the note says
+    with suppress(ModelError):  # none was found; the note says so
         found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", tell=tell)
     lacking = f"Of {counted(count, 'roaming view')} to look from {len(found)} were found."
     return found, (lacking,) if len(found) < count else ()
 
 
 def visible_weights(prominences: F64, visible: F64, hidden: float) -> F64:
-    """(N,) float64: how much splats are seen, less where others hide them.
+    """Compute the (N,) float64 weights of splats: prominence, reduced by occlusion.
 
     Args:
-        prominences: (N,) how large screens show each, as `nodes.prominence` has it.
-        visible: (N,) in [0, 1].
-        hidden: Weight of what is not seen at all, over that of what is in full sight.
+        prominences: (N,) from `nodes.prominence`.
+        visible: (N,) visibilities in [0, 1].
+        hidden: Weight of a splat that is not visible at all, relative to a fully visible one.
     """
     weights: F64 = prominences * (hidden + (1 - hidden) * visible)
     return weights
 
 
 def shown_share(prominences: F64, visible: F64, missed: Bool) -> float:
-    """Share of all prominence, in [0, 1], that belongs to splats which the views show.
+    """Compute the share of all prominence, in [0, 1], of splats that the views show.
 
     Args:
-        prominences: (N,) how large screens show each, as `nodes.prominence` has it.
-        visible: (N,) in [0, 1].
-        missed: (N,) which lie in no view.
+        prominences: (N,) from `nodes.prominence`.
+        visible: (N,) visibilities in [0, 1].
+        missed: (N,) bool, splats outside all views.
     """
     total = float(prominences.sum())
     return shown_prominence(prominences, visible, missed) / total if total > 0 else 0.0
 
 
 def shown_prominence(prominences: F64, visible: F64, missed: Bool) -> float:
-    """Prominence of the splats that the views show; the arguments are those of `shown_share`."""
+    """Sum the prominence of the splats that the views show; arguments as for `shown_share`."""
     return float(prominences[(visible >= SHOWN) & ~missed].sum())

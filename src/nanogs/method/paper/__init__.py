@@ -1,1 +1,1 @@
-"""The published method (arXiv 2603.16103), whole: `published` calls its stages in turn."""
+"""The stages of the published method (arXiv 2603.16103), which `published` calls in turn."""

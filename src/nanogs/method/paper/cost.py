@@ -1,4 +1,4 @@
-"""Stage 3, cost: what replacing a pair by one splat would lose (arXiv 2603.16103)."""
+"""Stage 3, cost: the error of replacing a pair by one splat (arXiv 2603.16103)."""
 
 import numpy as np
 
@@ -9,21 +9,24 @@ from nanogs.method.gaussians import Gaussians
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.slices import SLICE_PAIRS, slices
 
-# The published variance jitter, squared scene units: keeps flat splats' densities finite.
+# The published jitter of the variances, squared scene units: keeps densities of flat splats finite.
 JITTER = 1e-8
 
 
 def log_masses(gaussians: Gaussians) -> F64:
-    """(N,) float64: log(alpha s1 s2 s3), the mass up to a constant factor; -inf for none."""
+    """Compute (N,) float64 log(alpha s1 s2 s3), the log of the mass up to a constant factor.
+
+    It is -inf for a mass of zero.
+    """
     with np.errstate(divide="ignore"):
         volumes: F64 = np.log(gaussians.scales, dtype=np.float64).sum(axis=1)
         return volumes + np.log(gaussians.opacities)
 
 
 def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperParameters) -> F32:
-    """C = lambda_geo D_geo + lambda_app |f_i - f_j|^2 of each pair.
+    """Compute the cost C = lambda_geo D_geo + lambda_app |f_i - f_j|^2 of each pair.
 
-    D_geo is the Kullback-Leibler divergence from the pair, as a mixture, to the single normal of
+    D_geo is the Kullback-Leibler divergence from the pair, as a mixture, to the single Gaussian of
     the same mean and covariance, by Monte Carlo with the same draws for all pairs.
 
     Args:
@@ -33,7 +36,7 @@ def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperP
         parameters: samples, seed, lambda_geo and lambda_app are used.
 
     Returns:
-        (E,) float32, dimensionless; small ones may be negative, as estimates are.
+        (E,) float32, dimensionless; small ones may be negative, because they are estimates.
     """
     normals = np.random.default_rng(parameters.seed).standard_normal((parameters.samples, 3))
     costs = np.empty(len(pairs), dtype=np.float32)

@@ -50,7 +50,7 @@ def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:
     dominant = np.where(masses[second] > masses[first], second, first)
     result.sources[rows] = gaussians.sources[dominant]
     result.merged[rows] = True
-    if not gaussians.merged.any():  # the features of splats, which are the model's, serve again
+    if not gaussians.merged.any():  # keep referring to the features of the model
         return replace(result, seconds=gaussians.rows[others], shares=shares)
     return replace(
         result,

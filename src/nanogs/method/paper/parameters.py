@@ -14,13 +14,13 @@ class PaperParameters:
 
     Attributes:
         tau: Splats with alpha below min(tau, median alpha) are pruned; 0 prunes none.
-        k: Neighbours of each splat in the graph.
-        graph: Which these are: the nearest ("knn"), or drawn at random ("random"; to measure what
-            nearness is worth).
-        samples: Monte Carlo samples from each splat of a pair in the divergence.
+        k: Number of neighbours of each splat in the graph.
+        graph: Kind of neighbours: the nearest ("knn"), or random ones ("random", to measure the
+            effect of the graph).
+        samples: Number of Monte Carlo samples from each splat of a pair for the divergence.
         seed: Seed of those samples, and of random neighbours.
-        lambda_geo: Weight of the divergence of the geometry.
-        lambda_app: Weight of the squared distance of the colours.
+        lambda_geo: Weight of the geometry's divergence.
+        lambda_app: Weight of the squared colour distance.
         merge_cap: Largest share of the splats that may be merged away in one pass.
     """
 
@@ -34,7 +34,7 @@ class PaperParameters:
     merge_cap: float = parameter(0.5, 0, 0.5, above=True, help="Largest share merged in a pass.")
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
+        """Check the ranges of the parameters."""
         check_ranges(self)
         if self.graph not in GRAPHS:
             raise OptionError(f"graph must be {' or '.join(GRAPHS)}, not {self.graph!r}.")

@@ -1,4 +1,4 @@
-"""The published method (arXiv 2603.16103), stage by stage, as it is written there."""
+"""The passes of the published method (arXiv 2603.16103), with the stages as published."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from nanogs.report import PassReport, StopReason
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """The splats that the passes left, what each of them did, and why they ended."""
+    """The splats after the passes, the report of each pass, and the reason for stopping."""
 
     gaussians: Gaussians
     passes: tuple[PassReport, ...]
@@ -33,11 +33,11 @@ def merge_to_count(
     """Merge the cheapest disjoint pairs of neighbours, pass after pass, down to the target.
 
     Args:
-        gaussians: The splats that pruning left, in Morton order.
-        target: Splats to deliver, at least 1.
+        gaussians: The splats after pruning, in Morton order.
+        target: Number of splats to deliver, at least 1.
         parameters: The method's parameters.
         threads: Threads for the nearest-neighbour query.
-        tell: Told of the merges done, and of how many.
+        tell: Progress callback for the merges done, and their number.
     """
     passes: list[PassReport] = []
     wanted = len(gaussians) - target
@@ -62,7 +62,10 @@ def _one_pass(
     threads: int,
     told: Callable[[float], None],
 ) -> tuple[Gaussians, PassReport]:
-    """Build the graph, score its pairs, match the cheapest, merge them; tell the share done."""
+    """Run one pass: build the graph, score its pairs, match the cheapest and merge them.
+
+    `told` is called with the share of the pass that is done.
+    """
     count, clock = len(gaussians), StageClock()
     told(0)
     with clock.time("graph"):
@@ -77,7 +80,7 @@ def _one_pass(
     with clock.time("match"):
         plan = match(pairs, costs, count, limit)
     candidates = len(pairs)
-    del pairs, costs  # and the masses were not kept either: matching takes the most memory
+    del pairs, costs  # masses are computed again below: memory peaks in the matching
     told(0.9)
     with clock.time("merge"):
         merged = merge(gaussians, plan, log_masses(gaussians))

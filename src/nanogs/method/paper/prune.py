@@ -9,12 +9,12 @@ from nanogs._types import F64, I64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pruning:
-    """Which splats stay.
+    """The result of pruning: the splats to keep.
 
     Attributes:
         keep: (M,) int64, rows in ascending order.
-        threshold: Alpha below which splats go, in [0, 1].
-        limited: The threshold alone would have left fewer than the target.
+        threshold: Alpha below which splats are pruned, in [0, 1].
+        limited: Whether the threshold alone would have left fewer than the target.
     """
 
     keep: I64
@@ -25,11 +25,11 @@ class Pruning:
 def prune(opacities: F64, tau: float, target: int) -> Pruning:
     """Keep splats with alpha >= min(tau, median alpha), but never fewer than the target.
 
-    Where the threshold would leave fewer, the most opaque splats stay, ties by row.
+    If the threshold would leave fewer, the most opaque splats are kept, ties by row.
 
     Args:
         opacities: (N,) alpha in [0, 1], no NaN.
-        tau: Highest threshold, an alpha.
+        tau: Upper limit of the threshold, an alpha.
         target: Fewest splats to keep, at most N.
     """
     threshold = min(tau, float(np.median(opacities)))
