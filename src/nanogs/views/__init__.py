@@ -1,1 +1,1 @@
-"""Cameras that are found from a model: around it, inside it, roaming; and its first view."""
+"""Automatic cameras for a model: around it, inside it, or roaming; and streamed rendering."""

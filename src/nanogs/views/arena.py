@@ -1,6 +1,6 @@
-"""Memory for projected splats: one piece of it, in pages that parts of pictures take and give back.
+"""A memory arena for projected splats, in pages that parts of images allocate and free.
 
-So what is held never exceeds what was set aside, however the splats fall to the parts.
+So the memory in use never exceeds the budget, for any distribution of the splats over the parts.
 """
 
 import numpy as np
@@ -12,26 +12,27 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import Projection
 
 _HELD = 88  # bytes of a projected splat: geometry, features and its box
-_SORTED, _ENTRY = 48, 4  # and while a part is drawn: its place, keys and order; in a tile's list
-_FEW = 2  # tiles of a splat, where all the room is one part's
-_MOST_PAGE, _LEAST_PAGES = 4096, 64  # splats of a page, and how many pages there are at least
+# Extra bytes while a part is drawn: for a splat's row, keys and order; for an entry of a tile list.
+_SORTED, _ENTRY = 48, 4
+_FEW = 2  # assumed number of tiles of a splat, if one part uses the whole arena
+_MOST_PAGE, _LEAST_PAGES = 4096, 64  # most splats of a page, and least number of pages
 
 
 class Arena:
-    """Room for projected splats.
+    """A paged memory arena for projected splats.
 
     Attributes:
-        bytes: What is set aside, with what it takes to draw any one part.
-        page: Splats of a page.
+        bytes: The budget, which includes the memory for drawing one part.
+        page: Number of splats of a page.
     """
 
     def __init__(self, budget: int, count: int, parts: int) -> None:
-        """Set memory aside; it counts as used only once it is filled.
+        """Allocate the arena; the system commits its memory only when it is written.
 
         Args:
-            budget: Bytes.
-            count: Splats of a part at most.
-            parts: How many parts are gathered at once, at most.
+            budget: Bytes in all.
+            count: Most splats of a part.
+            parts: Most parts that are gathered at once.
         """
         self.bytes = budget
         planned = max(budget // (_HELD + _SORTED + _FEW * _ENTRY), 1)
@@ -45,41 +46,41 @@ class Arena:
         self._free = list(range(pages))[::-1]
 
     def times(self, count: int, tiles: int) -> float:
-        """How many times what may be held at once a part takes; it may be drawn up to 1.
+        """Return the memory of a part over that of the arena; a part can be drawn up to 1.
 
         Args:
-            count: Its splats.
-            tiles: The tiles that these have in all.
+            count: Number of splats of the part.
+            tiles: Number of tile list entries of these.
         """
         pages = -(-count // self.page) * self.page
         working = count * _SORTED + tiles * _ENTRY
         return max(pages / self._capacity, working / max(self._working, 1))
 
     def take(self, pages: int) -> list[int] | None:
-        """So many free pages; None where there are not enough."""
+        """Allocate pages; None if not enough are free."""
         if pages > len(self._free):
             return None
         return [self._free.pop() for _ in range(pages)]
 
     def give(self, pages: list[int]) -> None:
-        """Give pages back."""
+        """Free pages, and clear the list."""
         self._free += pages
         pages.clear()
 
     def places(self, pages: list[int], start: int, stop: int) -> I64:
-        """(stop - start,) rows of the room in which some of the splats on these pages are."""
+        """Return the (stop - start,) rows of the arena of splats `start` to `stop` on the pages."""
         numbers = np.arange(start, stop)
         at, numbers = np.divmod(numbers, self.page)
         numbers += np.array(pages, np.int64)[at] * self.page
         return numbers
 
     def put(self, places: I64, geometry: F64, features: F32, boxes: I64) -> None:
-        """Write projected splats, (M, ...) as `Projection` has them, to rows of the room."""
+        """Write projected splats, (M, ...) arrays as in `Projection`, to rows of the arena."""
         self._geometry[places], self._features[places] = geometry, features
         self._boxes[places] = boxes
 
     def projection(self, pages: list[int], count: int, camera: Camera) -> Projection:
-        """The first splats on these pages, in the order of depth and then of the pages."""
+        """Return the first `count` splats on the pages, sorted by depth and then by page order."""
         places = self.places(pages, 0, count)
         keys = self._features[places, 3].view(np.uint32).astype(np.uint64)
         keys <<= np.uint64(32)

@@ -1,9 +1,10 @@
-"""Cameras for a model that came without any: around objects, inside rooms.
+"""Automatic cameras for a model without any: around objects, inside rooms.
 
-Everything is measured in the model's own extent and in its own frame, so moving, scaling or turning
-a model does the same to its cameras, as long as which way is up turns too (see `stance`).
-Directions come from one low-discrepancy sequence, whose even members are for fitting and whose odd
-members are for testing: the two sets are disjoint, and the first n of a larger set are the smaller.
+All lengths are relative to the model's extent and all directions to its own frame, so that moving,
+scaling or turning a model does the same to its cameras, provided that the up direction turns too
+(see `stance`). Directions come from one low-discrepancy sequence, whose even members are for
+fitting and whose odd members are for testing: the two sets are disjoint, and the first n cameras of
+a larger set are the smaller set.
 """
 
 from collections.abc import Sequence
@@ -27,19 +28,19 @@ Kind = Literal["auto", "orbit", "inside"]
 Split = Literal["fit", "test"]
 
 UP = (0.0, 0.0, 1.0)  # in the model's own frame
-ORBIT_FOV = 50.0  # degrees, of the longer side
+ORBIT_FOV = 50.0  # degrees, along the longer side
 INSIDE_FOV = 75.0
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """Findings about a model before cameras are placed.
+    """Analysis of a model, by which cameras are placed.
 
     Attributes:
         matter: A sample of its visible splats, in the model's own frame.
-        core: The part of it that views are about, in that frame.
-        turn: (4, 4) float64, from scene coordinates to that frame, which has up along z.
-        kind: How to look at it: "orbit" or "inside".
+        core: The dense part of the sample, without surroundings and strays, in that frame.
+        turn: (4, 4) float64, from scene coordinates to that frame, in which up is along z.
+        kind: Kind of cameras: "orbit" or "inside".
         band: Lowest and highest elevation of cameras around it, radians.
     """
 
@@ -64,24 +65,24 @@ def automatic_cameras(
 ) -> list[Camera]:
     """Choose cameras from the model alone; the same arguments give the same cameras.
 
-    `auto` takes a model for a room, and looks from inside, where its area lies mostly in the six
-    outer slabs of a box (turned about `up` as fits best), in four of them or more and in none
-    alone, with some matter well inside; all else is looked at from around, from a range of
-    distances: some views cut it off, some show it whole with what surrounds it (see `orbit`). Skies
-    and splats that fly far away do not count (see `occupancy.find_core`). A view that something
-    near the camera blocks is moved nearer and higher.
+    With `auto` a model is taken as a room, and viewed from inside, if most of its area is in the
+    six outer slabs of a box (turned about `up` to fit best), in four of them or more and not mostly
+    in one, with some area well inside. All other models are viewed from around, at a range of
+    distances: some views crop the model, some show it whole with its surroundings (see `orbit`).
+    Skies and strays far away are ignored (see `occupancy.find_core`). If something near the camera
+    blocks a view, the camera is moved nearer and higher.
 
     Args:
-        model: The model; of a source the same cameras are found, in two passes over it.
+        model: The model, or a source, which is read twice and gives the same cameras.
         count: Number of cameras, 1 or more.
-        width: Of the images, in pixels.
-        height: Of the images, in pixels.
-        kind: `orbit` or `inside` to choose, `auto` to let the model decide.
-        up: (3,) direction in scene coordinates, of any length; by default away from the ground the
-            model stands on where one is clear, else (0, -1, 0) (see `up.detect_up`).
-        habit: Without `up`, whether to look for it along the axes and take (0, -1, 0) where nothing
-            is clear, as for pictures to look at. If not, the model alone decides, in whatever
-            direction, and where it shows nothing cameras stand all around it: turning any model
+        width: Width of the images, in pixels.
+        height: Height of the images, in pixels.
+        kind: `orbit` or `inside`, or `auto` to let the model decide.
+        up: (3,) up direction in scene coordinates, of any length; by default away from the ground
+            that the model stands on if it is clear, else (0, -1, 0) (see `up.detect_up`).
+        habit: Without `up`, whether to search for it along the axes only, with (0, -1, 0) if
+            nothing is clear, as for images to look at. If False, the model alone decides, in any
+            direction, and cameras are placed all around it if nothing is clear: turning any model
             then turns its cameras (see `stance.own_stance`).
         fov: Field of view along the longer side, in degrees; by default 50 around and 75 inside.
         split: `fit` and `test` give disjoint sets that cover the same ground.
@@ -122,7 +123,7 @@ def survey(
     *,
     habit: bool = True,
 ) -> Survey:
-    """Find what `automatic_cameras` places its cameras by; the arguments are its own.
+    """Analyse a model for `automatic_cameras`, whose arguments it takes.
 
     Raises:
         ModelError: No splat is visible.
@@ -162,15 +163,15 @@ def _check(count: int, width: int, height: int, fov: float | None, split: str) -
 
 
 def unit_up(up: Sequence[float] | F64) -> F64:
-    """(3,) float64, the direction at length 1.
+    """Normalise a direction to (3,) float64 of length 1.
 
     Raises:
-        OptionError: It is none.
+        OptionError: It is not three finite numbers, or all are zero.
     """
     try:
         given = np.array(up, dtype=np.float64)
     except (TypeError, ValueError):
-        given = np.empty(0)  # which is no direction either
+        given = np.empty(0)  # refused below
     if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
         raise OptionError(f"Up must be three finite numbers, not all zero, not {up!r}.")
     unit: F64 = given / np.linalg.norm(given)

@@ -1,4 +1,4 @@
-"""Cameras by source: found from the model, or read from a file."""
+"""Selection of cameras: automatic ones, those of a file or data set, or given ones."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -19,11 +19,11 @@ Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
 """Where to look from: "auto", "orbit", "inside", "roam", a file or folder of them, or cameras."""
 
 AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
-FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all that are found from the model
+FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all kinds of automatic cameras
 
 
 class FoundCameras(list[Camera]):
-    """Cameras that were found from a model, which tell no more of where viewers stand than it."""
+    """Automatic cameras: unlike given ones, they are no evidence of viewers' positions."""
 
 
 def cameras_for(
@@ -36,20 +36,20 @@ def cameras_for(
     up: Sequence[float] | None = None,
     split: Split = "test",
 ) -> list[Camera]:
-    """Cameras for a model.
+    """Choose automatic cameras for a model, or read all cameras of a file.
 
     Args:
-        model: The model; of a source the same cameras are found as of the model held whole.
-        source: A name in `FOUND`, or a camera file or data-set folder; all its cameras.
+        model: The model; a source gives the same cameras as the model in memory.
+        source: A name in `FOUND`, or a camera file or data-set folder.
         count: Number of automatic views.
         width: Width of automatic views, pixels.
         height: Height of automatic views, pixels.
         up: Up direction of automatic views; found from the model by default.
-        split: Of automatic views; `fit` and `test` have none in common.
+        split: Split of automatic views; `fit` and `test` have none in common.
 
     Returns:
-        The cameras, `FoundCameras` unless the source is a file; of roaming ones fewer than `count`
-        where no more are found.
+        The cameras, as `FoundCameras` unless the source is a file; fewer than `count` if not enough
+        roaming ones are found.
 
     Raises:
         NanogsError: The source is neither, or cannot be read.
@@ -72,10 +72,10 @@ def cameras_for(
 
 
 def cameras_from(source: str) -> list[Camera]:
-    """All cameras of a file or data-set folder.
+    """Read all cameras of a file or data-set folder.
 
     Raises:
-        NanogsError: There is none, or it cannot be read.
+        NanogsError: There is no such file, or it cannot be read.
     """
     if not Path(source).exists():
         raise OptionError(
@@ -93,12 +93,12 @@ def chosen_cameras(
     pixels: int | tuple[int, int],
     up: Sequence[float] | None,
 ) -> tuple[list[Camera], Origin]:
-    """The views that `render` and `compare` are asked for, and where they are from.
+    """Return the requested cameras, and their origin for reports.
 
     The arguments are those of `render`.
 
     Raises:
-        NanogsError: As for `render`.
+        NanogsError: See `render`.
     """
     if not isinstance(cameras, str | PathLike):
         return given_cameras(cameras), "given"
@@ -110,10 +110,10 @@ def chosen_cameras(
 
 
 def picture_size(pixels: int | Sequence[int]) -> tuple[int, int]:
-    """Width and height of automatic views, of which one number stands for both.
+    """Return width and height of automatic views; a single number is used for both.
 
     Raises:
-        OptionError: They are no whole numbers; what is below 1 is refused with the cameras.
+        OptionError: They are no whole numbers; sizes below 1 are refused with the cameras.
     """
     sides: list[Any] = list(pixels) if isinstance(pixels, Iterable) else [pixels, pixels]
     if len(sides) != 2 or not all(is_number(side, whole=True) for side in sides):
@@ -125,10 +125,10 @@ def picture_size(pixels: int | Sequence[int]) -> tuple[int, int]:
 
 
 def view_count(views: int) -> int:
-    """How many automatic views are asked for.
+    """Return the requested number of automatic views as an int.
 
     Raises:
-        OptionError: It is no whole number; what is below 1 is refused with the cameras.
+        OptionError: It is no whole number; one below 1 is refused with the cameras.
     """
     if not is_number(views, whole=True):
         raise OptionError(f"`views` must be a whole number, not {views!r}.")
@@ -136,7 +136,7 @@ def view_count(views: int) -> int:
 
 
 def known_cameras(cameras: Cameras) -> str | list[Camera]:
-    """How cameras are found from the model, or those that were given or are in a file.
+    """Return the name of a kind of automatic cameras, or the cameras given or in a file.
 
     Raises:
         NanogsError: There is no such file, it cannot be read, or they are no cameras.
@@ -148,10 +148,10 @@ def known_cameras(cameras: Cameras) -> str | list[Camera]:
 
 
 def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
-    """One camera or several; of those that were found from a model this stays known.
+    """Convert one camera or several to a list; `FoundCameras` are returned unchanged.
 
     Raises:
-        OptionError: They are no cameras, or none.
+        OptionError: They are no cameras, or there are none.
     """
     if isinstance(cameras, FoundCameras) and cameras:
         return cameras

@@ -1,12 +1,12 @@
-"""Which level is drawn of each chunk of a streamed SOG, as the PlayCanvas engine 2.23 chooses.
+"""The level drawn of each chunk of a streamed SOG, by the rules of the PlayCanvas engine 2.23.
 
-Facts of its default settings: chunks are as far away as their boxes, of which those larger than
-usual are shrunk (`lodDistanceShrink`); those behind the camera count as farther
-(`lodBehindPenalty`); and all as nearer or farther by the field of view. By distance alone level 1
-comes at 5 units, and each further one three times as far (`switches`). With a budget all these
-distances are multiplied by one number: the finest levels for which all chunks together have no more
-splats than that. (It keeps a little back for rows of its textures that splats do not fill; here
-none is. An environment is not counted.)
+With its default settings, the distance of a chunk is that of its box, and boxes larger than usual
+are shrunk (`lodDistanceShrink`); chunks behind the camera count as farther (`lodBehindPenalty`);
+and all distances are scaled by the field of view. By distance alone level 1 is drawn from 5 units
+on, and each further level from three times the distance of the one before (`switches`). With a
+budget all these switching distances are multiplied by one number, which gives the finest levels
+that keep the splats of all chunks together within the budget. (The engine reserves a little of it
+for texture rows that splats do not fill; this module does not. An environment is not counted.)
 """
 
 import numpy as np
@@ -15,18 +15,18 @@ from nanogs._types import F64, I64
 from nanogs.raster.camera import Camera
 from nanogs.switches import BASE_DISTANCE, HALF_FIELD, MULTIPLIER
 
-NOTHING = -1  # where no level of a chunk is drawn: from so far away it has no splats left
-_SHRINK = 0.75  # of what a side is longer than usual
-_BEHIND = 1.5  # times as far is what lies straight behind the camera
-_LEAST = 1e-6  # scene units, for the logarithm
+NOTHING = -1  # no level of a chunk is drawn: the level for that distance has no splats in it
+_SHRINK = 0.75  # share of a side's excess over the usual length that is removed
+_BEHIND = 1.5  # factor of the distance for a chunk straight behind the camera
+_LEAST = 1e-6  # least distance, scene units, for the logarithm
 
 
 def chunk_distances(boxes: F64, camera: Camera) -> F64:
-    """(C,) float64: how far away each chunk counts as, scene units.
+    """Compute the (C,) float64 effective distance of each chunk from the camera, scene units.
 
     Args:
-        boxes: (C, 2, 3), the lowest and the highest corner of each, scene units.
-        camera: Where to look from.
+        boxes: (C, 2, 3), the lowest and the highest corner of each chunk, scene units.
+        camera: The camera.
     """
     halves = (boxes[:, 1] - boxes[:, 0]) / 2
     usual = np.sort(halves, axis=0)[len(halves) // 2]
@@ -42,18 +42,18 @@ def chunk_distances(boxes: F64, camera: Camera) -> F64:
 
 
 def chosen_levels(distances: F64, counts: I64, budget: int | None = None) -> I64:
-    """(C,) int64: the level of each chunk that is drawn, or `NOTHING`.
+    """Choose the (C,) int64 level that is drawn of each chunk, or `NOTHING`.
 
     Args:
-        distances: (C,) as `chunk_distances` gives them, scene units.
-        counts: (C, L) splats of each chunk in each level.
-        budget: Splats that all chunks may have together; levels are as fine as that allows, but for
-            what the coarsest ones have at least. None for levels by distance alone.
+        distances: (C,) from `chunk_distances`, scene units.
+        counts: (C, L) number of splats of each chunk in each level.
+        budget: Most splats of all chunks together; levels are as fine as that allows, and the
+            coarsest ones are drawn even if they exceed it. None to choose by distance alone.
     """
     bands = _bands(counts)
     each = np.where(bands == NOTHING, 0, np.take_along_axis(counts, np.maximum(bands, 0), axis=1))
     levels = np.arange(1, counts.shape[1])
-    # How many times as far as where a level comes its chunk is; the coarser, the less.
+    # Logarithm of a chunk's distance over the switching distance of each level.
     passed = np.log(np.maximum(distances, _LEAST) / BASE_DISTANCE)[:, None]
     passed = passed - (levels - 1) * np.log(MULTIPLIER)
     cut = 0.0 if budget is None else _cut(passed, each, budget)
@@ -63,10 +63,10 @@ def chosen_levels(distances: F64, counts: I64, budget: int | None = None) -> I64
 
 
 def _bands(counts: I64) -> I64:
-    """(C, L) int64: what is drawn of a chunk where a level is due, of which it may have no splats.
+    """Return the (C, L) int64 level to draw in place of each level, which may have no splats.
 
-    In place of one in between the next finer one is drawn that has some, or else the next coarser
-    one; in place of one coarser than all that have some, nothing.
+    An empty level is replaced by the next finer one that has splats, or else by the next coarser
+    one; a level coarser than all that have splats is replaced by `NOTHING`.
     """
     levels = np.arange(counts.shape[1])
     some = counts > 0
@@ -78,13 +78,13 @@ def _bands(counts: I64) -> I64:
 
 
 def _cut(passed: F64, counts: I64, budget: int) -> float:
-    """The number by which logarithms of distances are compared, for a budget.
+    """Find the threshold on `passed`, above which a level is drawn, that meets a budget.
 
-    From the coarsest level of every chunk on, the nearest are refined first.
+    Starts from the coarsest level of every chunk, and refines the nearest chunks first.
 
     Args:
-        passed: (C, L - 1) how far each chunk is beyond where a level comes, as a logarithm.
-        counts: (C, L) splats that are drawn where a level is due.
+        passed: (C, L - 1) logarithm of each chunk's distance over a level's switching distance.
+        counts: (C, L) number of splats that are drawn for each level.
         budget: See `chosen_levels`.
     """
     total = int(counts[:, -1].sum())

@@ -1,4 +1,4 @@
-"""Cost of drawing a model on views, added up some rows at a time: their order does not matter."""
+"""Computation of the cost of drawing a model, summed over blocks of rows in any order."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -18,25 +18,25 @@ from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.streamed import BLOCK_ROWS
 
-SHARE = 0.99  # of the pixels, which `DrawCost.most_a_pixel` is about
+SHARE = 0.99  # quantile of the pixels for `DrawCost.most_a_pixel`
 
 
 def cost_on(
     model: Splats | Source, cameras: Sequence[Camera], protocol: Protocol, tell: Parts = untold
 ) -> DrawCost:
-    """Measure what views take to draw; the same of a source and of a model held whole.
+    """Measure the cost of drawing views; the same for a source and for a model in memory.
 
-    Beside a block of rows, four bytes are held for each pixel of all views.
+    Holds a block of rows, and four bytes for each pixel of all views.
 
     Args:
         model: The model.
         cameras: The views, one or more.
-        protocol: What they are.
-        tell: Told of the rows that were looked at.
+        protocol: Protocol of the views, for the report.
+        tell: Progress callback for the rows.
 
     Raises:
         FormatError: The source cannot be read.
-        OptionError: A camera makes no sense.
+        OptionError: A camera is invalid.
     """
     source = source_of(model)
     counts: list[I32] = [np.zeros((each.height, each.width), np.int32) for each in cameras]
@@ -69,7 +69,7 @@ def cost_on(
 
 
 def _pixels(counts: Sequence[I32]) -> tuple[float, int]:
-    """The mean of the counts of all pixels, and the least that 99 % of them do not exceed."""
+    """Return the mean of the counts of all pixels, and their 99th percentile."""
     seen: I64 = np.zeros(max(int(each.max()) for each in counts) + 1, np.int64)
     for each in counts:
         seen += np.bincount(each.reshape(-1), minlength=len(seen))
@@ -79,7 +79,12 @@ def _pixels(counts: Sequence[I32]) -> tuple[float, int]:
 
 
 def _largest(sizes: Counter[int], splats: int) -> int:
-    """Tile pairs of the largest hundredth of so many splats, at least of one."""
+    """Return the tile pairs of the largest hundredth of the splats, at least of one splat.
+
+    Args:
+        sizes: Number of splats by their number of tile pairs.
+        splats: Number of splats of the model.
+    """
     left, pairs = -int(-splats * LARGEST // 1), 0
     for size in sorted(sizes, reverse=True):
         taken = min(sizes[size], left)

@@ -1,7 +1,8 @@
-"""Free space: where a camera may stand.
+"""Free space: the positions where a camera may be placed.
 
-A place is free if it is in no opaque splat and one that is known to be free sees it. So the hollow
-inside of a thing is not free, as nothing outside sees it, and a room is, if a place in it is.
+A position is free if it is in no opaque splat and is visible from a position known to be free. So
+the hollow inside of an object is not free, because it is not visible from outside, and a room is
+free if one position in it is.
 """
 
 import numpy as np
@@ -11,19 +12,21 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, blend, project
 from nanogs.views.poses import look_at
 
-OPAQUE = 0.5  # alpha from which a place is in a splat, and share of the light that hides a place
-GUIDES = 3  # free places that a new one is looked for from
-PIXELS = 16  # along each side of the picture from one place to another
-FOCAL = 80.0  # pixels: its field of view is 11 degrees
-MIDDLE = 4  # pixels along each side of what counts as the middle of a picture
-FIRM = 2 * np.log(1 / OPAQUE)  # squared radius, in deviations, beyond which alpha is lower
+# Alpha of a splat from which a position is inside it, and alpha between two positions from which
+# they do not see each other.
+OPAQUE = 0.5
+GUIDES = 3  # number of known free positions from which a new one is tested
+PIXELS = 16  # width and height of the image from one position towards another
+FOCAL = 80.0  # focal length in pixels: a field of view of 11 degrees
+MIDDLE = 4  # width and height in pixels of the centre of an image
+FIRM = 2 * np.log(1 / OPAQUE)  # squared radius, in deviations, beyond which alpha is below OPAQUE
 
 
 class FreeSpace:
-    """The free space of a model, as far as it is known."""
+    """The known free space of a model, as a list of free positions."""
 
     def __init__(self, splats: PreparedSplats) -> None:
-        """Begin with no place.
+        """Start without known positions.
 
         Args:
             splats: The model, N splats.
@@ -35,16 +38,16 @@ class FreeSpace:
             self._reaches = FIRM * squares.max(axis=1, initial=0.0)
 
     def add(self, place: F64) -> None:
-        """Take a place (3,), scene units, for free."""
+        """Add a position (3,), scene units, that is known to be free."""
         self._places.append(place)
 
     def has(self, camera: Camera, target: F64) -> bool:
-        """Whether a camera stands in it.
+        """Return whether a camera's position is in free space.
 
         Args:
-            camera: The camera, whose position is in question.
-            target: (3,) float64, a point that it sees, scene units. Those known places are asked
-                that see it from nearly the same side.
+            camera: The camera to test.
+            target: (3,) float64, a point that it sees, scene units. It is tested from the known
+                positions whose direction from this point is most similar.
         """
         position = camera.position
         if self._in_splat(position):
@@ -54,7 +57,10 @@ class FreeSpace:
         return any(self._sees(camera, place) for place in likely[:GUIDES])
 
     def _sees(self, camera: Camera, place: F64) -> bool:
-        """Whether half of the light or more comes from a place (3,), wherever the camera looks."""
+        """Return whether half of the light or more from a position (3,) reaches the camera.
+
+        The direction in which the camera looks does not matter.
+        """
         position = camera.position
         distance = float(np.linalg.norm(place - position))
         if distance <= camera.near:
@@ -69,7 +75,7 @@ class FreeSpace:
         return bool(middle(image)[0] <= OPAQUE)
 
     def _in_splat(self, place: F64) -> bool:
-        """Whether a place (3,) is where a single splat is opaque."""
+        """Return whether a position (3,) is inside a splat, where its alpha is `OPAQUE` or more."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             offsets = (self._splats.means - place).astype(np.float32)
             near = np.einsum("ni,ni->n", offsets, offsets) <= self._reaches
@@ -81,7 +87,7 @@ class FreeSpace:
 
 
 def middle(image: F32) -> F32:
-    """(C,) means over the middle of an image (H, W, C)."""
+    """Return the (C,) means over the centre of an image (H, W, C)."""
     top, left = (max(0, (side - MIDDLE) // 2) for side in image.shape[:2])
     part: F32 = image[top : top + MIDDLE, left : left + MIDDLE].mean(axis=(0, 1))
     return part

@@ -1,7 +1,7 @@
-"""A model's own frame: however it is turned, its cameras stand in the same places around it.
+"""A model's own frame: with it, cameras are placed alike around the model in any orientation.
 
-Nothing here looks at coordinates one by one, so turning the model turns its frames with it. One
-that is the same all around has no heading of its own and gets any.
+No computation here depends on single coordinates, so turning the model turns its frame with it. A
+rotationally symmetric model has no heading of its own and gets an arbitrary one.
 """
 
 from dataclasses import replace
@@ -13,9 +13,9 @@ from nanogs._types import F64
 from nanogs.views.occupancy import Matter, capped, quantiles
 from nanogs.views.poses import level_frame
 
-MEDIAN_SAMPLE = 10_000  # splats of which the median is taken
-ROUNDS = 20  # of the geometric median; each brings it nearer by about half
-REACH = 4.0  # median distances from the middle; beyond lie surroundings, skies and strays
+MEDIAN_SAMPLE = 10_000  # most splats that the median is taken of
+ROUNDS = 20  # iterations of the geometric median; each about halves the error
+REACH = 4.0  # radius of the body in median distances; beyond are surroundings, skies and strays
 
 
 class Body(NamedTuple):
@@ -23,7 +23,7 @@ class Body(NamedTuple):
 
     Attributes:
         points: (n, 3) float64, scene units.
-        weights: (n,) float64, their areas, which add up to 1.
+        weights: (n,) float64, their areas, normalised to a sum of 1.
     """
 
     points: F64
@@ -31,9 +31,9 @@ class Body(NamedTuple):
 
 
 def model_frame(body: Body, up: F64) -> F64:
-    """(3, 3): rows are the direction in which the model is longest, the one beside it, and up.
+    """Return a (3, 3) frame: rows are the longest horizontal axis, the one beside it, and up.
 
-    The first is level, and points where the longer tail of the area lies.
+    The first axis points to the side with the longer tail of the area.
 
     Args:
         body: The model.
@@ -46,9 +46,10 @@ def model_frame(body: Body, up: F64) -> F64:
 
 
 def principal_frame(body: Body) -> F64:
-    """(3, 3): rows are the axes along which the model is longest, next longest and shortest.
+    """Return a (3, 3) frame: rows are the principal axes of the model, the longest first.
 
-    The first two point where the longer tail of the area lies, and the third makes it right-handed.
+    The first two point to the side with the longer tail of the area, and the third makes the frame
+    right-handed.
 
     Args:
         body: The model.
@@ -58,12 +59,12 @@ def principal_frame(body: Body) -> F64:
 
 
 def seen_from(matter: Matter, frame: F64) -> Matter:
-    """The model in the coordinates of a frame whose directions are rows."""
+    """Transform the sample to a frame whose axes are the rows of `frame`."""
     return replace(matter, points=matter.points @ frame.T, arms=matter.arms @ frame.T)
 
 
 def body_of(matter: Matter) -> Body:
-    """The splats within a few median distances of the middle."""
+    """Select the splats within a few median distances of the geometric median."""
     distances = np.linalg.norm(matter.points - _middle(matter), axis=1)
     rows = np.flatnonzero(distances <= REACH * quantiles(distances, matter.alphas, 0.5)[0])
     weights = capped(matter.areas[rows])
@@ -73,7 +74,7 @@ def body_of(matter: Matter) -> Body:
 
 
 def _axes(points: F64, weights: F64) -> F64:
-    """(d, d): rows are the principal axes of weighted points (n, d), longest first."""
+    """Return (d, d) principal axes of weighted points (n, d) as rows, longest first."""
     centred = points - weights @ points
     axes = np.linalg.eigh((centred * weights[:, None]).T @ centred)[1].T[::-1]
     tails = weights @ (centred @ axes.T) ** 3
@@ -82,13 +83,16 @@ def _axes(points: F64, weights: F64) -> F64:
 
 
 def _middle(matter: Matter) -> F64:
-    """(3,) the geometric median by alpha (Weiszfeld, 1937): half of the matter may be astray."""
+    """Return the (3,) geometric median weighted by alpha (Weiszfeld, 1937).
+
+    It is robust even if up to half of the weight are strays.
+    """
     rows = slice(None, None, -(-len(matter.points) // MEDIAN_SAMPLE))
     points, weights = matter.points[rows], matter.alphas[rows]
     middle: F64 = weights @ points / weights.sum()
     for _ in range(ROUNDS):
         distances = np.linalg.norm(points - middle, axis=1)
-        least = 1e-3 * float(np.median(distances))  # one splat must not hold it fast
+        least = 1e-3 * float(np.median(distances))  # or one splat could trap the iteration
         if not least > 0:
             break
         pulls = weights / np.maximum(distances, least)

@@ -1,4 +1,4 @@
-"""Cameras inside a room: in free space, facing what is dense, at several distances."""
+"""Cameras inside a room: in free space, facing dense parts, at several distances."""
 
 from dataclasses import dataclass
 
@@ -8,32 +8,32 @@ from nanogs._types import F64, I64, Bool
 from nanogs.views.occupancy import Core, Grid, Matter, build_grid, capped, quantiles
 from nanogs.views.poses import level_frame, look_at, low_discrepancy, view_hits
 
-SLAB = 0.08  # thickness of a wall, as a share of the room
-WALL_SHARE = 0.55  # of a room's area, in its six walls; a sphere has 0.48
-FACE_SHARE = 0.06  # of a room's area, in a wall that counts
-FACES = 4  # that a room has at least: one may be open, the ceiling unseen
-GROUND_SHARE = 0.5  # of the walls' area: a face with more is the ground of an open scene
-FEWEST = 50  # splats of a room: of fewer, chance puts most near the faces of some box
-CONTENT = 0.02  # of a room's area, well inside it; a closed box has none
-TURNS = 18  # tried within a quarter turn
-SAMPLE = 6_000  # splats that a box is fitted to; shares come out to a hundredth
-TRIES = 16  # places tried for one view
-ENOUGH = 0.7  # share of a view that should show something; more would narrow the choice
-KEEP_OFF = 0.12  # of the room, between a camera and a wall
-CLEARANCE = 0.12  # of the room's radius: nearer matter counts as blocking
+SLAB = 0.08  # thickness of a wall over the size of the room
+WALL_SHARE = 0.55  # least share of a room's area in its six walls; a sphere has 0.48
+FACE_SHARE = 0.06  # least share of a room's area in a wall for it to count
+FACES = 4  # least number of walls of a room: one may be open, the ceiling unseen
+GROUND_SHARE = 0.5  # share of the walls' area above which a face is the ground of an open scene
+FEWEST = 50  # least splats of a room: most of fewer could be near the faces of a box by chance
+CONTENT = 0.02  # least share of a room's area well inside it; a closed box has none
+TURNS = 18  # number of angles tried within a quarter turn
+SAMPLE = 6_000  # splats that a box is fitted to; shares are accurate to a hundredth
+TRIES = 16  # number of poses tried for one view
+ENOUGH = 0.7  # share of rays that should hit something; requiring more would narrow the choice
+KEEP_OFF = 0.12  # least distance of a camera from a wall over the size of the room
+CLEARANCE = 0.12  # distance over the room's radius below which splats block the view
 NEAR = 0.01  # near plane over the core's radius
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A box turned about the vertical that holds the core's area but for 1 % at each face.
+    """A box turned about the vertical that holds the core's area except 1 % at each face.
 
     Attributes:
-        frame: (3, 3) float64, its edges' directions in rows, the last one up.
+        frame: (3, 3) float64, directions of its edges as rows, the last one up.
         low: (3,) float64, its lower corner in that frame, scene units.
         high: (3,) float64, its upper corner in that frame, scene units.
-        faces: (6,) float64, share of the area in the slabs at its faces.
-        content: Share of the area that is in no slab of twice that thickness.
+        faces: (6,) float64, share of the area in the slab at each face.
+        content: Share of the area outside slabs of twice that thickness.
     """
 
     frame: F64
@@ -44,7 +44,7 @@ class Box:
 
 
 def is_room(matter: Matter, core: Core, up: F64) -> bool:
-    """Whether four walls or more hold most of the area, and something stands inside."""
+    """Return whether four walls or more hold most of the area, and some area is well inside."""
     if len(core.rows) < FEWEST:
         return False
     box = fit_box(matter, core, up)
@@ -54,7 +54,7 @@ def is_room(matter: Matter, core: Core, up: F64) -> bool:
 
 
 def fit_box(matter: Matter, core: Core, up: F64) -> Box:
-    """The box whose slabs hold the most area, over a quarter turn about `up`."""
+    """Fit the box whose slabs hold the most area, over angles of a quarter turn about `up`."""
     rows = core.rows[:: -(-len(core.rows) // SAMPLE)]
     areas = capped(matter.areas[rows])
     areas = areas if areas.any() else np.ones(len(areas))
@@ -76,7 +76,7 @@ def _box(points: F64, areas: F64, frame: F64) -> Box:
     def share(rows: Bool) -> float:
         return float(areas[rows].sum() / areas.sum())
 
-    # A corner belongs to one wall only, or shares would add up to more than the area.
+    # A corner is assigned to one wall only, so that shares do not sum to more than the area.
     outward = np.abs(place - 0.5)
     axis = outward.argmax(axis=1)
     outermost = outward.max(axis=1)
@@ -86,17 +86,17 @@ def _box(points: F64, areas: F64, frame: F64) -> Box:
 
 
 def poses(matter: Matter, core: Core, up: F64, lens: F64, numbers: I64) -> list[tuple[F64, float]]:
-    """(4, 4) world-to-camera and near plane of the views with these numbers.
+    """Compute the (4, 4) world-to-camera matrix and near plane of each view.
 
-    Each is the best of its own block of places and headings in the sequence, so that sets of other
-    numbers share none.
+    Each view is the best of its own block of poses in a low-discrepancy sequence, so that views of
+    different numbers have no poses in common.
 
     Args:
         matter: The model.
         core: The room.
         up: (3,) float64, unit.
         lens: (2,) float64, tangents of half the fields of view.
-        numbers: (n,) int64, 0 or more.
+        numbers: (n,) int64, numbers of the views in the sequence, 0 or more.
     """
     grid = build_grid(matter, core.centre, 1.3 * core.radius)
     box = fit_box(matter, core, up)
@@ -110,9 +110,9 @@ def poses(matter: Matter, core: Core, up: F64, lens: F64, numbers: I64) -> list[
 
 
 def _candidate(box: Box, draw: F64) -> F64:
-    """A pose from five numbers in [0, 1): place, heading, pitch."""
+    """Make a pose from five numbers in [0, 1): three for the position, heading, pitch."""
     inner = KEEP_OFF + (1 - 2 * KEEP_OFF) * draw[:3]
-    inner[2] = 0.3 + 0.5 * draw[2]  # neither at the floor nor under the ceiling
+    inner[2] = 0.3 + 0.5 * draw[2]  # neither near the floor nor near the ceiling
     position = (box.low + inner * (box.high - box.low)) @ box.frame
     heading, pitch = 2 * np.pi * draw[3], np.radians(-25 + 35 * draw[4])
     level = np.array([np.cos(heading), np.sin(heading)]) * np.cos(pitch)
@@ -121,7 +121,7 @@ def _candidate(box: Box, draw: F64) -> F64:
 
 
 def _score(grid: Grid, pose: F64, lens: F64, radius: float) -> float:
-    """High where most rays hit something, none at once, and the view is deep."""
+    """Score a pose: high if most rays hit something, none very near, and the view is deep."""
     hits = view_hits(grid, pose, lens, 2.5 * radius)
     seen = np.isfinite(hits)
     blocked = float((hits < CLEARANCE * radius).mean())

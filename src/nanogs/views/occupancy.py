@@ -1,6 +1,6 @@
-"""A model's matter: a weighted sample of it, and a coarse grid to look along rays.
+"""A sample of a model's splats, and a coarse occupancy grid for casting rays.
 
-Only for choosing where cameras stand; nothing here renders.
+Only used to place cameras; nothing is rendered here.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,25 +14,25 @@ from nanogs.source import Source, joined_rows, source_of
 from nanogs.splats import Splats
 from nanogs.stored import rotations
 
-MAX_SAMPLE = 30_000  # splats looked at; a stride thins larger models
-FAINTEST = 1 / 255  # what the rasterisers skip
-MEDIAN_SAMPLE = 10_000  # of these, to find the middle and the reach of most
-CELLS = 64  # of the grid, along each axis
-TRIM_ROUNDS = 4  # of centre and radius
-TRIM = 4.0  # median distances from the centre; beyond lie surroundings, skies and strays
-OPAQUE_DEPTH = 1.0  # optical depth at which a ray counts as stopped
+MAX_SAMPLE = 30_000  # most splats in the sample; larger models are sampled by a stride
+FAINTEST = 1 / 255  # alpha that rasterisers skip
+MEDIAN_SAMPLE = 10_000  # most of these used to find the core's centre and radius
+CELLS = 64  # number of cells of the grid along each axis
+TRIM_ROUNDS = 4  # iterations for centre and radius of the core
+TRIM = 4.0  # radius of the core in median distances; beyond are surroundings, skies and strays
+OPAQUE_DEPTH = 1.0  # optical depth at which a ray is stopped
 
 
 @dataclass(frozen=True, slots=True)
 class Matter:
-    """A sample of the visible splats.
+    """A sample of the visible splats of a model.
 
     Attributes:
         points: (n, 3) float64, centres in scene units.
         alphas: (n,) float64 in (1/255, 1].
         arms: (n, 2, 3) float64, the two longest axes times their standard deviations, longer first.
         thicknesses: (n,) float64, standard deviation along the third axis, scene units.
-        stride: One in this many splats was taken.
+        stride: Every `stride`-th splat was taken.
     """
 
     points: F64
@@ -43,7 +43,7 @@ class Matter:
 
     @property
     def areas(self) -> F64:
-        """(n,) float64: alpha times the largest cross-section, square scene units."""
+        """(n,) float64, alpha times the largest cross-section, square scene units."""
         lengths = np.linalg.norm(self.arms, axis=2)
         areas: F64 = self.alphas * 2 * np.pi * lengths.prod(axis=1)
         return areas
@@ -51,12 +51,12 @@ class Matter:
 
 @dataclass(frozen=True, slots=True)
 class Core:
-    """The part of a model that views are about.
+    """The dense part of a model, without surroundings, skies and strays.
 
     Attributes:
         centre: (3,) float64, scene units.
         radius: Distance from the centre that holds 95 % of the core, more than 0.
-        rows: (m,) int64, which samples belong to it.
+        rows: (m,) int64, rows of the sample that belong to it.
     """
 
     centre: F64
@@ -65,7 +65,7 @@ class Core:
 
 
 def quantiles(values: F64, weights: F64, *shares: float) -> list[float]:
-    """The values below which the given shares of the weight lie."""
+    """Return weighted quantiles: the values below which the given shares of the weight are."""
     order = np.argsort(values)
     summed = np.cumsum(weights[order])
     places = np.searchsorted(summed, np.array(shares) * summed[-1])
@@ -73,16 +73,18 @@ def quantiles(values: F64, weights: F64, *shares: float) -> list[float]:
 
 
 def capped(areas: F64) -> F64:
-    """Areas, none above their 99th percentile: a few huge ones would outvote all others."""
+    """Limit areas to their 99th percentile: a few huge ones would outweigh all others."""
     return np.minimum(areas, np.quantile(areas, 0.99))
 
 
 def sample(model: Splats | Source) -> Matter:
-    """Sample finite and visible splats: the same ones of a source, which is read twice.
+    """Sample the finite and visible splats.
+
+    A source, which is read twice, gives the same sample as the model in memory.
 
     Raises:
         FormatError: The source cannot be read.
-        ModelError: There is none, so every view would be empty.
+        ModelError: No splat is visible, so every view would be empty.
     """
     kept, stride = _thinned(model)
     scales = kept.scales().astype(np.float64)
@@ -94,14 +96,14 @@ def sample(model: Splats | Source) -> Matter:
 
 
 def _visible(splats: Splats) -> I64:
-    """The rows that are neither transparent nor broken."""
+    """Return the rows that are finite and not transparent."""
     return np.flatnonzero(splats.finite() & (splats.opacities() > FAINTEST))
 
 
 def _thinned(model: Splats | Source) -> tuple[Splats, int]:
-    """Every n-th of the visible splats, and n."""
-    # Visible rows of a model in memory are found once. A source is read twice, and nothing is kept
-    # in between.
+    """Return every n-th of the visible splats, and n."""
+    # For a model in memory visible rows are found once. A source is read twice, and nothing is kept
+    # between the passes.
     whole = [(model, _visible(model))] if isinstance(model, Splats) else None
 
     def blocks() -> Iterable[tuple[Splats, I64]]:
@@ -121,11 +123,11 @@ def _thinned(model: Splats | Source) -> tuple[Splats, int]:
 
 
 def find_core(matter: Matter) -> Core:
-    """Centre and radius of the dense part, whatever flies or shines far outside of it.
+    """Find the dense part of a model, robust to splats far outside of it.
 
-    Medians weighted by alpha, and not by area: a sky of few huge splats must not count. Each round
-    keeps what lies within four times the median distance of the median: a compact object keeps
-    all of itself, a scene with surroundings loses them.
+    Medians are weighted by alpha, and not by area, so that a sky of few huge splats does not count.
+    Each round keeps the splats within four times the median distance from the median: a compact
+    object keeps all of its splats, a scene loses its surroundings.
     """
     some = np.arange(0, len(matter.points), -(-len(matter.points) // MEDIAN_SAMPLE))
     for _ in range(TRIM_ROUNDS):
@@ -136,7 +138,7 @@ def find_core(matter: Matter) -> Core:
         some = some[distance <= reach]
     points, alphas = matter.points[some], matter.alphas[some]
     rows = np.flatnonzero(np.linalg.norm(matter.points - centre, axis=1) <= reach)
-    # The middle of its extent, so that it fills a view: the median is where most splats are.
+    # The centre of its extent, so that it fills a view, and not the median, near most splats.
     ends = [quantiles(column, alphas, 0.02, 0.98) for column in points.T]
     centre = np.array(ends).mean(axis=1)
     extent = np.linalg.norm(matter.arms[some, 0], axis=1)
@@ -146,10 +148,11 @@ def find_core(matter: Matter) -> Core:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Optical depth of a cube around the core, for one cell's width of a ray.
+    """An occupancy grid over a cube around the core.
 
     Attributes:
-        depth: (CELLS + 2, CELLS + 2, CELLS + 2) float64, with an empty cell around all.
+        depth: (CELLS + 2, CELLS + 2, CELLS + 2) float64, optical depth of one cell's width of a
+            ray, with a border of empty cells.
         corner: (3,) float64, scene units.
         cell: Width of a cell, scene units.
     """
@@ -159,7 +162,7 @@ class Grid:
     cell: float
 
     def first_hits(self, origins: F64, directions: F64, reach: float) -> F64:
-        """(n,) distances to where rays are stopped, inf where nothing stops them within `reach`.
+        """Return the (n,) distances at which rays are stopped, inf if not within `reach`.
 
         Args:
             origins: (n, 3) float64, scene units.
@@ -175,22 +178,22 @@ class Grid:
         return hits
 
     def free(self, position: F64) -> bool:
-        """Whether nothing opaque is within two cells of a point (3,)."""
+        """Return whether nothing opaque is within two cells of a point (3,)."""
         around = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3)
         return bool((self.at(position + around * self.cell) <= OPAQUE_DEPTH / 2).all())
 
     def at(self, points: F64) -> F64:
-        """(...) optical depths of the cells that hold the points (..., 3); 0 outside."""
+        """Return the (...) optical depths of the cells that hold points (..., 3); 0 outside."""
         return self._at([points[..., k] for k in range(3)])
 
     def _at(self, columns: Sequence[F64]) -> F64:
-        """As `at`, of points given by their coordinates."""
+        """Return the depths at points given by three arrays of coordinates; see `at`."""
         cells = np.zeros(columns[0].shape, np.int64)
         for column, corner in zip(columns, self.corner, strict=True):
             place = column - corner
             place /= self.cell
             place += 1
-            np.fmin(np.fmax(place, 0, out=place), CELLS + 1, out=place)  # NaN lies outside
+            np.fmin(np.fmax(place, 0, out=place), CELLS + 1, out=place)  # NaN counts as outside
             cells *= CELLS + 2
             cells += place.astype(np.int64)
         depths: F64 = self.depth.ravel().take(cells)
@@ -198,11 +201,12 @@ class Grid:
 
 
 def build_grid(matter: Matter, centre: F64, half: float) -> Grid:
-    """Matter spread into a cube of half-width `half` around `centre`."""
+    """Build the occupancy grid of a cube of half-width `half` around `centre`."""
     cell = 2 * half / CELLS
     corner = centre - half
     depth = np.zeros(CELLS**3)
-    # A cell-sized splat must not leave holes: its matter lies at five places of its ellipse.
+    # A splat is spread over five points of its ellipse, so that one of a cell's size leaves no
+    # holes.
     share = matter.areas * matter.stride / cell**2 / 5
     for first, second in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
         points = matter.points + first * matter.arms[:, 0] + second * matter.arms[:, 1]
@@ -211,7 +215,7 @@ def build_grid(matter: Matter, centre: F64, half: float) -> Grid:
         flat = np.ravel_multi_index(tuple(place[inside].astype(np.int64).T), (CELLS,) * 3)
         depth += np.bincount(flat, share[inside], minlength=CELLS**3)
     smooth = depth.reshape(CELLS, CELLS, CELLS)
-    for axis in range(3):  # with the cell before, so that no seam is thinner than a cell
+    for axis in range(3):  # mean with the cell before, so that no layer is thinner than a cell
         before = np.zeros_like(smooth)
         np.moveaxis(before, axis, 0)[1:] = np.moveaxis(smooth, axis, 0)[:-1]
         smooth = (smooth + before) / 2

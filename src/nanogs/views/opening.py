@@ -1,4 +1,4 @@
-"""The first view of a viewer: all of an object, or a view in a room; what it turns about."""
+"""The initial camera of a viewer, all of an object or a view in a room, and its orbit centre."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,21 +13,21 @@ from nanogs.views.automatic import INSIDE_FOV, ORBIT_FOV, UP, Kind, Survey, surv
 from nanogs.views.occupancy import build_grid
 from nanogs.views.poses import view_hits
 
-SHORTEST = 0.1  # from the camera to what it turns about, over the core's radius
-GRID_HALF = 1.3  # core radii
-REACH = 2.5  # core radii along which rays are followed in a room
+SHORTEST = 0.1  # least distance of the camera from its target, over the core's radius
+GRID_HALF = 1.3  # half-width of the grid in core radii
+REACH = 2.5  # length of rays in a room in core radii
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Opening:
-    """A camera without an image size, and a point for it to turn about.
+    """An initial camera without an image size, and the point that it orbits.
 
     Attributes:
-        position: (3,) float64, scene units.
-        target: (3,) float64, scene units: what it turns about and has in its centre.
+        position: (3,) float64, position of the camera, scene units.
+        target: (3,) float64, the point that it orbits, in the centre of the image, scene units.
         up: (3,) float64, unit.
         lens: Tangent of half the field of view along the shorter side of the image.
-        near: Distance up to which splats are culled, over that to the target.
+        near: Distance of the near plane over that of the target.
     """
 
     position: F64
@@ -45,12 +45,11 @@ class Opening:
 def opening_for(
     splats: Splats, place: Kind | Camera = "auto", up: Sequence[float] | F64 | None = None
 ) -> Opening:
-    """Choose where to begin.
+    """Choose the initial camera for a model.
 
     Args:
         splats: The model.
-        place: A camera to begin at, or how to look at the model, as for
-            `views.automatic_cameras`.
+        place: A camera to start from, or the kind of view, as for `views.automatic_cameras`.
         up: (3,) direction in scene coordinates; found from the model by default.
 
     Raises:
@@ -59,7 +58,7 @@ def opening_for(
     """
     if isinstance(place, Camera):
         scene = survey(splats, "orbit", up)
-        pose = place.world_to_camera @ scene.turn.T  # of the model's own frame, as below
+        pose = place.world_to_camera @ scene.turn.T  # in the model's own frame, as below
         lens = min(place.width / place.fx, place.height / place.fy) / 2
         return _opening(scene, pose, lens, place.near, _ahead(pose, scene.core.centre))
     scene = survey(splats, place, up)
@@ -75,7 +74,7 @@ def opening_for(
 
 
 def _opening(scene: Survey, pose: F64, lens: float, near: float, distance: float) -> Opening:
-    """The opening in scene coordinates, from a pose (4, 4) in the model's own frame."""
+    """Convert a pose (4, 4) in the model's own frame to an opening in scene coordinates."""
     distance = max(distance, SHORTEST * scene.core.radius)
     pose = pose @ scene.turn
     position: F64 = -pose[:3, :3].T @ pose[:3, 3]
@@ -84,12 +83,12 @@ def _opening(scene: Survey, pose: F64, lens: float, near: float, distance: float
 
 
 def _ahead(pose: F64, point: F64) -> float:
-    """How far ahead of a camera a point (3,) is, scene units; negative behind it."""
+    """Return the depth of a point (3,) in a camera, scene units; negative behind it."""
     return float(pose[2, :3] @ point + pose[2, 3])
 
 
 def _depth(scene: Survey, pose: F64, lens: F64) -> float:
-    """How far away most of what a view inside a room shows is, scene units."""
+    """Return the median distance at which the rays of a view in a room end, scene units."""
     core = scene.core
     grid = build_grid(scene.matter, core.centre, GRID_HALF * core.radius)
     hits = view_hits(grid, pose, lens, REACH * core.radius)

@@ -1,8 +1,8 @@
-"""Cameras around all of a model but its strays: some near it, some far.
+"""Cameras around a model without its strays: some near it, some far.
 
-A view that the densest part fills shows little of what surrounds it, and most views of a scene are
-of its surroundings. So these look at the middle of the matter, from distances at which it is cut
-off to such at which it leaves room, and from all elevations of a band alike.
+A view that the densest part fills shows little of its surroundings, but most views of a scene are
+of its surroundings. So these cameras look at the median of the core, at distances from where it is
+cropped to where it leaves a margin, and evenly over a band of elevations.
 """
 
 import numpy as np
@@ -11,31 +11,31 @@ from nanogs._types import F64, I64
 from nanogs.views.occupancy import Core, Grid, Matter, build_grid, quantiles
 from nanogs.views.poses import level_frame, look_at, low_discrepancy, view_hits
 
-GRID_HALF = 4.0  # half-width of the grid in radii: orbits lie about inside
-HELD = 0.9  # share of the matter within the radius
+GRID_HALF = 4.0  # half-width of the grid in radii: contains almost all orbits
+HELD = 0.9  # share of the core's alpha within the radius
 # Times the distance at which the radius just fits the image: it then appears 1.4 times
 # as large as the image, or 0.7 times.
 NEAREST, FARTHEST = 0.5**0.5, 2**0.5
-# Azimuth, elevation and distance, as above, of a view of everything: the broad side and some of the
-# narrow one.
+# Azimuth, elevation and distance, as above, of a view of everything: it shows the broad side and
+# some of the narrow one.
 OVERVIEW = (np.radians(60), np.radians(12), 1.6)
-STEEPEST = 1.2  # radians, for a camera raised over an obstacle
-TOO_NEAR = 0.45  # of the distance to the centre: what stops rays before blocks the view
-ACCEPTED = 0.1  # share of blocked rays that is good enough
-NEAR = 0.05  # near plane over the distance to the centre: skips floaters at the lens
-FINEST = 1e-9  # radius over the coordinates of the centre: what poses in doubles can tell
-# Share of the distance and radians to climb, tried in turn where something blocks.
+STEEPEST = 1.2  # highest elevation, radians, of a camera raised over an obstacle
+TOO_NEAR = 0.45  # share of the distance to the centre within which a stopped ray counts as blocked
+ACCEPTED = 0.1  # share of blocked rays that is accepted
+NEAR = 0.05  # near plane over the distance to the centre: skips floaters near the camera
+FINEST = 1e-9  # least radius over the coordinates of the centre, for the precision of float64 poses
+# Factor of the distance, and radians to raise the elevation, tried in turn if a view is blocked.
 DETOURS = ((1, 0), (0.85, 0), (0.85, 0.25), (0.7, 0.25), (0.7, 0.5), (0.5, 0.5), (1, 1.1))
 
 
 def poses(
     matter: Matter, core: Core, up: F64, lens: F64, numbers: I64, band: tuple[float, float]
 ) -> list[tuple[F64, float]]:
-    """(4, 4) world-to-camera and near plane of the orbit's members with these numbers.
+    """Compute the (4, 4) world-to-camera matrix and near plane of cameras of the orbit.
 
     Args:
         matter: The model.
-        core: The part of it that is no stray.
+        core: The model without strays.
         up: (3,) float64, unit.
         lens: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, members of the sequence of directions.
@@ -46,14 +46,14 @@ def poses(
     # Even and odd numbers are half a step apart in one sequence.
     turn, lift, pull = low_discrepancy(numbers / 2, 3).T
     lowest, highest = np.sin(band)
-    elevation = np.arcsin(lowest + lift * (highest - lowest))  # even over the band's area
+    elevation = np.arcsin(lowest + lift * (highest - lowest))  # uniform over the band's area
     distance = NEAREST * (FARTHEST / NEAREST) ** pull * radius / lens.min()
     places = zip((2 * np.pi * turn).tolist(), elevation.tolist(), distance.tolist(), strict=True)
     return [_unblocked(grid, centre, level_frame(up), lens, *place) for place in places]
 
 
 def overview(matter: Matter, core: Core, up: F64, lens: F64) -> tuple[F64, float, F64]:
-    """The pose and near plane of a view of all of the model, and (3,) what it looks at.
+    """Return the pose and near plane of a view of the whole model, and the (3,) centre of the view.
 
     The arguments are those of `poses`.
     """
@@ -66,10 +66,10 @@ def overview(matter: Matter, core: Core, up: F64, lens: F64) -> tuple[F64, float
 
 
 def _focus(matter: Matter, core: Core) -> tuple[F64, float]:
-    """Find where the orbit looks, (3,), and how far from there 90 % of the core reaches.
+    """Find the centre of the orbit, (3,), and the radius around it that holds 90 % of the core.
 
-    The median and not the middle of the extremes, which a tall thing on a wide ground would pull
-    off the ground that most of the views should show.
+    The centre is the median and not the middle of the extent, which a tall object on a wide ground
+    would lift off the ground that most of the views should show.
     """
     points, alphas = matter.points[core.rows], matter.alphas[core.rows]
     centre = np.array([quantiles(column, alphas, 0.5)[0] for column in points.T])
@@ -89,7 +89,10 @@ def _unblocked(
     elevation: float,
     distance: float,
 ) -> tuple[F64, float]:
-    """The first of a few places, ever nearer or higher, with a free view, or the freest."""
+    """Return pose and near plane of the first unblocked camera of a few, or the least blocked.
+
+    Those tried are ever nearer or higher.
+    """
     tried: list[tuple[float, F64, float]] = []
     for pull, climb in DETOURS:
         lift = max(elevation, min(elevation + climb, STEEPEST))

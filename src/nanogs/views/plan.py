@@ -1,4 +1,4 @@
-"""How much memory there is for the splats of pictures, where models are not held. No Numba here."""
+"""Memory budget for the splats of images when a model is streamed. Does not import Numba."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from nanogs.protocol import PIXELS, VIEWS
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
-LEAST = 32_000_000  # bytes: a tile of a picture may draw some hundred thousand splats
+LEAST = 32_000_000  # least budget, bytes: a tile may draw some hundred thousand splats
 
 
 _LESS = "free some, or render smaller pictures (`pixels`) or a smaller model"
@@ -18,21 +18,21 @@ _LESS = "free some, or render smaller pictures (`pixels`) or a smaller model"
 def room_for_pictures(
     model: Model, source: Splats | Source, pixels: int, views: int, max_memory: int | None
 ) -> int | None:
-    """Bytes for the splats of pictures, where a model does not fit and is read some rows at a time.
+    """Compute the budget for the splats of images, if a model does not fit and must be streamed.
 
     Args:
         model: The model, or its path.
-        source: The same, as it is read.
-        pixels: Of the largest view.
-        views: Pictures that are kept.
-        max_memory: Bytes that this process may take; by default what is free, less a tenth.
+        source: The opened model.
+        pixels: Number of pixels of the largest view.
+        views: Number of images that are kept.
+        max_memory: Bytes that this process may use; by default the free memory, less a tenth.
 
     Returns:
-        None where the model fits.
+        Bytes, or None if the model fits.
 
     Raises:
         FormatError: The path is no model.
-        NotEnoughMemoryError: There is too little memory either way.
+        NotEnoughMemoryError: There is not enough memory even for streaming.
     """
     given, memory = bool(max_memory), allowed_memory(max_memory)
     pictures = shown_bytes(pixels, views)
@@ -45,14 +45,14 @@ def room_for_pictures(
 
 
 def room_for_measuring(model: Source, max_memory: int | None) -> int:
-    """Bytes for the splats of views that models are held against, read some rows at a time.
+    """Compute the budget for the splats of the views when streamed models are measured.
 
     Args:
         model: Any of the models.
-        max_memory: Bytes that this process may take; by default what is free, less a tenth.
+        max_memory: Bytes that this process may use; by default the free memory, less a tenth.
 
     Raises:
-        NotEnoughMemoryError: There is too little.
+        NotEnoughMemoryError: There is not enough memory.
     """
     pictures = pictures_bytes(PIXELS**2, VIEWS)
     remedy = "free some, or leave out what is measured"
@@ -62,18 +62,18 @@ def room_for_measuring(model: Source, max_memory: int | None) -> int:
 def room_for_splats(
     what: str, models: Sequence[Source], pictures: int, memory: Memory, remedy: str
 ) -> int:
-    """Bytes for the splats that pictures draw, where models are read some rows at a time.
+    """Compute the budget, in bytes, for the splats of images when models are streamed.
 
     Args:
-        what: The work, to begin a sentence.
-        models: Read one after the other.
-        pictures: Bytes of the pictures that are held.
-        memory: What the work may take.
-        remedy: What to do where that is too little, to end the sentence.
+        what: The work, as the beginning of a message.
+        models: The models, which are streamed in turn.
+        pictures: Bytes of the images that are held.
+        memory: Memory that the work may use.
+        remedy: Advice if that is not enough, as the end of the message.
 
     Raises:
         FormatError: A file cannot be read.
-        NotEnoughMemoryError: There is too little.
+        NotEnoughMemoryError: There is not enough memory.
     """
     each = [streaming_bytes(model) for model in models]
     others = pictures + max(held for held, _ in each)

@@ -39,19 +39,19 @@ def render_images(
     Args:
         model: The model.
         cameras: The views; their names become file names.
-        target: A folder, made if it is missing (not its parents); or, of one camera, a `.png` file
-            in a folder that is there.
+        target: A folder, created if it is missing (but not its parents); or, for one camera, a
+            `.png` file in an existing folder.
         background: RGB in [0, 1].
         transparent: Write RGBA with straight alpha and no background.
         depth: Also write `<name>_depth.png`, 16 bits: 65535 is the nearest depth of the view, 1 the
             farthest, 0 nothing.
         overwrite: Replace files that exist.
-        room: Bytes for the splats of pictures, to read the model some rows at a time; None to hold
-            it.
+        room: Budget in bytes for the splats of images, to stream the model; None to hold it in
+            memory.
         progress: Called with each `nanogs.progress.Step`; the views are parts of one stage.
 
     Returns:
-        The files written, and what the user should know.
+        The files written, and notes for the user.
 
     Raises:
         OptionError: Two cameras give one file name, or there are several for one file.
@@ -72,12 +72,12 @@ def render_images(
 
 
 def _pictures(folder: Path) -> set[str]:
-    """Names of the pictures in a folder, if it is one."""
+    """Return the names of the PNG files in a folder; none if it is not a folder."""
     return {path.name for path in folder.glob("*.png")} if folder.is_dir() else set()
 
 
 def _left(before: set[str], written: Sequence[str], folder: Path) -> list[str]:
-    """A note on older pictures beside those that were replaced: a run before had more views."""
+    """Return a note on older images left beside replaced ones, from a run with more views."""
     others = sorted(before - set(written))
     if not others or before.isdisjoint(written):
         return []
@@ -88,7 +88,7 @@ def _left(before: set[str], written: Sequence[str], folder: Path) -> list[str]:
 
 @contextmanager
 def _filled(folder: Path) -> Iterator[Path]:
-    """Yield where to write a folder's files: a new folder appears whole or not at all."""
+    """Provide the folder to write files to; a new folder appears complete or not at all."""
     if folder.is_dir():
         yield folder
         return
@@ -97,7 +97,7 @@ def _filled(folder: Path) -> Iterator[Path]:
 
 
 def _nothing_of(_folder: Path) -> None:
-    """Pictures that exist are not replaced."""
+    """Recognise no existing folder as an output, so that `atomic_folder` replaces none."""
 
 
 def _write(
@@ -110,7 +110,7 @@ def _write(
     depth: bool,
     overwrite: bool,
 ) -> tuple[list[str], list[str]]:
-    """Write each picture into a folder; the names of the files, and what the user should know."""
+    """Write each image into a folder; return the names of the files, and notes for the user."""
     written: list[str] = []
     notes: dict[str, None] = {}
     skipped = 0
@@ -133,7 +133,7 @@ def _write(
 def _places(
     target: Path, cameras: Sequence[Camera], *, overwrite: bool
 ) -> tuple[Path, list[str], str]:
-    """The folder of the files, their names without suffix, and this."""
+    """Return the folder of the files, their names without suffix, and the suffix."""
     if target.suffix.lower() != ".png":
         return target, file_names(cameras), ".png"
     if len(cameras) > 1:
@@ -145,10 +145,10 @@ def _places(
 
 
 def file_names(cameras: Sequence[Camera]) -> list[str]:
-    """File names of the cameras, without suffix: what is not a letter, digit, - or . becomes _.
+    """Make file names without suffix from the cameras' names.
 
-    Cameras are often named after photographs, whose suffix is left out where the rest tells them
-    apart.
+    Characters other than letters, digits, - and . become _. Cameras are often named after
+    photographs: their suffix is dropped if the names are still distinct without it.
 
     Raises:
         OptionError: Two cameras would share a file.
@@ -169,7 +169,7 @@ def save_png(image: Array, path: Path, *, overwrite: bool) -> None:
     """Write a PNG file.
 
     Raises:
-        OutputError: It exists, or cannot be written.
+        OutputError: The file exists, or cannot be written.
     """
     from PIL import Image
 

@@ -1,15 +1,15 @@
-"""Poses: directions that cover the sphere evenly, and cameras that look somewhere."""
+"""Camera poses: low-discrepancy sequences, look-at matrices, and ray casts over a view."""
 
 import numpy as np
 
 from nanogs._types import F64, F
 from nanogs.views.occupancy import Grid
 
-RAYS = 9  # along each side of a view that is tried
+RAYS = 9  # rays along each side of a candidate view
 
 
 def level_frame(up: F64) -> F64:
-    """(3, 3): rows are two level directions and up, right-handed, the same for the same up."""
+    """Return a right-handed (3, 3) frame, a function of `up`: rows are two level axes and up."""
     aside = np.eye(3)[np.argmin(np.abs(up))]
     first = np.cross(up, aside)
     first /= np.linalg.norm(first)
@@ -17,7 +17,7 @@ def level_frame(up: F64) -> F64:
 
 
 def low_discrepancy(numbers: F, dimensions: int) -> F64:
-    """(n, dimensions) in [0, 1): members of the additive recurrence that is even in any prefix."""
+    """Return (n, dimensions) members in [0, 1) of an additive recurrence: every prefix is even."""
     root = 2.0
     for _ in range(40):  # the root of x^(d+1) = x + 1
         root = (1 + root) ** (1 / (dimensions + 1))
@@ -26,11 +26,11 @@ def low_discrepancy(numbers: F, dimensions: int) -> F64:
 
 
 def look_at(position: F64, target: F64, up: F64) -> F64:
-    """(4, 4) world-to-camera of a camera at `position` that sees `target` in its centre."""
+    """Return the (4, 4) world-to-camera matrix of a camera at `position` that looks at `target`."""
     forward = target - position
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-6:  # looking straight up or down: any heading will do
+    if np.linalg.norm(right) < 1e-6:  # looking straight up or down: any heading is valid
         right = level_frame(up)[0]
     right = right / np.linalg.norm(right)
     pose = np.eye(4)
@@ -40,7 +40,7 @@ def look_at(position: F64, target: F64, up: F64) -> F64:
 
 
 def _view_rays(pose: F64, lens: F64) -> F64:
-    """(RAYS², 3) unit directions of an even grid over the image."""
+    """Return the (RAYS², 3) unit directions of a regular grid over the image."""
     side = (np.arange(RAYS) + 0.5) / RAYS * 2 - 1
     x, y = np.meshgrid(side * lens[0], side * lens[1])
     rays = np.stack([x.ravel(), y.ravel(), np.ones(RAYS * RAYS)], axis=1) @ pose[:3, :3]
@@ -49,7 +49,7 @@ def _view_rays(pose: F64, lens: F64) -> F64:
 
 
 def view_hits(grid: Grid, pose: F64, lens: F64, reach: float) -> F64:
-    """(RAYS²,) distances at which a view's rays are stopped."""
+    """Return the (RAYS²,) distances at which a view's rays are stopped; see `Grid.first_hits`."""
     rays = _view_rays(pose, lens)
     origin: F64 = -pose[:3, :3].T @ pose[:3, 3]
     return grid.first_hits(np.broadcast_to(origin, rays.shape), rays, reach)

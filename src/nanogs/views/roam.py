@@ -1,16 +1,16 @@
-"""Cameras of viewers who walk freely: anywhere in free space, near to things and far from them.
+"""Roaming cameras, as of viewers who walk freely: anywhere in free space, near objects and far.
 
-A target is drawn among the splats, each as likely as it has weight in the pictures so far (those of
-automatic views, and of the views already found): so insides of rooms are found as well as outsides
-of things, and what nothing shows is never looked at. The camera stands in a direction drawn from
-the whole sphere, at a distance drawn evenly in its logarithm, and is kept if
+A target is drawn among the splats with a probability proportional to its light in the images so far
+(those of automatic views, and of the cameras already found): so insides of rooms are found as well
+as outsides of objects, and hidden splats are never a target. The camera is placed in a random
+direction from the target, at a log-uniform distance, and is kept if
 
-- the target is what its picture shows in the middle,
-- nothing hugs the lens, and enough of the picture is covered,
-- it stands in free space (see `free_space`).
+- its image shows the target in the centre,
+- nothing is very near the camera, and enough of the image is covered,
+- it is in free space (see `free_space`).
 
-All is measured in the model's own extent and frame (see `stance`): moving, turning or scaling a
-model does the same to its cameras.
+All lengths and directions are relative to the model's own extent and frame (see `stance`): moving,
+turning or scaling a model does the same to its cameras.
 """
 
 import zlib
@@ -29,31 +29,31 @@ from nanogs.views.automatic import automatic_cameras, survey
 from nanogs.views.free_space import FreeSpace, middle
 from nanogs.views.poses import look_at
 
-FOV = 60.0  # degrees, of the longer side
-NEAREST, FARTHEST = 0.12, 1.5  # from the target, over the radius
+FOV = 60.0  # degrees, along the longer side
+NEAREST, FARTHEST = 0.12, 1.5  # distance from the target over the radius
 HELD = 0.9  # share of the splats within the radius
-AWAY = 2.5  # radii from the middle within which cameras stand, however far away a sky is
-TRIES = 60  # for each camera asked for
-SEEDS = 16  # automatic views that the search begins with
-SIZE = 96  # pixels along the longer side of the pictures that candidates are judged by
-HIT = 0.5  # share of the light in the middle that comes from about the target's depth, at least
-ABOUT = 0.1  # of the distance, before and behind the target
-LENS = 0.2  # of the distance: what is nearer to the camera than this hugs the lens
-HUGGED = 0.05  # share of the picture that may be hidden by that
-COVERED = 1 / 3  # share of the picture that shows something, at least
-NEAR = 0.02  # near plane over the distance
+AWAY = 2.5  # largest distance of cameras from the centre in radii, even if a sky is farther
+TRIES = 60  # for each requested camera
+SEEDS = 16  # number of automatic views that the search starts with
+SIZE = 96  # pixels along the longer side of the images that candidates are tested by
+HIT = 0.5  # least share of the light in the centre that comes from about the target's depth
+ABOUT = 0.1  # tolerance of that depth over the distance of the target
+LENS = 0.2  # depth over the distance of the target below which splats are too near the camera
+HUGGED = 0.05  # largest share of the image that such splats may hide
+COVERED = 1 / 3  # least share of the image that shows splats
+NEAR = 0.02  # near plane over the distance of the target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A model as the search sees it.
+    """The model and its extent, for the search.
 
     Attributes:
         splats: N splats, activated.
-        centre: (3,) float64, the middle of those in the core, scene units.
-        radius: Distance from there that holds 90 % of them, scene units, more than 0.
-        frame: (3, 3) float64, the model's own directions in rows, up last.
-        reachable: (N,) bool, splats near enough to be looked at from where cameras may stand.
+        centre: (3,) float64, median of the splats in the core, scene units.
+        radius: Distance from the centre that holds 90 % of them, scene units, more than 0.
+        frame: (3, 3) float64, axes of the model's own frame as rows, up last.
+        reachable: (N,) bool, splats near enough to be a target.
     """
 
     splats: PreparedSplats
@@ -65,13 +65,13 @@ class Scene:
 
 @dataclass(slots=True)
 class Known:
-    """The findings of the search so far.
+    """The state of the search.
 
     Attributes:
-        weights: (N,) float64, light of each splat in the pictures so far, where that of a picture
-            adds up to 1.
-        free: Free space.
-        cameras: The views found.
+        weights: (N,) float64, light of each splat, summed over the images so far; that of each
+            image is normalised to a sum of 1.
+        free: The known free space.
+        cameras: The cameras found.
     """
 
     weights: F64
@@ -81,12 +81,12 @@ class Known:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A view that may be kept.
+    """A camera to be tested.
 
     Attributes:
-        camera: The view.
-        target: (3,) float64, the centre of what it looks at, scene units.
-        distance: From there to the camera, scene units.
+        camera: The camera.
+        target: (3,) float64, centre of the splat that it looks at, scene units.
+        distance: Distance of the camera from the target, scene units.
     """
 
     camera: Camera
@@ -105,24 +105,25 @@ def roaming_cameras(
     split: str = "fit",
     tell: Parts = untold,
 ) -> list[Camera]:
-    """Draw cameras from all free space from which something of the model is seen, near and far.
+    """Draw random cameras from the free space in which the model is visible, near and far.
 
-    The same arguments give the same cameras, and the first n of a larger set are the smaller.
+    The same arguments give the same cameras, and the first n cameras of a larger set are the
+    smaller set.
 
     Args:
         splats: The model, N splats.
         count: Number of cameras, 1 or more.
-        width: Of the images, in pixels.
-        height: Of the images, in pixels.
+        width: Width of the images, in pixels.
+        height: Height of the images, in pixels.
         fov: Field of view along the longer side, in degrees.
-        up: (3,) direction in scene coordinates that is up in the images; by default the model's own
-            (see `stance.own_stance`).
-        split: Name that all that is drawn depends on: other names have other cameras. "test" is
-            what results are judged by, so nothing may be learnt from it.
-        tell: Told of the cameras found.
+        up: (3,) up direction of the images in scene coordinates; by default the model's own (see
+            `stance.own_stance`).
+        split: Name that seeds the random numbers: other names give other cameras. "test" is
+            reserved for measuring results, so nothing may be fitted to it.
+        tell: Progress callback for the cameras found.
 
     Returns:
-        At most `count` cameras named `fit_roam_000` and so on: fewer where so few were found in
+        At most `count` cameras named `fit_roam_000` and so on: fewer if not enough were found in
         `TRIES` tries for each.
 
     Raises:
@@ -149,7 +150,7 @@ def roaming_cameras(
 
 
 def _lens(count: int, width: int, height: int, fov: float) -> Camera:
-    """The camera, at the origin, with the few pixels that candidates are judged by."""
+    """Make the camera, at the origin, with the low resolution that candidates are tested at."""
     if count < 1 or width < 1 or height < 1:
         raise OptionError(
             f"Cameras need a count and a size of 1 or more, not {count} of {width} x {height}."
@@ -165,7 +166,7 @@ def _lens(count: int, width: int, height: int, fov: float) -> Camera:
 
 
 def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
-    """Measure the model."""
+    """Measure the model's frame, centre and radius."""
     found = survey(splats, "orbit", up, habit=False)
     rows, turn = found.core.rows, found.turn[:3, :3]  # without skies and strays
     points = found.matter.points[rows]
@@ -180,7 +181,7 @@ def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
 
 
 def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str) -> Known:
-    """Look at the model from automatic views, whose places are free."""
+    """Start the search with automatic views, whose positions are known to be free."""
     known = Known(np.zeros(len(splats)), FreeSpace(scene.splats), [])
     automatic = automatic_cameras(
         splats, SEEDS, width=SIZE, height=SIZE, up=up, habit=False,
@@ -194,7 +195,7 @@ def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str)
 
 
 def _add(known: Known, place: F64, contributions: F64) -> None:
-    """Note a place as free, and weigh splats by their light in the picture from there."""
+    """Add a free position, and the light of the splats in the image from there."""
     total = contributions.sum()
     if total > 0:
         known.weights += contributions / total
@@ -204,7 +205,7 @@ def _add(known: Known, place: F64, contributions: F64) -> None:
 def _candidates(
     scene: Scene, known: Known, lens: Camera, split: str, tries: int
 ) -> Iterator[Candidate]:
-    """Draw targets, directions and distances; what is known may grow meanwhile."""
+    """Draw candidates: targets, directions and distances; `known` may grow during the iteration."""
     random = np.random.default_rng(zlib.crc32(split.encode()))
     for draw in random.random((tries, 4)):
         summed = np.cumsum(known.weights * scene.reachable)
@@ -221,14 +222,14 @@ def _candidates(
 
 
 def _direction(height: float, turn: float) -> F64:
-    """(3,) unit: the point of the sphere for two numbers in [0, 1), even over its area."""
+    """Map two numbers in [0, 1) to a (3,) unit direction, uniform over the sphere."""
     z, angle = 2 * height - 1, 2 * np.pi * turn
     level = np.sqrt(1 - z * z)
     return np.array([level * np.cos(angle), level * np.sin(angle), z])
 
 
 def _keeps(scene: Scene, known: Known, candidate: Candidate) -> bool:
-    """Keep a candidate if it shows what it should from free space."""
+    """Test a candidate, and add its camera to the state if it passes; return whether it does."""
     contributions = _shown(scene.splats, candidate)
     camera = candidate.camera
     if contributions is None or not known.free.has(camera, candidate.target):
@@ -239,12 +240,12 @@ def _keeps(scene: Scene, known: Known, candidate: Candidate) -> bool:
 
 
 def _shown(splats: PreparedSplats, candidate: Candidate) -> F64 | None:
-    """(N,) light of each splat in the picture; None for one that is not to be kept."""
+    """Render a candidate; return the (N,) light of each splat, or None if the image is rejected."""
     camera, distance = candidate.camera, candidate.distance
     view = project(splats, camera, sh_degree=0)
     depths = view.features[:, 3]
     features = np.ones((len(depths), 3), np.float32)
-    with np.errstate(invalid="ignore"):  # rows that are not drawn hold junk
+    with np.errstate(invalid="ignore"):  # rows of culled splats are uninitialised
         features[:, 0] = np.abs(depths - distance) <= ABOUT * distance
         features[:, 1] = depths < LENS * distance
     ones = np.ones((1, camera.height, camera.width), np.float32)

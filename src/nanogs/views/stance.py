@@ -1,8 +1,8 @@
-"""How a model stands: a frame for its cameras, and from how low and high they may look.
+"""The stance of a model: the frame for its cameras, and the range of their elevations.
 
-`upright` is for a model whose up is known or taken for granted. `own_stance` looks at the model
-alone, and the same way however it is turned: at a ground, at walls, at a disc of land; where
-nothing tells what is up, every direction is as good as any other and cameras stand all around.
+`upright` is for a model whose up direction is known or assumed. `own_stance` finds it from the
+model alone, independent of its orientation: from a ground, from walls, or from a disc of land. If
+there is no evidence, cameras are placed all around.
 """
 
 from dataclasses import dataclass
@@ -15,26 +15,26 @@ from nanogs.views.inside import is_room
 from nanogs.views.occupancy import Core, Matter, find_core, quantiles
 from nanogs.views.up import LEAD, Surfaces, ground, surfaces_of
 
-# Radians above the horizon; lower, a ground would be seen from beneath.
+# Range of elevations, radians above the horizon; from lower, a ground would be seen from beneath.
 UPRIGHT = (float(np.radians(-15)), float(np.radians(30)))
 ALL_AROUND = (-np.pi / 2, np.pi / 2)
 
-SAMPLE = 15_000  # splats whose normals are looked at
-SHARPNESS = 0.85  # cosine from which a normal counts as one of a direction's, the more the nearer
-ROUNDS = 12  # of moving a direction to where normals gather
-SAME = 0.95  # cosine of directions that are one
-GROUND = 0.15  # share of the area that tells a ground
-WALLS = 3  # pairs of them in a room
-# Land is a disc: variances over the next larger one.
+SAMPLE = 15_000  # most splats whose normals are used
+SHARPNESS = 0.85  # cosine above which a normal counts for a direction, with increasing weight
+ROUNDS = 12  # iterations that move a direction to where normals cluster
+SAME = 0.95  # cosine from which two directions are the same
+GROUND = 0.15  # least share of the area in a ground
+WALLS = 3  # number of pairs of opposite walls of a room
+# Land is a disc: limits of the ratio of each variance to the next larger one, at most and at least.
 THINNEST, ROUNDEST = 0.5, 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class Stance:
-    """A frame and a band of elevations.
+    """A frame and a range of elevations.
 
     Attributes:
-        frame: (3, 3) float64, two level directions and up in its rows, right-handed.
+        frame: (3, 3) float64, rows are two level axes and up, right-handed.
         band: Lowest and highest elevation of cameras around the model, radians.
     """
 
@@ -43,20 +43,20 @@ class Stance:
 
 
 def upright(body: Body, up: F64) -> Stance:
-    """The stance of a model of which up (3,), unit, is known."""
+    """Return the stance of a model whose up direction (3,), unit, is known."""
     return Stance(model_frame(body, up), UPRIGHT)
 
 
 def own_stance(matter: Matter, *, room: bool) -> Stance:
-    """The stance that the model itself shows; turning the model turns it.
+    """Find the stance from the model itself; turning the model turns the stance.
 
     Args:
         matter: The model.
-        room: Whether it may be a room.
+        room: Whether the model may be a room.
     """
     body = body_of(matter)
     frame = principal_frame(body)
-    seen = seen_from(matter, frame)  # what looks along axes now turns with the model
+    seen = seen_from(matter, frame)  # makes computations along axes turn with the model
     core = find_core(seen)
     surfaces = surfaces_of(seen, core)
     flats = _flat_directions(surfaces)
@@ -69,7 +69,7 @@ def own_stance(matter: Matter, *, room: bool) -> Stance:
 
 
 def _flat_directions(surfaces: Surfaces) -> list[F64]:
-    """Unit directions (3,) around which normals gather, those of the most area first."""
+    """Find the unit directions (3,) around which normals cluster, those of the most area first."""
     rows = slice(None, None, -(-len(surfaces.normals) // SAMPLE))
     normals, areas = surfaces.normals[rows], surfaces.areas[rows]
     spread = np.linalg.eigh((normals * areas[:, None]).T @ normals)[1].T[::-1]
@@ -82,7 +82,7 @@ def _flat_directions(surfaces: Surfaces) -> list[F64]:
 
 
 def _gathered(normals: F64, areas: F64, direction: F64) -> F64:
-    """A direction (3,) moved to the nearest one around which normals, of either sign, gather."""
+    """Move a direction (3,) to the nearest cluster of normals, whose sign does not matter."""
     for _ in range(ROUNDS):
         weights = areas * np.maximum(np.abs(normals @ direction) - SHARPNESS, 0)
         if not weights.any():
@@ -93,7 +93,7 @@ def _gathered(normals: F64, areas: F64, direction: F64) -> F64:
 
 
 def _ground_up(surfaces: Surfaces, flats: list[F64]) -> F64 | None:
-    """Away from a ground that is clearly one."""
+    """Return the direction away from a ground, or None if there is no clear one."""
     both = [sign * direction for direction in flats for sign in (1.0, -1.0)]
     grounds = [ground(surfaces, up) for up in both]
     *_, second, best = sorted(grounds)
@@ -103,7 +103,10 @@ def _ground_up(surfaces: Surfaces, flats: list[F64]) -> F64 | None:
 
 
 def _room_up(seen: Matter, core: Core, surfaces: Surfaces, flats: list[F64]) -> F64 | None:
-    """Up in a room: across its largest walls, floor and ceiling, away from where things stand."""
+    """Return up in a room, normal to floor and ceiling, or None if it is no room.
+
+    These are taken to be the largest walls, and the floor is the side with more of the contents.
+    """
     for up in flats[:WALLS]:
         if is_room(seen, core, up):
             low, middle, high = quantiles(surfaces.points @ up, surfaces.areas, 0.01, 0.5, 0.99)
@@ -112,7 +115,7 @@ def _room_up(seen: Matter, core: Core, surfaces: Surfaces, flats: list[F64]) -> 
 
 
 def _land_up(surfaces: Surfaces) -> F64 | None:
-    """Across a disc of land, to where the longer tail of its heights is."""
+    """Return the normal of a disc of land, towards the longer tail of heights; None if none."""
     centred = surfaces.points - surfaces.areas @ surfaces.points
     moments, axes = np.linalg.eigh((centred * surfaces.areas[:, None]).T @ centred)
     if moments[0] > THINNEST * moments[1] or moments[1] < ROUNDEST * moments[2]:

@@ -1,4 +1,4 @@
-"""A large model by some of its splats, for what looks at it many times."""
+"""A smaller stand-in for a large model, for searches that render it many times."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,19 +8,19 @@ import numpy as np
 from nanogs.source import Source, joined_rows
 from nanogs.splats import Splats
 
-LIMIT = 600_000  # splats; models of more are stood for by so many at the most
-AFAR = 200_000  # where nothing is judged by what is found: roaming views that only say what hides
+LIMIT = 600_000  # most splats of a stand-in
+AFAR = 200_000  # the same for roaming views that only find hidden splats, and measure nothing
 
 
 def stand_in(model: Splats | Source, limit: int | None = None) -> Splats:
-    """A model without higher harmonics; one of more splats than a limit by evenly spread rows.
+    """Return a model without higher harmonics, reduced to every n-th row if it exceeds a limit.
 
-    These are larger by the root of how many each stands for, so that together they cover as much.
+    The scales are multiplied by the square root of n, so that the rows cover as much as all did.
     Models in memory and sources, which are read once, give the same rows.
 
     Args:
         model: The model.
-        limit: Splats at most; `LIMIT` by default.
+        limit: Most splats; `LIMIT` by default.
 
     Raises:
         FormatError: The source cannot be read.
@@ -33,7 +33,7 @@ def stand_in(model: Splats | Source, limit: int | None = None) -> Splats:
 
 
 def _rows(model: Splats | Source, every: int) -> Iterator[Splats]:
-    """Every so many-th row, block by block, without higher harmonics."""
+    """Iterate over blocks of every `every`-th row, without higher harmonics."""
     passed = 0
     for block in [model] if isinstance(model, Splats) else model.blocks():
         bare = replace(block.with_sh_degree(0), extras={}, elements=())

@@ -1,10 +1,10 @@
-"""Pictures of models larger than memory, bit for bit those of the model held whole.
+"""Streamed rendering of models larger than memory, with the same bits as for a model in memory.
 
-The rows of a source are read block by block and projected, each by itself as ever; those that a
-picture draws are kept, as they are on screen, in the order of the source, so that ties in depth are
-broken alike. As many pictures as there is room for share a pass over the source. Where the splats
-of a single one are too many, its tiles are divided into parts, each of which is gathered alone;
-splats are still projected as onto the whole, so that no pixel differs.
+The rows of a source are read block by block and projected as usual. Projected splats that an image
+draws are kept, in the order of the source, so that ties in depth are broken in the same way. As
+many images as fit into the budget share a pass over the source. If the splats of a single image do
+not fit, its tiles are divided into parts, each of which is gathered on its own; splats are still
+projected onto the whole image, so that no pixel differs.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,16 +37,16 @@ from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.arena import Arena
 
-BLOCK_ROWS = 1 << 15  # rows that are read and projected at once
+BLOCK_ROWS = 1 << 15  # rows of a block
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Streamed:
-    """A model that is drawn from its source, some rows at a time.
+    """A model that is rendered from its source in blocks of rows.
 
     Attributes:
         source: The model.
-        budget: Bytes for the splats that pictures draw; blocks of rows and pictures come on top.
+        budget: Bytes for the splats that images draw; blocks of rows and images come on top.
     """
 
     source: Source
@@ -57,14 +57,15 @@ class Streamed:
 
 
 def drawable(model: Splats | Source, room: int | None) -> PreparedSplats | Streamed:
-    """A model as `renderings` takes it.
+    """Prepare a model for `renderings`.
 
     Args:
         model: The model.
-        room: Bytes for the splats of pictures, to read it some rows at a time; None to hold it.
+        room: Budget in bytes for the splats of images, to stream the model; None to hold it in
+            memory.
 
     Raises:
-        OptionError: It is to be read so, and pictures are made on another device than the CPU.
+        OptionError: It is to be streamed, and the device in use is not the CPU.
     """
     if room is not None:
         if engine_in_use() is not None:
@@ -87,19 +88,19 @@ def renderings(
     """Render a model from each camera, in their order; the same bytes for both kinds of model.
 
     Args:
-        model: Held whole, or read as often as it takes.
-        cameras: Where to look from.
+        model: The model in memory, or streamed in as many passes as needed.
+        cameras: The cameras.
         background: RGB behind the splats.
-        depth: Also give the expected depth.
-        tell: Told of the views rendered.
+        depth: Also return the expected depth.
+        tell: Progress callback for the views.
 
     Yields:
-        The pictures; see `Rendering`.
+        The images; see `Rendering`.
 
     Raises:
         FormatError: The source cannot be read.
         NotEnoughMemoryError: The splats of a single tile of a view are too many.
-        OptionError: A camera or the background makes no sense.
+        OptionError: A camera or the background is invalid.
     """
     if isinstance(model, PreparedSplats):
         for camera in each(cameras, tell):
@@ -114,7 +115,7 @@ def renderings(
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a view: tiles [left, right) of the rows of tiles [top, bottom).
+    """A rectangle of tiles of a view: columns [left, right) and rows [top, bottom).
 
     Attributes:
         view: Number of the view.
@@ -131,7 +132,7 @@ class Part:
     bottom: int
 
     def divided(self, pieces: int) -> "list[Part]":
-        """About so many parts of it, two at least; itself, if it is a single tile."""
+        """Divide it into about `pieces` parts; a single tile is returned unchanged."""
         across, down = self.right - self.left, self.bottom - self.top
         if pieces <= 1 or across * down <= 1:
             return [self]
@@ -156,15 +157,15 @@ def _whole(view: int, camera: Camera) -> Part:
 
 @dataclass(slots=True, eq=False)
 class _Gathered:
-    """The splats of a part of a view that were found so far.
+    """The splats gathered so far for a part of a view.
 
     Attributes:
         part: The part.
-        pages: Of the arena, which hold them.
-        count: How many there are.
-        tiles: Of all their boxes together.
-        corners: How many of them count as drawn by this part and no other.
-        over: There is no room for them: they are only counted.
+        pages: Pages of the arena that hold them.
+        count: Number of splats.
+        tiles: Number of tiles of all their boxes.
+        corners: Number of splats whose box has its corner in this part, and in no other.
+        over: They do not fit into the arena, and are only counted.
     """
 
     part: Part
@@ -176,10 +177,11 @@ class _Gathered:
 
 
 class _Pass:
-    """One pass over the source, for as many parts as there is room for.
+    """One pass over the source, for as many parts as fit into the arena.
 
     Attributes:
-        now: What is gathered; the last ones are left for a later pass where room runs out.
+        now: The parts being gathered; if the arena is full, the last ones are left for a later
+            pass.
     """
 
     def __init__(self, arena: Arena, parts: Sequence[Part], extents: "_Extents") -> None:
@@ -187,21 +189,21 @@ class _Pass:
         self.now = [_Gathered(part) for part in parts]
 
     def wants(self, number: int) -> bool:
-        """Whether some part may draw splats of a block."""
+        """Return whether any part may draw splats of a block."""
         return any(self._extents.meets(number, gathered.part) for gathered in self.now)
 
     def add(self, number: int, block: PreparedSplats, cameras: Sequence[Camera]) -> None:
-        """Project a block onto each view that may show it, and keep what the parts draw."""
+        """Project a block onto each view that may show it, and keep the splats that parts draw."""
         wanted = [one for one in self.now if self._extents.meets(number, one.part)]
         for view, group in groupby(wanted, lambda gathered: gathered.part.view):
-            if self.now[-1].part.view >= view:  # there was room for some of its parts
+            if self.now[-1].part.view >= view:  # some of its parts are still being gathered
                 projected = project_rows(block, cameras[view])
                 self._extents.note(number, view, projected[2])
                 for gathered in group:
                     self._keep(gathered, *projected)
 
     def _keep(self, gathered: _Gathered, geometry: F64, features: F32, boxes: I64) -> None:
-        if gathered not in self.now:  # another part needed its room
+        if gathered not in self.now:  # another part took its pages
             return
         part = gathered.part
         rows, cut = np.empty_like(boxes), np.empty_like(boxes)
@@ -219,7 +221,10 @@ class _Pass:
             self._arena.put(places, geometry[rows], features[rows], cut)
 
     def _room_for(self, gathered: _Gathered) -> bool:
-        """Take the pages that a part lacks, if need be from the last parts; False without any."""
+        """Allocate the missing pages of a part, if necessary by dropping the last parts.
+
+        Returns False if the part itself was dropped.
+        """
         lacking = -(-gathered.count // self._arena.page) - len(gathered.pages)
         while gathered in self.now and not gathered.over:
             pages = self._arena.take(max(lacking, 0))
@@ -230,7 +235,10 @@ class _Pass:
         return False
 
     def _only_count(self, gathered: _Gathered) -> None:
-        """Give up a part, and those after it: pictures are made in the order of the cameras."""
+        """Only count a part's splats from now on, and drop the parts after it.
+
+        Images are made in the order of the cameras.
+        """
         gathered.over = True
         self._arena.give(gathered.pages)
         while self.now[-1] is not gathered:
@@ -238,18 +246,18 @@ class _Pass:
 
 
 class _Extents:
-    """The tiles of each view that each block was found to draw in, so as to read it no further."""
+    """The bounds, in tiles, of each block in each view, so that later passes can skip blocks."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[int, int], tuple[int, int, int, int]] = {}
 
     def note(self, number: int, view: int, boxes: I64) -> None:
-        """Remember where a block's splats are drawn; boxes: (N,) of the view."""
+        """Record where a block's splats are drawn, from its (N,) boxes in the view."""
         if (number, view) not in self._known:
             self._known[number, view] = extent_of(boxes)
 
     def meets(self, number: int, part: Part) -> bool:
-        """Whether a block may draw in a part of a view."""
+        """Return whether a block may draw in a part of a view."""
         if (number, part.view) not in self._known:
             return True
         left, top, right, bottom = self._known[number, part.view]
@@ -259,7 +267,7 @@ class _Extents:
 
 @dataclass(slots=True)
 class _Sheet:
-    """A picture of which some parts are drawn."""
+    """An image of which some parts are drawn."""
 
     image: F32
     left: F32
@@ -267,7 +275,7 @@ class _Sheet:
 
 
 class _Drawing:
-    """All views of a model that are asked for, drawn one after the other."""
+    """The rendering of all requested views of a streamed model."""
 
     def __init__(
         self, model: Streamed, cameras: Sequence[Camera], behind: F32, tell: Parts
@@ -280,12 +288,12 @@ class _Drawing:
         self._tell, self._done = tell, 0
 
     def renderings(self) -> Iterator[Rendering]:
-        """The pictures, in the order of the cameras."""
+        """Iterate over the images, in the order of the cameras."""
         waiting = [_whole(view, camera) for view, camera in enumerate(self._cameras)]
         most = len(waiting)
         while waiting:
             passed = self._gather(waiting[:most])
-            # No more are begun than twice as many as there was room for.
+            # The next pass starts at most twice as many parts as fitted into this one.
             waiting, most = self._left(passed, waiting), 2 * len(passed.now)
             for view, group in groupby(passed.now, lambda gathered: gathered.part.view):
                 for gathered in group:
@@ -295,7 +303,7 @@ class _Drawing:
         self._tell(self._done, len(self._cameras))
 
     def _gather(self, parts: Sequence[Part]) -> _Pass:
-        """Read the source once, for some parts or the first of them."""
+        """Read the source once, and gather some parts, or as many of the first as fit."""
         passed, count = _Pass(self._arena, parts, self._extents), self._source.count
         for number, start in enumerate(range(0, count, BLOCK_ROWS)):
             coming = passed.now[-1].part.view - self._done
@@ -307,7 +315,7 @@ class _Drawing:
         return passed
 
     def _left(self, passed: _Pass, waiting: Sequence[Part]) -> list[Part]:
-        """The parts still to come: those that were too large are divided."""
+        """Return the remaining parts; those that were too large are divided."""
         known = {gathered.part: gathered for gathered in passed.now}
         left: list[Part] = []
         for part in waiting:
@@ -331,7 +339,7 @@ class _Drawing:
         return pieces
 
     def _draw(self, gathered: _Gathered) -> None:
-        """Draw a part into the picture of its view, if there was room for it."""
+        """Draw a part into the image of its view, if it fitted into the arena."""
         if gathered.over:
             return
         part, camera = gathered.part, self._cameras[gathered.part.view]

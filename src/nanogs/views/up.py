@@ -1,4 +1,4 @@
-"""Which way is up, where the model shows it clearly: away from the ground it stands on."""
+"""Detection of the up direction: away from the ground that the model stands on."""
 
 from dataclasses import dataclass
 
@@ -7,39 +7,45 @@ import numpy as np
 from nanogs._types import F64, Bool
 from nanogs.views.occupancy import Core, Matter, capped, quantiles
 
-HABIT_UP = (0.0, -1.0, 0.0)  # how trained models lie
-LAYERS = 20  # along each axis; a ground is two of them thick
-FLAT = 0.9  # cosine between a splat's normal and the axis
-ROUND = 0.9  # thickness over the next longer axis, from which a splat has no normal
-BENEATH = 0.1  # share of the area that may lie under a ground
-ENOUGH = 0.1  # share of the area that a ground has at least, to turn the model by
-ENOUGH_OVER = 0.05  # to turn it upside down
-LEAD = 1.5  # times what a rival direction has
-WIDE = 0.75  # reach of a ground over that of everything, level
+HABIT_UP = (0.0, -1.0, 0.0)  # the usual up direction of trained models
+LAYERS = 20  # number of layers along each axis; a ground is two of them thick
+FLAT = 0.9  # least cosine between the normal of a flat-lying splat and the axis
+ROUND = 0.9  # thickness over the next longer axis, above which a splat has no normal
+BENEATH = 0.1  # largest share of the area beneath a ground
+ENOUGH = 0.1  # least share of the area in a ground, for up to differ from the usual direction
+ENOUGH_OVER = 0.05  # the same for a model upside down
+LEAD = 1.5  # least ratio of a ground's area to that of any rival direction
+WIDE = 0.75  # least horizontal reach of a ground over that of the model
 
 
 @dataclass(frozen=True, slots=True)
 class Surfaces:
-    """Places (n, 3), unit normals (n, 3), 0 for round splats, and areas (n,) that add up to 1."""
+    """Splats as pieces of surface.
+
+    Attributes:
+        points: (n, 3) float64, positions.
+        normals: (n, 3) float64, unit; 0 for round splats.
+        areas: (n,) float64, normalised to a sum of 1.
+    """
 
     points: F64
     normals: F64
     areas: F64
 
     def lying(self, up: F64) -> float:
-        """Share of the area that lies flat if this is up."""
+        """Return the share of the area that is horizontal if `up` is up."""
         return float(self.areas[np.abs(self.normals @ up) > FLAT].sum())
 
 
 def detect_up(matter: Matter, core: Core) -> F64:
-    """(3,) unit float64: the direction in which the model rises from its ground.
+    """Detect the up direction, (3,) unit float64: away from the model's ground.
 
     A ground is a thin and wide layer of flat-lying splats with hardly anything beneath. Only the
-    six directions of the axes are tried, and habit, (0, -1, 0), needs clear evidence against it:
-    the direction must have half as much ground again as any rival. For a model upside down only
-    habit itself is the rival, as the walls of a room are no ground. Where nothing is clear, as with
-    objects cut out of their scene, it is the habit. A lone wall in z passes for a ground, and so
-    does a ceiling without a floor.
+    six directions of the axes are tried, and the usual one, (0, -1, 0), is kept without clear
+    evidence against it: another direction must have 1.5 times the ground area of any rival. For a
+    model upside down the only rival is the usual direction, because the walls of a room are no
+    ground. If nothing is clear, as for objects cut out of their scene, the usual direction is
+    returned. A lone wall in z is mistaken for a ground, and so is a ceiling without a floor.
     """
     surfaces = surfaces_of(matter, core)
     habit = np.array(HABIT_UP)
@@ -55,7 +61,7 @@ def detect_up(matter: Matter, core: Core) -> F64:
 
 
 def surfaces_of(matter: Matter, core: Core) -> Surfaces:
-    """The core as pieces of surface: splats lie flat across their shortest axis."""
+    """Convert the core to pieces of surface: the normal of a splat is its shortest axis."""
     arms = matter.arms[core.rows]
     normals = np.cross(arms[:, 0], arms[:, 1])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -69,7 +75,7 @@ def surfaces_of(matter: Matter, core: Core) -> Surfaces:
 
 
 def ground(surfaces: Surfaces, up: F64) -> float:
-    """Share of the area that is a ground if this is up, 0 where there is none."""
+    """Return the share of the area that is a ground if `up` is up; 0 if there is none."""
     heights = surfaces.points @ up
     low, high = quantiles(heights, surfaces.areas, 0.01, 0.99)
     if not high > low:
@@ -80,7 +86,7 @@ def ground(surfaces: Surfaces, up: F64) -> float:
     pairs = np.concatenate([[0], flat[:-1] + flat[1:], [0]])
     peaks = (pairs[1:-1] >= pairs[:-2]) & (pairs[1:-1] >= pairs[2:])
     beneath = np.array([surfaces.areas[heights < edge].sum() for edge in edges[:-2]])
-    # The most of those that may be one: a ceiling can have more area than the floor.
+    # The largest layer that qualifies as a ground: a ceiling can have more area than the floor.
     layers = pairs[1:-1] * (peaks & (beneath <= BENEATH))
     start = int(np.argmax(layers))
     if not layers[start]:  # the lowest layer of a thick heap is no ground
@@ -92,7 +98,7 @@ def ground(surfaces: Surfaces, up: F64) -> float:
 
 
 def _is_wide(surfaces: Surfaces, up: F64, within: Bool) -> bool:
-    """Whether what lies in the layer reaches as far to the sides as everything does."""
+    """Return whether the splats in the layer extend horizontally about as far as the model."""
     level = surfaces.points - np.outer(surfaces.points @ up, up)
     centre = np.median(level, axis=0)
     reach = np.linalg.norm(level - centre, axis=1)
