@@ -21,11 +21,11 @@ class BlockChunks:
     """A block of a result in chunks: the whole result, or the part of one block of a job.
 
     Attributes:
-        cells: The division of space from `Chunked.divide`; empty if the result is empty. The files
-            may also hold splats of the blocks after it, which then have no files.
+        cells: The division of space from `Chunked.divide`; empty if the result is empty.
         splats: Number of splats in the block.
         losses: The parts of the model that its files leave out, one sentence each.
-        files: Name and contents of each file, made one at a time.
+        files: Name and contents of each file, made one at a time. They may also hold splats of the
+            blocks after it, which then have no files.
         chunks: Plain data that describe the chunks to their layout; complete once all files have
             been consumed.
     """

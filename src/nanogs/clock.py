@@ -23,6 +23,6 @@ class StageClock:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + elapsed
 
     def add(self, seconds: dict[str, float]) -> None:
-        """Add another clock's readings."""
+        """Add the seconds by stage of another clock."""
         for stage, value in seconds.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + value

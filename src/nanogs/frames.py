@@ -48,7 +48,7 @@ class Change(NamedTuple):
 
     def of_means(self, means: F) -> F:
         """Return (N, 3) centres in the new frame."""
-        with np.errstate(invalid="ignore"):  # at signalling NaNs
+        with np.errstate(invalid="ignore"):  # signalling NaNs would warn
             turned: F = means[:, list(self.axes)] * np.array(self.signs).astype(means.dtype)
         return turned
 
@@ -124,7 +124,7 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
     # The axis of a rotation is turned like any vector; a mirror also reverses its sense.
     sense = signs * round(np.linalg.det(change.matrix))
     quats = splats.quats.copy()
-    with np.errstate(invalid="ignore"):  # at signalling NaNs
+    with np.errstate(invalid="ignore"):  # signalling NaNs would warn
         quats[:, 1:] = splats.quats[:, 1:][:, axes] * sense.astype(quats.dtype)
     return replace(
         splats,
@@ -140,7 +140,7 @@ def _turned(sh: F32, change: Change) -> F32:
     """Return (N, K, 3) coefficients in the new frame, for the same colours from each side."""
     matrix = _band_matrix(int(sh.shape[1] ** 0.5) - 1, change)
     signs = np.diag(matrix)
-    with np.errstate(invalid="ignore"):  # at signalling NaNs
+    with np.errstate(invalid="ignore"):  # signalling NaNs would warn
         if np.array_equal(np.abs(matrix), np.eye(len(matrix))):
             return sh * signs[:, None].astype(np.float32)
         mixed: F32 = np.einsum("jk,nkc->njc", matrix, sh.astype(np.float64)).astype(np.float32)
@@ -169,6 +169,6 @@ def _turned_normals(splats: Splats, axes: list[int], signs: Array) -> dict[str, 
     turned = {}
     for name, axis, sign in zip(_NORMALS, axes, signs, strict=True):
         column = splats.extras[_NORMALS[axis]]
-        with np.errstate(invalid="ignore"):  # at signalling NaNs
+        with np.errstate(invalid="ignore"):  # signalling NaNs would warn
             turned[name] = np.where(column == 0, column, column * column.dtype.type(sign))
     return turned

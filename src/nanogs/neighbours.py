@@ -12,8 +12,9 @@ from nanogs.kernels.nearest import find_nearest
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.threads import use_threads
 
-_EXPONENT = 500  # coordinates are scaled to 2^500, so that neither their squares nor those of
-# differences down to 2^-1000 of that leave the range of float64
+# Coordinates are scaled to 2^500, so that squares of differences, from 2^-1000 times that up, are
+# within the range of float64.
+_EXPONENT = 500
 
 
 def nearest_neighbours(means: F64, k: int, threads: int | None = None) -> I32:

@@ -18,7 +18,7 @@ class StopReason(StrEnum):
     TARGET = "target"  # the asked count is reached
     NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
     NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
-    STEP = "step"  # no count comes closer: with 1 % of the splats more or fewer the goal is missed
+    STEP = "step"  # no nearer count exists: 1 % more or fewer splats jump past the goal
     UNREACHED = "unreached"  # 99 % of the splats miss the asked PSNR; the whole model was delivered
     PROBES = "probes"  # the number of tries ran out; a smaller count may reach the asked PSNR too
     SETTLED = "settled"  # the number of tries ran out; a larger count may fit the asked size too

@@ -66,11 +66,12 @@ class Splats:
     """N splats, one array for each stored quantity.
 
     Every argument that NumPy can convert to an array is accepted: lists, tensors, other number
-    types. All become float32, except that `means` may stay float64. `splats[rows]` selects splats
-    by a number, a slice, a mask or an array of row numbers. Notebooks show a small picture.
+    types. Columns become float32; only `means` keeps float64, and `extras` keep their dtypes.
+    `splats[rows]` selects splats by a number, a slice, a mask or an array of row numbers. Notebooks
+    show a small picture.
 
     Attributes:
-        means: (N, 3) float32, or float64 where the file holds doubles; scene units.
+        means: (N, 3) float32, or float64 if the file holds doubles; scene units.
         log_scales: (N, 3) float32, natural logarithm of the standard deviations in scene units.
         quats: (N, 4) float32, wxyz, of any length as stored.
         opacity_logits: (N,) float32; ±inf means alpha 1 or 0 and is valid data.
@@ -119,7 +120,7 @@ class Splats:
         for name in _COLUMNS:
             array = as_floats(name, getattr(self, name), double=name == "means")
             if name == "opacity_logits" and array.shape[1:] == (1,):
-                array = array[:, 0]  # as trainers hold them
+                array = array[:, 0]  # the shape that trainers use
             object.__setattr__(self, name, array)
         self._freeze()
         self._check()
@@ -241,7 +242,7 @@ class Splats:
 
     def scales(self) -> F32:
         """Return (N, 3) float32 standard deviations along the splats' own axes, scene units."""
-        with np.errstate(over="ignore", invalid="ignore"):  # at signalling NaNs
+        with np.errstate(over="ignore", invalid="ignore"):  # signalling NaNs would warn
             return np.exp(self.log_scales)
 
     def opacities(self) -> F64:

@@ -37,7 +37,7 @@ class Spread(Generic[P]):
         least: int,
         each: int,
     ) -> None:
-        """See `policy.parallel_kernel` for the arguments."""
+        """Wrap a compiled kernel; see `policy.parallel_kernel` for the arguments."""
         self._compiled = compiled
         self._place = list(inspect.signature(function).parameters).index(over) - 2
         self._least, self._each = least, each

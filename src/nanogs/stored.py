@@ -13,7 +13,7 @@ Floats = TypeVar("Floats", F32, F64)
 
 def alphas(logits: F) -> F64:
     """Return (N,) float64 alpha in [0, 1], the sigmoid of the logits."""
-    with np.errstate(over="ignore", invalid="ignore"):  # at signalling NaNs
+    with np.errstate(over="ignore", invalid="ignore"):  # signalling NaNs would warn
         return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
 
 

@@ -10,7 +10,7 @@ from nanogs.formatting import counted
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 
-WIDTH, HEIGHT = 480, 320  # of the picture, pixels
+WIDTH, HEIGHT = 480, 320  # size of the picture, pixels
 
 _pictures: "WeakKeyDictionary[Splats, bytes | str]" = WeakKeyDictionary()
 

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 from nanogs.formatting import number_text
 
-SCREEN = 1024  # pixels along the shorter side of a viewer's window, where that matters
+SCREEN = 1024  # assumed pixels along the shorter side of a viewer's window
 # The PlayCanvas engine 2.23: `lodBaseDistance`, scene units, and `lodMultiplier` of a streamed SOG,
 # for a field of view of 45 degrees along the shorter side; distances to the boxes of chunks.
 BASE_DISTANCE, MULTIPLIER = 5.0, 3.0

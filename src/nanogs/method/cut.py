@@ -97,9 +97,10 @@ def label_groups(splats: int, children: I32, scores: F, target: int) -> I32:
 
 
 def _lowest(scores: F, wanted: int) -> Bool:
-    """Return a mask of the `wanted` merges of lowest score, which are closed under children.
+    """Return a mask of the `wanted` merges of lowest score, ties by number.
 
-    A parent's score is not below its children's, and its number is higher.
+    It never holds a merge without those below it: a parent's score is not below its children's, and
+    its number is higher.
     """
     if wanted == 0:
         return np.zeros(len(scores), dtype=bool)

@@ -123,11 +123,11 @@ def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
 
     Args:
         seconds: (E,) the larger row of each pair.
-        starts: (S + 1,) where the rows of each stretch begin.
-        bounds: (S + 1,) where the pairs of each stretch's smaller rows begin.
+        starts: (S + 1,) first row of each stretch, and the number of rows.
+        bounds: (S + 1,) first pair whose smaller row is in each stretch, and the number of pairs.
 
     Returns:
-        (C,) int32 pairs, and (S + 1,) int64, where those of each stretch begin.
+        (C,) int32 pairs, and (S + 1,) int64, the start of those of each stretch.
     """
     stretches = len(starts) - 1
 

@@ -62,7 +62,7 @@ def cameras_for(
             )
         )
     if source == "roam":
-        from nanogs.views.roam import roaming_cameras  # brings Numba
+        from nanogs.views.roam import roaming_cameras  # imports Numba
 
         some = stand_in(model)
         return FoundCameras(

@@ -138,7 +138,7 @@ def find_core(matter: Matter) -> Core:
         some = some[distance <= reach]
     points, alphas = matter.points[some], matter.alphas[some]
     rows = np.flatnonzero(np.linalg.norm(matter.points - centre, axis=1) <= reach)
-    # The centre of its extent, so that it fills a view, and not the median, near most splats.
+    # The centre is that of the extent and not the median, so that the core fills a view.
     ends = [quantiles(column, alphas, 0.02, 0.98) for column in points.T]
     centre = np.array(ends).mean(axis=1)
     extent = np.linalg.norm(matter.arms[some, 0], axis=1)

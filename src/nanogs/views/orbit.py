@@ -13,7 +13,7 @@ from nanogs.views.poses import level_frame, look_at, low_discrepancy, view_hits
 
 GRID_HALF = 4.0  # half-width of the grid in radii: contains almost all orbits
 HELD = 0.9  # share of the core's alpha within the radius
-# Times the distance at which the radius just fits the image: it then appears 1.4 times
+# Distances over that at which the radius just fits the image: it then appears 1.4 times
 # as large as the image, or 0.7 times.
 NEAREST, FARTHEST = 0.5**0.5, 2**0.5
 # Azimuth, elevation and distance, as above, of a view of everything: it shows the broad side and

@@ -1,4 +1,4 @@
-"""Renderings as PNG files."""
+"""Rendering into PNG files."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence

@@ -89,7 +89,7 @@ def ground(surfaces: Surfaces, up: F64) -> float:
     # The largest layer that qualifies as a ground: a ceiling can have more area than the floor.
     layers = pairs[1:-1] * (peaks & (beneath <= BENEATH))
     start = int(np.argmax(layers))
-    if not layers[start]:  # the lowest layer of a thick heap is no ground
+    if not layers[start]:  # no layer qualifies: the lowest layer of a thick heap is no ground
         return 0.0
     within = (heights >= edges[start]) & (heights <= edges[start + 2]) & lying
     if not _is_wide(surfaces, up, within):
