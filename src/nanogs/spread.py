@@ -188,7 +188,7 @@ def _pool() -> "ThreadPoolExecutor":
 
 
 def _threads() -> int:
-    """Return the number of threads that Numba uses; its limit from outside if it is not imported.
+    """Return the number of threads that Numba uses, or `most_threads()` if it is not imported.
 
     Files are read and written without Numba.
     """
