@@ -25,7 +25,7 @@ def fetched(paths: Sequence[Path], *, quiet: bool) -> Iterator[list[Path]]:
         yield [model_in(file) for file in files]
 
 
-def a_bar(*, quiet: bool) -> Telling:
+def a_bar(*, quiet: bool) -> TransferProgress:
     """Return a callback that shows each transfer by a progress bar of its own."""
 
     @contextmanager
@@ -39,7 +39,7 @@ def a_bar(*, quiet: bool) -> Telling:
     return begun
 
 
-def within(told: Progress) -> Telling:
+def within(told: Progress) -> TransferProgress:
     """Return a callback that reports transfers as stages of a run, at fraction 0 of the whole."""
 
     @contextmanager

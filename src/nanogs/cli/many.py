@@ -160,7 +160,7 @@ def _run_several(
         name = str(pair.source)
         try:
             told = watch.of_file(number, len(pairs))
-            with notes_about(name), streams.at_hand(pair, within(told)) as near:
+            with notes_about(name), streams.local_copies(pair, within(told)) as near:
                 registry.reader(near.source)  # raises first of all if it is not a model
                 runs.append(run_one(near, told))
                 if show:

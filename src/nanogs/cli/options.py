@@ -252,7 +252,7 @@ Device = Annotated[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Telling:
+class TransferProgress:
     """The options `--json` and `--quiet`, and the printing of results according to them."""
 
     json: Json = False
@@ -278,7 +278,7 @@ class Telling:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Running(Telling):
+class Running(TransferProgress):
     """Options of commands that render models: output, overwriting, threads and memory."""
 
     overwrite: Overwrite = False

@@ -95,7 +95,9 @@ class Streams:
             yield real.source
 
     @contextmanager
-    def at_hand(self, pair: Pair, telling: Telling, *, overwrite: bool = False) -> Iterator[Pair]:
+    def local_copies(
+        self, pair: Pair, telling: TransferProgress, *, overwrite: bool = False
+    ) -> Iterator[Pair]:
         """Replace URLs by temporary files; the output is uploaded at the end.
 
         Args:
