@@ -259,7 +259,7 @@ def test_pull(timed, scene):
     target = targets.make_target(scene["prepared"], scene["camera"])
     small, _ = nanogs.simplify(scene["splats"], ratio=1 / RATIO, preset="fast")
     prepared = rendering.prepare(small)
-    timed(lambda: targets.pull(prepared, target), prepared.sh)
+    timed(lambda: targets.compute_gradients(prepared, target), prepared.sh)
 
 
 def test_ssim(timed):

@@ -42,7 +42,7 @@ def blend_twin(splats, camera, features, cutoff=1 / 255):
 
 
 def pull_twin(splats, camera, features, residual, precision, cutoff=1 / 255):
-    """(N, 25) sums of each splat over all pixels, see `nanogs.kernels.backward.pull_tiles`."""
+    """(N, 25) sums of each splat over all pixels, see `nanogs.kernels.backward.gradient_tiles`."""
     order, weights, after = pixel_weights(splats, camera, cutoff)
     totals = np.zeros((len(splats), 25))
     image = np.einsum("khw,kc->hwc", weights, features[order])
@@ -57,10 +57,10 @@ def pull_twin(splats, camera, features, residual, precision, cutoff=1 / 255):
         given = math.sqrt(covariance[0, 0] - covariance[0, 1] * slope)
         p = (columns - u - slope * (rows - v)) / given
         free = w < 98.9 * t
-        pull = free * w * (change * residual).sum(axis=-1)
+        gradient = free * w * (change * residual).sum(axis=-1)
         bend = free * w * precision * (change**2).sum(axis=-1)
         sums = [(w * residual[..., c]).sum() for c in range(3)] + [(w * precision).sum()]
-        sums += [(pull * m).sum() for m in (1, p, q, p * p, p * q, q * q)]
+        sums += [(gradient * m).sum() for m in (1, p, q, p * p, p * q, q * q)]
         sums += [(bend * p**a * q**b).sum() for a in range(5) for b in range(5 - a)]
         totals[i] = sums
     return totals
@@ -128,9 +128,9 @@ def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
         mode is RenderMode.MIP, jacobians[:, :, 0],
     )  # fmt: skip
     lanes[:, 0] = sums
-    pulls, blocks = np.empty((10, 1)), np.empty((55, 1))
-    chain.pulls_and_blocks(jacobians, lanes, products, pulls, blocks)
-    return pulls[:, 0], blocks[:, 0]
+    gradients, blocks = np.empty((10, 1)), np.empty((55, 1))
+    chain.gradients_and_hessians(jacobians, lanes, products, gradients, blocks)
+    return gradients[:, 0], blocks[:, 0]
 
 
 def told(row):
@@ -200,12 +200,12 @@ class AdvanceTwin:
             ridge = (self.parameters.band_ridge if band else self.parameters.ridge) / (4 * math.pi)
             curvature = (2 * band + 1) / share / (4 * math.pi)
             for _ in range(2 * band + 1):
-                pull = basis[k] * sums[:3] * ((shown[:3] > 0) | (sums[:3] > 0))
-                pull = pull - ridge * bend * (self.sh[i, k] - self.given[i, k])
-                self.sh[i, k] += rate * pull / ((curvature + ridge) * bend)
+                gradient = basis[k] * sums[:3] * ((shown[:3] > 0) | (sums[:3] > 0))
+                gradient = gradient - ridge * bend * (self.sh[i, k] - self.given[i, k])
+                self.sh[i, k] += rate * gradient / ((curvature + ridge) * bend)
                 k += 1
 
-    def _reshape(self, i, pull, block, rate):
+    def _reshape(self, i, gradient, block, rate):
         matrix = np.zeros((10, 10))
         matrix[np.tril_indices(10)] = block
         matrix = np.tril(matrix) + np.tril(matrix, -1).T
@@ -213,7 +213,7 @@ class AdvanceTwin:
         if not diagonal.max() > 0:
             return False
         lift = self.parameters.damping * diagonal + self.parameters.floor * diagonal.max()
-        step = np.linalg.solve(matrix + np.diag(lift), pull)
+        step = np.linalg.solve(matrix + np.diag(lift), gradient)
         step = rate * step / max(1.0, (np.abs(step) / LIMITS).max())
         turn = rotations(self.quats)[i]
         self.means[i] += turn @ (np.exp(self.log_scales[i]) * step[:3])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nanogs.kernels import blending, blocks, pulls
+from nanogs.kernels import blending, blocks, gradients
 from nanogs.kernels.blocks import BATCH, LANES, MIN_TRANSMITTANCE, SIDE, TILE
 from nanogs.kernels.policy import kernel
 
@@ -49,8 +49,8 @@ def total_compiled(sums, p, j):
 
 
 @kernel
-def pull_compiled(mark, j, shapes, values, left, behind, wanted, trust, partial, e):
-    pulls.pull_blocks(mark, j, shapes, values, left, behind, wanted, trust, partial, e)
+def gradient_compiled(mark, j, shapes, values, left, behind, wanted, trust, partial, e):
+    gradients.gradient_blocks(mark, j, shapes, values, left, behind, wanted, trust, partial, e)
 
 
 def shape_of(u, v, inv_w, slope, inv_yy, opacity):
@@ -187,17 +187,17 @@ def test_probes_are_summed_pixel_by_pixel():
 @pytest.mark.parametrize("seed", range(3))
 def test_pulls_compiled_do_as_their_plain_python_says(seed):
     ways = []
-    for pull in (pulls.pull_blocks, pull_compiled):
+    for gradient in (gradients.gradient_blocks, gradient_compiled):
         rng = np.random.default_rng(seed)
         shapes = np.stack([shape_of(*row) for row in some_splats(rng)])
         values = rng.normal(size=(BATCH, 4)).astype(np.float32)
         behind, wanted = rng.normal(size=(2, 4, LANES, LANES)).astype(np.float32)
         trust = rng.uniform(size=(LANES, LANES)).astype(np.float32)
         left = np.ones((LANES, LANES), np.float32)
-        partial = np.full((12, pulls.SUMS), 7, np.float32)
+        partial = np.full((12, gradients.SUMS), 7, np.float32)
         for j in range(10):
             mark = int(mark_compiled(shapes, j, np.zeros(LANES, np.uint32))) & ~(1 << j)
-            pull(mark, j, shapes, values, left, behind, wanted, trust, partial, j + 1)
+            gradient(mark, j, shapes, values, left, behind, wanted, trust, partial, j + 1)
         ways.append((left, behind, partial))
     for plain, compiled in zip(*ways, strict=True):
         np.testing.assert_allclose(compiled, plain, rtol=1e-3, atol=1e-3)

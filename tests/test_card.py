@@ -16,9 +16,9 @@ from launch import run
 from nanogs.card.device import engine_in_use, use_device
 from nanogs.datasets.plant import load_plant
 from nanogs.errors import NotEnoughMemoryError
-from nanogs.fit.targets import ALPHA, WHITE, make_target, pull
+from nanogs.fit.targets import ALPHA, WHITE, compute_gradients, make_target
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
-from nanogs.kernels.pulls import SCALES
+from nanogs.kernels.gradients import SCALES
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import prepare, render, view_on
 from nanogs.splats import RenderMode
@@ -26,9 +26,9 @@ from nanogs.views.automatic import automatic_cameras
 from test_raster import make_camera, make_splats, one_splat
 
 wp = pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
-advancing, blending, listing, projecting, pulling, shading = (
+advancing, blending, listing, projecting, gradients, shading = (
     importlib.import_module(f"nanogs.card.{name}")
-    for name in ("advancing", "blending", "listing", "projecting", "pulling", "shading")
+    for name in ("advancing", "blending", "listing", "projecting", "gradients", "shading")
 )
 
 CLOSE = 100  # dB between the two, where no splat is at a threshold
@@ -55,7 +55,7 @@ def check(splats, camera, **options):
     seen = cpu.alpha > 0.01
     np.testing.assert_allclose(ours.depth[seen], cpu.depth[seen], rtol=1e-4)
     np.testing.assert_allclose(ours.contributions, cpu.contributions, rtol=1e-4, atol=1e-3)
-    np.testing.assert_allclose(ours.unhidden, cpu.unhidden, rtol=1e-9)
+    np.testing.assert_allclose(ours.unoccluded, cpu.unoccluded, rtol=1e-9)
     return ours
 
 
@@ -115,12 +115,12 @@ def test_pictures_agree_whatever_the_model(seed, count, size):
 def test_pulls_of_pixels_agree(wanted):
     camera, small = make_camera(137, 91, 90.0), prepare(make_splats(100, seed=5, degree=2))
     target = make_target(prepare(make_splats(400, seed=3, degree=2)), camera)
-    cpu = pull(small, target, wanted)
+    cpu = compute_gradients(small, target, wanted)
     view = view_on(engine_in_use(), small, camera)
     features = view.tinted(WHITE, ALPHA)
     image, _ = view.blend(features, np.zeros(4, np.float32), wanted)
     residual, precision, error = view.weigh(image, target.image, WHITE, ALPHA, wanted)
-    totals = view.pulls(features, image, residual, precision, wanted).numpy() * SCALES
+    totals = view.gradients(features, image, residual, precision, wanted).numpy() * SCALES
     assert error == pytest.approx(cpu.error, rel=1e-6)
     rows = cpu.view.order
     largest = np.abs(cpu.totals[rows]).max(axis=0)
@@ -169,9 +169,11 @@ def test_a_card_whose_memory_is_full_is_said_in_one_sentence():
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp has no compiler for cards there")
 def test_kernels_compile_for_a_card_without_one(tmp_path):
     """As far as can be told without a card: in blocks of 256 threads, for the oldest one known."""
-    modules = [shading, projecting, listing, blending, pulling, advancing]
+    modules = [shading, projecting, listing, blending, gradients, advancing]
     made = [wp.get_module(module.__name__) for module in modules]
-    made += [make(shading.PIXELS).module for make in (pulling.share_kernel, pulling.pull_kernel)]
+    made += [
+        make(shading.PIXELS).module for make in (gradients.share_kernel, gradients.pull_kernel)
+    ]
     for module in made:
         module.options["block_dim"] = shading.PIXELS
         [binary] = wp.compile_aot_module(module, arch=75, module_dir=tmp_path)

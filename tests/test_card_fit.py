@@ -12,7 +12,7 @@ from launch import run
 from nanogs.card.device import use_device
 from nanogs.fit.on_card import CardDescent, descent_for
 from nanogs.fit.parameters import RefitParameters
-from nanogs.fit.shared import Shared
+from nanogs.fit.shared import SharedHarmonics
 from nanogs.fit.state import MeanState
 from nanogs.fit.targets import Fitting, make_target, squared_error
 from nanogs.raster.rendering import prepare
@@ -86,7 +86,7 @@ def test_steps_agree_where_splats_share_their_harmonics():
     labels = (np.arange(len(small)) % 7).astype(np.int32)
     sh = small.sh.copy()
     sh[:, 1:] = sh[:7][labels, 1:]
-    shared = Shared.of(labels, 7, np.ones(len(small)))
+    shared = SharedHarmonics.of(labels, 7, np.ones(len(small)))
     ours, _ = check_steps(dataclasses.replace(small, sh=sh), Fitting(targets), shared=shared)
     assert len(np.unique(ours.sh[:, 1:].reshape(len(small), -1), axis=0)) == 7
 
@@ -96,7 +96,7 @@ def test_means_of_states_agree():
     views = Fitting(targets)
     with use_device(CARD):
         card = descent_for(small, views, QUICK)
-        mean = card.averaging()
+        mean = card.running_mean()
         plain = MeanState()
         for _ in range(4):
             card.step(1.0, 0.0)

@@ -13,7 +13,7 @@ import nanogs
 from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.errors import ModelError, TooSmallError
-from nanogs.fit.shared import Shared
+from nanogs.fit.shared import SharedHarmonics
 from nanogs.io import round_trip_with_size
 from nanogs.pipeline.held_files import HeldFiles
 from nanogs.pipeline.packing import (
@@ -230,7 +230,7 @@ def test_levelled_harmonics_are_weighted_means(entries, seed):
     weights = rng.uniform(0.1, 3, len(labels))
     sh = rng.normal(size=(len(labels), 4, 3)).astype(np.float32)
     before = sh.astype(np.float64)
-    Shared.of(labels, entries, weights).level(sh)
+    SharedHarmonics.of(labels, entries, weights).level(sh)
     assert (sh[:, 0] == before[:, 0]).all()
     for k in range(entries):
         own = labels == k

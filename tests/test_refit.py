@@ -18,11 +18,19 @@ from nanogs.fit.descent import Descent
 from nanogs.fit.groups import grouped, hold_out, split
 from nanogs.fit.report import RefitStop
 from nanogs.fit.state import MeanState, activate, start, store
-from nanogs.fit.targets import ALPHA, WHITE, Fitting, make_target, pull, squared_error, sum_pulls
+from nanogs.fit.targets import (
+    ALPHA,
+    WHITE,
+    Fitting,
+    compute_gradients,
+    make_target,
+    squared_error,
+    sum_gradients,
+)
 from nanogs.io import load
 from nanogs.kernels import backward, damped
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
-from nanogs.kernels.chain import SHAPE, told
+from nanogs.kernels.chain import SHAPE, resolved_share
 from nanogs.kernels.damped import LANES
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, project
@@ -67,7 +75,7 @@ def pulls_of(splats, camera, residual, precision, wanted=ALL_BLOCKS):
     features[view.order, :3] = view.features[view.order, :3] - np.float32(0.5)
     features[:, 3] = 0.7
     image = blend_twin(splats, camera, features).astype(np.float32)
-    totals = sum_pulls(view, features, image, residual, precision, wanted)
+    totals = sum_gradients(view, features, image, residual, precision, wanted)
     return features.astype(np.float64), totals
 
 
@@ -128,8 +136,8 @@ def test_the_fields_of_a_chessboard_pull_together_as_all_pixels_do():
 def test_errors_of_the_fields_are_of_their_pixels_alone():
     splats, camera = make_splats(20, 3), make_camera()
     target = make_target(prepare(make_splats(20, 4)), camera)
-    whole = pull(prepare(splats), target)
-    halves = [pull(prepare(splats), target, wanted) for wanted in FIELDS]
+    whole = compute_gradients(prepare(splats), target)
+    halves = [compute_gradients(prepare(splats), target, wanted) for wanted in FIELDS]
     rows, columns = np.indices((camera.height, camera.width)) // 4
     shares = [((rows + columns) % 2 == field).mean() for field in (0, 1)]
     mean = sum(share * half.error for share, half in zip(shares, halves, strict=True))
@@ -182,14 +190,14 @@ def shape_sums(splats, camera, residual, precision):
     features = random_features(splats)
     totals = pull_twin(splats, camera, features, residual, precision, cutoff=0.0)
     active = activate(start(splats), splats, splats.finite())
-    pulls, blocks = np.zeros((len(splats), 10)), np.zeros((len(splats), 55))
+    gradients, blocks = np.zeros((len(splats), 10)), np.zeros((len(splats), 55))
     model = active.model
     for i in view.order:
-        pulls[i], blocks[i] = shape_terms(
+        gradients[i], blocks[i] = shape_terms(
             view.geometry[i], totals[i], model.means[i] - camera.position, active.axes[i],
             active.scales[i], model.opacities[i], camera, splats.render_mode,
         )  # fmt: skip
-    return view.order, pulls, blocks
+    return view.order, gradients, blocks
 
 
 @pytest.mark.parametrize("mode", [RenderMode.DEFAULT, RenderMode.MIP])
@@ -197,7 +205,7 @@ def shape_sums(splats, camera, residual, precision):
 def test_shape_pulls_match_finite_differences(mode, parameter):
     splats, camera = make_splats(8, 2, size=-1.5, mode=mode), make_camera()
     residual, precision = random_pixels(camera)
-    drawn, pulls, _ = shape_sums(splats, camera, residual, precision)
+    drawn, gradients, _ = shape_sums(splats, camera, residual, precision)
     features, step = random_features(splats), 1e-4
     for i in drawn:
         ends = [
@@ -205,7 +213,7 @@ def test_shape_pulls_match_finite_differences(mode, parameter):
             for sign in (-1, 1)
         ]
         slope = ((ends[1] - ends[0]) * residual).sum() / (2 * step)
-        assert pulls[i, parameter] == pytest.approx(slope, rel=1e-3, abs=1e-3)
+        assert gradients[i, parameter] == pytest.approx(slope, rel=1e-3, abs=1e-3)
 
 
 def test_blocks_lie_above_the_true_curvature():
@@ -242,32 +250,35 @@ def packed(full):
     return np.array([[m[a, b] for a in range(10) for b in range(a + 1)] for m in full])
 
 
-def solved(pulls, blocks, damping, floor, limits, lanes):
+def solved(gradients, blocks, damping, floor, limits, lanes):
     """Steps (N, 10) and whether there is one, of as many splats as the lanes hold at the most."""
     steps, bends, moves = damped.new_lanes(SHAPE, lanes)
-    steps[:, : len(pulls)], bends[:, : len(pulls)] = np.transpose(pulls), np.transpose(blocks)
+    steps[:, : len(gradients)], bends[:, : len(gradients)] = (
+        np.transpose(gradients),
+        np.transpose(blocks),
+    )
     damped.damped_steps(steps, bends, damping, floor, limits, np.empty(lanes), moves)
-    return steps.T[: len(pulls)], moves[: len(pulls)]
+    return steps.T[: len(gradients)], moves[: len(gradients)]
 
 
 def test_damped_steps_solve_each_block():
     rng = np.random.default_rng(8)
     factors = rng.normal(size=(30, 10, 12))
-    full, pulls = factors @ factors.transpose(0, 2, 1), rng.normal(size=(30, 10))
-    steps, moves = solved(pulls, packed(full), 0.1, 0.01, np.full(10, 1e9), 32)
+    full, gradients = factors @ factors.transpose(0, 2, 1), rng.normal(size=(30, 10))
+    steps, moves = solved(gradients, packed(full), 0.1, 0.01, np.full(10, 1e9), 32)
     assert moves.all()
     diagonals = np.diagonal(full, axis1=1, axis2=2)
     lifts = 0.1 * diagonals + 0.01 * diagonals.max(axis=1, keepdims=True)
     damped_blocks = full + lifts[:, :, None] * np.eye(10)
-    np.testing.assert_allclose(np.einsum("nab,nb->na", damped_blocks, steps), pulls, atol=1e-9)
+    np.testing.assert_allclose(np.einsum("nab,nb->na", damped_blocks, steps), gradients, atol=1e-9)
 
 
 def test_damped_steps_keep_limits():
     block, step = np.zeros(55), np.full(10, 5.0)
     block[[a * (a + 3) // 2 for a in range(10)]] = 1.0
     blocks = [0 * block, block, np.nan * block, block]  # of the first nothing is known
-    pulls = [step, step, step, np.nan * step]
-    steps, moves = solved(pulls, blocks, 0.0, 0.01, np.linspace(0.5, 1.4, 10), 8)
+    gradients = [step, step, step, np.nan * step]
+    steps, moves = solved(gradients, blocks, 0.0, 0.01, np.linspace(0.5, 1.4, 10), 8)
     np.testing.assert_array_equal(moves, [False, True, False, False])
     np.testing.assert_allclose(steps[1], 0.5)  # as a whole
 
@@ -278,11 +289,11 @@ def test_damped_steps_keep_limits():
 def test_a_damped_step_is_the_same_beside_any_others():
     rng = np.random.default_rng(9)
     factors = rng.normal(size=(LANES, 10, 12))
-    blocks, pulls = packed(factors @ factors.transpose(0, 2, 1)), rng.normal(size=(LANES, 10))
+    blocks, gradients = packed(factors @ factors.transpose(0, 2, 1)), rng.normal(size=(LANES, 10))
     limits = np.full(10, 0.3)
-    whole, _ = solved(pulls, blocks, 0.1, 0.01, limits, LANES)
+    whole, _ = solved(gradients, blocks, 0.1, 0.01, limits, LANES)
     for first, last in ((0, 3), (5, LANES), (17, 18), (LANES - 1, LANES)):
-        part, _ = solved(pulls[first:last], blocks[first:last], 0.1, 0.01, limits, LANES)
+        part, _ = solved(gradients[first:last], blocks[first:last], 0.1, 0.01, limits, LANES)
         np.testing.assert_array_equal(part, whole[first:last])
 
 
@@ -297,7 +308,7 @@ def test_a_step_is_that_of_its_twin(mode):
     twin = AdvanceTwin(splats, RefitParameters(), len(targets))
     for target, rate in zip(targets, (0.3, 0.7), strict=True):
         model = activate(descent.state, splats, descent.finite).model
-        twin.follow(pull(model, target), target.camera, rate)
+        twin.follow(compute_gradients(model, target), target.camera, rate)
         descent._follow(target, ALL_BLOCKS, rate)
     state = descent.state
     assert state.touched.any()
@@ -316,15 +327,15 @@ def test_a_step_is_that_of_its_twin(mode):
 def test_a_view_tells_less_of_what_is_smaller_than_its_pixels(scale):
     """Of a ball of so many pixels, the square of its share of its variance and the dilation."""
     ball = np.array([0.0, 0.0, 1 / math.sqrt(scale**2 + 0.3), 0.0, 1 / (scale**2 + 0.3)])
-    assert told(ball) == pytest.approx((scale**2 / (scale**2 + 0.3)) ** 2)
-    assert told(ball) == pytest.approx(refit_twin.told(ball))
+    assert resolved_share(ball) == pytest.approx((scale**2 / (scale**2 + 0.3)) ** 2)
+    assert resolved_share(ball) == pytest.approx(refit_twin.resolved_share(ball))
 
 
 def test_of_a_needle_a_view_tells_what_is_along_it():
     needle = np.array([0.0, 0.0, 1 / math.sqrt(1e-6 + 0.3), 0.0, 1 / (20.0**2 + 0.3)])
-    assert told(needle) == pytest.approx(0.5, abs=1e-3)
+    assert resolved_share(needle) == pytest.approx(0.5, abs=1e-3)
     leaning = np.array([0.0, 0.0, 0.4, -1.3, 0.9])
-    assert told(leaning) == pytest.approx(refit_twin.told(leaning))
+    assert resolved_share(leaning) == pytest.approx(refit_twin.resolved_share(leaning))
 
 
 def test_from_far_away_a_step_leaves_nearly_all_as_it_was():
@@ -574,9 +585,9 @@ def test_no_group_of_views_gets_worse():
     assert report.psnr_after == pytest.approx(
         np.mean([group.psnr_after for group in report.groups])
     )
-    told = [name for group in report.groups for name in group.views]
-    assert told == list(report.validation_views)
-    assert len(told) + len(report.fit_views) == len(cameras)
+    resolved_share = [name for group in report.groups for name in group.views]
+    assert resolved_share == list(report.validation_views)
+    assert len(resolved_share) + len(report.fit_views) == len(cameras)
 
 
 def test_a_rare_view_moves_a_splat_no_further_than_its_own_optimum():

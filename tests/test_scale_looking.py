@@ -29,7 +29,7 @@ from nanogs.pipeline.work import Work
 from nanogs.progress import untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens, lens_notes
-from nanogs.raster.rendering import prepare, render, together
+from nanogs.raster.rendering import concatenated, prepare, render
 from nanogs.source import Layout
 from nanogs.splats import concatenate
 from nanogs.views.automatic import automatic_cameras
@@ -193,7 +193,7 @@ def test_levels_look_too(scene, tmp_path):
 def test_two_models_are_drawn_as_one(splats):
     first, second = splats.take(slice(0, 1000)), splats.take(slice(1000, COUNT)).with_sh_degree(0)
     camera = automatic_cameras(splats, 1, width=64, height=48)[0]
-    both = render(together(prepare(first), prepare(second)), camera)
+    both = render(concatenated(prepare(first), prepare(second)), camera)
     bare = dataclasses.replace(first, extras={}), dataclasses.replace(second, extras={})
     np.testing.assert_array_equal(both.color, render(concatenate(bare), camera).color)
     assert np.abs(both.color - render(first, camera).color).max() > 0.01
@@ -247,7 +247,7 @@ def test_the_part_of_a_view_holds_what_a_block_draws(splats):
 
 def surrounded(small, original, around, cameras):
     """The fit of a small model to views of the original, both among something else."""
-    whole = together(prepare(original), around)
+    whole = concatenated(prepare(original), around)
     targets = [make_target(whole, camera, depth=False) for camera in cameras]
     views = Fitting(targets[1:], surroundings=around)
     chosen = RefitParameters(rounds=1, steps=6)
@@ -281,7 +281,7 @@ def test_a_wall_in_front_leaves_nothing_to_fit(splats):
     pose[2, 3] = 1.0
     camera = Camera(64, 64, 64.0, 64.0, 32.0, 32.0, pose)
     hidden = dataclasses.replace(small, means=small.means + np.array([0, 0, 9], np.float32))
-    around = together(prepare(wall), prepare(wall))
+    around = concatenated(prepare(wall), prepare(wall))
     fitted, outcome = surrounded(hidden, splats.take(slice(0, 1)), around, [camera] * 3)
     assert not outcome.improved
     assert model_bytes(fitted) == model_bytes(hidden)

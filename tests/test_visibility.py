@@ -317,9 +317,9 @@ def test_where_each_view_shows_something_new_what_none_shows_is_not_hidden(
 
 
 def test_what_views_leave_out_follows_from_what_one_of_them_alone_shows():
-    def view(contributions, unhidden, pixels):
+    def view(contributions, unoccluded, pixels):
         return SimpleNamespace(
-            contributions=np.array(contributions, float), unhidden=np.array(unhidden, float),
+            contributions=np.array(contributions, float), unoccluded=np.array(unoccluded, float),
             alpha=np.zeros(pixels),
         )  # fmt: skip
 

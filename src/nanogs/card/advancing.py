@@ -6,22 +6,22 @@ There is one thread for each splat. Formulas and sources are in `nanogs.kernels.
 
 import warp as wp
 
+from nanogs.card.gradients import SCALES
 from nanogs.card.projecting import guard_bounds, sh_basis
-from nanogs.card.pulling import SCALES
-from nanogs.kernels import advance, chain, project, pulls
+from nanogs.kernels import advance, chain, gradients, project
 
 # Loops of up to 4 iterations are unrolled; unrolling longer ones only takes longer to compile.
 wp.set_module_options({"max_unroll": 4, "enable_backward": False})
 
 SHAPE, PACKED, SCREEN = (wp.constant(n) for n in (chain.SHAPE, chain.PACKED, chain.SCREEN))
 CENTRE, OPACITY = wp.constant(chain.CENTRE), wp.constant(chain.OPACITY)
-SUMS = wp.constant(pulls.SUMS)
-LOGIT, MOST = wp.constant(advance.LOGIT), wp.constant(advance.MOST)
+SUMS = wp.constant(gradients.SUMS)
+LOGIT, MOST_RESOLVED = wp.constant(advance.LOGIT), wp.constant(advance.MOST_RESOLVED)
 LEAST_WEIGHT = wp.constant(wp.float32(advance.LEAST_WEIGHT))
 MIN_ALPHA = wp.constant(wp.float64(project.MIN_ALPHA))
 SLACK = wp.constant(wp.float64(project.SLACK))
 DILATION = wp.constant(wp.float64(project.DILATION))
-BACK = wp.constant(wp.float64(chain.BACK))
+RESTORING = wp.constant(wp.float64(chain.RESTORING))
 ZERO, HALF = wp.constant(wp.float64(0.0)), wp.constant(wp.float64(0.5))
 ONE, TWO = wp.constant(wp.float64(1.0)), wp.constant(wp.float64(2.0))
 SMALLEST = wp.constant(wp.float64(1e-9))  # radians; below it, the sine is taken as the angle
@@ -31,13 +31,13 @@ Step = wp.types.vector(chain.SHAPE, wp.float64)
 Block = wp.types.vector(chain.PACKED, wp.float64)
 Jacobian = wp.types.matrix((chain.SHAPE, chain.SCREEN), wp.float64)
 Flat = wp.types.matrix((3, 2), wp.float64)
-Sums = wp.types.vector(pulls.SUMS, wp.float64)
+Sums = wp.types.vector(gradients.SUMS, wp.float64)
 PRODUCTS = wp.constant(wp.types.matrix(chain.PRODUCTS.shape, wp.int32)(*chain.PRODUCTS.ravel()))
 
 
 @wp.func
-def told(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
-    """Return how well a view determines a splat, in [0, 1]; see `chain.told`."""
+def resolved_share(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
+    """Return how well a view determines a splat, in [0, 1]; see `chain.resolved_share`."""
     slope = geometry[i, 3]
     square = geometry[i, 2] * geometry[i, 2]
     middle = HALF * DILATION * (square * (ONE + slope * slope) + geometry[i, 4])
@@ -46,10 +46,10 @@ def told(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
 
 
 @wp.func
-def way_back(told_most: wp.float64) -> wp.float64:
-    """Return the share of a displacement that a full step undoes; see `chain.way_back`."""
-    untold = ONE - told_most
-    return BACK * untold * untold
+def restoring_share(most_resolved: wp.float64) -> wp.float64:
+    """Return the share of a displacement that a full step undoes; see `chain.restoring_share`."""
+    unresolved = ONE - most_resolved
+    return RESTORING * unresolved * unresolved
 
 
 @wp.func
@@ -159,7 +159,7 @@ def screen_jacobian(
 
 @wp.func
 def curvatures(jacobian: Jacobian, sums: Sums) -> Block:
-    """Return the lower triangle of the Gauss-Newton matrix J M Jᵀ; see `chain.pulls_and_blocks`."""
+    """Return the lower triangle of J M Jᵀ; see `chain.gradients_and_hessians`."""
     block = Block()
     for a in range(SHAPE):
         products = Monomials()
@@ -206,7 +206,7 @@ def substituted(lower: Block, step: Step) -> Step:
 @wp.func
 def damped_step(
     block: Block,
-    pull: Step,
+    gradient: Step,
     damping: wp.float64,
     floor: wp.float64,
     limits: wp.array[wp.float64],
@@ -220,7 +220,7 @@ def damped_step(
         for a in range(SHAPE):
             at = a * (a + 3) / 2
             block[at] = block[at] * (ONE + damping) + floor * largest
-        step = substituted(factorised(block, floor * largest), pull)
+        step = substituted(factorised(block, floor * largest), gradient)
         excess, length = wp.float64(1.0), wp.float64(0.0)
         for a in range(SHAPE):
             excess = wp.max(excess, wp.abs(step[a]) / limits[a])
@@ -262,7 +262,7 @@ def rotation_of(quat: wp.vec4d) -> wp.mat33d:
 
 
 @wp.struct
-class Moving:
+class FittedSplats:
     """The arrays of N splats that are fitted; see the arguments of `advance.advance_splats`."""
 
     given: wp.array3d[wp.float32]
@@ -282,11 +282,11 @@ class Moving:
     seen: wp.array[wp.int32]
     blocks: wp.array2d[wp.float32]
     weights: wp.array[wp.float32]
-    ways: wp.array2d[wp.float32]
+    displacements: wp.array2d[wp.float32]
 
 
 @wp.struct
-class Rules:
+class StepConstants:
     """Parameters of the steps; see `advance.advance_splats`. `single`: centres are float32."""
 
     rate: wp.float64
@@ -300,14 +300,14 @@ class Rules:
 
 @wp.func
 def recolour(
-    moving: Moving,
-    rules: Rules,
+    moving: FittedSplats,
+    rules: StepConstants,
     features: wp.array2d[wp.float32],
     totals: wp.array2d[wp.float32],
     i: wp.int32,
     way: wp.vec3d,
     degree: wp.int32,
-    bend: wp.float64,
+    curvature: wp.float64,
     rate: wp.float64,
     back: wp.float64,
 ) -> None:
@@ -315,34 +315,44 @@ def recolour(
     unit = way / wp.length(way)
     basis = sh_basis(wp.float32(unit[0]), wp.float32(unit[1]), wp.float32(unit[2]), degree)
     for k in range((degree + 1) * (degree + 1)):
-        held = rules.bands[k, 1] * bend
-        step = rate / (rules.bands[k, 0] * bend + held)
+        held = rules.bands[k, 1] * curvature
+        step = rate / (rules.bands[k, 0] * curvature + held)
         for c in range(3):
-            pull = wp.float64(0.0)
+            gradient = wp.float64(0.0)
             if features[i, c] > 0.0 or totals[i, c] > 0.0:
-                pull = wp.float64(basis[k]) * wp.float64(totals[i, c])
+                gradient = wp.float64(basis[k]) * wp.float64(totals[i, c])
             changed = wp.float64(moving.sh[i, k, c] - moving.given[i, k, c])
-            change = wp.float32((pull - held * changed) * step - back * changed)
+            change = wp.float32((gradient - held * changed) * step - back * changed)
             moving.sh[i, k, c] = moving.sh[i, k, c] + change
 
 
 @wp.func
-def taken_back(
-    moving: Moving, i: wp.int32, at: wp.int32, old: wp.float64, new: wp.float64, back: wp.float64
+def restored(
+    moving: FittedSplats,
+    i: wp.int32,
+    at: wp.int32,
+    old: wp.float64,
+    new: wp.float64,
+    back: wp.float64,
 ) -> wp.float64:
     """Undo a part of a parameter's displacement since the fit began, and return the parameter.
 
-    at: its column in `ways`; old, new: the parameter before and after this step.
+    at: its column in `displacements`; old, new: the parameter before and after this step.
     """
-    begun = old - wp.float64(moving.ways[i, at])
+    begun = old - wp.float64(moving.displacements[i, at])
     new += back * (begun - new)
-    moving.ways[i, at] = wp.float32(new - begun)
+    moving.displacements[i, at] = wp.float32(new - begun)
     return new
 
 
 @wp.func
 def reshape(
-    moving: Moving, rules: Rules, i: wp.int32, step: Step, rate: wp.float64, back: wp.float64
+    moving: FittedSplats,
+    rules: StepConstants,
+    i: wp.int32,
+    step: Step,
+    rate: wp.float64,
+    back: wp.float64,
 ) -> None:
     """Apply a step to a splat's centre, scales, rotation and opacity, and activate them."""
     for r in range(3):
@@ -351,25 +361,25 @@ def reshape(
         for k in range(3):
             axis = wp.float64(moving.axes[i, r, k])
             mean += rate * step[k] * axis * wp.float64(moving.scales[i, k])
-        mean = taken_back(moving, i, r, old, mean, back)
+        mean = restored(moving, i, r, old, mean, back)
         moving.means[i, r] = mean
         moving.centres[i, r] = mean
         if rules.single:
             moving.centres[i, r] = wp.float64(wp.float32(mean))
         scale = moving.log_scales[i, r]
         longer = scale + rate * step[CENTRE + r]
-        moving.log_scales[i, r] = taken_back(moving, i, CENTRE + r, scale, longer, back)
+        moving.log_scales[i, r] = restored(moving, i, CENTRE + r, scale, longer, back)
     before = wp.vec4d(
         moving.quats[i, 0], moving.quats[i, 1], moving.quats[i, 2], moving.quats[i, 3]
     )
     quat = turned_by(before, rate * wp.vec3d(step[6], step[7], step[8]))
     begun = wp.vec4d()
     for k in range(4):
-        begun[k] = before[k] - wp.float64(moving.ways[i, 2 * CENTRE + k])
+        begun[k] = before[k] - wp.float64(moving.displacements[i, 2 * CENTRE + k])
     quat = wp.normalize(quat + back * (begun - quat))
     for k in range(4):
         moving.quats[i, k] = quat[k]
-        moving.ways[i, 2 * CENTRE + k] = wp.float32(quat[k] - begun[k])
+        moving.displacements[i, 2 * CENTRE + k] = wp.float32(quat[k] - begun[k])
     rotation = rotation_of(quat)
     for k in range(3):
         length = wp.float32(wp.exp(moving.log_scales[i, k]))
@@ -380,7 +390,7 @@ def reshape(
     given = moving.logits[i]
     least = wp.min(rules.limits[10], given)
     logit = wp.min(wp.max(given + rate * step[OPACITY], least), rules.limits[11])
-    logit = taken_back(moving, i, LOGIT, given, logit, back)
+    logit = restored(moving, i, LOGIT, given, logit, back)
     moving.logits[i] = logit
     opacity = ONE / (ONE + wp.exp(-logit))
     moving.opacities[i] = wp.float32(opacity)
@@ -399,13 +409,13 @@ def advance_splats(
     lens: wp.array[wp.float64],
     mip: wp.bool,
     degree: wp.int32,
-    rules: Rules,
-    moving: Moving,
+    rules: StepConstants,
+    moving: FittedSplats,
 ) -> None:
     """Take one step on each splat of a view, as `nanogs.kernels.advance.advance_splats` does.
 
     The arguments are the same; totals: (N or more, 25), 0 for splats not drawn, before
-    `pulls.SCALES`.
+    `gradients.SCALES`.
     """
     i = wp.tid()
     weight = totals[i, 3]
@@ -426,9 +436,14 @@ def advance_splats(
     moving.weights[i] = wp.float32(mean + (wp.float64(weight) - mean) * share)
     mean = wp.float64(moving.weights[i])
     excess = wp.max(wp.float64(weight) / mean, ONE)
-    shown = told(geometry, i)
-    moving.ways[i, MOST] = wp.max(moving.ways[i, MOST], wp.float32(shown))
-    rate, back = rules.rate * shown, rules.rate * way_back(wp.float64(moving.ways[i, MOST]))
+    shown = resolved_share(geometry, i)
+    moving.displacements[i, MOST_RESOLVED] = wp.max(
+        moving.displacements[i, MOST_RESOLVED], wp.float32(shown)
+    )
+    rate, back = (
+        rules.rate * shown,
+        rules.rate * restoring_share(wp.float64(moving.displacements[i, MOST_RESOLVED])),
+    )
     recolour(moving, rules, features, totals, i, way, degree, excess * mean, rate, back)
 
     block = curvatures(jacobian, sums)
@@ -436,17 +451,17 @@ def advance_splats(
         known = wp.float64(moving.blocks[i, a])
         moving.blocks[i, a] = moving.blocks[i, a] + wp.float32(share * (block[a] - known))
         block[a] = excess * wp.float64(moving.blocks[i, a])
-    pull = Step()
+    gradient = Step()
     for a in range(SHAPE):
         for d in range(SCREEN):
-            pull[a] += jacobian[a, d] * sums[4 + d]
-    step = damped_step(block, pull, rules.damping, rules.floor, rules.limits)
+            gradient[a] += jacobian[a, d] * sums[4 + d]
+    step = damped_step(block, gradient, rules.damping, rules.floor, rules.limits)
     if wp.length_sq(step) > ZERO:
         reshape(moving, rules, i, step, rate, back)
 
 
 @wp.kernel
-def average(share: wp.float64, moving: Moving, means: Moving) -> None:
+def average(share: wp.float64, moving: FittedSplats, means: FittedSplats) -> None:
     """Move a running mean towards the current state by a share; see `fit.state.MeanState`.
 
     means: the running mean's means, log_scales, quats, logits and sh, in and out.

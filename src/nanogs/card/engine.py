@@ -9,13 +9,13 @@ import warp as wp
 
 from nanogs._types import F32, F64, U8, Array, Bool, F
 from nanogs.card.blending import blend_tiles
+from nanogs.card.gradients import gather_slots, pull_kernel, share_kernel, tint, weigh_pixels
 from nanogs.card.listing import count_tiles, find_starts, write_tiles
-from nanogs.card.projecting import add_unhidden, project_splats
-from nanogs.card.pulling import gather_slots, pull_kernel, share_kernel, tint, weigh_pixels
+from nanogs.card.projecting import add_unoccluded, project_splats
 from nanogs.card.shading import PIXELS, SHAPE, shape_entries
 from nanogs.errors import ModelError
 from nanogs.kernels.blocks import ALL_BLOCKS, TILE
-from nanogs.kernels.pulls import CHANNELS, SUMS
+from nanogs.kernels.gradients import CHANNELS, SUMS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -214,13 +214,15 @@ class View:
         )
         return totals
 
-    def unhidden(self) -> F64:
+    def unoccluded(self) -> F64:
         """(N,) float64, contribution of each splat if nothing were in front of it.
 
         This is 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image, or else 0.
         """
         totals = self.engine.empty((self.count,), wp.float64)
-        self.engine.launch(add_unhidden, self.count, self.geometry, self.depths, self.size, totals)
+        self.engine.launch(
+            add_unoccluded, self.count, self.geometry, self.depths, self.size, totals
+        )
         found: F64 = totals.numpy()
         return found
 
@@ -248,7 +250,7 @@ class View:
         total, pixels = errors.numpy().sum(axis=0)
         return residual, precision, float(total) / (3 * max(float(pixels), 1))
 
-    def pulls(
+    def gradients(
         self,
         features: wp.array,
         image: wp.array,
@@ -258,8 +260,9 @@ class View:
     ) -> wp.array:
         """(N, 25) float32, sums of gradient and curvature for each splat.
 
-        They are those of `nanogs.kernels.backward.gather_entries` before `kernels.pulls.SCALES`;
-        the arguments are those of `nanogs.kernels.backward.pull_tiles`.
+        They are those of `nanogs.kernels.backward.gather_entries` before
+        `kernels.gradients.SCALES`; the arguments are those of
+        `nanogs.kernels.backward.gradient_tiles`.
         """
         if not len(self.entries):
             return wp.zeros((self.count, SUMS), dtype=wp.float32, device=self.engine.device)

@@ -7,13 +7,13 @@ import numpy as np
 import warp as wp
 
 from nanogs._types import F32, F64, U8, Bool
-from nanogs.card.advancing import Moving, Rules, advance_splats, average
+from nanogs.card.advancing import FittedSplats, StepConstants, advance_splats, average
 from nanogs.card.engine import Model
 from nanogs.kernels.chain import PACKED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Pace:
+class StepParameters:
     """Parameters of the steps; see the arguments of `nanogs.kernels.advance.advance_splats`.
 
     Attributes:
@@ -33,13 +33,13 @@ class Pace:
     single: bool
 
 
-class MovingModel:
+class FittedModel:
     """N splats that are fitted on a device, and splats that are drawn with them but do not move.
 
     Args:
         model: The model that is drawn: first the N splats, which are changed in place.
         columns: means, log_scales, quats, logits and touched of `fit.state.State`.
-        ways: (N, WAY) of `nanogs.kernels.advance`.
+        displacements: (N, DISPLACEMENT) of `nanogs.kernels.advance`.
         given: (N, K, 3) coefficients that ridges pull back to.
         axes: (N, 3, 3) rotation matrices.
         scales: (N, 3) scene units.
@@ -50,15 +50,15 @@ class MovingModel:
         self,
         model: Model,
         columns: Sequence[F64 | Bool],
-        ways: F32,
+        displacements: F32,
         given: F32,
         axes: F32,
         scales: F32,
-        pace: Pace,
+        pace: StepParameters,
     ) -> None:
         put, n = model.engine.put, len(given)
         self._model, self._count = model, n
-        moving = Moving()
+        moving = FittedSplats()
         moving.means, moving.log_scales, moving.quats, moving.logits, moving.touched = (
             put(column) for column in columns
         )
@@ -69,8 +69,8 @@ class MovingModel:
         moving.seen = put(np.zeros(n, np.int32))
         moving.blocks = put(np.zeros((n, PACKED), np.float32))
         moving.weights = put(np.zeros(n, np.float32))
-        moving.ways = put(ways)
-        rules = Rules()
+        moving.displacements = put(displacements)
+        rules = StepConstants()
         rules.damping, rules.floor, rules.memory = pace.damping, pace.floor, pace.memory
         rules.limits, rules.bands, rules.single = put(pace.limits), put(pace.bands), pace.single
         self._moving, self._rules = moving, rules
@@ -98,7 +98,7 @@ class MovingModel:
         features = view.tinted(*shares)
         image, _ = view.blend(features, np.zeros(4, np.float32), wanted)
         residual, precision, error = view.weigh(image, goal, *shares, wanted)
-        totals = view.pulls(features, image, residual, precision, wanted)
+        totals = view.gradients(features, image, residual, precision, wanted)
         self._rules.rate = rate
         self._model.engine.launch(
             advance_splats, self._count, view.geometry, view.features, totals, view.rotation,
@@ -106,7 +106,7 @@ class MovingModel:
         )  # fmt: skip
         return error
 
-    def columns(self, of: "Moving | None" = None) -> tuple[F64, F64, F64, F64, F32, Bool]:
+    def columns(self, of: "FittedSplats | None" = None) -> tuple[F64, F64, F64, F64, F32, Bool]:
         """Copy the arrays of a `fit.state.State`, in its order, from the device.
 
         Args:
@@ -118,14 +118,14 @@ class MovingModel:
             held.sh.numpy()[:n], self._moving.touched.numpy(),
         )  # fmt: skip
 
-    def begin_mean(self) -> Moving:
+    def begin_mean(self) -> FittedSplats:
         """Start a running mean with a copy of the current parameters."""
-        mean = Moving()
+        mean = FittedSplats()
         for name in ("means", "log_scales", "quats", "logits", "sh"):
             setattr(mean, name, wp.clone(getattr(self._moving, name)))
         return mean
 
-    def add_to_mean(self, mean: Moving, share: float) -> None:
+    def add_to_mean(self, mean: FittedSplats, share: float) -> None:
         """Move a running mean towards the current parameters, by a share of the way."""
         self._model.engine.launch(average, self._count, share, self._moving, mean)
 

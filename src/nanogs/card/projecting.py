@@ -177,7 +177,7 @@ def project_splats(
 
 
 @wp.kernel(enable_backward=False)
-def add_unhidden(
+def add_unoccluded(
     geometry: wp.array2d[wp.float64],
     depths: wp.array[wp.float32],
     size: wp.vec2i,

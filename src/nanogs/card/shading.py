@@ -4,13 +4,13 @@ import math
 
 import warp as wp
 
-from nanogs.kernels import blocks, project, pulls
+from nanogs.kernels import blocks, gradients, project
 
 TILE = wp.constant(blocks.TILE)
 SIDE = wp.constant(blocks.SIDE)
 PIXELS = blocks.TILE * blocks.TILE  # pixels of a tile, and threads that blend it
 BATCH = wp.constant(blocks.BATCH)
-CHANNELS = wp.constant(pulls.CHANNELS)  # blended channels: three colours, and depth or alpha
+CHANNELS = wp.constant(gradients.CHANNELS)  # blended channels: three colours, and depth or alpha
 
 _START, _ACROSS, _ALONG = (wp.constant(at) for at in (blocks.START, blocks.ACROSS, blocks.ALONG))
 _HEIGHT, _RISE, _FAINT = (wp.constant(at) for at in (blocks.HEIGHT, blocks.RISE, blocks.FAINT))

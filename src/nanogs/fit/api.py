@@ -18,7 +18,7 @@ from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.fit.groups import Group
-    from nanogs.fit.shared import Sets
+    from nanogs.fit.shared import PaletteSize
     from nanogs.fit.targets import Fitting
     from nanogs.raster.camera import Camera
 
@@ -98,7 +98,7 @@ def fit_to_views(
     original_count: int,
     threads: int,
     tell: Parts,
-    sets: "Sets | None" = None,
+    sets: "PaletteSize | None" = None,
 ) -> tuple[Splats, RefitReport]:
     """Fit a small model to given views.
 

@@ -13,17 +13,25 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.fit.parameters import RefitParameters
-from nanogs.fit.state import HIGHEST_LOGIT, LOWEST_LOGIT, MeanState, State, activate, start, ways_of
-from nanogs.fit.targets import Fitting, Target, pull
+from nanogs.fit.state import (
+    HIGHEST_LOGIT,
+    LOWEST_LOGIT,
+    MeanState,
+    State,
+    activate,
+    displacements_of,
+    start,
+)
+from nanogs.fit.targets import Fitting, Target, compute_gradients
 from nanogs.kernels.advance import advance_splats
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.chain import PACKED
 from nanogs.kernels.damped import SIZES
-from nanogs.raster.rendering import seen_by, together
+from nanogs.raster.rendering import camera_arrays, concatenated
 from nanogs.splats import RenderMode, Splats
 
 if TYPE_CHECKING:
-    from nanogs.fit.shared import Shared
+    from nanogs.fit.shared import SharedHarmonics
 
 # Largest step of each parameter: centre in standard deviations, log-scales, rotation in radians,
 # logit of the opacity.
@@ -48,7 +56,7 @@ class Descent:
         splats: Splats,
         views: Fitting,
         parameters: RefitParameters,
-        shared: "Shared | None" = None,
+        shared: "SharedHarmonics | None" = None,
     ) -> None:
         self.splats = splats
         self.shared = shared
@@ -74,19 +82,19 @@ class Descent:
         self._state = state.copy()
         self._active = activate(self._state, self.splats, self.finite)
         if self.views.surroundings is not None:
-            model = together(self._active.model, self.views.surroundings)
+            model = concatenated(self._active.model, self.views.surroundings)
             self._active = replace(self._active, model=model)
             # State and model share one array of coefficients, as they do without surroundings.
             self._state = replace(self._state, sh=model.sh[:n])
         self._seen = np.zeros(n, np.int32)
         self._blocks = np.zeros((n, PACKED), np.float32)
         self._weights = np.zeros(n, np.float32)
-        self._ways = ways_of(state, self.splats)
+        self._ways = displacements_of(state, self.splats)
         self._count = 0
 
-    def averaging(self) -> "Averaging":
+    def running_mean(self) -> "RunningMean":
         """Return an empty running mean of the states; its `add` includes the current one."""
-        return MeanOf(self)
+        return CpuRunningMean(self)
 
     def rest(self) -> None:
         """Free the memory that only steps need; `begin` must be called before further steps."""
@@ -110,7 +118,7 @@ class Descent:
             self._level(self.shared)
         return error
 
-    def _level(self, shared: "Shared") -> None:
+    def _level(self, shared: "SharedHarmonics") -> None:
         """Replace the harmonics of all splats of a palette entry by their mean."""
         shared.level(self._state.sh)
 
@@ -127,14 +135,14 @@ class Descent:
     def _follow(self, target: Target, wanted: int, rate: float) -> float:
         """Take a step on some blocks of a view, and return their mean squared error before it."""
         state, active, model = self._state, self._active, self._active.model
-        view = pull(model, target, wanted)
+        view = compute_gradients(model, target, wanted)
         advance_splats(
             # The rows that are drawn (HIDDEN is 0), without those of the surroundings.
             np.flatnonzero(view.view.boxes[: len(self.splats)]),
             view.view.geometry,
             view.view.features,
             view.totals,
-            *seen_by(target.camera),
+            *camera_arrays(target.camera),
             model.render_mode is RenderMode.MIP,
             model.sh_degree,
             rate,
@@ -166,7 +174,7 @@ class Descent:
         return view.error
 
 
-class Averaging(Protocol):
+class RunningMean(Protocol):
     """A running mean of the states of a descent."""
 
     def add(self) -> None:
@@ -176,8 +184,8 @@ class Averaging(Protocol):
         """Return the mean, with unit quaternions; needs at least one `add`."""
 
 
-class MeanOf:
-    """A running mean of the states of a descent on the CPU; see `Averaging`."""
+class CpuRunningMean:
+    """A running mean of the states of a descent on the CPU; see `RunningMean`."""
 
     def __init__(self, descent: Descent) -> None:
         self._descent, self._mean = descent, MeanState()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs.fit.targets import Target, squared_error
-from nanogs.raster.camera import evenly
+from nanogs.raster.camera import pick_evenly
 from nanogs.raster.rendering import PreparedSplats
 
 FEWEST = 4  # views needed for a group of its own
@@ -67,7 +67,7 @@ def hold_out(groups: Sequence[Group], count: int) -> list[Group]:
     for group in groups:
         fair = max(2, count // len(groups)) if len(groups) > 1 else count
         number = min(fair, max(1, len(group.targets) // 4))
-        held.append(Group(group.name, tuple(evenly(group.targets, number))))
+        held.append(Group(group.name, tuple(pick_evenly(group.targets, number))))
     return held
 
 

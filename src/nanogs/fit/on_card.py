@@ -10,14 +10,14 @@ from nanogs.fit.descent import Descent
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.state import State
 from nanogs.fit.targets import ALPHA, WHITE, Fitting, Target
-from nanogs.raster.rendering import seen_by, uploaded
+from nanogs.raster.rendering import camera_arrays, uploaded
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
-    from nanogs.card.advancing import Moving
+    from nanogs.card.advancing import FittedSplats
     from nanogs.card.engine import Engine
-    from nanogs.card.fitting import MovingModel
-    from nanogs.fit.shared import Shared
+    from nanogs.card.fitting import FittedModel
+    from nanogs.fit.shared import SharedHarmonics
 
 
 class CardDescent(Descent):
@@ -29,7 +29,7 @@ class CardDescent(Descent):
         splats: Splats,
         views: Fitting,
         parameters: RefitParameters,
-        shared: "Shared | None" = None,
+        shared: "SharedHarmonics | None" = None,
     ) -> None:
         self._engine = engine
         super().__init__(splats, views, parameters, shared)
@@ -41,18 +41,18 @@ class CardDescent(Descent):
 
     def begin(self, state: State) -> None:
         """Continue from a state, which is copied to the device; see `Descent.begin`."""
-        from nanogs.card.fitting import MovingModel, Pace
+        from nanogs.card.fitting import FittedModel, StepParameters
 
         super().begin(state)
         model, begun = self._active.model, self._state
-        self._moving = MovingModel(
+        self._moving = FittedModel(
             uploaded(self._engine, model),
             [begun.means, begun.log_scales, begun.quats, begun.logits, begun.touched],
             self._ways,
             self._given,
             self._active.axes,
             self._active.scales,
-            Pace(
+            StepParameters(
                 damping=self.parameters.damping,
                 floor=self.parameters.floor,
                 memory=len(self.views),
@@ -62,27 +62,27 @@ class CardDescent(Descent):
             ),
         )
 
-    def averaging(self) -> "CardAveraging":
+    def running_mean(self) -> "CardRunningMean":
         """Return an empty running mean on the device; its `add` includes the current state."""
-        return CardAveraging(self._moving)
+        return CardRunningMean(self._moving)
 
-    def _level(self, shared: "Shared") -> None:
+    def _level(self, shared: "SharedHarmonics") -> None:
         sh = self.state.sh.copy()
         shared.level(sh)
         self._moving.recolour(sh)
 
     def _follow(self, target: Target, wanted: int, rate: float) -> float:
         degree, shares = self._active.model.sh_degree, (WHITE, ALPHA)
-        camera = seen_by(target.camera)
+        camera = camera_arrays(target.camera)
         return self._moving.step(camera, degree, target.image, shares, wanted, rate)
 
 
-class CardAveraging:
+class CardRunningMean:
     """A running mean of the states of a descent on a device; see `fit.state.MeanState`."""
 
-    def __init__(self, moving: "MovingModel") -> None:
+    def __init__(self, moving: "FittedModel") -> None:
         self._moving = moving
-        self._mean: Moving | None = None
+        self._mean: FittedSplats | None = None
         self._count = 0
 
     def add(self) -> None:
@@ -105,7 +105,7 @@ def descent_for(
     splats: Splats,
     views: Fitting,
     parameters: RefitParameters,
-    shared: "Shared | None" = None,
+    shared: "SharedHarmonics | None" = None,
 ) -> Descent:
     """Create the `Descent` for the device in use; the arguments are those of `Descent`."""
     engine = engine_in_use()

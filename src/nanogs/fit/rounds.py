@@ -16,11 +16,11 @@ from nanogs.fit.report import GroupReport, RefitStop, RoundReport
 from nanogs.fit.state import State, start, store
 from nanogs.fit.targets import Fitting
 from nanogs.progress import Parts
-from nanogs.raster.rendering import PreparedSplats, prepare, together
+from nanogs.raster.rendering import PreparedSplats, concatenated, prepare
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
-    from nanogs.fit.shared import Shared
+    from nanogs.fit.shared import SharedHarmonics
 
 # Backtracking line search: shares of the way from the best state to the end of a round; the first
 # that improves the validation views is kept.
@@ -44,7 +44,7 @@ class Outcome:
     notes: tuple[str, ...]
 
 
-class Guard:
+class Validator:
     """Accepts or rejects states by their PSNR on the validation views.
 
     States are compared as the models that would be delivered, values as stored. A state is better
@@ -88,7 +88,7 @@ class Guard:
         )
 
     def _psnrs(self, splats: Splats) -> list[float]:
-        model = together(prepare(splats), self.surroundings)
+        model = concatenated(prepare(splats), self.surroundings)
         return [group.psnr(model) for group in self.groups]
 
 
@@ -98,7 +98,7 @@ def fit(
     deciding: Sequence[Group],
     parameters: RefitParameters,
     tell: Parts,
-    shared: "Shared | None" = None,
+    shared: "SharedHarmonics | None" = None,
 ) -> tuple[Splats, Outcome]:
     """Fit a model in rounds.
 
@@ -114,7 +114,7 @@ def fit(
     Returns:
         The fitted model, or the input itself if nothing improved it, and the outcome.
     """
-    guard = Guard(small, deciding, fitting.surroundings)
+    guard = Validator(small, deciding, fitting.surroundings)
     descent = descent_for(small, fitting, parameters, shared)
     best: State | None = None  # None is the input
     rate = parameters.rate
@@ -126,7 +126,7 @@ def fit(
         last = number == parameters.rounds - 1
         if last:
             descent.rest()
-        best, share = _furthest(guard, best, small, reached)
+        best, share = _line_search(guard, best, small, reached)
         if best is not None and not last and share == 1:
             best = best.copy()  # because the descent continues to change its state in place
         seconds = time.perf_counter() - begin
@@ -154,8 +154,8 @@ def fit(
     return store(best, small) if best else small, outcome
 
 
-def _furthest(
-    guard: Guard, best: State | None, small: Splats, state: State
+def _line_search(
+    guard: Validator, best: State | None, small: Splats, state: State
 ) -> tuple[State | None, float]:
     """Search from the end of a round back to the best state for a state that the guard accepts.
 
@@ -188,7 +188,7 @@ def _round(descent: Descent, rate: float, number: int, tell: Parts) -> tuple[Sta
         tell(i, total)
         errors.append(descent.step(rate, i / total))
         if i >= averaged:
-            mean = mean or descent.averaging()
+            mean = mean or descent.running_mean()
             mean.add()
     return mean.state() if mean else descent.state, errors
 

@@ -23,7 +23,7 @@ from nanogs.progress import Parts
 from nanogs.splats import Splats
 
 
-class Sets(NamedTuple):
+class PaletteSize(NamedTuple):
     """The palette to build: how many sets of higher harmonics the splats are to share.
 
     Attributes:
@@ -36,7 +36,7 @@ class Sets(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shared:
+class SharedHarmonics:
     """Which splats share their higher harmonics: the palette entry of each.
 
     Attributes:
@@ -52,7 +52,7 @@ class Shared:
     weights: F32
 
     @classmethod
-    def of(cls, labels: I32, entries: int, weights: F64) -> "Shared":
+    def of(cls, labels: I32, entries: int, weights: F64) -> "SharedHarmonics":
         """Sort splats by their palette entry."""
         return cls(labels, *by_label(labels, entries), weights.astype(np.float32))
 
@@ -71,7 +71,7 @@ class Shared:
 
 def fit_shared(
     small: Splats,
-    sets: Sets,
+    sets: PaletteSize,
     fitting: Fitting,
     deciding: Sequence[Group],
     parameters: RefitParameters,
@@ -91,7 +91,7 @@ def fit_shared(
         The fitted model, with no more sets of higher harmonics than asked for, and the outcome.
     """
     found = palette(small.sh[:, 1:].reshape(len(small), -1), sets.most, sets.weights)
-    shared = Shared.of(found.labels, len(found.entries), sets.weights)
+    shared = SharedHarmonics.of(found.labels, len(found.entries), sets.weights)
     begun = _with(small, found.entries[found.labels])
     fitted, outcome = fit(begun, fitting, deciding, parameters, tell, shared)
     # Rows that never moved still have the entry of before the fit: all get the fitted one.

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, F64, Array, Bool
-from nanogs.kernels.advance import WAY
+from nanogs.kernels.advance import DISPLACEMENT
 from nanogs.kernels.project import MIN_ALPHA, reaches_of
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.splats import Splats
@@ -121,25 +121,25 @@ def start(splats: Splats) -> State:
     )
 
 
-def ways_of(state: State, splats: Splats) -> F32:
-    """(N, WAY) displacement of each parameter from the model that the state started from.
+def displacements_of(state: State, splats: Splats) -> F32:
+    """(N, DISPLACEMENT) displacement of each parameter from the model that the state started from.
 
     See `nanogs.kernels.advance`, also for the last column, which is 0 here. The displacement from a
     value that is not finite, such as the logit of opacity 0, is 0.
     """
-    ways = np.zeros((len(splats), WAY), np.float32)
+    displacements = np.zeros((len(splats), DISPLACEMENT), np.float32)
     if not state.touched.any():
-        return ways
+        return displacements
     logits = np.minimum(splats.opacity_logits, np.float32(HIGHEST_LOGIT))
     begun = splats.means, splats.log_scales, splats.unit_quats(), logits[:, None]
     first = 0
     for now, then in zip(
         (state.means, state.log_scales, state.quats, state.logits[:, None]), begun, strict=True
     ):
-        part = ways[:, first : first + then.shape[1]]
+        part = displacements[:, first : first + then.shape[1]]
         np.subtract(now, then, out=part, where=np.isfinite(then), casting="same_kind")
         first += then.shape[1]
-    return ways
+    return displacements
 
 
 def activate(state: State, splats: Splats, finite: Bool) -> Active:

@@ -9,7 +9,7 @@ import numpy as np
 from nanogs import spread
 from nanogs._types import F32, U8
 from nanogs.card.device import engine_in_use
-from nanogs.kernels import backward, pulls
+from nanogs.kernels import backward, gradients
 from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import (
@@ -86,12 +86,12 @@ class Fitting:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pull:
+class Gradients:
     """Gradient and curvature of a view's squared error, summed over the pixels for each splat.
 
     Attributes:
         view: The projection.
-        totals: (N, 25) float32, see `nanogs.kernels.backward.pull_tiles`; 0 for a splat that is
+        totals: (N, 25) float32, see `nanogs.kernels.backward.gradient_tiles`; 0 for a splat that is
             not drawn.
         error: Mean squared error of the pixels that count, as in `squared_error`.
     """
@@ -173,7 +173,7 @@ def squared_error(model: PreparedSplats, target: Target) -> float:
     return _weigh(target, _blend(model, target.camera)[2])[2]
 
 
-def pull(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Pull:
+def compute_gradients(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Gradients:
     """Render a view, and sum gradient and curvature of its squared error for each splat.
 
     Args:
@@ -183,18 +183,18 @@ def pull(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Pul
     """
     view, features, image = _blend(model, target.camera, wanted)
     residual, precision, error = _weigh(target, image, wanted)
-    return Pull(view, sum_pulls(view, features, image, residual, precision, wanted), error)
+    return Gradients(view, sum_gradients(view, features, image, residual, precision, wanted), error)
 
 
-def sum_pulls(
+def sum_gradients(
     view: Projection, features: F32, image: F32, residual: F32, precision: F32, wanted: int
 ) -> F32:
-    """Return the (N, 25) float32 sums of `nanogs.kernels.backward.pull_tiles` for each splat.
+    """Return the (N, 25) float32 sums of `nanogs.kernels.backward.gradient_tiles` for each splat.
 
     The arguments are those of that kernel.
     """
-    partial = np.empty((len(view.entries), pulls.SUMS), np.float32)
-    backward.pull_tiles(
+    partial = np.empty((len(view.entries), gradients.SUMS), np.float32)
+    backward.gradient_tiles(
         view.geometry,
         features,
         view.starts,
@@ -205,6 +205,6 @@ def sum_pulls(
         precision,
         partial,
     )
-    totals = np.empty((len(features), pulls.SUMS), np.float32)
+    totals = np.empty((len(features), gradients.SUMS), np.float32)
     backward.gather_entries(view.entries, partial, totals)
     return totals

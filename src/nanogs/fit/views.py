@@ -9,7 +9,7 @@ from nanogs.fit.groups import Group, split
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.targets import Fitting, Target, make_target
 from nanogs.progress import Parts, each
-from nanogs.raster.camera import Camera, apart, evenly
+from nanogs.raster.camera import Camera, pick_evenly, split_evenly
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
@@ -38,7 +38,7 @@ def view_targets(
         )
     kept, more = parameters.kept + parameters.held, parameters.views - parameters.kept
     chosen, further = choose_cameras(original, cameras, kept, more, parameters.size)
-    prepared = prepare(original).in_turn()
+    prepared = prepare(original).with_buffers()
     targets = [make_target(prepared, camera) for camera in each(chosen, tell)]
     targets = [target for target in targets if target.image[..., 3].any()]
     blind = len(chosen) - len(targets)
@@ -71,7 +71,9 @@ def choose_cameras(
         size: Pixels along the longer side of a view, at most.
     """
     if cameras:
-        return apart([camera.reduced(size) for camera in evenly(cameras, kept + further)], kept)
+        return split_evenly(
+            [camera.reduced(size) for camera in pick_evenly(cameras, kept + further)], kept
+        )
     found = automatic_cameras(splats, kept + further, width=size, height=size, habit=False)
     return found[:kept], found[kept:]
 

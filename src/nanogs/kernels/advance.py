@@ -12,11 +12,11 @@ from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.kernels.chain import (
     OPACITY,
     PACKED,
+    gradients_and_hessians,
     new_chains,
-    pulls_and_blocks,
+    resolved_share,
+    restoring_share,
     screen_jacobian,
-    told,
-    way_back,
 )
 from nanogs.kernels.damped import damped_steps, new_lanes
 from nanogs.kernels.harmonics import sh_basis
@@ -25,10 +25,10 @@ from nanogs.kernels.project import MIN_ALPHA, guard_bounds, reach_of
 from nanogs.kernels.quaternion import rotation_matrix
 
 LEAST_WEIGHT = 1e-6  # least curvature of the colour, in pixels, at which a splat is moved
-# Columns of `ways`: a splat's displacement since the fit began, of its centre, log-scales,
-# quaternion and logit, then the largest `told` of all views so far.
-WAY = 12
-LOGIT, MOST = 10, 11
+# Columns of `displacements`: a splat's displacement since the fit began, of its centre, log-scales,
+# quaternion and logit, then the largest `resolved_share` of all views so far.
+DISPLACEMENT = 12
+LOGIT, MOST_RESOLVED = 10, 11
 
 
 @inline
@@ -72,7 +72,7 @@ def _start(mean: F64, log_scales: F64, quat: F64, logit: float, way: F32, start:
 
 
 @inline
-def _go_back(
+def _restore(
     share: float, start: F64, mean: F64, log_scales: F64, quat: F64, logit: float, way: F32
 ) -> float:
     """Undo a share of a splat's displacement, update the displacement, and return the logit."""
@@ -112,7 +112,7 @@ def _recolour(
     degree: int,
     basis: F64,
     bands: F64,
-    bend: float,
+    curvature: float,
     rate: float,
     back: float,
     given: F32,
@@ -122,12 +122,12 @@ def _recolour(
     distance = math.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
     sh_basis(point[0] / distance, point[1] / distance, point[2] / distance, degree, basis)
     for k in range(len(sh)):
-        held = bands[k, 1] * bend
-        step = rate / (bands[k, 0] * bend + held)
+        held = bands[k, 1] * curvature
+        step = rate / (bands[k, 0] * curvature + held)
         for c in range(3):
-            pull = basis[k] * sums[c] if shown[c] > 0.0 or sums[c] > 0.0 else 0.0
+            gradient = basis[k] * sums[c] if shown[c] > 0.0 or sums[c] > 0.0 else 0.0
             way = sh[k, c] - given[k, c]
-            sh[k, c] += np.float32((pull - held * way) * step - back * way)
+            sh[k, c] += np.float32((gradient - held * way) * step - back * way)
 
 
 @parallel_kernel("order")
@@ -167,15 +167,15 @@ def advance_splats(
     seen: I32,
     blocks: F32,
     weights: F32,
-    ways: F32,
+    displacements: F32,
 ) -> None:
     """Take one step on each splat that a view shows, and activate it for the next view.
 
     A splat's curvatures are means over the views that showed it. If it has more pixels in this view
     than on average, which the weight of its colour measures, they are scaled up by that ratio, so
     that no single view moves it farther than the view's own curvatures allow. The step is also
-    shortened by how well the view determines the splat (`chain.told`); and if no view has
-    determined a splat well, each step undoes a part of all earlier steps (`chain.way_back`).
+    shortened by how well the view determines the splat (`chain.resolved_share`); and if no view has
+    determined a splat well, each step undoes a part of all earlier steps (`chain.restoring_share`).
 
     Args:
         start: First place in `order` of the range.
@@ -189,8 +189,8 @@ def advance_splats(
         lens: (11,) as `nanogs.kernels.project.project_splats` takes it.
         mip: Whether opacities were compensated for the dilation.
         degree: Spherical-harmonic degree, of which `sh` has all coefficients.
-        rate: Learning rate, 1 for the whole way to the minimum of the quadratic model; `told`
-            reduces it further for each splat.
+        rate: Learning rate, 1 for the whole way to the minimum of the quadratic model;
+            `resolved_share` reduces it further for each splat.
         damping: See `damped_steps`.
         floor: See `damped_steps`.
         memory: Number of views, about, over which a splat's curvatures are averaged.
@@ -215,16 +215,16 @@ def advance_splats(
         seen: (N,) in and out, number of views that have moved the splat.
         blocks: (N, 55) in and out, mean Gauss-Newton matrix of the shape, lower triangle.
         weights: (N,) in and out, mean curvature of the colours.
-        ways: (N, WAY) in and out, the splat's displacement since the fit began, and the largest
-            `told` so far.
+        displacements: (N, DISPLACEMENT) in and out, the splat's displacement since the fit began,
+            and the largest `resolved_share` so far.
     """
     bounds = guard_bounds(lens)
     point, basis = np.empty(3), np.empty(25)
     shape, screen, lanes = sizes
     jacobians, sums, products = new_chains(shape, screen, lanes)
-    pulls, curvatures, moves = new_lanes(shape, lanes)
+    gradients, curvatures, moves = new_lanes(shape, lanes)
     rows, excesses, lifts = np.empty(lanes, np.int64), np.empty(lanes), np.empty(lanes)
-    rates, backs, begun = np.empty(lanes), np.empty(lanes), np.empty(MOST)
+    rates, backs, begun = np.empty(lanes), np.empty(lanes), np.empty(MOST_RESOLVED)
     place = start
     while place < stop:
         lane = 0
@@ -247,9 +247,14 @@ def advance_splats(
             # Computed in float64 and rounded only at the end, so that it is never 0.
             weights[i] = weights[i] + (weight - weights[i]) / min(seen[i], memory)
             excesses[lane] = max(weight / weights[i], 1.0)
-            share = told(geometry[i])
-            ways[i, MOST] = max(ways[i, MOST], np.float32(share))
-            rates[lane], backs[lane] = rate * share, rate * way_back(ways[i, MOST])
+            share = resolved_share(geometry[i])
+            displacements[i, MOST_RESOLVED] = max(
+                displacements[i, MOST_RESOLVED], np.float32(share)
+            )
+            rates[lane], backs[lane] = (
+                rate * share,
+                rate * restoring_share(displacements[i, MOST_RESOLVED]),
+            )
             _recolour(
                 totals[i], features[i], point, degree, basis, bands, excesses[lane] * weights[i],
                 rates[lane], backs[lane], given[i], sh[i],
@@ -257,24 +262,26 @@ def advance_splats(
             rows[lane] = i
             lane += 1
 
-        pulls_and_blocks(jacobians, sums, products, pulls, curvatures)
+        gradients_and_hessians(jacobians, sums, products, gradients, curvatures)
         for k in range(lane):
             i = rows[k]
             share = 1.0 / min(seen[i], memory)
             for a in range(PACKED):
                 blocks[i, a] += np.float32(share * (curvatures[a, k] - blocks[i, a]))
                 curvatures[a, k] = excesses[k] * blocks[i, a]
-        damped_steps(pulls, curvatures, damping, floor, limits, lifts, moves)
+        damped_steps(gradients, curvatures, damping, floor, limits, lifts, moves)
         for k in range(lane):
             if not moves[k]:
                 continue
             i = rows[k]
-            _start(means[i], log_scales[i], quats[i], logits[i], ways[i], begun)
-            _reshape(pulls[:, k], rates[k], means[i], log_scales[i], quats[i], axes[i], scales[i])
+            _start(means[i], log_scales[i], quats[i], logits[i], displacements[i], begun)
+            _reshape(
+                gradients[:, k], rates[k], means[i], log_scales[i], quats[i], axes[i], scales[i]
+            )
             least = min(limits[10], logits[i])
-            logit = min(max(logits[i] + rates[k] * pulls[OPACITY, k], least), limits[11])
-            logits[i] = _go_back(
-                backs[k], begun, means[i], log_scales[i], quats[i], logit, ways[i]
+            logit = min(max(logits[i] + rates[k] * gradients[OPACITY, k], least), limits[11])
+            logits[i] = _restore(
+                backs[k], begun, means[i], log_scales[i], quats[i], logit, displacements[i]
             )  # fmt: skip
             for r in range(3):
                 centres[i, r] = means[i, r]

@@ -22,8 +22,8 @@ import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U8
 from nanogs.kernels.blocks import BATCH, LANES, SHAPE, TILE, mark_blocks, open_blocks
+from nanogs.kernels.gradients import CHANNELS, SUMS, gradient_blocks
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.pulls import CHANNELS, SUMS, pull_blocks
 from nanogs.kernels.raster import fetch, place_in_tile, start_tile
 
 
@@ -91,7 +91,7 @@ def weigh_pixels(
 
 
 @parallel_kernel("starts", least=8)
-def pull_tiles(
+def gradient_tiles(
     start: int,
     stop: int,
     geometry: F64,
@@ -129,7 +129,7 @@ def pull_tiles(
     left = np.empty((LANES, LANES), np.float32)
     behind = np.empty((CHANNELS, LANES, LANES), np.float32)
     change = np.empty((CHANNELS, LANES, LANES), np.float32)
-    trust = np.zeros((LANES, LANES), np.float32)
+    curvature_weight = np.zeros((LANES, LANES), np.float32)
     shapes = np.empty((BATCH, SHAPE), np.float32)
     values = np.empty((BATCH, CHANNELS), np.float32)
     marks = np.zeros(LANES, np.uint32)  # taken by `mark_blocks`, not used here
@@ -143,7 +143,7 @@ def pull_tiles(
         for y in range(min(TILE, height - y0)):
             for x in range(min(TILE, width - x0)):
                 block, lane = place_in_tile(x, y)
-                trust[block, lane] = precision[y0 + y, x0 + x]
+                curvature_weight[block, lane] = precision[y0 + y, x0 + x]
         for first in range(starts[tile], end, BATCH):
             light = open_blocks(left)
             if light == 0:
@@ -153,8 +153,17 @@ def pull_tiles(
                 fetch(geometry, features, entries[first + j], x0, y0, CHANNELS, j, shapes, values)
             for j in range(count):
                 mark = mark_blocks(shapes, j, marks) & light
-                pull_blocks(
-                    mark, j, shapes, values, left, behind, change, trust, partial, first + j
+                gradient_blocks(
+                    mark,
+                    j,
+                    shapes,
+                    values,
+                    left,
+                    behind,
+                    change,
+                    curvature_weight,
+                    partial,
+                    first + j,
                 )
 
 
@@ -166,7 +175,7 @@ def gather_entries(start: int, stop: int, entries: I32, partial: F32, totals: F3
         start: First splat of the range.
         stop: The splat after its last.
         entries: (E,) from `list_tiles`.
-        partial: (E, 25) from `pull_tiles`.
+        partial: (E, 25) from `gradient_tiles`.
         totals: (N, 25) out.
     """
     totals[start:stop] = 0.0

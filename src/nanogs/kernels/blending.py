@@ -4,10 +4,10 @@ import numpy as np
 
 from nanogs._types import F32
 from nanogs.kernels.blocks import BATCH, LANES, PIXELS_X, PIXELS_Y, Single, shade_pixel
-from nanogs.kernels.policy import two_ways
+from nanogs.kernels.policy import simd_or_plain
 
 
-@two_ways
+@simd_or_plain
 def blend_block(
     mark: int, block: int, shapes: F32, values: F32, left: F32, weights: F32, planes: F32
 ) -> None:
@@ -33,7 +33,7 @@ def blend_block(
                 planes[c, block, lane] += values[j, c] * weight
 
 
-@two_ways
+@simd_or_plain
 def add_block(mark: int, block: int, weights: F32, values: F32, c: int, planes: F32) -> None:
     """Blend one more feature, number `c`, into a block, with the weights from `blend_block`.
 
@@ -46,7 +46,7 @@ def add_block(mark: int, block: int, weights: F32, values: F32, c: int, planes: 
                 planes[c, block, lane] += values[j, c] * weights[j, lane]
 
 
-@two_ways
+@simd_or_plain
 def probe_block(mark: int, block: int, weights: F32, probes: F32, p: int, sums: F32) -> None:
     """Add each splat's weights in a block, times probe `p` of the pixels, to `sums`, by pixel.
 
@@ -59,7 +59,7 @@ def probe_block(mark: int, block: int, weights: F32, probes: F32, p: int, sums: 
                 sums[p, j, lane] += weights[j, lane] * probes[p, block, lane]
 
 
-@two_ways
+@simd_or_plain
 def total(sums: F32, p: int, j: int) -> Single:
     """Return the sum of row j of table p, which is overwritten; sums: (P, BATCH, 16)."""
     width = LANES // 2

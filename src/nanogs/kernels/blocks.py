@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 
 from nanogs._types import F32, U32, Array
-from nanogs.kernels.policy import inline, two_ways
+from nanogs.kernels.policy import inline, simd_or_plain
 
 Single: TypeAlias = np.float32
 
@@ -63,7 +63,7 @@ PIXELS_Y: F32 = (SIDE * ROWS[:, None] + ROWS - MIDDLE).astype(np.float32)
 """(16, 16) float32: from the middle of a tile to each pixel of each block."""
 
 
-@two_ways
+@simd_or_plain
 def mark_blocks(shapes: F32, j: int, marks: U32) -> int:
     """Find the blocks that a splat may reach, and set bit j of their marks.
 
@@ -129,7 +129,7 @@ def shade_pixel(
     return weight, after, p, q
 
 
-@two_ways
+@simd_or_plain
 def open_blocks(left: F32) -> int:
     """Return a bit mask of the blocks with a pixel that is not full; left: (16, 16)."""
     found = 0
@@ -140,7 +140,7 @@ def open_blocks(left: F32) -> int:
     return found
 
 
-@two_ways
+@simd_or_plain
 def prefetch(array: Array, row: int) -> None:
     """Prefetch the first 64 bytes of a row of a two-dimensional array into the cache.
 

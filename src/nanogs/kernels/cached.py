@@ -29,7 +29,9 @@ except ImportError:  # Windows: each process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
-TWO_WAYS = "two_ways"  # attribute of functions that `policy` compiles as vectors or plain code
+SIMD_OR_PLAIN = (
+    "simd_or_plain"  # attribute of functions that `policy` compiles as vectors or plain code
+)
 
 
 def cached(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba's own
@@ -67,7 +69,7 @@ def sources_digest(folder: Path = Path(__file__).parent) -> str:
 
 
 @cache
-def _has_two_ways(function: Callable[..., Any]) -> bool:
+def _has_both(function: Callable[..., Any]) -> bool:
     """Return whether a kernel, or a function that it calls, has a vector and a plain version.
 
     Kernels that have not can be compiled before `simd/choice.py` chooses between the two.
@@ -78,7 +80,7 @@ def _has_two_ways(function: Callable[..., Any]) -> bool:
     for module in [one for one in modules if one.__name__.startswith("nanogs.")]:
         called += [getattr(module, name) for name in names if hasattr(module, name)]
     return any(
-        getattr(one, TWO_WAYS, False) or (hasattr(one, "py_func") and _has_two_ways(one.py_func))
+        getattr(one, SIMD_OR_PLAIN, False) or (hasattr(one, "py_func") and _has_both(one.py_func))
         for one in called
     )
 
@@ -116,7 +118,7 @@ class _Disk(caching.FunctionCache):
     def _index_key(self, sig: Any, codegen: Any) -> Any:  # noqa: ANN401
         """Numba's key, with entries of their own for bounds checks and for each way of `simd`."""
         key = super()._index_key(sig, codegen)  # type: ignore[no-untyped-call]
-        way = chosen().value if _has_two_ways(self._py_func) else ""
+        way = chosen().value if _has_both(self._py_func) else ""
         return (*key, bool(config.BOUNDSCHECK), way)  # type: ignore[attr-defined]
 
     def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401

@@ -17,9 +17,9 @@ from typing import TypeAlias
 import numpy as np
 
 from nanogs._types import F32, F64
+from nanogs.kernels.gradients import SUMS
 from nanogs.kernels.policy import exact_inline, inline
 from nanogs.kernels.project import DILATION
-from nanogs.kernels.pulls import SUMS
 
 Triple: TypeAlias = tuple[float, float, float]
 Bounds: TypeAlias = tuple[float, float, float, float]
@@ -32,7 +32,7 @@ SCREEN = 6
 CENTRE, OPACITY, SPREAD = 3, 9, 3
 # Share of its displacement that each step of full length undoes if views determine nothing of a
 # splat.
-BACK = 0.2
+RESTORING = 0.2
 # Which monomials each parameter changes. Only the centre moves a splat on screen, so that only it
 # changes the linear ones. The opacity changes only the constant.
 CHANGES = np.ones((SHAPE, SCREEN), np.bool_)
@@ -53,21 +53,22 @@ PRODUCTS = np.array(
 
 @inline
 def new_chains(shape: int, screen: int, lanes: int) -> tuple[F64, F64, F64]:
-    """Allocate the arrays of `pulls_and_blocks`: Jacobians, sums, and scratch for products."""
+    """Allocate arrays for `gradients_and_hessians`: Jacobians, sums, and scratch for products."""
     # Zeros, because only one entry of the opacity's row of a Jacobian is ever written.
     return np.zeros((shape, screen, lanes)), np.zeros((SUMS, lanes)), np.zeros((screen, lanes))
 
 
 @inline
-def told(row: F64) -> float:
+def resolved_share(row: F64) -> float:
     """Return how well a view determines a splat, in [0, 1]: the share of its step to take.
 
     A view shows only the sum of the splat's own covariance on screen and the rasteriser's dilation.
     In the frame where this sum is the unit matrix, let own be the eigenvalues of the splat's part:
     1 for a splat of many pixels, 0 for a point. Seen from nearer, the dilation vanishes, and the
-    error of a change there is to that here as 1 to own². The splat is assumed to be right there, so
-    that only a share own² of the step that this view alone asks for should be taken. The result is
-    the mean of own² over both axes.
+    error of a change there is to that here as 1 to own². If the splat is right there, both errors
+    together are least at the share own² / (1 + own²) of the step that this view alone asks for. The
+    result, the mean of own² over both axes, is nearly that for small own, and 1 for whole steps
+    where nothing is hidden by the dilation.
 
     Args:
         row: (8,) the projected splat.
@@ -80,17 +81,17 @@ def told(row: F64) -> float:
 
 
 @inline
-def way_back(told_most: float) -> float:
+def restoring_share(most_resolved: float) -> float:
     """Return the share of a splat's displacement since its start that a step of full length undoes.
 
     Short steps add up to long ways if there are many. Without this, parameters that no view can
     distinguish from the dilation would drift.
 
     Args:
-        told_most: The largest `told` of all views so far, in [0, 1].
+        most_resolved: The largest `resolved_share` of all views so far, in [0, 1].
     """
-    untold = 1.0 - told_most
-    return BACK * untold * untold
+    unresolved = 1.0 - most_resolved
+    return RESTORING * unresolved * unresolved
 
 
 @inline
@@ -240,24 +241,26 @@ def _clear(out: F64) -> None:
 
 
 @exact_inline
-def pulls_and_blocks(jacobians: F64, sums: F64, products: F64, pulls: F64, blocks: F64) -> None:
+def gradients_and_hessians(
+    jacobians: F64, sums: F64, products: F64, gradients: F64, blocks: F64
+) -> None:
     """Compute gradients J g and Gauss-Newton matrices J M Jᵀ of splats side by side.
 
     Args:
         jacobians: (10, 6, L) from `screen_jacobian`.
         sums: (25, L) from `gather_entries`.
         products: (6, L) scratch.
-        pulls: (10, L) out, the gradients, negative as in `sums`.
+        gradients: (10, L) out, the gradients, negative as in `sums`.
         blocks: (55, L) out, lower triangles of the matrices.
     """
     screen = len(products)
-    for a in range(len(pulls)):
-        _clear(pulls[a])
+    for a in range(len(gradients)):
+        _clear(gradients[a])
         for c in range(screen):
             _clear(products[c])
         for d in range(screen):
             if CHANGES[a, d]:
-                _add_products(pulls[a], jacobians[a, d], sums[4 + d])
+                _add_products(gradients[a], jacobians[a, d], sums[4 + d])
                 for c in range(screen):
                     _add_products(products[c], jacobians[a, d], sums[PRODUCTS[d, c]])
         row = a * (a + 1) // 2

@@ -3,13 +3,13 @@
 import numpy as np
 
 from nanogs._types import F32, I32
-from nanogs.kernels.policy import two_ways
+from nanogs.kernels.policy import simd_or_plain
 
 LANES = 16
 TOGETHER = 4
 
 
-@two_ways
+@simd_or_plain
 def closest(
     factors: F32, columns: F32, squares: F32, tiles: int, least: F32, second: F32, places: I32
 ) -> None:

@@ -105,7 +105,7 @@ def _shorten(steps: F64, limits: F64, moves: Bool) -> None:
 
 @exact_inline
 def damped_steps(
-    pulls: F64, blocks: F64, damping: float, floor: float, limits: F64, lifts: F64, moves: Bool
+    gradients: F64, blocks: F64, damping: float, floor: float, limits: F64, lifts: F64, moves: Bool
 ) -> None:
     """Solve the equations of L splats, and shorten the steps to their limits.
 
@@ -113,7 +113,7 @@ def damped_steps(
     splats beside it.
 
     Args:
-        pulls: (10, L) negative gradients in; the steps out.
+        gradients: (10, L) negative gradients in; the steps out.
         blocks: (55, L) lower triangles of the matrices, row by row; overwritten.
         damping: Fraction of the diagonal that is added to it.
         floor: Fraction of the largest diagonal entry that is added to all of the diagonal, more
@@ -123,7 +123,7 @@ def damped_steps(
         moves: (L,) out, whether there is a step: false if the matrix is 0 or the step is not
             finite.
     """
-    _lift_diagonal(len(pulls), blocks, damping, floor, lifts, moves)
-    _factorise(len(pulls), blocks, lifts)
-    _substitute(blocks, pulls)
-    _shorten(pulls, limits, moves)
+    _lift_diagonal(len(gradients), blocks, damping, floor, lifts, moves)
+    _factorise(len(gradients), blocks, lifts)
+    _substitute(blocks, gradients)
+    _shorten(gradients, limits, moves)

@@ -6,12 +6,12 @@ A key is the upper half of the bits of a non-negative float64, as int32. Keys so
 import numpy as np
 
 from nanogs._types import F64, I32
-from nanogs.kernels.policy import exact_two_ways
+from nanogs.kernels.policy import exact_simd_or_plain
 
 LANES = 16
 
 
-@exact_two_ways
+@exact_simd_or_plain
 def distance_keys(points: F64, x: float, y: float, z: float, keys: I32, at: int) -> None:
     """Compute keys of the squared distances from 16 points to one.
 
@@ -22,7 +22,7 @@ def distance_keys(points: F64, x: float, y: float, z: float, keys: I32, at: int)
         keys[at + lane] = np.float64(dx * dx + dy * dy + dz * dz).view(np.int64) >> 32
 
 
-@exact_two_ways
+@exact_simd_or_plain
 def box_keys(points: F64, boxes: F64, node: int, keys: I32) -> None:
     """Compute keys of the squared distances from 16 points to the box of a node.
 
@@ -38,7 +38,7 @@ def box_keys(points: F64, boxes: F64, node: int, keys: I32) -> None:
         keys[lane] = np.float64(square).view(np.int64) >> 32
 
 
-@exact_two_ways
+@exact_simd_or_plain
 def within(keys: I32, at: int, bounds: I32) -> int:
     """Return a bit mask: bit l is set if keys[at + l] <= bounds[l], l from 0 to 15."""
     mask = 0
@@ -47,7 +47,7 @@ def within(keys: I32, at: int, bounds: I32) -> int:
     return mask
 
 
-@exact_two_ways
+@exact_simd_or_plain
 def lowest_bit(mask: int) -> int:
     """Return the index of the lowest bit set in a mask that is not 0."""
     place = 0
@@ -56,7 +56,7 @@ def lowest_bit(mask: int) -> int:
     return place
 
 
-@exact_two_ways
+@exact_simd_or_plain
 def insert(lists: I32, keys: I32, at: int, k: int) -> None:
     """Insert keys[at + l] into list l and drop that list's largest key, for all 16 lists.
 

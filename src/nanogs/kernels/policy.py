@@ -16,7 +16,7 @@ from numba.extending import overload
 
 from nanogs import spread
 from nanogs.kernels import compiling
-from nanogs.kernels.cached import TWO_WAYS, cached
+from nanogs.kernels.cached import SIMD_OR_PLAIN, cached
 from nanogs.kernels.inlined import OPTIONS, inlined
 from nanogs.kernels.simd.choice import Way, chosen
 
@@ -85,21 +85,21 @@ def exact_inline(function: Kernel) -> Kernel:
     return inlined(function, **CALLED)
 
 
-def two_ways(function: Kernel) -> Kernel:
+def simd_or_plain(function: Kernel) -> Kernel:
     """Compile a small function as vectors of `nanogs.kernels.simd`, or as it is written.
 
     The vector version is the function of the same name in the module of the same name there.
     `simd/choice.py` makes the choice for all functions.
     """
-    return _two_ways(function, fastmath=FASTMATH, **CALLED)
+    return _simd_or_plain(function, fastmath=FASTMATH, **CALLED)
 
 
-def exact_two_ways(function: Kernel) -> Kernel:
-    """Compile as `two_ways` does, with strict IEEE floating point."""
-    return _two_ways(function, **CALLED)
+def exact_simd_or_plain(function: Kernel) -> Kernel:
+    """Compile as `simd_or_plain` does, with strict IEEE floating point."""
+    return _simd_or_plain(function, **CALLED)
 
 
-def _two_ways(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba's own
+def _simd_or_plain(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba's own
     given: Any = options | OPTIONS  # `Any`, because Numba does not export the type
 
     @wraps(function)
@@ -120,7 +120,7 @@ def _two_ways(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Num
 
         return body
 
-    setattr(python, TWO_WAYS, True)
+    setattr(python, SIMD_OR_PLAIN, True)
     overload(python, jit_options=given, strict=False)(implementation)
     return cast("Kernel", python)
 

@@ -230,7 +230,7 @@ def sum_entries(
 
 
 @parallel_kernel("totals")
-def add_unhidden(
+def add_unoccluded(
     start: int, stop: int, geometry: F64, boxes: I64, width: int, height: int, totals: F64
 ) -> None:
     """Add each splat's contribution if nothing were in front of it, if its centre is on the image.

@@ -41,10 +41,10 @@ class Light:
     def add(self, view: Rendering) -> None:
         """Add a view, which was rendered with contributions."""
         assert view.contributions is not None  # noqa: S101 - asked for
-        assert view.unhidden is not None  # noqa: S101 - asked for
+        assert view.unoccluded is not None  # noqa: S101 - asked for
         self.seen += view.contributions
-        self.whole += view.unhidden
-        self.times += view.contributions > SHOWN * view.unhidden
+        self.whole += view.unoccluded
+        self.times += view.contributions > SHOWN * view.unoccluded
         np.minimum(self.times, 2, out=self.times)
         self.views += 1
         self.pixels += view.alpha.size

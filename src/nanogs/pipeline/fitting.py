@@ -13,7 +13,7 @@ from nanogs._types import F64
 from nanogs.fit.api import fit_to_views
 from nanogs.fit.groups import Group
 from nanogs.fit.report import GroupReport, RefitReport, RefitStop
-from nanogs.fit.shared import Sets
+from nanogs.fit.shared import PaletteSize
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.io.precision import visibility
 from nanogs.method.visibility import SHOWN, light_in, visibility_of, visible_weights
@@ -21,8 +21,8 @@ from nanogs.pipeline.scene import FitViews, Scene
 from nanogs.pipeline.seen import looks_at
 from nanogs.pipeline.views import deciding_count, parts_of
 from nanogs.pipeline.weights import fit_parameters
-from nanogs.raster.camera import Camera, evenly
-from nanogs.raster.rendering import prepare, together
+from nanogs.raster.camera import Camera, pick_evenly
+from nanogs.raster.rendering import concatenated, prepare
 from nanogs.splats import Splats
 from nanogs.store.columns import count_of
 from nanogs.store.tables import Record
@@ -64,7 +64,7 @@ def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
         validation=sum(len(group.targets) for group in views.deciding),
     )
     most = scene.settings.entries(len(part), scene.target(level))
-    sets = Sets(most, weights_of_colours(part, views.fitting)) if most else None
+    sets = PaletteSize(most, weights_of_colours(part, views.fitting)) if most else None
     fitted, report = fit_to_views(
         part, views.fitting, views.deciding, parameters, views.count, scene.threads, scene.tell,
         sets,
@@ -79,9 +79,9 @@ def weights_of_colours(part: Splats, fitting: Fitting) -> F64:
         part: N splats.
         fitting: The views, and the surroundings that are rendered with the splats.
     """
-    cameras = [view.camera for view in evenly(fitting.kept, GLANCES)]
+    cameras = [view.camera for view in pick_evenly(fitting.kept, GLANCES)]
     small = [each if each.whole else each.reduced(GLANCE) for each in cameras]
-    light = light_in(together(prepare(part), fitting.surroundings), small)
+    light = light_in(concatenated(prepare(part), fitting.surroundings), small)
     visible, _ = visibility_of(light, None)
     return visible_weights(visibility(part), visible[: len(part)], HIDDEN)
 
@@ -148,7 +148,7 @@ def fit_views(work: "Work", block: int, level: int) -> FitViews | None:
     if not seen.fitting:
         return None
     others = work.surroundings(block)
-    original = together(own, others).in_turn()
+    original = concatenated(own, others).with_buffers()
     del own
     fitting = Fitting(
         [make_target(original, camera, depth=False) for camera in seen.fitting],
@@ -175,6 +175,6 @@ def _divided(
         return _BlockViews([], [], [])
     middle = float(np.median([lit for _, lit in seen]))
     well = [part for part, lit in seen if lit >= middle]
-    deciding = evenly(well, deciding_count(len(seen)))
+    deciding = pick_evenly(well, deciding_count(len(seen)))
     fitting = [part for part, _ in seen if part not in deciding]
     return _BlockViews(deciding, fitting, [part for part in further if part])

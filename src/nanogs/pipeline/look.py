@@ -14,7 +14,7 @@ from nanogs.metrics._ssim import LEAST
 from nanogs.pipeline.scene import Scene, ViewLight
 from nanogs.pipeline.views import Views
 from nanogs.raster.lens import lens_notes
-from nanogs.raster.rendering import prepare, together
+from nanogs.raster.rendering import concatenated, prepare
 from nanogs.store.tables import Record
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     own, views = scene.bare(number), scene.views
     count = len(own.splats)
     cameras = [*views.kept, *scene.closer_views(own)]
-    drawn = together(prepare(own.splats), scene.occluders(number)).in_turn()
+    drawn = concatenated(prepare(own.splats), scene.occluders(number)).with_buffers()
     looked, lights = Light(len(drawn)), []
     pictured = scene.pictured
     total = len(cameras) + len(pictured) + len(views.roaming)

@@ -324,7 +324,7 @@ class OneBlock(Scene):
         """Return the views to fit a result to; None if there are none."""
         drawn = self.settings.looks and not self.settings.parameters.pictured
         further = self.views.further if drawn else ()
-        original = prepare(self.splats).in_turn() if further else None
+        original = prepare(self.splats).with_buffers() if further else None
         fitting = Fitting(self.fitting, original, further)
         return FitViews(fitting, self.groups, len(self.splats)) if len(fitting) else None
 

@@ -15,7 +15,7 @@ from nanogs.method.choose import GROWTH_MARGIN, further_growths, quality
 from nanogs.method.visibility import LUMA
 from nanogs.metrics import ssim
 from nanogs.pipeline.scene import Members, Scene
-from nanogs.raster.rendering import PreparedSplats, prepare, render, together
+from nanogs.raster.rendering import PreparedSplats, concatenated, prepare, render
 from nanogs.report import CandidateReport
 from nanogs.splats import Splats
 from nanogs.store.tables import Record
@@ -145,7 +145,7 @@ def _errors(
     model: Splats, wanted: Sequence[Target | None], others: PreparedSplats | None
 ) -> Errors:
     """Measure the errors of a block's candidate on the deciding views."""
-    prepared, errors = together(prepare(model), others), []
+    prepared, errors = concatenated(prepare(model), others), []
     for target in wanted:
         if target is None:
             errors.append((0.0, 0.0))

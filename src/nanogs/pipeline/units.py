@@ -15,7 +15,7 @@ from nanogs.method.order import code_box, codes_in
 from nanogs.pipeline.rows import sample
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.unpack import Unpacked
-from nanogs.raster.camera import Camera, evenly
+from nanogs.raster.camera import Camera, pick_evenly
 from nanogs.splats import Splats
 
 
@@ -120,5 +120,5 @@ def viewers_of(cameras: Sequence[Camera], origin: F64, means: F64) -> Viewers:
         origin: (3,) subtracted from centres, scene units.
         means: (N, 3) float64, N >= 1, splats of the model, relative to the origin.
     """
-    places = np.array([camera.position for camera in evenly(cameras, MOST_VIEWERS)])
+    places = np.array([camera.position for camera in pick_evenly(cameras, MOST_VIEWERS)])
     return viewers(places - origin, means)

@@ -11,7 +11,7 @@ from nanogs.kernels.blocks import TILE
 from nanogs.kernels.project import HIDDEN, unpack_box
 from nanogs.method.visibility import DECIDING
 from nanogs.pipeline.asked import camera_of, plain_camera
-from nanogs.raster.camera import Camera, evenly
+from nanogs.raster.camera import Camera, pick_evenly
 from nanogs.raster.rendering import PreparedSplats, project
 
 LEAST = 2 * TILE  # fewest pixels along a side of a part of a view
@@ -37,7 +37,7 @@ class Views:
     @property
     def deciding(self) -> list[Camera]:
         """The cameras by which results are chosen."""
-        return evenly(self.kept, deciding_count(len(self.kept)))
+        return pick_evenly(self.kept, deciding_count(len(self.kept)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data; floats keep every digit in JSON."""

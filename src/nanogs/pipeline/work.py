@@ -54,7 +54,7 @@ from nanogs.pipeline.unpack import Unpacked
 from nanogs.pipeline.views import Views, parts_of, views_of
 from nanogs.progress import Parts, untold
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render, together
+from nanogs.raster.rendering import PreparedSplats, Rendering, concatenated, prepare, render
 from nanogs.report import PassReport
 from nanogs.source import Layout
 from nanogs.splats import Splats
@@ -349,7 +349,7 @@ class Work(Scene):
         assert own.visible is not None  # noqa: S101 - this job renders
         drawn = prepare(own.splats)
         parts = parts_of(drawn, own.visible >= SHOWN, self.deciding)
-        whole = together(drawn, self.surroundings(block))
+        whole = concatenated(drawn, self.surroundings(block))
         return [as_target(render(whole, part), part) if part else None for part in parts]
 
     def fit_views(self, block: int, level: int) -> FitViews | None:

@@ -109,16 +109,16 @@ class Camera:
         )
 
 
-def apart(items: Sequence[Item], count: int) -> tuple[list[Item], list[Item]]:
+def split_evenly(items: Sequence[Item], count: int) -> tuple[list[Item], list[Item]]:
     """Split items into at most `count` of them, spread evenly, and all the others."""
-    rows = set(evenly(range(len(items)), count))
+    rows = set(pick_evenly(range(len(items)), count))
     return (
         [item for row, item in enumerate(items) if row in rows],
         [item for row, item in enumerate(items) if row not in rows],
     )
 
 
-def evenly(items: Sequence[Item], count: int) -> list[Item]:
+def pick_evenly(items: Sequence[Item], count: int) -> list[Item]:
     """Pick at most `count` of the items, spread evenly."""
     n, count = len(items), min(count, len(items))
     return [items[(2 * place + 1) * n // (2 * count)] for place in range(count)]

@@ -32,7 +32,7 @@ SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting r
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Room:
+class ProjectionBuffers:
     """Preallocated arrays for the projected splats of a view, N rows each; see `Projection`."""
 
     geometry: F64
@@ -67,12 +67,12 @@ class PreparedSplats:
     sh_degree: int
     render_mode: RenderMode
     skipped: int
-    room: Room | None = None
+    room: ProjectionBuffers | None = None
 
     def __len__(self) -> int:
         return len(self.means)
 
-    def in_turn(self) -> "PreparedSplats":
+    def with_buffers(self) -> "PreparedSplats":
         """Return the same splats with a `room`: each view overwrites the projection before it."""
         return replace(self, room=_room(len(self)))
 
@@ -120,7 +120,7 @@ class Rendering:
     alpha: F32
     depth: F32 | None
     contributions: F64 | None
-    unhidden: F64 | None
+    unoccluded: F64 | None
     drawn: int
     skipped: int
     notes: tuple[str, ...]
@@ -167,7 +167,7 @@ def prepare(splats: Splats) -> PreparedSplats:
     )
 
 
-def together(first: PreparedSplats, second: PreparedSplats | None) -> PreparedSplats:
+def concatenated(first: PreparedSplats, second: PreparedSplats | None) -> PreparedSplats:
     """Concatenate two models to be drawn as one: rows of the first, then those of the second.
 
     Args:
@@ -235,8 +235,8 @@ def render(
     rendering = rendering_of(image, left, len(view.order), prepared.skipped, prepared.render_mode)
     if not contributions:
         return rendering
-    shares, unhidden = totals[:, 0].copy(), _unhidden(view, camera)
-    return replace(rendering, contributions=shares, unhidden=unhidden)
+    shares, unoccluded = totals[:, 0].copy(), _unhidden(view, camera)
+    return replace(rendering, contributions=shares, unoccluded=unoccluded)
 
 
 def _render_on(
@@ -258,7 +258,9 @@ def _render_on(
     )
     if not contributions:
         return rendering
-    return replace(rendering, contributions=view.contributions(wanted), unhidden=view.unhidden())
+    return replace(
+        rendering, contributions=view.contributions(wanted), unoccluded=view.unoccluded()
+    )
 
 
 def view_on(
@@ -271,10 +273,10 @@ def view_on(
     check_camera(camera)
     degree = _degree(prepared, sh_degree)
     model = engine.held(prepared, lambda: uploaded(engine, prepared))
-    return model.view(*seen_by(camera), degree)
+    return model.view(*camera_arrays(camera), degree)
 
 
-def seen_by(camera: Camera) -> tuple[F64, F64, F64]:
+def camera_arrays(camera: Camera) -> tuple[F64, F64, F64]:
     """(3, 3) rotation, (3,) position and (11,) intrinsics of a camera, as kernels take them."""
     rotation = np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64)
     return rotation, camera.position, camera.intrinsics
@@ -312,7 +314,7 @@ def rendering_of(image: F32, left: F32, drawn: int, skipped: int, mode: RenderMo
         alpha=alpha,
         depth=_expected_depth(image[..., 3], alpha) if image.shape[2] > 3 else None,
         contributions=None,
-        unhidden=None,
+        unoccluded=None,
         drawn=drawn,
         skipped=skipped,
         notes=(SURFEL_NOTE,) if mode is RenderMode.SURFEL else (),
@@ -360,7 +362,7 @@ def project_rows(
         prepared.reaches,
         prepared.keep,
         prepared.sh,
-        *seen_by(camera),
+        *camera_arrays(camera),
         prepared.render_mode is RenderMode.MIP,
         degree,
         room.geometry,
@@ -442,8 +444,10 @@ def probe(view: Projection, camera: Camera, probes: F32) -> F64:
     return blend(view, camera, view.features, np.empty(0, np.float32), probes)[2]
 
 
-def _room(n: int) -> Room:
-    return Room(_rows_of_a_line(n), np.empty((n, 4), np.float32), np.empty(n, np.int64))
+def _room(n: int) -> ProjectionBuffers:
+    return ProjectionBuffers(
+        _rows_of_a_line(n), np.empty((n, 4), np.float32), np.empty(n, np.int64)
+    )
 
 
 def _rows_of_a_line(n: int) -> F64:
@@ -465,7 +469,7 @@ def _depth_order(features: F32, boxes: I64) -> I64:
 
 def _unhidden(view: Projection, camera: Camera) -> F64:
     totals = np.zeros(len(view.geometry))
-    raster.add_unhidden(view.geometry, view.boxes, camera.width, camera.height, totals)
+    raster.add_unoccluded(view.geometry, view.boxes, camera.width, camera.height, totals)
     return totals
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nanogs._types import F32, F64, I32, U32
-from nanogs.kernels import blending, blocks, closest, lanes, pulls
+from nanogs.kernels import blending, blocks, closest, gradients, lanes
 from nanogs.kernels.policy import kernel
 
 
@@ -21,7 +21,7 @@ def _call_all(
     blending.add_block(marks[0], 0, sums[0], sums[0], 0, planes)
     blending.probe_block(marks[0], 0, sums[0], planes, 0, sums)
     sums[0, 0, 0] = blending.total(sums, 0, 0)
-    pulls.pull_blocks(1, 0, shapes, sums[0], left, planes, planes, left, sums[0], 1)
+    gradients.gradient_blocks(1, 0, shapes, sums[0], left, planes, planes, left, sums[0], 1)
     closest.closest(left, sums[0], sums[0, 0], 1, left, left, keys)
     return lanes.lowest_bit(mask | 1)
 

@@ -1,4 +1,4 @@
-"""Vector version of `nanogs.kernels.pulls`, which documents it."""
+"""Vector version of `nanogs.kernels.gradients`, which documents it."""
 # ruff: noqa: ANN401, ARG001, D103 - Numba asks for these signatures, and llvmlite has no types
 
 from typing import Any
@@ -8,7 +8,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from nanogs.kernels.blocks import LANES
-from nanogs.kernels.pulls import BENDS, CHANNELS, PULLS, SATURATED, SCALES, SUMS
+from nanogs.kernels.gradients import CHANNELS, CURVATURE_POWERS, GRADIENTS, SATURATED, SCALES, SUMS
 from nanogs.kernels.simd import vectors as vec
 from nanogs.kernels.simd.blocks import REALS, alpha_of, light_through, pixels_of
 
@@ -41,9 +41,9 @@ def _write_sums(builder: Any, sums: list[Any], out: Any, e: Any) -> None:
 
 
 @intrinsic
-def pull_blocks(
+def gradient_blocks(
     typing: Any, mark: Any, j: Any, shapes: Any, values: Any, left: Any, behind: Any, wanted: Any,
-    trust: Any, partial: Any, e: Any,
+    curvature_weight: Any, partial: Any, e: Any,
 ) -> Any:  # fmt: skip
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         mark, j, e = builder.trunc(args[0], vec.WORD), args[1], args[9]
@@ -72,12 +72,14 @@ def pull_blocks(
             shared = vec.mul(builder, weight, trusts.load(block))
             bound = vec.mul(builder, vec.fill(REALS, SATURATED), after)
             free = builder.fcmp_ordered("<", weight, bound)
-            pull = vec.with_products(builder, zero, *zip(changes, wanted, strict=True))
-            bend = vec.with_products(builder, zero, *zip(changes, changes, strict=True))
-            pull = builder.select(free, vec.mul(builder, weight, pull), zero)
-            bend = builder.select(free, vec.mul(builder, shared, bend), zero)
+            gradient = vec.with_products(builder, zero, *zip(changes, wanted, strict=True))
+            curvature = vec.with_products(builder, zero, *zip(changes, changes, strict=True))
+            gradient = builder.select(free, vec.mul(builder, weight, gradient), zero)
+            curvature = builder.select(free, vec.mul(builder, shared, curvature), zero)
             terms = [vec.mul(builder, weight, want) for want in wanted[:3]] + [shared]
-            terms += _moments(builder, pull, p, q, PULLS) + _moments(builder, bend, p, q, BENDS)
+            terms += _moments(builder, gradient, p, q, GRADIENTS) + _moments(
+                builder, curvature, p, q, CURVATURE_POWERS
+            )
             return [vec.add(builder, *pair) for pair in zip(sums, terms, strict=True)]
 
         sums = vec.each_bit(builder, mark, [zero] * SUMS, step)
@@ -86,6 +88,6 @@ def pull_blocks(
 
     place = types.int64
     signature = types.void(
-        place, place, shapes, values, left, behind, wanted, trust, partial, place
+        place, place, shapes, values, left, behind, wanted, curvature_weight, partial, place
     )
     return signature, generate

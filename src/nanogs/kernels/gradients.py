@@ -1,33 +1,37 @@
 """Gradient and curvature for a splat from blocks of 4 x 4 pixels; see `backward.py`.
 
-`simd/pulls.py` has the same in vectors.
+`simd/gradients.py` has the same in vectors.
 """
 
 import numpy as np
 
 from nanogs._types import F32
 from nanogs.kernels.blocks import LANES, PIXELS_X, PIXELS_Y, UNIT, Single, shade_pixel
-from nanogs.kernels.policy import inline, two_ways
+from nanogs.kernels.policy import inline, simd_or_plain
 
 CHANNELS = 4
 SATURATED = 98.9  # ratio of T alpha to the T that is left; above it, alpha is clamped to 0.99
-PULLS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]  # powers of p and q, of gradients
-BENDS = [(a, b) for a in range(5) for b in range(5 - a)]  # of curvatures
-SUMS = 4 + len(PULLS) + len(BENDS)
-SCALES = np.array([1.0] * 4 + [UNIT ** (a + b) for a, b in PULLS + BENDS], np.float32)
+GRADIENTS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]  # powers of p and q, of gradients
+CURVATURE_POWERS = [(a, b) for a in range(5) for b in range(5 - a)]  # of curvatures
+SUMS = 4 + len(GRADIENTS) + len(CURVATURE_POWERS)
+SCALES = np.array(
+    [1.0] * 4 + [UNIT ** (a + b) for a, b in GRADIENTS + CURVATURE_POWERS], np.float32
+)
 _SATURATED, _ZERO = np.float32(SATURATED), np.float32(0.0)
 
 
 @inline
-def _add_moments(sums: F32, lane: int, pull: Single, bend: Single, p: Single, q: Single) -> None:
-    """Add a gradient (`pull`) and curvature (`bend`) times powers of p and q; sums: (25, 16)."""
-    sums[4, lane] += pull
-    sums[5, lane] += pull * p
-    sums[6, lane] += pull * q
-    sums[7, lane] += pull * p * p
-    sums[8, lane] += pull * p * q
-    sums[9, lane] += pull * q * q
-    at, column = 10, bend
+def _add_moments(
+    sums: F32, lane: int, gradient: Single, curvature: Single, p: Single, q: Single
+) -> None:
+    """Add gradient and curvature times powers of p and q to sums: (25, 16)."""
+    sums[4, lane] += gradient
+    sums[5, lane] += gradient * p
+    sums[6, lane] += gradient * q
+    sums[7, lane] += gradient * p * p
+    sums[8, lane] += gradient * p * q
+    sums[9, lane] += gradient * q * q
+    at, column = 10, curvature
     for a in range(5):
         moment = column
         for _ in range(5 - a):
@@ -52,10 +56,10 @@ def _write_sums(sums: F32, partial: F32, e: int) -> None:
         partial[e, k] = sums[k, 0] * SCALES[k]
 
 
-@two_ways
-def pull_blocks(
-    mark: int, j: int, shapes: F32, values: F32, left: F32, behind: F32, wanted: F32, trust: F32,
-    partial: F32, e: int,
+@simd_or_plain
+def gradient_blocks(
+    mark: int, j: int, shapes: F32, values: F32, left: F32, behind: F32, wanted: F32,
+    curvature_weight: F32, partial: F32, e: int,
 ) -> None:  # fmt: skip
     """Sum gradient and curvature for a splat over the pixels of a tile.
 
@@ -68,8 +72,8 @@ def pull_blocks(
         behind: (4, 16, 16) in, sum of the contributions of this splat and those behind it to the
             pixels; out, of those behind it alone.
         wanted: (4, 16, 16) residuals of the pixels, times their weight in the sum of squares.
-        trust: (16, 16) that weight, times the pixel's alpha.
-        partial: (E, 25) out, in row e, see `backward.pull_tiles`.
+        curvature_weight: (16, 16) that weight, times the pixel's alpha.
+        partial: (E, 25) out, in row e, see `backward.gradient_tiles`.
         e: The row.
     """
     sums, shades = np.zeros((SUMS, LANES), np.float32), np.empty((3, LANES), np.float32)
@@ -83,17 +87,17 @@ def pull_blocks(
         for lane in range(LANES):
             weight, after = shades[0, lane], abs(left[block, lane])
             inverse = np.float32(1.0) / after
-            pull, bend, shared = _ZERO, _ZERO, weight * trust[block, lane]
+            gradient, curvature, shared = _ZERO, _ZERO, weight * curvature_weight[block, lane]
             for c in range(CHANNELS):
                 back = behind[c, block, lane] - weight * values[j, c]
                 behind[c, block, lane] = back
                 change = values[j, c] - back * inverse
-                pull += change * wanted[c, block, lane]
-                bend += change * change
+                gradient += change * wanted[c, block, lane]
+                curvature += change * change
             for c in range(3):
                 sums[c, lane] += weight * wanted[c, block, lane]
             sums[3, lane] += shared
             if weight < _SATURATED * after:
-                pull, bend = weight * pull, shared * bend
-                _add_moments(sums, lane, pull, bend, shades[1, lane], shades[2, lane])
+                gradient, curvature = weight * gradient, shared * curvature
+                _add_moments(sums, lane, gradient, curvature, shades[1, lane], shades[2, lane])
     _write_sums(sums, partial, e)

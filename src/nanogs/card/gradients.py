@@ -20,12 +20,12 @@ from nanogs.card.shading import (
     shade_pixel,
     starts_open,
 )
-from nanogs.kernels import pulls
+from nanogs.kernels import gradients
 
-SUMS = wp.constant(pulls.SUMS)
-_SATURATED = wp.constant(wp.float32(pulls.SATURATED))
-Sums = wp.types.vector(pulls.SUMS, wp.float32)
-SCALES = wp.constant(Sums(*pulls.SCALES.tolist()))
+SUMS = wp.constant(gradients.SUMS)
+_SATURATED = wp.constant(wp.float32(gradients.SATURATED))
+Sums = wp.types.vector(gradients.SUMS, wp.float32)
+SCALES = wp.constant(Sums(*gradients.SCALES.tolist()))
 # Loops of up to 4 iterations are unrolled; unrolling longer ones only takes longer to compile.
 _OPTIONS = {"max_unroll": 4}
 
@@ -49,22 +49,22 @@ def most_light(light: Any) -> wp.float32:  # noqa: ANN401 - a vector of any leng
 @wp.func
 def with_moments(
     sums: Sums,
-    pull: wp.float32,
-    bend: wp.float32,
+    gradient: wp.float32,
+    curvature: wp.float32,
     p: wp.float32,
     q: wp.float32,
 ) -> Sums:
-    """Add a pixel's gradient (`pull`) and curvature (`bend`) times powers of p and q to `sums`.
+    """Add a pixel's gradient and curvature times powers of p and q to `sums`.
 
     The sums begin at index 4.
     """
-    sums[4] += pull
-    sums[5] += pull * p
-    sums[6] += pull * q
-    sums[7] += pull * p * p
-    sums[8] += pull * p * q
-    sums[9] += pull * q * q
-    at, column = wp.int32(10), wp.float32(bend)
+    sums[4] += gradient
+    sums[5] += gradient * p
+    sums[6] += gradient * q
+    sums[7] += gradient * p * p
+    sums[8] += gradient * p * q
+    sums[9] += gradient * q * q
+    at, column = wp.int32(10), wp.float32(curvature)
     for a in range(5):
         moment = wp.float32(column)
         for _b in range(5 - a):
@@ -118,10 +118,10 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
     """Build the kernel that sums gradient and curvature over a tile; lanes: threads of a block."""
     each = PIXELS // lanes
     lights = wp.types.vector(each, wp.float32)
-    planes = wp.types.matrix((each, pulls.CHANNELS), wp.float32)
+    planes = wp.types.matrix((each, gradients.CHANNELS), wp.float32)
 
     @wp.kernel(enable_backward=False, module="unique", module_options=_OPTIONS)
-    def pull_tiles(
+    def gradient_tiles(
         shapes: wp.array2d[wp.float32],
         features: wp.array2d[wp.float32],
         starts: wp.array[wp.int32],
@@ -134,7 +134,7 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
         precision: wp.array2d[wp.float32],
         partial: wp.array2d[wp.float32],
     ) -> None:
-        """Sum as `nanogs.kernels.backward.pull_tiles` does, but without `pulls.SCALES`.
+        """Sum as `nanogs.kernels.backward.gradient_tiles` does, but without `gradients.SCALES`.
 
         partial: (E, 25) zeros in, sums out, indexed by slot.
         """
@@ -160,25 +160,25 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
                     weight, after = shade.weight, wp.abs(shade.after)
                     if weight > 0.0:
                         xy = place(tile, lane + k * lanes, size[0])
-                        pull, bend = wp.float32(0.0), wp.float32(0.0)
+                        gradient, curvature = wp.float32(0.0), wp.float32(0.0)
                         for c in range(CHANNELS):
                             value = wp.float32(features[i, c])
                             wish = wp.float32(residual[xy[1], xy[0], c])
                             back = behind[k, c] - weight * value
                             behind[k, c] = back
                             change = value - back / after
-                            pull += change * wish
-                            bend += change * change
+                            gradient += change * wish
+                            curvature += change * change
                             if c < 3:
                                 sums[c] += weight * wish
                         shared = weight * precision[xy[1], xy[0]]
                         sums[3] += shared
                         if weight < _SATURATED * after:
-                            pull, bend = weight * pull, shared * bend
-                            sums = with_moments(sums, pull, bend, shade.p, shade.q)
+                            gradient, curvature = weight * gradient, shared * curvature
+                            sums = with_moments(sums, gradient, curvature, shade.p, shade.q)
             wp.tile_store(partial[slots[e]], wp.tile_sum(wp.tile(sums), axis=1))
 
-    return pull_tiles
+    return gradient_tiles
 
 
 @wp.kernel(enable_backward=False)
