@@ -133,7 +133,7 @@ def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
     return gradients[:, 0], blocks[:, 0]
 
 
-def told(row):
+def resolved_share(row):
     """The mean square of the eigenvalues of a splat's own covariance, its dilated one being 1."""
     width, slope, height = 1 / row[2], row[3], 1 / np.sqrt(row[4])
     frame = np.array([[width, slope * height], [0, height]])  # columns: to (x, y) on screen
@@ -155,7 +155,7 @@ class AdvanceTwin:
         )  # fmt: skip
         self.quats = splats.unit_quats().astype(np.float64)
         self.begun = [each.copy() for each in self._state()]
-        self.seen, self.told = np.zeros(len(splats), int), np.zeros(len(splats))
+        self.seen, self.most_resolved = np.zeros(len(splats), int), np.zeros(len(splats))
         self.blocks, self.weights = np.zeros((len(splats), 55)), np.zeros(len(splats))
 
     def follow(self, view, camera, rate):
@@ -169,9 +169,9 @@ class AdvanceTwin:
             self.blocks[i] += share * (block - self.blocks[i])
             self.weights[i] += share * (sums[3] - self.weights[i])
             excess = max(1.0, sums[3] / self.weights[i])
-            share = told(view.view.geometry[i])
-            self.told[i] = max(self.told[i], share)
-            pace, back = rate * share, rate * 0.2 * (1 - self.told[i]) ** 2
+            share = resolved_share(view.view.geometry[i])
+            self.most_resolved[i] = max(self.most_resolved[i], share)
+            pace, back = rate * share, rate * 0.2 * (1 - self.most_resolved[i]) ** 2
             old = self.sh[i].copy()
             self._recolour(i, sums, view.view.features[i], camera, excess * self.weights[i], pace)
             self.sh[i] -= back * (old - self.given[i])

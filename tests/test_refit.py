@@ -585,9 +585,9 @@ def test_no_group_of_views_gets_worse():
     assert report.psnr_after == pytest.approx(
         np.mean([group.psnr_after for group in report.groups])
     )
-    resolved_share = [name for group in report.groups for name in group.views]
-    assert resolved_share == list(report.validation_views)
-    assert len(resolved_share) + len(report.fit_views) == len(cameras)
+    reported = [name for group in report.groups for name in group.views]
+    assert reported == list(report.validation_views)
+    assert len(reported) + len(report.fit_views) == len(cameras)
 
 
 def test_a_rare_view_moves_a_splat_no_further_than_its_own_optimum():

@@ -79,7 +79,7 @@ def write_levels(
         model: The model, a source of it, a path, or paths of the parts of one scene.
         folder: The folder to make.
         ratios: Share of the splats to keep in each level, as for `levels`; by default 1,
-            1/2, 1/4 and so on, see `lod.usual.usual_ratios`.
+            1/2, 1/4 and so on, see `lod.usual.default_ratios`.
         source: Name of the model in the manifest; by default that of its files.
         layout: "files", one for each level; "streamed sog" or "3d tiles"; or "streamed sog archive"
             or "spark tree", for which `folder` is the `.ssog` or `.rad` file to make.
@@ -150,7 +150,7 @@ LevelsSink = LevelsFolder | LevelsTree
 def usual_levels(
     model: Splats | Source | Sequence[str | PathLike[str]], layout: Layout | str
 ) -> tuple[float, ...]:
-    """Return the default ratios of the levels of a model; see `lod.usual.usual_ratios`.
+    """Return the default ratios of the levels of a model; see `lod.usual.default_ratios`.
 
     Args:
         model: The model, a source of it, or paths of the parts of one scene.
