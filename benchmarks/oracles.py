@@ -33,9 +33,9 @@ from scipy.spatial import cKDTree
 
 from measured import SCENES
 from nanogs import io
+from nanogs.activations import SH_C0
 from nanogs.io.rotations import minimise_rotation
 from nanogs.splats import Splats
-from nanogs.stored import SH_C0
 from rivals import ROOT, install, run_tool
 
 FORMATS = (".ply", ".compressed.ply", ".splat", ".spz", ".spz v4", ".sog", ".glb", ".ksplat")

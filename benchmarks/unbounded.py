@@ -18,10 +18,10 @@ import numpy as np
 
 from nanogs import compare, load, save, simplify
 from nanogs._types import F32, F64
+from nanogs.activations import SH_C0, quaternions, rotations
 from nanogs.method import extent
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats, concatenate
-from nanogs.stored import SH_C0, quaternions, rotations
 from nanogs.views import inside
 from nanogs.views.automatic import Split, automatic_cameras, survey
 from nanogs.views.poses import look_at

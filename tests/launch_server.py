@@ -18,7 +18,7 @@ import nanogs.cli
 import nanogs.io
 import nanogs.kernels
 from nanogs.kernels.cached import _Cache
-from nanogs.spread import Spread
+from nanogs.parallel import ParallelKernel
 
 # What runs need of these and of libraries is imported with them, or by the run itself.
 PACKAGES = (nanogs.cli, nanogs.io)
@@ -62,7 +62,7 @@ def compiled_functions():
     found = {}
     for module in every_module(nanogs.kernels):
         for value in vars(module).values():
-            kernel = value._compiled if isinstance(value, Spread) else value
+            kernel = value._compiled if isinstance(value, ParallelKernel) else value
             if isinstance(getattr(kernel, "_cache", None), _Cache):
                 found[id(kernel)] = kernel
     return list(found.values())

@@ -6,11 +6,11 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from nanogs.activations import rotations
 from nanogs.fit.descent import LIMITS
 from nanogs.kernels import chain
 from nanogs.kernels.project import guard_bounds
 from nanogs.splats import RenderMode
-from nanogs.stored import rotations
 from raster_twin import sh_basis, splat_on_screen
 
 

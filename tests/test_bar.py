@@ -13,7 +13,7 @@ import rich.console
 
 import nanogs
 from builders import cloud_pair
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.kernels import compiling
 from nanogs.progress import Stage, Tracker
 
@@ -72,7 +72,7 @@ def test_a_function_is_told_the_steps(call, pair):
 
 
 def test_a_bar_says_the_stage_and_ends_with_the_call(screen):
-    with drawn(True) as told:
+    with show_progress(True) as told:
         tracker = Tracker(told, [Stage("cut", 1), Stage("store", 3)])
         tracker.begin("store")
         tracker.part(1, 2)
@@ -80,14 +80,14 @@ def test_a_bar_says_the_stage_and_ends_with_the_call(screen):
     assert "2/2 store" in last_line(screen)
     assert " 62%" in last_line(screen)
     assert told_last is not None
-    with pytest.raises(ZeroDivisionError), drawn(True):
+    with pytest.raises(ZeroDivisionError), show_progress(True):
         raise ZeroDivisionError
-    with drawn(True):  # Rich would refuse a second bar on a console that still has one
+    with show_progress(True):  # Rich would refuse a second bar on a console that still has one
         pass
 
 
 def test_a_bar_says_that_kernels_are_compiled(screen):
-    with drawn(True):
+    with show_progress(True):
         compiling.begin()
         compiling.end()
     assert "compiling for this processor" in last_line(screen)

@@ -306,11 +306,11 @@ def test_a_file_that_is_measured_leaves_nothing_when_the_run_is_ended(tmp_path, 
 
 def test_the_end_waits_for_what_is_not_to_be_disturbed(monkeypatch):
     ended = []
-    with cleanup.undisturbed():
-        with cleanup.undisturbed():
-            cleanup.when_undisturbed(lambda: ended.append(1))
+    with cleanup.defer_exit():
+        with cleanup.defer_exit():
+            cleanup.exit_when_allowed(lambda: ended.append(1))
         assert ended == []
     assert ended == [1]
     monkeypatch.setattr(cleanup, "_postponed", None)
-    cleanup.when_undisturbed(lambda: ended.append(2))
+    cleanup.exit_when_allowed(lambda: ended.append(2))
     assert ended == [1, 2]

@@ -35,7 +35,7 @@ from nanogs.pipeline import trials
 from nanogs.pipeline.one_block import OneBlock, whole_settings
 from nanogs.pipeline.presets import PRESETS
 from nanogs.pipeline.run import build, deliver
-from nanogs.progress import Tracker, untold
+from nanogs.progress import Tracker, ignore_progress
 from nanogs.report import PassReport, StopReason
 from nanogs.sh import basis
 
@@ -50,7 +50,7 @@ def nodes_of(splats, pixel=0.0):
 
 def forest_of(count, seed=0, k=8):
     return grow_forest(
-        nodes_of(random_splats(count, seed=seed))[0], ForestParameters(k=k), 1, untold
+        nodes_of(random_splats(count, seed=seed))[0], ForestParameters(k=k), 1, ignore_progress
     )
 
 
@@ -109,7 +109,7 @@ def test_growing_needs_no_coverages():
     merged = gather_pairs(bare, *member_lists(labels, 25))
     assert merged.coverages is merged.weights
     assert np.array_equal(merged.weights, gather(nodes, labels, 25).weights)
-    forests = [grow_forest(x, ForestParameters(k=8), 1, untold) for x in (nodes, bare)]
+    forests = [grow_forest(x, ForestParameters(k=8), 1, ignore_progress) for x in (nodes, bare)]
     assert np.array_equal(forests[0].children, forests[1].children)
     assert np.array_equal(forests[0].increments, forests[1].increments)
 
@@ -185,7 +185,7 @@ def test_a_forest_joins_all_and_no_node_twice(n, k, seed):
 
 def test_increments_are_those_of_the_merged_nodes():
     nodes, _ = nodes_of(random_splats(40, seed=4), 0.01)
-    forest = grow_forest(nodes, ForestParameters(k=6), 1, untold)
+    forest = grow_forest(nodes, ForestParameters(k=6), 1, ignore_progress)
     sigmas = np.array([twins.unpack(six) for six in nodes.covariances])
 
     def moments(node):
@@ -210,7 +210,7 @@ def test_colour_decides_who_merges_where_it_weighs(lambda_app, together):
     splats.log_scales[:] = 0
     splats.sh[:, 0] = np.array([[0.0], [5], [0], [5]])
     nodes, rows = nodes_of(splats)
-    forest = grow_forest(nodes, ForestParameters(k=3, lambda_app=lambda_app), 1, untold)
+    forest = grow_forest(nodes, ForestParameters(k=3, lambda_app=lambda_app), 1, ignore_progress)
     pairs = rows[forest.children[forest.levels == 1]]
     assert set(np.abs(np.diff(pairs, axis=1)).ravel().tolist()) == together
     assert forest.levels.tolist() == [1, 1, 2]
@@ -349,7 +349,7 @@ def test_reassignment_keeps_every_group_and_fits_no_worse(n, seed, equal):
     leaves, _ = nodes_of(random_splats(n, seed=seed), 0.01)
     if equal:
         leaves = dataclasses.replace(leaves, weights=np.ones(n))
-    labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, untold), n // 4, 0.8)
+    labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, ignore_progress), n // 4, 0.8)
     filled = []
     with pytest.MonkeyPatch.context() as patch:
         whole = reassign._refill
@@ -368,7 +368,7 @@ def test_reassignment_keeps_every_group_and_fits_no_worse(n, seed, equal):
 
 def test_no_round_changes_nothing_and_rounds_end_when_nothing_moves(monkeypatch):
     leaves, _ = nodes_of(random_splats(60, seed=5))
-    labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, untold), 12, 0.8)
+    labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, ignore_progress), 12, 0.8)
     same, none = reassign.reassign(leaves, labels, 12, 0, 1)
     assert same is labels
     assert none == 0

@@ -546,12 +546,12 @@ def models(tmp_path_factory):
 def test_the_need_is_about_what_is_taken(models, given, need):
     from pathlib import Path
 
-    from nanogs import needs
+    from nanogs import memory_estimates
     from nanogs.io import inspect
 
     names = {name: inspect(models / f"{name}.ply") for name in ("large", "small")}
     names["file"] = nanogs.open(models / given[1])
-    planned = eval(f"needs.{need}", {"needs": needs, "Path": Path, **names})
+    planned = eval(f"needs.{need}", {"needs": memory_estimates, "Path": Path, **names})
     run = [sys.executable, "-c", PEAK, "small.ply", *given]
     found = subprocess.run(run, cwd=models, capture_output=True, text=True, check=True)
     # The first run may leave the heap some of what the second takes.

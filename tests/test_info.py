@@ -182,7 +182,7 @@ def test_percentiles_are_exact_whether_values_are_held_or_counted(values, size, 
         counted = percentiles.Percentiles(300, shares)
         assert counted.again
         blocks = [values[at : at + size] for at in range(0, len(values), size)]
-        for add in (counted.add, counted.add_again):
+        for add in (counted.add, counted.add_second_pass):
             for block in blocks:
                 add(block)
     if not len(values):

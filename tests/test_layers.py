@@ -16,8 +16,8 @@ ROOT = Path(nanogs.__file__).parent
 # From the bottom up, and in a line from left to right: each may import what is before it. A folder
 # stands for all modules in it.
 ORDER = """
-_version _types errors ranges formatting findings quantities defaults stored place protocol sh
-charts costs switches progress clock cleanup allocation threads slices spread sorting morton
+_version _types errors ranges formatting findings quantities defaults activations place protocol sh
+charts costs switches progress clock cleanup allocation threads slices parallel sorting morton
 kernels
 card
 bar neighbours percentiles
@@ -25,7 +25,7 @@ _arrays splats frames gsplat_arrays metrics
 filters source
 raster
 io
-memory needs
+memory memory_estimates
 datasets views
 fit
 report
@@ -50,7 +50,7 @@ UP = {
 
 # What a part may import of ours, where that is less than all below it.
 ALONE = {
-    "kernels": {"_types", "errors", "slices", "spread"},
+    "kernels": {"_types", "errors", "slices", "parallel"},
     "card": {"_types", "errors", "kernels"},
     "raster": {
         "_types",
@@ -60,8 +60,8 @@ ALONE = {
         "kernels",
         "slices",
         "splats",
-        "spread",
-        "stored",
+        "parallel",
+        "activations",
     },
     "metrics": {"_types", "errors", "kernels"},
 }

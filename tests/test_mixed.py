@@ -17,7 +17,7 @@ from nanogs.io.sog.chunks import read_chunks
 from nanogs.raster.camera import Camera
 from nanogs.scoring import mixed_views
 from nanogs.scoring.mixed import SEAM_LOSS
-from nanogs.scoring.mixed_views import levels_together, loss_of
+from nanogs.scoring.mixed_views import loss_of, read_levels
 from nanogs.views.chunk_levels import NOTHING, chosen_levels, chunk_distances
 from nanogs.views.poses import look_at
 from npm_packages import node, package
@@ -228,7 +228,7 @@ def test_every_splat_of_a_level_is_in_one_chunk_and_in_its_box(stream):
 @settings(max_examples=20)
 @given(seed=st.integers(0, 1 << 16))
 def test_a_mixture_has_each_region_from_one_level(stream, seed):
-    together = levels_together(stream)
+    together = read_levels(stream)
     chunks, rng = together.chunks, np.random.default_rng(seed)
     choice = rng.integers(-1, len(RATIOS), len(chunks.boxes))
     rows = together.drawn(choice)
@@ -267,7 +267,7 @@ def test_an_environment_belongs_to_every_mixture(scene, stream, tmp_path):
     described = json.loads((folder / "lod-meta.json").read_text())
     described["environment"] = "sky/meta.json"
     (folder / "lod-meta.json").write_text(json.dumps(described))
-    together = levels_together(folder / "lod-meta.json")
+    together = read_levels(folder / "lod-meta.json")
     assert len(together.prepared) == sum(together.chunks.counts.sum(axis=0)) + 7
     nothing = np.full(len(together.chunks.boxes), NOTHING)
     assert np.flatnonzero(together.drawn(nothing)).tolist() == list(

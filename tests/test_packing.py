@@ -32,8 +32,8 @@ from nanogs.pipeline.settings import Sharing
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
 from nanogs.views.automatic import automatic_cameras
+from nanogs.views.decimated import decimated
 from nanogs.views.roam import roaming_cameras
-from nanogs.views.stand_in import stand_in
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -380,7 +380,7 @@ def test_files_hold_what_was_found(splats, tmp_path, suffix):
 def test_a_size_is_chosen_by_roaming_views_too_and_a_psnr_by_its_own(splats):
     given = {"width": 128, "height": 128, "split": "fit"}
     automatic = automatic_cameras(splats, 8, **given)
-    roaming = roaming_cameras(stand_in(splats), 16, **given | {"width": 64, "height": 64})
+    roaming = roaming_cameras(decimated(splats), 16, **given | {"width": 64, "height": 64})
     assert len(roaming) == 16
     for by_psnr, expected in ((False, [automatic, roaming]), (True, [automatic])):
         files = HeldFiles(Path("a.sog"), {}, splats, StageClock(), by_psnr=by_psnr)

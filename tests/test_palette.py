@@ -17,7 +17,7 @@ from nanogs.io.ward import _Nodes, _Table, merge_points, settle
 from nanogs.kernels.closest import LANES, TOGETHER, closest
 from nanogs.kernels.policy import kernel
 from nanogs.kernels.ward import NOBODY
-from nanogs.progress import untold
+from nanogs.progress import ignore_progress
 from nanogs.threads import use_threads
 
 
@@ -147,7 +147,7 @@ def test_merging_many_at_a_time_is_nearly_as_good_as_one_by_one(size):
     rng = np.random.default_rng(4)
     points, weights = some_points(4, 130), rng.uniform(0.2, 5, 130).astype(np.float32)
     cells = np.zeros((130, 1), np.int32)
-    labels, home = merge_points(points, weights, cells, size, untold)
+    labels, home = merge_points(points, weights, cells, size, ignore_progress)
     assert np.array_equal(np.unique(labels), np.arange(size))
     assert home.tolist() == [0] * size
     error = squared_error(points, weights, labels)

@@ -12,10 +12,10 @@ import radfiles
 from builders import random_splats
 from launch import run
 from nanogs import io
+from nanogs.activations import SH_C0, rotations
 from nanogs.errors import FormatError, OutputError
 from nanogs.io.rad import values, write
 from nanogs.splats import RenderMode
-from nanogs.stored import SH_C0, rotations
 from radfiles import by_component, chunk, column, rad, small_tree, usual, with_palette
 from strategies import splats
 

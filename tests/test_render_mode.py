@@ -14,7 +14,7 @@ from nanogs.bench.worker import Job, do_job
 from nanogs.errors import OptionError
 from nanogs.io import registry
 from nanogs.io.limits import lost_mode
-from nanogs.needs import info_bytes, streaming_bytes
+from nanogs.memory_estimates import info_bytes, streaming_bytes
 from nanogs.splats import RenderMode
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.plan import LEAST

@@ -37,7 +37,7 @@ from nanogs.pipeline.settings import (
     in_words,
 )
 from nanogs.pipeline.settle import keep_every_group
-from nanogs.pipeline.spill import DIGEST
+from nanogs.pipeline.sorted_segments import DIGEST
 from nanogs.pipeline.units import Units
 from nanogs.source import Layout
 from nanogs.store.columns import CODES

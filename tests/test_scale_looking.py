@@ -16,17 +16,17 @@ from nanogs.fit.rounds import fit
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.pipeline import fitting, run, stages
 from nanogs.pipeline import stored_job as job
-from nanogs.pipeline.asked import RequestedViews
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.memory_blocks import FINE, ROUGH, block_stages, most_coarse
 from nanogs.pipeline.plan import plan_blocks
 from nanogs.pipeline.request import Request
+from nanogs.pipeline.requested_views import RequestedViews
 from nanogs.pipeline.settings import differences
 from nanogs.pipeline.stored_job import BlockJob
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.pipeline.work import Work
-from nanogs.progress import untold
+from nanogs.progress import ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens, lens_notes
 from nanogs.raster.rendering import concatenated, prepare, render
@@ -251,7 +251,7 @@ def surrounded(small, original, around, cameras):
     targets = [make_target(whole, camera, depth=False) for camera in cameras]
     views = Fitting(targets[1:], surroundings=around)
     chosen = RefitParameters(rounds=1, steps=6)
-    return fit(small, views, [Group("views", tuple(targets[:1]))], chosen, untold)
+    return fit(small, views, [Group("views", tuple(targets[:1]))], chosen, ignore_progress)
 
 
 def test_surroundings_are_drawn_and_stay(splats):

@@ -21,11 +21,11 @@ from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError, OutputError
 from nanogs.memory import LIBRARIES
-from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.plan import held_bytes
 from nanogs.pipeline.presets import PRESETS
 from nanogs.pipeline.request import Request
+from nanogs.pipeline.result_writer import result_of
 from nanogs.pipeline.run import InProcess, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.units import survey

@@ -9,7 +9,7 @@ from builders import random_splats
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
 from nanogs.pipeline.fit_size import ENOUGH
 from nanogs.pipeline.job_results import COUNT, MARKED, JobResults
-from nanogs.pipeline.reach import SPAN
+from nanogs.pipeline.psnr_search import SPAN
 from nanogs.pipeline.search import TRIED
 from nanogs.report import StopReason
 from nanogs.scoring.file_judge import file_judge

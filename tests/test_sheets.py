@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import nanogs
 import twins
-from nanogs.kernels.sheets import DENSE, FLATNESS
+from nanogs.kernels.sheet_growth import DENSE, FLATNESS
 from nanogs.method.growth import MOST_GROWTH, area_needs, blocked, growth_on_sheets
 from nanogs.method.nodes import Nodes, gather
 from nanogs.metrics import psnr

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import nanogs
 import twins
-from nanogs.kernels.sides import AWAY, ENOUGH, THICK
+from nanogs.kernels.side_coverage import AWAY, ENOUGH, THICK
 from nanogs.method.growth import MOST_GROWTH, Cover, covered_around
 from nanogs.method.nodes import Nodes
 from nanogs.method.store import Groups

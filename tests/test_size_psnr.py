@@ -16,7 +16,7 @@ from nanogs.pipeline import one_block as pipeline_run
 from nanogs.pipeline.fit_size import ENOUGH, search_fit
 from nanogs.pipeline.fit_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.fit_size import TOLERANCE as CLOSE
-from nanogs.pipeline.reach import MOST_PROBES, SPAN, STEPS, search_count
+from nanogs.pipeline.psnr_search import MOST_PROBES, SPAN, STEPS, search_count
 from nanogs.pipeline.target import Goal, count_for_size
 from nanogs.report import StopReason
 from nanogs.scoring.comparison import NamedModel, compare_models

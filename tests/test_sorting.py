@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nanogs import sorting, spread
+from nanogs import parallel, sorting
 from nanogs.method.order import _quantiles
 from nanogs.method.reassign import _ascending
 from nanogs.sorting import stable_order
@@ -52,5 +52,5 @@ def test_rows_come_by_value_and_those_of_equal_ones_by_row(values, first):
 def test_each_part_is_done_once(count):
     done = []
     with use_threads(2):
-        spread.each(range(count), done.append)
+        parallel.for_each(range(count), done.append)
     assert sorted(done) == list(range(count))

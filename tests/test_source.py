@@ -171,7 +171,11 @@ def test_filters_in_parts_refuse_what_they_refuse_in_memory(small_pages):
 
 def test_filters_are_made_again_of_what_is_recorded():
     model = model_of()
-    for each in [*KEPT, filters.sphere((0.1, 0.2, 1 / 3), 2 / 3), filters.in_company(5, 1 / 3)]:
+    for each in [
+        *KEPT,
+        filters.sphere((0.1, 0.2, 1 / 3), 2 / 3),
+        filters.in_company(5, 1 / 3),
+    ]:
         again = filters.filter_of(*each.plain)
         assert (again.name, again.argument, again.whole) == (each.name, each.argument, each.whole)
         assert np.array_equal(again.keep(model), each.keep(model))

@@ -11,7 +11,7 @@ from nanogs.datasets.synthetic import make_scene
 from nanogs.io import load
 from nanogs.views.automatic import automatic_cameras, survey
 from nanogs.views.occupancy import sample
-from nanogs.views.stance import ALL_AROUND, UPRIGHT, own_stance
+from nanogs.views.up_frame import ALL_AROUND, UPRIGHT, frame_from_model
 from test_views import ball, cloud, product, room
 
 SCENE = make_scene(6_000)  # on a floor, up is (0, -1, 0)
@@ -68,7 +68,7 @@ def test_up_is_found_in_any_direction(model, up, kind, quat):
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 3), (1, 2, 3)])
 def test_around_what_does_not_tell_cameras_stand_everywhere(shape):
     model = cloud(ball() * shape)
-    assert own_stance(sample(model), room=True).band == ALL_AROUND
+    assert frame_from_model(sample(model), room=True).band == ALL_AROUND
     places = np.array([c.position for c in automatic_cameras(model, 24, habit=False)])
     directions = places / np.linalg.norm(places, axis=1, keepdims=True)
     aimed = np.random.default_rng(0).normal(size=(200, 3))

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from nanogs.stored import quaternions, rotations
+from nanogs.activations import quaternions, rotations
 
 
 def test_quaternions_give_their_rotations_back_whatever_their_largest_part():

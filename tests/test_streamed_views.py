@@ -19,12 +19,12 @@ from nanogs.raster.rendering import prepare
 from nanogs.scoring.held_out import held_out
 from nanogs.source import InMemory
 from nanogs.splats import RenderMode, concatenate
-from nanogs.views import stand_in as standing
+from nanogs.views import decimated as standing
 from nanogs.views import streamed
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.cameras import cameras_for
+from nanogs.views.decimated import decimated
 from nanogs.views.roam import roaming_cameras
-from nanogs.views.stand_in import stand_in
 from nanogs.views.streamed import Part, Streamed, renderings
 from test_free_memory import command
 
@@ -202,13 +202,13 @@ def test_a_stand_in_covers_as_much_as_the_model():
     cameras = automatic_cameras(splats, 2, width=256, height=256)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(standing, "LIMIT", 2_300)
-        few = stand_in(splats)
+        few = decimated(splats)
     assert len(few) == -(-20_000 // 9)
     for whole, some in zip(held(splats, cameras), held(few, cameras), strict=True):
         assert some.alpha.mean() == pytest.approx(whole.alpha.mean(), rel=0.1)
     thin = replace(few, log_scales=splats.log_scales[: len(few)])
     assert held(thin, cameras)[0].alpha.mean() < 0.5 * held(splats, cameras)[0].alpha.mean()
-    bare = stand_in(splats)
+    bare = decimated(splats)
     assert bare.sh_degree == 0
     np.testing.assert_array_equal(bare.log_scales, splats.log_scales)
 
@@ -219,7 +219,7 @@ def test_a_stand_in_covers_as_much_as_the_model():
 @pytest.fixture
 def little(monkeypatch):
     """Blocks and tiles are planned with next to nothing; the rooms for splats that are taken."""
-    monkeypatch.setattr("nanogs.needs._STREAMED", 10_000)
+    monkeypatch.setattr("nanogs.memory_estimates._STREAMED", 10_000)
     monkeypatch.setattr("nanogs.views.plan.LEAST", 100_000)
     rooms = []
 

@@ -20,7 +20,7 @@ from nanogs.switches import (
     GOOD_PSNR,
     GOOD_SSIM,
     SCREEN,
-    Switch,
+    SwitchQuality,
     distance_of,
     streamed_distance,
 )
@@ -120,7 +120,7 @@ def test_each_level_says_how_it_looks_where_a_viewer_comes_to_it(scene, tmp_path
     assert all(each["psnr"] > 0 and each["ssim"] <= 1 and each["views"] == 8 for each in others)
     if name.endswith(("lod-meta.json", ".ssog")):
         assert [each["distance"] for each in others] == pytest.approx([5, 15])
-    seen = [Switch(**each).seen for each in others]
+    seen = [SwitchQuality(**each).seen for each in others]
     notes = [note[:19] for note in said["notes"] if "switch to it" in note]
     assert notes == [f"Level {n}: one sees a" for n, each in enumerate(seen, 1) if each]
 

@@ -37,7 +37,7 @@ def test_one_thread_reads_computes_and_writes(
     folder, tmp_path, monkeypatch, small_pictures, command
 ):
     monkeypatch.chdir(folder)
-    monkeypatch.setattr("nanogs.spread._pool", no_pool)
+    monkeypatch.setattr("nanogs.parallel._pool", no_pool)
     assert run_here(*command.format(out=tmp_path).split(), "--threads", "1") == 0
 
 
@@ -54,5 +54,5 @@ def test_one_thread_reads_computes_and_writes(
     ids=["simplify", "levels", "grow", "refit"],
 )
 def test_a_path_is_read_with_one_thread_too(folder, monkeypatch, call):
-    monkeypatch.setattr("nanogs.spread._pool", no_pool)
+    monkeypatch.setattr("nanogs.parallel._pool", no_pool)
     call(folder / "large.ply", folder / "small.ply")

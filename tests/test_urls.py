@@ -23,7 +23,7 @@ import launch
 import nanogs
 from builders import random_splats
 from nanogs.errors import FormatError, OptionError, OutputError
-from nanogs.io.urls import Address, StandIn, is_url, place, redacted
+from nanogs.io.urls import Address, UrlFile, is_url, place, redacted
 
 SECRETS = ("PASSWORD", "SIGNATURE")
 QUERY = "?X-Amz-Signature=SIGNATURE#part"
@@ -451,7 +451,7 @@ def test_paths_stay_paths(tmp_path):
 
 def test_a_stand_in_is_a_file_of_another_name(tmp_path):
     (tmp_path / "a.ply").write_bytes(b"x")
-    file = StandIn(tmp_path / "a.ply", "https://h/b.ply")
+    file = UrlFile(tmp_path / "a.ply", "https://h/b.ply")
     assert (str(file), os.fspath(file)) == ("https://h/b.ply", str(tmp_path / "a.ply"))
     assert file.read_bytes() == b"x"
     assert (file.parent, file.with_name("c")) == (tmp_path, tmp_path / "c")

@@ -324,18 +324,18 @@ def test_what_views_leave_out_follows_from_what_one_of_them_alone_shows():
         )  # fmt: skip
 
     # Splats: in two views; in one; in none; hidden but for less than 0.01; of a block beside.
-    looked, anywhere = visibility.Light(5), visibility.Light(5)
+    looked, anywhere = visibility.SplatContributions(5), visibility.SplatContributions(5)
     looked.add(view([40, 0, 0, 0.1, 9], [50, 20, 30, 40, 9], 100))
     looked.add(view([10, 0, 0, 0, 0], [50, 20, 30, 40, 9], 100))
-    alone = visibility.discovery_of(looked, None, 4)
+    alone = visibility.missed_light_of(looked, None, 4)
     assert dataclasses.astuple(alone) == pytest.approx((0.0, 0.501, 1.8))
     anywhere.add(view([0, 4, 0, 0, 0], [1, 4, 5, 0, 0], 10))
-    both = visibility.discovery_of(looked, anywhere, 4)
+    both = visibility.missed_light_of(looked, anywhere, 4)
     assert dataclasses.astuple(both) == pytest.approx((0.4, 0.901, 1.9))
     assert both.hidden(0.03) == pytest.approx(0.4 / 1.9)
     assert both.hidden(0.5) == 0.5
-    assert (both + visibility.Discovery(0.0, 0.099, 0.1)).hidden(0.03) == pytest.approx(0.2)
-    assert visibility.Discovery(0.009, 1.0, 0.1).hidden(0.03) == 0.03  # all has been seen
-    assert visibility.Discovery(0.011, 1.0, 0.1).hidden(0.03) == pytest.approx(0.11)
-    assert visibility.Discovery(3.0, 4.0, 0.1).hidden(0.03) == 1.0
-    assert visibility.Discovery(3.0, 4.0, 0.0).hidden(0.03) == 0.03
+    assert (both + visibility.MissedLight(0.0, 0.099, 0.1)).hidden(0.03) == pytest.approx(0.2)
+    assert visibility.MissedLight(0.009, 1.0, 0.1).hidden(0.03) == 0.03  # all has been seen
+    assert visibility.MissedLight(0.011, 1.0, 0.1).hidden(0.03) == pytest.approx(0.11)
+    assert visibility.MissedLight(3.0, 4.0, 0.1).hidden(0.03) == 1.0
+    assert visibility.MissedLight(3.0, 4.0, 0.0).hidden(0.03) == 0.03

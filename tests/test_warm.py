@@ -18,7 +18,7 @@ from nanogs import warming
 from nanogs.errors import NanogsError
 from nanogs.kernels.cached import _Cache
 from nanogs.kernels.needed import needed
-from nanogs.spread import Spread
+from nanogs.parallel import ParallelKernel
 
 REMEDY = "run `python benchmarks/signatures.py`"
 # What few runs need, and compile when they do.
@@ -33,7 +33,7 @@ def every_kernel():
     """Name and Python function of all kernels, not of what is inlined."""
     for module in pkgutil.walk_packages(nanogs.kernels.__path__, "nanogs.kernels."):
         for name, value in vars(importlib.import_module(module.name)).items():
-            kernel = value._compiled if isinstance(value, Spread) else value
+            kernel = value._compiled if isinstance(value, ParallelKernel) else value
             kept = isinstance(getattr(kernel, "_cache", None), _Cache)
             if kept and kernel.py_func.__module__ == module.name:
                 yield f"{module.name.removeprefix('nanogs.kernels.')}.{name}", kernel.py_func

@@ -10,11 +10,11 @@ from scipy.spatial import cKDTree
 
 import nanogs
 from nanogs._types import F64, I64
+from nanogs.activations import SH_C0, quaternions, rotations
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import bytes_on_disk
 from nanogs.io.registry import Format, formats
 from nanogs.splats import MAX_SH_DEGREE, ExtraElement, RenderMode, Splats
-from nanogs.stored import SH_C0, quaternions, rotations
 
 PROBE = 5000  # splats
 SHARE = 99  # per cent of the values whose error a table states

@@ -15,7 +15,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from nanogs.cleanup import clean_at_end, undisturbed
+from nanogs.cleanup import defer_exit, on_signal
 from nanogs.threads import processors
 
 _MOST = 3  # helper processes: more would only wait for the longest kernel
@@ -31,14 +31,14 @@ def compile_ahead(preset: str) -> None:
         preset: Preset whose kernels are compiled; see `nanogs.kernels.needed`.
     """
     for _ in range(min(processors() - 1, _MOST)):
-        with undisturbed():
+        with defer_exit():
             process = subprocess.Popen(  # noqa: S603 - itself
                 [sys.executable, "-m", "nanogs.ahead", preset],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
-            clean_at_end(process.kill)
+            on_signal(process.kill)
         # Killing is safe: files of the cache are written under another name and then renamed.
         atexit.register(process.kill)
 

@@ -8,7 +8,7 @@ from nanogs.progress import Progress, Step
 
 
 @contextmanager
-def drawn(progress: Progress | bool | None) -> Iterator[Progress | None]:
+def show_progress(progress: Progress | bool | None) -> Iterator[Progress | None]:
     """Provide the progress callback of a call while it runs.
 
     Args:

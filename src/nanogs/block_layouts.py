@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 from nanogs._types import I64, Array, F
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -103,7 +103,7 @@ class Chunked(Protocol):
         blocks: Sequence[tuple[int, Mapping[str, Array]]],
         finer: Sequence[Any] | None,
         prefix: str,
-        tell: Parts = untold,
+        tell: Parts = ignore_progress,
     ) -> BlockChunks:
         """Make the files of a block, or of neighbouring blocks, lazily.
 

@@ -46,12 +46,12 @@ def temporary_folder(prefix: str) -> Iterator["Path"]:
             folder.cleanup()
 
     with cleaned_up(remove):
-        with undisturbed():
+        with defer_exit():
             made.append(TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True))
         yield Path(made[0].name)
 
 
-def clean_at_end(clean: Callable[[], None]) -> None:
+def on_signal(clean: Callable[[], None]) -> None:
     """Register a function to be called if a signal ends the process."""
     _pending[object()] = clean
 
@@ -64,7 +64,7 @@ def clean_all() -> None:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def defer_exit() -> Iterator[None]:
     """Postpone the end of the process by a signal until the block, which must be short, is done."""
     global _undisturbed  # noqa: PLW0603
     _undisturbed += 1
@@ -85,7 +85,7 @@ def starting_processes() -> Iterator[None]:
     interrupts (not on Windows), because Ctrl-C reaches every process of a terminal, and the parent
     alone handles it.
     """
-    with undisturbed():
+    with defer_exit():
         if not hasattr(signal, "pthread_sigmask"):
             yield
             return
@@ -96,8 +96,8 @@ def starting_processes() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def when_undisturbed(end: Callable[[], None]) -> None:
-    """End the process now, or after the last `undisturbed` block.
+def exit_when_allowed(end: Callable[[], None]) -> None:
+    """End the process now, or after the last `defer_exit` block.
 
     Args:
         end: Function that ends the process; does not return.

@@ -7,17 +7,17 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nanogs import memory, needs
-from nanogs.bar import drawn
+from nanogs import memory, memory_estimates
+from nanogs.bar import show_progress
 from nanogs.clock import StageClock
-from nanogs.filters import Filter, FilterReport, apply, listed
+from nanogs.filters import Filter, FilterReport, apply, checked_filters
 from nanogs.findings import join_findings
 from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.frames import keep_stated_frame
 from nanogs.io.parts import FileSource, level_note
-from nanogs.io.stand_ins import local_copies
+from nanogs.io.url_files import local_copies
 from nanogs.io.urls import place
 from nanogs.pipeline.weights import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
@@ -109,14 +109,14 @@ def convert(
         NotEnoughMemoryError: The conversion takes more memory than is free or allowed.
     """
     start, clock = time.perf_counter(), StageClock()
-    given, wanted, filters = place(source), place(target), listed(filters)
+    given, wanted, filters = place(source), place(target), checked_filters(filters)
     frame = checked_frames(frame)
     check_degree(sh_degree)
     format_options = registry.add_target_frame(wanted, format_options, frame)
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(wanted, **saving)
     with (
-        drawn(progress) as tell,
+        show_progress(progress) as tell,
         local_copies([given], wanted, overwrite=overwrite) as ([here], there),
         open_model(here, level=level, render_mode=render_mode) as file,
     ):
@@ -158,7 +158,7 @@ def _refuse_too_large(
     compiled = known is not None and (known.suffix == ".sog" or given.get("palette") is not None)
     memory.refuse_too_large(
         f"Converting {source.name}",
-        needs.convert_bytes(source, target, whole=_need_whole(filters), options=given),
+        memory_estimates.convert_bytes(source, target, whole=_need_whole(filters), options=given),
         memory.allowed_memory(max_memory, compiled=compiled),
         "free some, name a .ply file, which is written in parts, or make a smaller model with"
         " `nanogs simplify` first, which works in blocks",

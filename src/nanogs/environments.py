@@ -18,7 +18,7 @@ from nanogs.frames import change_frame
 from nanogs.io import inspect, load
 from nanogs.io.files import splat_bytes
 from nanogs.io.models import as_splats
-from nanogs.io.stand_ins import refuse_address
+from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import place
 from nanogs.lod.environment import Shell, find_environment
 from nanogs.lod.layout import Layout
@@ -41,7 +41,7 @@ _HELD, _EACH = 7, 300
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class EnvironmentRequest:
     """A request for an environment.
 
     Attributes:
@@ -158,12 +158,12 @@ class Surroundings:
         return Environment(source, count, self.asked == AUTO, whole, made)
 
 
-NOTHING = Surroundings()
+NOTHING = EnvironmentRequest()
 
 
 def surroundings(
     asked: str | PathLike[str] | Splats | Source, ratio: float | None, layout: Layout | str
-) -> Surroundings:
+) -> EnvironmentRequest:
     """Check the arguments about an environment, and make a request of them.
 
     Args:
@@ -184,7 +184,7 @@ def surroundings(
             raise OptionError(
                 "An environment belongs to streamed SOG; write a lod-meta.json or a .ssog."
             )
-        return Surroundings()
+        return EnvironmentRequest()
     if ratio is not None and not (is_number(ratio) and 0 < ratio <= 1):
         given = value_text(ratio)
         raise OptionError(
@@ -192,7 +192,7 @@ def surroundings(
         )
     if ratio is not None and asked == NONE:
         raise OptionError("Without an environment there is none to simplify; leave its ratio out.")
-    return Surroundings(asked, 1.0 if ratio is None else ratio)
+    return EnvironmentRequest(asked, 1.0 if ratio is None else ratio)
 
 
 def without_environment(reports: Sequence[SimplifyReport]) -> list[SimplifyReport]:

@@ -65,7 +65,7 @@ class FilterReport:
     left: int
 
 
-def listed(filters: Iterable[Filter]) -> tuple[Filter, ...]:
+def checked_filters(filters: Iterable[Filter]) -> tuple[Filter, ...]:
     """Return a caller's filters as a tuple, after a check of their type.
 
     Raises:
@@ -88,11 +88,11 @@ def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[Filt
     Raises:
         ModelError: No splat is left, or a further PLY element has one row for each splat.
     """
-    left, _, reports = sift(splats, filters)
+    left, _, reports = apply_with_mask(splats, filters)
     return left, reports
 
 
-def sift(
+def apply_with_mask(
     splats: Splats, filters: Sequence[Filter]
 ) -> tuple[Splats, Bool, tuple[FilterReport, ...]]:
     """Apply several filters in turn, and also return the mask of the splats that stay.

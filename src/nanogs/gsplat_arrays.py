@@ -11,9 +11,9 @@ import numpy as np
 
 from nanogs._arrays import as_floats
 from nanogs._types import F32, Array, F
+from nanogs.activations import base_colour
 from nanogs.errors import ModelError
 from nanogs.splats import RenderMode, Splats
-from nanogs.stored import base_colour
 
 _SHAPED = {"log_scales": "scales", "quats": "quats", "opacity_logits": "opacities"}
 _NEEDED = ("means", *_SHAPED.values())

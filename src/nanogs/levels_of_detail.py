@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from nanogs._types import F64
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.card.device import CPU, device_notes
 from nanogs.clock import StageClock
-from nanogs.environments import AUTO, NOTHING, Surroundings, surroundings, without_environment
+from nanogs.environments import AUTO, NOTHING, EnvironmentRequest, surroundings, without_environment
 from nanogs.errors import OptionError
 from nanogs.frames import change_frame
 from nanogs.io import inspect, registry
 from nanogs.io.models import Model, as_splats
-from nanogs.io.stand_ins import refuse_address
+from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import place as place_of
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
@@ -29,12 +29,12 @@ from nanogs.lod.tree_file import LevelsTree
 from nanogs.lod.usual import default_ratios
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.files import cameras_of, fitted_for, stated_frame
-from nanogs.pipeline.foreseen import levels_stages
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.levels import checked_ratios, judged_levels
 from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
+from nanogs.pipeline.stage_estimates import levels_stages
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.place import Place
@@ -135,7 +135,7 @@ def write_levels(
     request.refuse_unused_views()
     sink = sink_of(request, suffix=registry.suffix_of(suffix), source=source, layout=layout)
     sky = surroundings(environment, environment_ratio, layout)
-    with drawn(progress) as tell:
+    with show_progress(progress) as tell:
         if not isinstance(paths, Splats | Source):
             return write_levels_of_files(request, sink, tell, sky)
         if for_files := given.keys() & {"block", "job", "scratch", "resume", "executor"}:
@@ -184,7 +184,7 @@ def sink_of(
 
 
 def write_levels_of_files(
-    request: Request, sink: LevelsSink, told: Progress | None, sky: Surroundings = NOTHING
+    request: Request, sink: LevelsSink, told: Progress | None, sky: EnvironmentRequest = NOTHING
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Write the requested levels of files, in memory or in blocks.
 
@@ -210,7 +210,7 @@ def write_levels_of_files(
 
 
 def _written(
-    request: Request, plan: Plan, sink: LevelsSink, told: Progress | None, sky: Surroundings
+    request: Request, plan: Plan, sink: LevelsSink, told: Progress | None, sky: EnvironmentRequest
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make and write the levels of files by a plan; the work of `write_levels_of_files`."""
     if plan.divided:
@@ -246,7 +246,7 @@ def _whole(
     prepared: Prepared,
     sink: LevelsSink,
     told: Progress | None,
-    sky: Surroundings,
+    sky: EnvironmentRequest,
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make and write the levels of a model in memory."""
     whole, filtered, notes = prepared

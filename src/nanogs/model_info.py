@@ -12,11 +12,11 @@ from nanogs.findings import join_findings
 from nanogs.io import FileInfo, registry
 from nanogs.io import open as open_model
 from nanogs.io.collect import model_in
-from nanogs.io.stand_ins import local_copies
+from nanogs.io.url_files import local_copies
 from nanogs.io.urls import place
 from nanogs.lod import manifest
 from nanogs.memory import allowed_memory, refuse_too_large
-from nanogs.needs import info_bytes
+from nanogs.memory_estimates import info_bytes
 from nanogs.percentiles import Percentiles
 from nanogs.splats import Splats
 
@@ -24,7 +24,7 @@ _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class ParallelKernel:
     """Distribution of some values: minimum, percentiles and maximum."""
 
     min: float
@@ -68,8 +68,8 @@ class ModelInfo:
     opaque: int
     transparent: int
     bounds: tuple[tuple[float, ...], ...]
-    alpha: Spread | None
-    scale: Spread | None
+    alpha: ParallelKernel | None
+    scale: ParallelKernel | None
     notes: tuple[str, ...]
     levels: tuple[int, ...]
     environment: int
@@ -115,7 +115,7 @@ def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
         for block in source.blocks():
             census.add(block)
         for block in source.blocks() if census.again else ():
-            census.add_again(block)
+            census.add_second_pass(block)
     return ModelInfo(
         file=file,
         frame=f"{frame}, as the file states" if frame else registry.reader(path).frame,
@@ -164,17 +164,17 @@ class _Census:
 
     @property
     def again(self) -> bool:
-        """Whether `add_again` needs all blocks in a second pass."""
+        """Whether `add_second_pass` needs all blocks in a second pass."""
         return self.alphas.again or self.scales.again
 
-    def add_again(self, block: Splats) -> None:
+    def add_second_pass(self, block: Splats) -> None:
         usable = block.take(block.finite())
         if self.alphas.again:
-            self.alphas.add_again(usable.opacities().astype(np.float32))
+            self.alphas.add_second_pass(usable.opacities().astype(np.float32))
         if self.scales.again:
-            self.scales.add_again(usable.scales().astype(np.float32).reshape(-1))
+            self.scales.add_second_pass(usable.scales().astype(np.float32).reshape(-1))
 
 
-def _spread(values: Percentiles) -> Spread | None:
+def _spread(values: Percentiles) -> ParallelKernel | None:
     found = values.values()
-    return None if found is None else Spread(*found)
+    return None if found is None else ParallelKernel(*found)

@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F64, I32, I64, Bool
 from nanogs.kernels.knn import search_tree
 from nanogs.kernels.knn_tree import build_tree
@@ -87,7 +87,7 @@ def _scaled(means: F64) -> F64:
     def measure(part: slice) -> None:
         ends.append(max(-float(means[part].min()), float(means[part].max())))
 
-    spread.each(slices(len(means), SLICE_STEPS), measure)
+    parallel.for_each(slices(len(means), SLICE_STEPS), measure)
     if not np.isfinite(ends).all():  # kernels would read out of bounds
         raise ValueError("centres must be finite")
     exponent = _EXPONENT - int(np.frexp(max(ends))[1])
@@ -97,7 +97,7 @@ def _scaled(means: F64) -> F64:
         for axis in range(3):
             np.ldexp(means[part, axis], exponent, out=scaled[axis, part])
 
-    spread.each(slices(len(means), SLICE_STEPS), scale)
+    parallel.for_each(slices(len(means), SLICE_STEPS), scale)
     return scaled
 
 

@@ -19,7 +19,7 @@ class Percentiles:
     """Percentiles of a stream of float32 values, none of them negative or NaN.
 
     Attributes:
-        again: Whether a second pass with `add_again` is needed.
+        again: Whether a second pass with `add_second_pass` is needed.
     """
 
     def __init__(self, most: int, shares: Sequence[float]) -> None:
@@ -44,7 +44,7 @@ class Percentiles:
             self._held[self._count : self._count + len(values)] = values
         self._count += len(values)
 
-    def add_again(self, values: F32) -> None:
+    def add_second_pass(self, values: F32) -> None:
         """Add the same values again, in the second pass, when all have been added."""
         if not self._lower:
             ends = np.cumsum(self._upper)

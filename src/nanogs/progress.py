@@ -137,7 +137,7 @@ def each(items: Iterable[T], tell: Parts) -> Iterator[T]:
     tell(len(known), len(known))
 
 
-def untold(_done: float, _parts: int) -> None:
+def ignore_progress(_done: float, _parts: int) -> None:
     """Ignore the progress of parts: the default callback."""
 
 

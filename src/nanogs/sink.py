@@ -21,12 +21,12 @@ from nanogs.io import check_writable, losses, registry, save
 from nanogs.io.atomic import atomic_write, writing
 from nanogs.io.format import FormatOptions
 from nanogs.io.temporary import temporary
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
 from nanogs.source import Source
 from nanogs.splats import Splats
-from nanogs.switches import PixelOf, Switch
+from nanogs.switches import PixelOf, SwitchQuality
 
 Read = Callable[[], Splats]
 """Reads a model."""
@@ -48,7 +48,7 @@ class Written(NamedTuple):
             the views; None if not measured.
         requests: Number of files that a viewer requests, for a result in chunks: the files above
             and those that they refer to.
-        switch: The fields of `Switch`; None if not measured.
+        switch: The fields of `SwitchQuality`; None if not measured.
         environment: Of an environment beside all results: its source, number of splats, bytes and
             files, and the number of splats of the model that were moved into it; empty if there is
             none.
@@ -67,9 +67,9 @@ class Written(NamedTuple):
     environment: Sequence[Any] = ()
 
     @property
-    def switched(self) -> Switch | None:
+    def switched(self) -> SwitchQuality | None:
         """Scores at the distance at which a viewer starts to draw it; None if not measured."""
-        return None if self.switch is None else Switch(*self.switch)
+        return None if self.switch is None else SwitchQuality(*self.switch)
 
     @property
     def drawn(self) -> tuple[DrawCost, ...]:
@@ -114,11 +114,11 @@ class Judge(Protocol):
     def costs(self, path: Path, level: int = 0) -> Sequence[DrawCost]:
         """Return the costs of drawing the file and the original; empty if not measured."""
 
-    def at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> Switch | None:
+    def quality_at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> SwitchQuality | None:
         """Measure a level at the distance at which a viewer starts to draw it; None if not done."""
 
 
-class Filling(ABC):
+class OpenSink(ABC):
     """An open sink, to which results are written.
 
     Attributes:
@@ -129,7 +129,7 @@ class Filling(ABC):
         self.written: list[Written] = []
 
     @abstractmethod
-    def add(self, model: Splats | Source, tell: Parts = untold) -> None:
+    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
         """Write the next result, given whole, and report the progress."""
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
@@ -137,7 +137,7 @@ class Filling(ABC):
         raise NotImplementedError
 
     def add_trees(
-        self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = untold
+        self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = ignore_progress
     ) -> None:
         """Accept the trees that the sink's layout has linked; results are added afterwards.
 
@@ -178,7 +178,7 @@ class Filling(ABC):
             if found is not None:
                 judged = found.psnr, found.ssim, found.protocol.views
                 costs = [each.numbers for each in judge.costs(*file)] or None
-                switch = judge.at_switch(*file, pixel_of) if number and pixel_of else None
+                switch = judge.quality_at_switch(*file, pixel_of) if number and pixel_of else None
                 self.written[number] = self.written[number]._replace(
                     judged=judged, costs=costs, switch=astuple(switch) if switch else None
                 )
@@ -228,7 +228,7 @@ class Sink(Protocol):
             OutputError: They cannot.
         """
 
-    def open(self, making: Path, options: FormatOptions) -> Filling:
+    def open(self, making: Path, options: FormatOptions) -> OpenSink:
         """Open the sink at a temporary path; the remains of an earlier run there are removed.
 
         Args:
@@ -277,7 +277,7 @@ class OneFile:
         """Check that the file can be written; see `Sink.check`."""
         check_writable(self.place, overwrite=self.overwrite, format_options=self.format_options)
 
-    def open(self, making: Path, options: FormatOptions) -> Filling:
+    def open(self, making: Path, options: FormatOptions) -> OpenSink:
         """Open the sink at a temporary path; see `Sink.open`."""
         return _File(making, {**(self.format_options or {}), **options})
 
@@ -291,12 +291,12 @@ class OneFile:
         return (".",)
 
 
-class _File(Filling):
+class _File(OpenSink):
     def __init__(self, making: Path, format_options: FormatOptions | None) -> None:
         super().__init__()
         self._making, self._options = making, format_options
 
-    def add(self, model: Splats | Source, tell: Parts = untold) -> None:
+    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
         tell(0, 1)
         save(model, self._making, overwrite=True, format_options=self._options)
         size, left_out = self._making.stat().st_size, losses(model, self._making)

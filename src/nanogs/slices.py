@@ -6,7 +6,7 @@ SLICE = 1 << 13  # rows; few, because the allocator keeps the memory that each t
 # Rows for a few simple steps on few numbers each: long enough that threads do not wait for the GIL.
 SLICE_STEPS = 1 << 15
 SLICE_PAIRS = 1 << 15  # pairs; a kernel takes milliseconds for these
-IN_HAND = 16 * SLICE_PAIRS  # pairs that 16 threads process at once, for planning memory
+PAIRS_IN_FLIGHT = 16 * SLICE_PAIRS  # pairs that 16 threads process at once, for planning memory
 
 
 def slices(count: int, size: int = SLICE) -> Iterator[slice]:

@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import I64, U64, Bool
 
 _LEAST = 1 << 15  # least number of keys in a part
@@ -32,7 +32,7 @@ def stable_order(keys: U64) -> I64:
         ordered: I64 = rows.take(_order(keys.take(rows)))
         return ordered
 
-    return np.concatenate(spread.results(range(parts), order))
+    return np.concatenate(parallel.map_ordered(range(parts), order))
 
 
 def _between(keys: U64, bounds: U64, part: int) -> Bool:

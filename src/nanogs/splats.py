@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._arrays import as_array, as_floats, as_rows
 from nanogs._types import F32, F64, I32, I64, Array, Bool, F
+from nanogs.activations import alphas, unit
 from nanogs.errors import ModelError, OptionError
 from nanogs.ranges import is_number
 from nanogs.slices import slices
-from nanogs.stored import alphas, unit
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -267,7 +267,7 @@ class Splats:
         def look(rows: slice) -> None:
             found[rows] = _finite(self.span(rows.start, rows.stop))
 
-        spread.each(slices(len(self)), look)
+        parallel.for_each(slices(len(self)), look)
         return found
 
     def take(self, rows: Any) -> "Splats":  # noqa: ANN401 - many ways to name rows

@@ -33,7 +33,7 @@ and of the deviation of a typical splat of it along its longest axis, scene unit
 
 
 @dataclass(frozen=True, slots=True)
-class Switch:
+class SwitchQuality:
     """Quality of a level against the original at the distance where a viewer starts to draw it.
 
     Attributes:

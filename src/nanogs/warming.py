@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Warmth:
+class CompileReport:
     """Report of compiling the kernels in advance.
 
     Attributes:
@@ -33,7 +33,7 @@ class Warmth:
     folders: tuple[str, ...]
 
 
-def warm(workers: int | None = None, progress: Progress | None = None) -> Warmth:
+def warm(workers: int | None = None, progress: Progress | None = None) -> CompileReport:
     """Compile all kernels that commands need and that are not cached, in several processes.
 
     Args:
@@ -71,7 +71,7 @@ def warm(workers: int | None = None, progress: Progress | None = None) -> Warmth
                 future.result()
                 tracker.part(number, len(missing))
     tracker.finish()
-    return Warmth(
+    return CompileReport(
         kernels=len(every),
         compiled=len(missing),
         seconds=time.perf_counter() - start,

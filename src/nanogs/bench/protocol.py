@@ -9,7 +9,7 @@ from nanogs.bench import measuring
 from nanogs.bench.bjontegaard import check_packages
 from nanogs.bench.rows import ORIGINAL, BenchRow, RowKey, Status, Wish
 from nanogs.bench.scenes import BenchScene, scene_views
-from nanogs.bench.settings import BenchSettings, refuse_twins
+from nanogs.bench.settings import BenchSettings, refuse_duplicates
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import NanogsError, OptionError
 from nanogs.io import load
@@ -46,7 +46,7 @@ def run_bench(
     """
     if not scenes:
         raise OptionError("Give at least one model to measure on.")
-    refuse_twins("scene", [scene.name for scene in scenes])
+    refuse_duplicates("scene", [scene.name for scene in scenes])
     for pattern in settings.externals.values():
         measuring.external_path(pattern, scenes[0], settings.wishes[0])
     _try_metrics(settings.metrics)

@@ -12,7 +12,7 @@ from nanogs.errors import FormatError, OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.collect import WHOLE_FOLDERS, collect
-from nanogs.io.stand_ins import refuse_address
+from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import is_url, place
 from nanogs.protocol import BLACK, Background, background_text
 from nanogs.raster.camera import Camera

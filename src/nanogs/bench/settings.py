@@ -87,12 +87,12 @@ class BenchSettings:
                 raise OptionError(f"Views are {', '.join(FOUND)}, not {kind!r}.")
         if not self.sizes or not self.kinds:
             raise OptionError("Give at least one size and one kind of views.")
-        refuse_twins("size", [str(size) for size in self.sizes])
-        refuse_twins("kind", list(self.kinds))
+        refuse_duplicates("size", [str(size) for size in self.sizes])
+        refuse_duplicates("kind", list(self.kinds))
         if not self.ratios or not (self.methods or self.externals):
             raise OptionError("Give at least one ratio and one method.")
-        refuse_twins("ratio", [f"{ratio:g}" for ratio in self.ratios])
-        refuse_twins("method", [ORIGINAL, *self.methods, *self.externals])
+        refuse_duplicates("ratio", [f"{ratio:g}" for ratio in self.ratios])
+        refuse_duplicates("method", [ORIGINAL, *self.methods, *self.externals])
         for method in self.methods:
             find_method(method)
 
@@ -103,8 +103,8 @@ class BenchSettings:
         for size in self.file_sizes:
             if size < 1:
                 raise OptionError(f"The size of a file must be at least 1 byte, not {size}.")
-        refuse_twins("size", [size_name(size) for size in self.file_sizes])
-        refuse_twins("format", list(self.formats))
+        refuse_duplicates("size", [size_name(size) for size in self.file_sizes])
+        refuse_duplicates("format", list(self.formats))
         for suffix in self.formats:
             _refuse_format(suffix)
             for method in self.methods:
@@ -128,7 +128,7 @@ def _refuse_format(suffix: str) -> None:
         raise OptionError(f"{suffix} is no format of single files that nanogs writes and reads.")
 
 
-def refuse_twins(what: str, names: list[str]) -> None:
+def refuse_duplicates(what: str, names: list[str]) -> None:
     """Refuse duplicate names, because their rows could not be distinguished.
 
     Raises:

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from nanogs._types import F64, I64, F
+from nanogs.activations import quaternions, rotations
 from nanogs.method.gaussians import Gaussians, activate, scene_origin, store
 from nanogs.splats import Splats
-from nanogs.stored import quaternions, rotations
 
 _BISECTIONS = 40
 # Cells along the widest axis; three indices of at most 21 bits are packed into an int64 key.

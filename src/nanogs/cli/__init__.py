@@ -5,7 +5,7 @@ import os
 import sys
 
 from nanogs.cli.cancel import listen
-from nanogs.cli.importing import uncollected
+from nanogs.cli.importing import without_gc
 
 
 def main() -> None:
@@ -20,7 +20,7 @@ def main() -> None:
 
 def _run() -> int:
     """Run the command and return its exit code."""
-    with uncollected():
+    with without_gc():
         import typer
 
         from nanogs.cli.app import app
@@ -36,10 +36,10 @@ def _run() -> int:
     except NanogsError as error:
         return _refuse(wording(error))
     except BrokenPipeError:
-        return _unread()
+        return _on_closed_pipe()
     except SystemExit as ended:  # Typer and Rich exit by themselves when the pipe is closed
         if isinstance(ended.__context__, BrokenPipeError):
-            return _unread()
+            return _on_closed_pipe()
         raise
     except typer.Abort:
         return 130  # the shell's exit code for interrupted programs: 128 + SIGINT
@@ -54,7 +54,7 @@ def _run() -> int:
     return code if isinstance(code, int) else 0
 
 
-def _unread() -> int:
+def _on_closed_pipe() -> int:
     """Handle a closed pipe: return 141, the exit code of a program ended by SIGPIPE (128 + 13).
 
     Buffered output is redirected to /dev/null, because Python would report an error when it flushes

@@ -96,7 +96,7 @@ def _refuse_addresses(paths: Sequence[Path], options: Sequence[str]) -> None:
     Raises:
         OptionError: A path is a URL, and there are such options.
     """
-    from nanogs.io.stand_ins import refuse_address  # here because `--help` does not need it
+    from nanogs.io.url_files import refuse_address  # here because `--help` does not need it
 
     for path in paths if options else ():
         refuse_address(path, f"with {options[0]} models are files: download it first")

@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import partial
 from types import FrameType
 
-from nanogs.cleanup import clean_all, when_undisturbed
+from nanogs.cleanup import clean_all, exit_when_allowed
 
 _CLEAR = b"\r\x1b[K\x1b[?25h"  # clears the line of a progress bar, and shows the cursor again
 
@@ -36,7 +36,7 @@ def _requests() -> Iterable[signal.Signals]:
 
 def _stop(number: int, _frame: FrameType | None) -> None:
     _ignore()
-    when_undisturbed(partial(_end, number))
+    exit_when_allowed(partial(_end, number))
 
 
 def _ignore() -> None:

@@ -1,4 +1,4 @@
-"""Downloads and uploads of URLs (`nanogs.io.stand_ins`), with their progress shown."""
+"""Downloads and uploads of URLs (`nanogs.io.url_files`), with their progress shown."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nanogs.cli.progress import shown
 from nanogs.io.collect import model_in
-from nanogs.io.stand_ins import TransferProgress, local_copies
+from nanogs.io.url_files import TransferProgress, local_copies
 from nanogs.progress import Parts, Progress, Stage, Step, Tracker
 
 DOWNLOAD = "download it to a file with the suffix of its format"
@@ -21,11 +21,11 @@ def fetched(paths: Sequence[Path], *, quiet: bool) -> Iterator[list[Path]]:
     Raises:
         NanogsError: As for `local_copies` and `model_in`.
     """
-    with local_copies(paths, telling=a_bar(quiet=quiet), remedy=DOWNLOAD) as (files, _):
+    with local_copies(paths, telling=transfer_bar(quiet=quiet), remedy=DOWNLOAD) as (files, _):
         yield [model_in(file) for file in files]
 
 
-def a_bar(*, quiet: bool) -> TransferProgress:
+def transfer_bar(*, quiet: bool) -> TransferProgress:
     """Return a callback that shows each transfer by a progress bar of its own."""
 
     @contextmanager

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
+def without_gc() -> Iterator[None]:
     """Disable garbage collection within the context, and exclude its objects from later ones.
 
     Imports create many objects and free hardly any, so that the repeated collections find nothing:

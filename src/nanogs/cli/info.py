@@ -10,14 +10,14 @@ import typer
 
 from nanogs.cli import file_options, options
 from nanogs.cli.groups import with_options
-from nanogs.cli.looking import Looking
+from nanogs.cli.looking import RenderOptions
 from nanogs.formatting import bytes_text, counted, number_text
 
 if TYPE_CHECKING:
     from nanogs.io import FileInfo
     from nanogs.io.parts import FileSource
-    from nanogs.model_info import ModelInfo, Spread
-    from nanogs.scoring.modes import Looked
+    from nanogs.model_info import ModelInfo, ParallelKernel
+    from nanogs.scoring.modes import RenderFindings
     from nanogs.scoring.packing_cost import PackedFile, PackingCost
 
 _HINT = "; --views 8 says what speaks for it"
@@ -40,7 +40,7 @@ def info(
     render_mode: options.AsMode = None,
     packed: options.Packed = "",
     of_format: options.OfFormat,
-    looking: Looking,
+    looking: RenderOptions,
     json: options.Json = False,
 ) -> None:
     """Say what a model holds, and what each other format would lose of it.
@@ -81,7 +81,7 @@ def _packing_cost(
     model: "FileSource",
     formats: list[str],
     of_format: dict[str, Any],
-    looking: Looking,
+    looking: RenderOptions,
     *,
     quiet: bool,
 ) -> "PackingCost":
@@ -95,14 +95,14 @@ def _packing_cost(
         )  # fmt: skip
 
 
-def _looked(model: "FileSource", looking: Looking, *, quiet: bool) -> "Looked":
+def _looked(model: "FileSource", looking: RenderOptions, *, quiet: bool) -> "RenderFindings":
     from nanogs.cli.progress import shown
 
     with shown(quiet=quiet) as progress:
         return looking.looked(model, progress)
 
 
-def _looked_rows(looked: "Looked") -> dict[str, str]:
+def _looked_rows(looked: "RenderFindings") -> dict[str, str]:
     return {
         "to draw": f"{looked.cost.text}, on {looked.cost.protocol.text}",
         "default or mip": "\n".join(looked.modes.sentences)
@@ -180,7 +180,7 @@ def _environment(splats: int) -> dict[str, str]:
     return {"environment": f"{splats:,} of the splats of every level"} if splats else {}
 
 
-def _spread(spread: "Spread | None") -> str:
+def _spread(spread: "ParallelKernel | None") -> str:
     if spread is None:
         return "none"
     return (

@@ -10,7 +10,7 @@ import typer
 from nanogs.cli import file_options, options
 from nanogs.cli.blocks import DASH
 from nanogs.cli.groups import with_options
-from nanogs.cli.importing import uncollected
+from nanogs.cli.importing import without_gc
 from nanogs.cli.method import Method
 from nanogs.cli.placing import Placing
 from nanogs.defaults import CHUNK, LEAST_CHUNK
@@ -112,11 +112,11 @@ def lod(
     tree, as Spark streams it.
     """
     # Imported here because `--help` does not need it.
-    with uncollected():
+    with without_gc():
         from nanogs.cli import framing, lod_run, many, plan
         from nanogs.environments import surroundings
         from nanogs.io.collect import Pair
-        from nanogs.io.stand_ins import refuse_address
+        from nanogs.io.url_files import refuse_address
         from nanogs.lod.layout import chunks_of, output_of
         from nanogs.pipeline.levels import checked_ratios
         from nanogs.pipeline.target import Goal

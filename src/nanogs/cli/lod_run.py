@@ -12,9 +12,9 @@ from nanogs.cli.console import arrow, err, say, show, show_report, warn
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
-from nanogs.cli.plan import carry_out, plan_run, show_plan
+from nanogs.cli.plan import execute, plan_run, show_plan
 from nanogs.cli.simplify_report import warn_of_input
-from nanogs.environments import AUTO, NOTHING, Surroundings
+from nanogs.environments import AUTO, NOTHING, EnvironmentRequest
 from nanogs.formatting import NONE, bytes_text, counted, number_text, time_text
 from nanogs.io import bytes_on_disk
 from nanogs.io.collect import Pair
@@ -24,7 +24,7 @@ from nanogs.lod.manifest import ChunkedLevel, Level
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.target import target_count
 from nanogs.progress import Progress
-from nanogs.switches import SCREEN, Switch
+from nanogs.switches import SCREEN, SwitchQuality
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class Wishes:
     method: Method
     output: Output
     usual: bool = False
-    sky: Surroundings = NOTHING
+    sky: EnvironmentRequest = NOTHING
 
 
 def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
@@ -72,7 +72,7 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
         asked = [{"ratio": r, "count": c} for r, c in zip(wish.ratios, counts, strict=True)]
         return Run(shown, told | {"levels": asked})
     start = time.perf_counter()
-    manifest, reports = carry_out(
+    manifest, reports = execute(
         plan, lambda wish: write_levels_of_files(wish, sink, progress, wishes.sky)
     )
     if not plan.divided:
@@ -145,11 +145,11 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         say(f"`nanogs view {files['output']}` makes a page of one level, to look at it")
 
 
-def _switch(level: Level | ChunkedLevel) -> Switch | None:
+def _switch(level: Level | ChunkedLevel) -> SwitchQuality | None:
     return level.switch if isinstance(level, ChunkedLevel) else None
 
 
-def _switch_cells(switch: Switch | None) -> tuple[str, str]:
+def _switch_cells(switch: SwitchQuality | None) -> tuple[str, str]:
     """Format the distance at which a viewer switches to a level, and the scores there."""
     return (switch.distance_text, switch.marks) if switch else (NONE, NONE)
 

@@ -11,7 +11,7 @@ from nanogs.protocol import PIXELS, VIEWS
 if TYPE_CHECKING:
     from nanogs.io.models import Model
     from nanogs.progress import Progress
-    from nanogs.scoring.modes import Looked
+    from nanogs.scoring.modes import RenderFindings
 
 _view = options.in_panel(options.VIEWS)
 Given = dict[str, object]
@@ -59,7 +59,7 @@ def refuse_beside_file(cameras: str | None, found: Given) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Looking:
+class RenderOptions:
     """Options for rendering the model; None for those that are not given."""
 
     views: Annotated[
@@ -116,7 +116,7 @@ class Looking:
             raise OptionError("Nothing is rendered so; add --views 8, or --photos with a folder.")
         return looks
 
-    def looked(self, model: "Model", progress: "Progress") -> "Looked":
+    def looked(self, model: "Model", progress: "Progress") -> "RenderFindings":
         """Render a model, for evidence of its render mode and its draw cost.
 
         Raises:

@@ -14,7 +14,7 @@ from nanogs.cleanup import cleaned_up
 from nanogs.cli.blocks import DASH
 from nanogs.cli.console import fail, notes_about, print_json
 from nanogs.cli.failures import sentence_of
-from nanogs.cli.fetching import a_bar, within
+from nanogs.cli.fetching import transfer_bar, within
 from nanogs.cli.file_options import Files
 from nanogs.cli.options import TransferProgress
 from nanogs.cli.progress import Watch, shown
@@ -119,7 +119,7 @@ def run_all(
     out_dir, streams = files.out_dir, Streams(files.read_as, files.write_as)
     failed: list[dict[str, str]] = []
     if out_dir is None:
-        bar = a_bar(quiet=telling.hushed)
+        bar = transfer_bar(quiet=telling.hushed)
         with (
             streams.local_copies(pairs[0], bar, overwrite=overwrite) as near,
             shown(quiet=telling.hushed) as watch,

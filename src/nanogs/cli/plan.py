@@ -10,7 +10,7 @@ from nanogs.ahead import compile_ahead, nothing_compiled
 from nanogs.allocation import keep_freed_memory
 from nanogs.cli.console import err, key_value_table, show
 from nanogs.cli.filtering import parse_changes
-from nanogs.cli.importing import uncollected
+from nanogs.cli.importing import without_gc
 from nanogs.cli.method import Method
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.formatting import bytes_text, counted
@@ -211,13 +211,13 @@ def plan_run(
     return plan
 
 
-def carry_out(plan: Plan, do: Callable[[Request], T]) -> T:
+def execute(plan: Plan, do: Callable[[Request], T]) -> T:
     """Execute a plan by calling `do` with its request; blocks are done by the plan's executor."""
     wish = plan.wish
     if not plan.divided:
         keep_freed_memory()
         _prepare_kernels(wish)
-    with uncollected():
+    with without_gc():
         import_stages(wish.parameters)
     if plan.divided:
         with plan.executor() as executor:

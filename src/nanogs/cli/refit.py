@@ -62,17 +62,17 @@ def refit(
     """Fit a small model to renders of the original: no photographs, no training data."""
     # Imported here because `--help` does not need it.
     from nanogs.card.device import check_device
-    from nanogs.cli.fetching import DOWNLOAD, a_bar
+    from nanogs.cli.fetching import DOWNLOAD, transfer_bar
     from nanogs.io import check_writable, inspect
     from nanogs.io.collect import model_in
-    from nanogs.io.stand_ins import local_copies
-    from nanogs.needs import refit_bytes
+    from nanogs.io.url_files import local_copies
+    from nanogs.memory_estimates import refit_bytes
 
     chosen = RefitParameters(**given)
     refuse_beside_file(cameras, {"--up": up})
     check_writable(target, overwrite=run.overwrite)
     check_device(device)
-    bar = a_bar(quiet=run.hushed)
+    bar = transfer_bar(quiet=run.hushed)
     with local_copies(
         [original, small], target, overwrite=run.overwrite, telling=bar, remedy=DOWNLOAD
     ) as near:

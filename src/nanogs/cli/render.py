@@ -54,7 +54,7 @@ def render(
     from nanogs.cli.fetching import fetched
     from nanogs.cli.progress import shown
     from nanogs.io import open as open_model
-    from nanogs.io.stand_ins import refuse_address
+    from nanogs.io.url_files import refuse_address
 
     count = views or (1 if _is_picture(target) else 8)
     width, height = options.parse_pixels(_PIXELS if pixels is None else pixels)

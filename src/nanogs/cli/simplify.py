@@ -8,7 +8,7 @@ import typer
 from nanogs.cli import file_options, options
 from nanogs.cli.blocks import DASH
 from nanogs.cli.groups import with_options
-from nanogs.cli.importing import uncollected
+from nanogs.cli.importing import without_gc
 from nanogs.cli.method import Method
 from nanogs.quantities import parse_bytes
 
@@ -70,7 +70,7 @@ def simplify(
 ) -> None:
     """Make a smaller model of the scene: of a ratio, count, file size, PSNR or draw cost."""
     # Imported here because `--help` does not need it.
-    with uncollected():
+    with without_gc():
         from nanogs.cli import many, plan, simplify_run
         from nanogs.cli.simplify_report import print_report
         from nanogs.io.collect import collect

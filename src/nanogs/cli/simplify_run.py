@@ -8,7 +8,7 @@ from nanogs.cli.console import warn
 from nanogs.cli.framing import frames_of
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
-from nanogs.cli.plan import Plan, carry_out, plan_run, show_plan
+from nanogs.cli.plan import Plan, execute, plan_run, show_plan
 from nanogs.formatting import counted
 from nanogs.io import bytes_on_disk, check_writable, registry
 from nanogs.io.collect import Pair
@@ -71,7 +71,7 @@ def _plan(wishes: Wishes, pair: Pair) -> Plan:
 
 def _made(plan: Plan, progress: Progress) -> Run:
     """Simplify a file, and return the report with names and sizes of the files."""
-    wish, report = plan.wish, carry_out(plan, lambda wish: simplify_files(wish, progress))
+    wish, report = plan.wish, execute(plan, lambda wish: simplify_files(wish, progress))
     if not plan.divided:
         report = replace(report, notes=(*plan.notes(), *report.notes))
     files: dict[str, Any] = {"frames": wish.frame, "input": plan.name, "output": str(wish.output)}

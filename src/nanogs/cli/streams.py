@@ -13,12 +13,12 @@ from pathlib import Path
 
 from nanogs.cleanup import temporary_folder
 from nanogs.cli.blocks import DASH
-from nanogs.cli.fetching import a_bar
+from nanogs.cli.fetching import transfer_bar
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.collect import Pair
-from nanogs.io.stand_ins import TransferProgress, detect_suffix, local_copies
-from nanogs.io.urls import Address, StandIn
+from nanogs.io.url_files import TransferProgress, detect_suffix, local_copies
+from nanogs.io.urls import Address, UrlFile
 
 _REMEDY = "name it, as in --from splat"
 
@@ -45,7 +45,7 @@ class Streams:
             ("--from", self.read_as, pair.source, "IN"),
             ("--to", self.write_as, pair.target, "OUT"),
         ):
-            by_url = place == "IN" and isinstance(path, Address | StandIn)
+            by_url = place == "IN" and isinstance(path, Address | UrlFile)
             if given is not None and path != DASH and not by_url:
                 raise OptionError(
                     f"{option} is for {place} - alone; {_instead(path, place, given)}."
@@ -91,7 +91,7 @@ class Streams:
             NanogsError: As for `opened`.
         """
         pair = Pair(source, Path("none"))
-        with self.local_copies(pair, a_bar(quiet=quiet)) as near, self.opened(near) as real:
+        with self.local_copies(pair, transfer_bar(quiet=quiet)) as near, self.opened(near) as real:
             yield real.source
 
     @contextmanager
@@ -106,7 +106,7 @@ class Streams:
             overwrite: Replace what exists at the output's URL.
 
         Raises:
-            NanogsError: As for `nanogs.io.stand_ins`, and for options of streams that are not used.
+            NanogsError: As for `nanogs.io.url_files`, and for options of streams that are not used.
         """
         self.check(pair)
         read_as = self.read_as if isinstance(pair.source, Address) else None

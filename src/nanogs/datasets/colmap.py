@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.activations import rotations
 from nanogs.datasets import fields
 from nanogs.datasets.colmap_binary import read_cameras_binary, read_images_binary
 from nanogs.datasets.colmap_models import ColmapCamera, ColmapImage, intrinsics, lens_of
@@ -14,7 +15,6 @@ from nanogs.datasets.colmap_text import read_cameras_text, read_images_text
 from nanogs.datasets.photos import is_file
 from nanogs.errors import FormatError
 from nanogs.raster.camera import Camera
-from nanogs.stored import rotations
 
 
 def find_model(folder: Path) -> Path | None:

@@ -8,11 +8,11 @@ built with +y up; the last step rotates it to the y-down convention of trained m
 import numpy as np
 
 from nanogs._types import F32, F64
+from nanogs.activations import SH_C0, quaternions
 from nanogs.datasets.still_life import PARTS, SKYLIGHT, SUN, SUNLIGHT, UP, Builder, Part, Rng
 from nanogs.errors import OptionError
 from nanogs.sh import lobe
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
-from nanogs.stored import SH_C0, quaternions
 
 TO_Y_DOWN = np.array([1.0, -1.0, -1.0])
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import ModelError, OptionError
@@ -69,7 +69,11 @@ def refit(
     from nanogs.raster.lens import lens_notes
     from nanogs.threads import use_threads
 
-    with use_device(device) as used, use_threads(threads) as threads_used, drawn(progress) as tell:
+    with (
+        use_device(device) as used,
+        use_threads(threads) as threads_used,
+        show_progress(progress) as tell,
+    ):
         large, given = as_splats(original, "the original"), as_splats(small, "the small model")
         _refuse_unusable(large, "original")
         _refuse_unusable(given, "small")

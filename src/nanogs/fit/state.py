@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, F64, Array, Bool
+from nanogs.activations import alphas, rotations
 from nanogs.kernels.advance import DISPLACEMENT
 from nanogs.kernels.project import MIN_ALPHA, reaches_of
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.splats import Splats
-from nanogs.stored import alphas, rotations
 
 # Bounds of the opacity's logit. Alpha is clamped to 0.99 when drawn, so that it would take many
 # steps to reduce an opacity from a much larger logit; and a splat that falls below 1/255 is not

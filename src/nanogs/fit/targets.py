@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, U8
 from nanogs.card.device import engine_in_use
 from nanogs.kernels import backward, gradients
@@ -125,7 +125,7 @@ def as_target(rendering: Rendering, camera: Camera) -> Target:
         fixed[rows, :, 3] = _in_bytes(rendering.alpha[rows])
 
     height = len(fixed)
-    spread.each((slice(row, row + ROWS) for row in range(0, height, ROWS)), fill)
+    parallel.for_each((slice(row, row + ROWS) for row in range(0, height, ROWS)), fill)
     if rendering.depth is None:
         return Target(camera, fixed, math.inf)
     seen = rendering.depth[rendering.alpha > 0.5 * rendering.alpha.max()]

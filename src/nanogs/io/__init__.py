@@ -10,15 +10,15 @@ from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError
 from nanogs.findings import join_findings
 from nanogs.io import atomic, registry
-from nanogs.io.around import Downloaded
 from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource
 from nanogs.io.retag import checked_mode, retagged
-from nanogs.io.stand_ins import check_sendable, local_copies
+from nanogs.io.url_files import check_sendable, local_copies
 from nanogs.io.urls import Address, place
+from nanogs.io.wrapper import Downloaded
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats, refuse_other

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
-from nanogs.cleanup import undisturbed
+from nanogs.cleanup import defer_exit
 from nanogs.errors import ExistsError, OutputError
 from nanogs.io.atomic import writing
 from nanogs.io.temporary import left_beside, locked, name_beside, temporary
@@ -118,7 +118,7 @@ def _contents(folder: Path, prefix: str = "") -> Iterator[str]:
 
 def _take_place(made: Path, target: Path, ours: Ours) -> None:
     """Rename the folder; an existing target is first renamed and, at the end, deleted."""
-    with undisturbed():
+    with defer_exit():
         _swap(made, target, ours)
 
 

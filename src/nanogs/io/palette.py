@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, U64, Array
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.slices import slices
 
 _CELL = 256  # approximate number of points per cell, unless that makes too many cells
@@ -33,7 +33,9 @@ class Palette:
     exact: bool
 
 
-def palette(points: F32, size: int, weights: F64 | None = None, tell: Parts = untold) -> Palette:
+def palette(
+    points: F32, size: int, weights: F64 | None = None, tell: Parts = ignore_progress
+) -> Palette:
     """Find a palette that approximates the points with a small squared error.
 
     Equal points are joined to one point of their total weight first, so a model that was read from
@@ -97,7 +99,7 @@ def _keys(rows: F32) -> U64:
             some *= _ODD
             some ^= some >> np.uint64(29)
 
-    spread.each(slices(len(keys)), mix)
+    parallel.for_each(slices(len(keys)), mix)
     return keys
 
 

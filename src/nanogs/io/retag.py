@@ -4,10 +4,10 @@ from dataclasses import replace
 from functools import cached_property
 
 from nanogs.errors import OptionError
-from nanogs.io.around import Around
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource
 from nanogs.io.render_tag import agreeing
+from nanogs.io.wrapper import SourceWrapper
 from nanogs.source import Layout
 from nanogs.splats import RenderMode, Splats
 
@@ -70,7 +70,7 @@ def override_note(info: FileInfo, mode: RenderMode) -> str:
     return f"The render mode is {mode}, as asked for; the file has {info.render_mode}{where}."
 
 
-class Retagged(Around):
+class Retagged(SourceWrapper):
     """A wrapper that replaces the render mode of a file, and nothing else.
 
     Args:

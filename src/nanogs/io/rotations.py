@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I64, Array
+from nanogs.activations import unit
 from nanogs.slices import slices
 from nanogs.splats import Splats
-from nanogs.stored import unit
 
 
 def whole_quats(small: F64, largest: I64) -> F64:
@@ -57,7 +57,9 @@ def minimise_rotation(splats: Splats) -> tuple[F64, F32]:
         whole = unit(splats.quats[rows]).astype(np.float64)
         quats[rows], scales[rows] = _turned(whole, splats.log_scales[rows])
 
-    spread.each(slices(len(splats)), turn)  # in slices, also to limit the memory of temporaries
+    parallel.for_each(
+        slices(len(splats)), turn
+    )  # in slices, also to limit the memory of temporaries
     return quats, scales
 
 

@@ -10,6 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nanogs._types import F32, F64, Array
+from nanogs.activations import SH_C0, alphas, base_colour, logit, rounded_bytes
 from nanogs.errors import FormatError
 from nanogs.findings import negative_scales
 from nanogs.formatting import counted
@@ -20,7 +21,6 @@ from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, row_blocks
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats, empty_arrays
-from nanogs.stored import SH_C0, alphas, base_colour, logit, rounded_bytes
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _SUFFIX = ".splat"

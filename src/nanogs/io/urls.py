@@ -73,7 +73,7 @@ class _Called(_Native):
         return type(self), (fspath(self), str(self))
 
 
-class StandIn(_Called):
+class UrlFile(_Called):
     """A temporary file in place of a URL, which is its display name."""
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I32
+from nanogs.kernels.lazy_features import feature
 from nanogs.kernels.mass import mass_fraction
-from nanogs.kernels.mixed import feature
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.quaternion import Matrix3, Row3, rotation_matrix, row3
 from nanogs.kernels.symmetric3 import covariance, log_det, mix

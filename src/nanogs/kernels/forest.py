@@ -7,7 +7,7 @@ geometry; Ward, "Hierarchical grouping to optimize an objective function", 1963 
 import numpy as np
 
 from nanogs._types import F32, F64, I32, Bool
-from nanogs.kernels.mixed import feature
+from nanogs.kernels.lazy_features import feature
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import kernel, parallel_kernel
 from nanogs.kernels.symmetric3 import log_determinant, mix

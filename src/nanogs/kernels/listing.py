@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, U64
 from nanogs.kernels.blocks import TILE, prefetch
 from nanogs.kernels.policy import exact_inline, kernel, parallel_kernel
@@ -268,5 +268,5 @@ def _taken(boxes: I64, order: I64) -> I64:
     def take(part: slice) -> None:
         taken[part] = boxes.take(order[part])
 
-    spread.each(slices(len(order), SLICE_STEPS), take)
+    parallel.for_each(slices(len(order), SLICE_STEPS), take)
     return taken

@@ -6,7 +6,7 @@ A covariance is a row of six float64 in the order xx, xy, xz, yy, yz, zz.
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
-from nanogs.kernels.mixed import feature
+from nanogs.kernels.lazy_features import feature
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
 from nanogs.kernels.symmetric3 import Symmetric3, covariance, deviation, eigen

@@ -14,7 +14,7 @@ import numpy as np
 from numba.core import event
 from numba.extending import overload
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs.kernels import compiling
 from nanogs.kernels.cached import SIMD_OR_PLAIN, cached
 from nanogs.kernels.inlined import OPTIONS, inlined
@@ -45,11 +45,11 @@ def exact_kernel(function: Kernel) -> Kernel:
 
 def parallel_kernel(
     over: str, least: int = 1024, each: int = 8
-) -> Callable[[Ranged[P]], spread.Spread[P]]:
+) -> Callable[[Ranged[P]], parallel.ParallelKernel[P]]:
     """Compile a kernel whose ranges run on all threads, cached on disk.
 
-    Its first two arguments are the range [start, stop), which `nanogs.spread` adds to those of the
-    caller. Iterations must not write to the same places, so that results do not depend on the
+    Its first two arguments are the range [start, stop), which `nanogs.parallel` adds to those of
+    the caller. Iterations must not write to the same places, so that results do not depend on the
     number of threads.
 
     Args:
@@ -58,19 +58,19 @@ def parallel_kernel(
         each: Ranges for each thread, so that none waits long for the others.
     """
 
-    def compiled(function: Ranged[P]) -> spread.Spread[P]:
-        return spread.Spread(function, kernel(function), over, least, each)
+    def compiled(function: Ranged[P]) -> parallel.ParallelKernel[P]:
+        return parallel.ParallelKernel(function, kernel(function), over, least, each)
 
     return compiled
 
 
 def exact_parallel_kernel(
     over: str, least: int = 1024, each: int = 8
-) -> Callable[[Ranged[P]], spread.Spread[P]]:
+) -> Callable[[Ranged[P]], parallel.ParallelKernel[P]]:
     """Compile as `parallel_kernel` does, with strict IEEE floating point."""
 
-    def compiled(function: Ranged[P]) -> spread.Spread[P]:
-        return spread.Spread(function, exact_kernel(function), over, least, each)
+    def compiled(function: Ranged[P]) -> parallel.ParallelKernel[P]:
+        return parallel.ParallelKernel(function, exact_kernel(function), over, least, each)
 
     return compiled
 

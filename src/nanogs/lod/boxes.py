@@ -8,9 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.activations import rotations
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.splats import Splats
-from nanogs.stored import rotations
 
 
 def box_around(splats: Splats, deviations: float) -> F64:

@@ -15,7 +15,7 @@ from nanogs.block_layouts import PLACED, BlockChunks, Encoding
 from nanogs.errors import OptionError
 from nanogs.io.json_fields import is_plain
 from nanogs.lod.cells import Cells, divide
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.splats import Splats
 
 GENERATOR = "nanogs"
@@ -120,7 +120,7 @@ class ChunkLayout(ABC):
         blocks: Sequence[tuple[int, Mapping[str, Array]]],
         finer: Sequence[Any] | None,
         prefix: str,
-        tell: Parts = untold,
+        tell: Parts = ignore_progress,
     ) -> BlockChunks:
         """Make the files of a block, or of neighbouring ones, lazily; see `Chunked`."""
         level = SortedLevel(splats, [(count, Cells(**cells)) for count, cells in blocks])

@@ -20,9 +20,9 @@ from nanogs.lod import manifest, streamed_sog, tiles
 from nanogs.lod.cells import Cells
 from nanogs.lod.chunks import ChunkLayout, ChunkTree, plain_paths
 from nanogs.lod.manifest import Manifest, describe_levels
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.report import SimplifyReport
-from nanogs.sink import Environment, Filling, Judge, Written, refuse_large
+from nanogs.sink import Environment, Judge, OpenSink, Written, refuse_large
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -102,7 +102,7 @@ class LevelsFolder:
         return (first, *sorted((made_files(made) or frozenset()) - {first}))
 
 
-class LevelsFilling(Filling):
+class LevelsFilling(OpenSink):
     """The base of folders that are being filled, level by level."""
 
     def __init__(self, folder: Path, source: str) -> None:
@@ -128,7 +128,7 @@ class _Files(LevelsFilling):
         super().__init__(folder, source)
         self._suffix, self._format_options = suffix, format_options
 
-    def add(self, model: Splats | Source, tell: Parts = untold) -> None:
+    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
         tell(0, 1)
         path = self._folder / level_name(len(self.written), self._suffix)
         save(model, path, format_options=self._format_options)
@@ -168,8 +168,8 @@ class ChunksFilling(LevelsFilling):
         self._levels: list[list[list[Any]]] = []  # chunks by level and block
         self.names: list[list[str]] = []
 
-    def add(self, model: Splats | Source, tell: Parts = untold) -> None:
-        """Divide the next level into chunks and write them; see `Filling`."""
+    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
+        """Divide the next level into chunks and write them; see `OpenSink`."""
         splats, level = as_splats(model), len(self.written)
         cells = self._cells[0] if level else self._layout.divide(splats.means)
         finer = self._levels[-1][0] if level else None
@@ -177,7 +177,7 @@ class ChunksFilling(LevelsFilling):
         self.add_blocks([self._layout.encode(splats, blocks, finer, f"{level}_", tell)])
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
-        """Write the chunks of the next level, given block by block; see `Filling`."""
+        """Write the chunks of the next level, given block by block; see `OpenSink`."""
         names: list[str] = []
         cells, chunks, splats, size, left_out = [], [], 0, 0, []
         for block in blocks:

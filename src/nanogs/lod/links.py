@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import F32, F64, I64
+from nanogs.activations import SH_C0
 from nanogs.kernels.nodes import covariances_of
 from nanogs.method.order import code_box, codes_in
 from nanogs.neighbours import nearest_neighbours, nearest_to
 from nanogs.source import Source
-from nanogs.stored import SH_C0
 from nanogs.threads import use_threads
 
 _NEAR = 8  # candidates besides the nearest coarser splat: that splat's nearest neighbours

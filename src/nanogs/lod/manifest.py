@@ -12,7 +12,7 @@ from nanogs.io.json_fields import is_plain
 from nanogs.protocol import Protocol
 from nanogs.report import SimplifyReport, StopReason
 from nanogs.sink import Written
-from nanogs.switches import GOOD_PSNR, GOOD_SSIM, Switch
+from nanogs.switches import GOOD_PSNR, GOOD_SSIM, SwitchQuality
 
 NAME = "levels.json"
 FORMAT = "nanogs-levels"
@@ -75,7 +75,7 @@ class ChunkedLevel:
     stop: StopReason
     draws: float | None = None
     requests: int = 0
-    switch: Switch | None = None
+    switch: SwitchQuality | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +159,7 @@ def describe_levels(
     )
 
 
-def _seen_note(level: int, switch: Switch) -> str:
+def _seen_note(level: int, switch: SwitchQuality) -> str:
     return (
         f"Level {level}: one sees a viewer switch to it ({switch.text}; below {GOOD_PSNR:g} dB or"
         f" {GOOD_SSIM:g} a difference is more than slight). Give more levels or larger ratios, or"

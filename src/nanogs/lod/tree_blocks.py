@@ -18,7 +18,7 @@ from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
 from nanogs.lod.tree import build, joined_nodes, layers_of, refuse_many, units_of
 from nanogs.method.nodes import Nodes
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.source import InMemory, Source
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats, concatenate
@@ -87,7 +87,7 @@ class TreeRows(Source):
         tell: Progress callback for reading; the writer reads all rows twice.
     """
 
-    def __init__(self, runs: Sequence[_Run], tell: Parts = untold) -> None:
+    def __init__(self, runs: Sequence[_Run], tell: Parts = ignore_progress) -> None:
         self._runs, self._tell, self._read = runs, tell, 0
         self._ends = np.cumsum([0, *(run.stop - run.start for run in runs)])
         self.count, self.columns = int(self._ends[-1]), runs[0].source.columns
@@ -117,7 +117,10 @@ class TreeRows(Source):
 
 
 def joined_trees(
-    trees: Sequence[BlockTree], further: Sequence[Source], some: Splats, tell: Parts = untold
+    trees: Sequence[BlockTree],
+    further: Sequence[Source],
+    some: Splats,
+    tell: Parts = ignore_progress,
 ) -> TreeRows:
     """Join the trees of blocks and return all rows of the scene's tree.
 

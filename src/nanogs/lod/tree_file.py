@@ -13,9 +13,9 @@ from nanogs.io.rad.write import SUFFIX, write
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree import Linking, as_rows
 from nanogs.lod.tree_blocks import Linked, joined_trees
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.report import SimplifyReport
-from nanogs.sink import Filling, Judge, OneFile, Written, made_beside
+from nanogs.sink import Judge, OneFile, OpenSink, Written, made_beside
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import Splats
 from nanogs.switches import tree_pixel
@@ -74,7 +74,7 @@ class LevelsTree:
         return self._file.files(made)
 
 
-class TreeFilling(Filling):
+class TreeFilling(OpenSink):
     """A collector of levels, which writes the tree when the coarsest level is known."""
 
     def __init__(self, making: Path, source: str) -> None:
@@ -85,15 +85,15 @@ class TreeFilling(Filling):
         self._trees: Sequence[BlockTree] = ()
         self._linked, self._further = 0, list[Source]()
         self._some: Splats | None = None
-        self._tell: Parts = untold
+        self._tell: Parts = ignore_progress
 
     def add_trees(
-        self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = untold
+        self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = ignore_progress
     ) -> None:
-        """Take the trees of blocks, for the levels added afterwards; see `Filling`."""
+        """Take the trees of blocks, for the levels added afterwards; see `OpenSink`."""
         self._trees, self._linked, self._some, self._tell = trees, levels, some, tell
 
-    def add(self, model: Splats | Source, tell: Parts = untold) -> None:
+    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
         """Link a level to the previous one, unless the trees of blocks include it already."""
         tell(0, 1)
         number, source = len(self.written), source_of(model)

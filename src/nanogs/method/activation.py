@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I32
+from nanogs.activations import unit
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
-from nanogs.stored import unit
 
 
 def activated(splats: Splats, rows: I32, origin: F64) -> tuple[F64, F32, F32]:
@@ -31,5 +31,5 @@ def activated(splats: Splats, rows: I32, origin: F64) -> tuple[F64, F32, F32]:
         scales[part] = np.exp(pick(splats.log_scales, some))
         quats[part] = unit(pick(splats.quats, some))
 
-    spread.each(slices(len(rows)), activate)
+    parallel.for_each(slices(len(rows)), activate)
     return means, scales, quats

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F64, I32, Bool, F
 from nanogs.kernels.forest import (
     number_groups,
@@ -39,7 +39,7 @@ def merge_scores(forest: Forest, balance: float, typical: float | None = None) -
         # Rounding can make the increment of two equal splats slightly negative.
         np.maximum(some, 0.0, out=increments[part])
 
-    spread.each(slices(len(increments), SLICE_STEPS), weigh)
+    parallel.for_each(slices(len(increments), SLICE_STEPS), weigh)
     sums = np.zeros(first + len(forest.children))
     subtree_sums(forest.children, increments, sums)
     errors = np.maximum(sums[first:], np.finfo(np.float64).tiny, out=increments)
@@ -55,7 +55,7 @@ def merge_scores(forest: Forest, balance: float, typical: float | None = None) -
         above[part] = (1 - balance) * forest.levels[part]
         above[part] += np.multiply(balance, logs, out=logs)
 
-    spread.each(slices(len(above), SLICE_STEPS), score)
+    parallel.for_each(slices(len(above), SLICE_STEPS), score)
     raise_to_children(forest.children, scores)  # rounding in log2 may have swapped two errors
     return above
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F64
 from nanogs.kernels.project import DILATION
-from nanogs.kernels.surroundings import nearness, reach
+from nanogs.kernels.viewer_distances import nearness, reach
 from nanogs.splats import RenderMode
 from nanogs.views.occupancy import quantiles
 
@@ -138,7 +138,7 @@ def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilati
     anchors = np.ascontiguousarray(means[:: (len(means) - 1) // ANCHORS + 1])
     means, alphas = means[::step], alphas[::step]
     weights = alphas if alphas.sum() > 0 else np.ones(len(means))
-    radii = np.array(spread.results(anchors, lambda anchor: _radius(anchor, means, weights)))
+    radii = np.array(parallel.map_ordered(anchors, lambda anchor: _radius(anchor, means, weights)))
     per_radius = 0.0 if mode is RenderMode.MIP else float(np.sqrt(DILATION)) * 2 / pixels
     return Dilation(anchors, radii, per_radius)
 

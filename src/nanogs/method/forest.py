@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64
 from nanogs.clock import StageClock
 from nanogs.kernels.forest import log_determinants, merge_increments
@@ -148,7 +148,7 @@ def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) ->
             increments[:, 0] *= np.float32(parameters.lambda_app)
             np.add(increments[:, 0], increments[:, 1], out=costs[part])
 
-    spread.each(slices(len(pairs), SLICE_PAIRS), weigh)
+    parallel.for_each(slices(len(pairs), SLICE_PAIRS), weigh)
     return costs
 
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool, F
-from nanogs.kernels.mixed import mean_features
+from nanogs.activations import alphas
+from nanogs.kernels.lazy_features import mean_features
 from nanogs.method.activation import activated
 from nanogs.method.order import morton_order
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
-from nanogs.stored import alphas
 
 _SAMPLE = 40_000  # most centres that the median is taken of
 # Limits within which stored logarithms and logits stay finite.

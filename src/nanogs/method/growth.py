@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, F64, I32
-from nanogs.kernels.sheets import sheet_growths
-from nanogs.kernels.sides import covered_sides
+from nanogs.kernels.sheet_growth import sheet_growths
+from nanogs.kernels.side_coverage import covered_sides
 from nanogs.method.integrals import exponential_integral
 from nanogs.method.nodes import LIGHTEST, Nodes, member_lists
 from nanogs.neighbours import nearest_neighbours

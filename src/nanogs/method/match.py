@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, I32, I64, U64, Bool
 from nanogs.errors import ModelError
 from nanogs.kernels.pairs import (
@@ -86,7 +86,7 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
         matched[part, 0], matched[part, 1] = firsts.take(chosen), seconds.take(chosen)
         prices[part] = costs.take(chosen)
 
-    spread.each(slices(len(keys), SLICE_STEPS), look_up)
+    parallel.for_each(slices(len(keys), SLICE_STEPS), look_up)
     return MergePlan(matched, prices, without_cost)
 
 
@@ -115,7 +115,7 @@ def _agree(
         found: U64 = some[some != NONE]
         return found
 
-    return spread.results(range(stretches), collect)
+    return parallel.map_ordered(range(stretches), collect)
 
 
 def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
@@ -136,7 +136,7 @@ def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
         rows = np.flatnonzero(some >= starts[stretch + 1]).astype(np.int32)
         return rows + np.int32(bounds[stretch])
 
-    found = spread.results(range(stretches), find)
+    found = parallel.map_ordered(range(stretches), find)
     pairs = np.concatenate([*found, np.empty(0, np.int32)])
     # Rows are int32: fewer than 2^31, which is at most 2^16 stretches.
     reached = (seconds.take(pairs) // STRETCH).astype(np.uint16)

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Bool
+from nanogs.activations import alphas
 from nanogs.kernels.nodes import (
     covariances_of,
     gather_moments,
@@ -21,7 +22,6 @@ from nanogs.method.activation import activated
 from nanogs.method.extent import Dilation, Viewers
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats, pick
-from nanogs.stored import alphas
 
 UNRESOLVED = 1e-15  # sum of minors over the squared trace below which it may be rounding alone
 NEARER = 4.0  # factor by which a close view is nearer than a view of the whole model
@@ -136,7 +136,7 @@ def _coverages(splats: Splats, rows: I32, covariances: F64, pixels: F64) -> F64:
         opacities = alphas(pick(splats.opacity_logits, rows[part]))
         coverages[part] = opacities * footprints(covariances[part], pixels[part])
 
-    spread.each(slices(len(rows), SLICE_STEPS), cover)
+    parallel.for_each(slices(len(rows), SLICE_STEPS), cover)
     return coverages
 
 
@@ -221,7 +221,7 @@ def gather_pairs(leaves: Nodes, starts: I64, members: I32) -> Nodes:
         shares[part, 0] = leaves.weights.take(first) / weights
         shares[part, 1] = np.where(first == last, 0.0, leaves.weights.take(last) / weights)
 
-    spread.each(slices(groups, SLICE_STEPS), share)
+    parallel.for_each(slices(groups, SLICE_STEPS), share)
     return replace(
         merged, features=leaves.features, rows=rows[0], seconds=rows[1], shares=shares
     )  # fmt: skip

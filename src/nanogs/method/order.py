@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F64, I64, U64
 from nanogs.morton import interleaved_bits
 from nanogs.slices import SLICE_STEPS, slices
@@ -54,7 +54,7 @@ def _quantiles(means: F64, shares: tuple[float, ...]) -> F64:
         for row, (start, place) in enumerate(zip(starts, places, strict=True)):
             found[row, axis] = np.quantile(column[start : start + 2], place - start)
 
-    spread.each(range(3), find)
+    parallel.for_each(range(3), find)
     return found
 
 
@@ -76,7 +76,7 @@ def codes_in(means: F64, low: F64, width: float) -> U64:
             cells = np.clip(cells, 0, (1 << _BITS) - 1, out=cells)
             codes[part] |= interleaved_bits(cells.astype(np.uint64), axis)
 
-    spread.each(slices(len(means), SLICE_STEPS), encode)
+    parallel.for_each(slices(len(means), SLICE_STEPS), encode)
     return codes
 
 

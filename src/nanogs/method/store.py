@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Array, Bool
 from nanogs.kernels.nodes import principal_axes
 from nanogs.method.extent import Dilation
@@ -119,7 +119,7 @@ def store_groups(
     def restore(part: slice) -> None:
         sh[alone[part]] = pick(splats.sh, sources[alone[part]])
 
-    spread.each(slices(len(alone)), restore)
+    parallel.for_each(slices(len(alone)), restore)
     return Groups(stored, new, scales, needed[new], least[new], covered)
 
 
@@ -162,5 +162,5 @@ def _taken(column: Array, rows: I64) -> Array:
     def take(part: slice) -> None:
         found[part] = pick(column, rows[part])
 
-    spread.each(slices(len(rows)), take)
+    parallel.for_each(slices(len(rows)), take)
     return found

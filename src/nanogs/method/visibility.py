@@ -9,7 +9,7 @@ import numpy as np
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError
 from nanogs.formatting import counted
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, render
 from nanogs.splats import Splats
@@ -22,7 +22,7 @@ NEW = 0.01  # share of light seen by only one view, above which the views are ta
 DECIDING = 6  # one view in six is held out, to choose a candidate and to accept a fit
 
 
-class Light:
+class SplatContributions:
     """The light of N splats, summed over views: contributions, with and without occlusion.
 
     Attributes:
@@ -57,7 +57,7 @@ class Light:
 
 
 @dataclass(frozen=True, slots=True)
-class Discovery:
+class MissedLight:
     """Statistics that estimate how much of a model the views have missed.
 
     The share of new light in further views is about the share of these views' light that is seen by
@@ -74,9 +74,9 @@ class Discovery:
     light: float = 0.0
     unseen: float = 0.0
 
-    def __add__(self, other: "Discovery") -> "Discovery":
+    def __add__(self, other: "MissedLight") -> "MissedLight":
         """Add the statistics of two parts of a scene."""
-        return Discovery(
+        return MissedLight(
             self.once + other.once, self.light + other.light, self.unseen + other.unseen
         )
 
@@ -95,7 +95,9 @@ class Discovery:
         return max(least, min(self.once / self.unseen, 1.0))
 
 
-def discovery_of(looked: Light, anywhere: Light | None, count: int) -> Discovery:
+def missed_light_of(
+    looked: SplatContributions, anywhere: SplatContributions | None, count: int
+) -> MissedLight:
     """Compute the statistics of missed light for the first `count` splats.
 
     Args:
@@ -110,20 +112,22 @@ def discovery_of(looked: Light, anywhere: Light | None, count: int) -> Discovery
         seen += light.seen[:count] / picture
         whole += light.whole[:count] / picture
         times += light.times[:count]
-    return Discovery(
+    return MissedLight(
         float(seen[times == 1].sum()), float(seen.sum()), float(whole[times == 0].sum())
     )
 
 
-def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> Light:
+def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> SplatContributions:
     """Render views without keeping the images, and sum up the light of each splat."""
-    light = Light(len(prepared))
+    light = SplatContributions(len(prepared))
     for camera in cameras:
         light.add(render(prepared, camera, contributions=True, sh_degree=0))
     return light
 
 
-def visibility_of(looked: Light, anywhere: Light | None) -> tuple[F64, Bool]:
+def visibility_of(
+    looked: SplatContributions, anywhere: SplatContributions | None
+) -> tuple[F64, Bool]:
     """Compute the visibility of splats, and which are outside all views.
 
     Args:
@@ -142,7 +146,7 @@ def visibility_of(looked: Light, anywhere: Light | None) -> tuple[F64, Bool]:
 
 
 def roaming_views(
-    splats: Splats, count: int, tell: Parts = untold
+    splats: Splats, count: int, tell: Parts = ignore_progress
 ) -> tuple[list[Camera], tuple[str, ...]]:
     """Find small roaming cameras; return them, and a note if fewer than `count` were found."""
     found: list[Camera] = []

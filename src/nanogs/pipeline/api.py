@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.card.device import AUTO, CPU, check_device, device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
@@ -31,7 +31,7 @@ from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.pipeline.held_files import HeldFiles
-    from nanogs.pipeline.wish import SizeRequest
+    from nanogs.pipeline.size_request import SizeRequest
     from nanogs.views.cameras import Cameras
 
 
@@ -120,11 +120,15 @@ def simplify(
     check_degree(sh_degree)
     frame = checked_frames(frame)
     # Imported here because this imports Numba, which `--help` and `info` do without.
-    from nanogs.pipeline.foreseen import simplify_stages
     from nanogs.pipeline.held_files import HeldFiles
+    from nanogs.pipeline.stage_estimates import simplify_stages
     from nanogs.threads import use_threads
 
-    with use_device(device) as used, use_threads(threads) as threads_used, drawn(progress) as tell:
+    with (
+        use_device(device) as used,
+        use_threads(threads) as threads_used,
+        show_progress(progress) as tell,
+    ):
         splats = as_splats(model)
         with clock.time("check"):
             job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
@@ -143,11 +147,11 @@ def simplify(
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, achieved_size=achieved)
         elif size is not None:
-            outcome = _fit(job, size, files, threads_used, tracker)
+            outcome = _search_size(job, size, files, threads_used, tracker)
         elif draw_cost is not None:
-            outcome = _lighten(job, draw_cost, files, threads_used, tracker)
+            outcome = _search_draw_cost(job, draw_cost, files, threads_used, tracker)
         else:
-            outcome = _reach(job, goal.psnr or 0.0, files, threads_used, tracker)
+            outcome = _search_psnr(job, goal.psnr or 0.0, files, threads_used, tracker)
         target = len(outcome.splats) if target is None else target
         tracker.finish()
     if size is not None:
@@ -273,11 +277,13 @@ def refuse_small(wish: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
         refuse_hopeless(lowest, wish.size, lambda one: files.sample_bytes(one, smallest.options(1)))
 
 
-def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracker) -> Outcome:
+def _search_size(
+    job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracker
+) -> Outcome:
     from nanogs.pipeline.pack import Packer
     from nanogs.pipeline.results import HeldResults
+    from nanogs.pipeline.size_request import SizeRequest
     from nanogs.pipeline.sized import fill_size
-    from nanogs.pipeline.wish import SizeRequest
 
     usable, clock = job.splats.take(job.rows), files.clock
     known, looks = registry.writable(files.path), renders(job.parameters)
@@ -297,11 +303,13 @@ def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracke
     )
 
 
-def _reach(job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tracker) -> Outcome:
+def _search_psnr(
+    job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tracker
+) -> Outcome:
     from nanogs.pipeline.pack import PackingForPsnr
-    from nanogs.pipeline.reach import reach_psnr
+    from nanogs.pipeline.psnr_search import reach_psnr
     from nanogs.pipeline.results import HeldResults
-    from nanogs.pipeline.wish import SizeRequest
+    from nanogs.pipeline.size_request import SizeRequest
     from nanogs.scoring.held_out import held_out
 
     clock = files.clock
@@ -331,10 +339,10 @@ def _reach(job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tr
     )
 
 
-def _lighten(
+def _search_draw_cost(
     job: Job, asked: float, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
-    from nanogs.pipeline.draw import search_draw_cost
+    from nanogs.pipeline.draw_cost_search import search_draw_cost
     from nanogs.pipeline.results import HeldResults
     from nanogs.scoring.draw_views import draw_views
 

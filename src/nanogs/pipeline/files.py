@@ -8,7 +8,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.card.device import CPU, device_notes
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
@@ -17,7 +17,7 @@ from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.frames import keep_stated_frame
 from nanogs.io.limits import degree_left_out
-from nanogs.io.stand_ins import local_copies
+from nanogs.io.url_files import local_copies
 from nanogs.io.urls import place
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.cameras import chosen_cameras
@@ -159,7 +159,7 @@ def simplify_blocks(
     request.check_addresses()
     inputs, target = request.inputs, request.output
     with (
-        drawn(progress) as tell,
+        show_progress(progress) as tell,
         local_copies(inputs, target, overwrite=overwrite) as (here, there),
     ):
         real = replace(request, inputs=tuple(here), output=there or target)
@@ -324,7 +324,7 @@ def cameras_of(request: Request, splats: Splats) -> "Sequence[Camera] | None":
 
 def _stages(request: Request, plan: Plan) -> list[Stage]:
     """List the stages of the call: reading, filters, those of the method, writing, measuring."""
-    from nanogs.pipeline.foreseen import simplify_stages
+    from nanogs.pipeline.stage_estimates import simplify_stages
 
     splats, suffix, goal = plan.splats, request.output.suffix, request.goal
     count = goal.known_count(splats)

@@ -17,8 +17,8 @@ from nanogs.fit.shared import PaletteSize
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.io.precision import visibility
 from nanogs.method.visibility import SHOWN, light_in, visibility_of, visible_weights
+from nanogs.pipeline.block_visibility import looks_at
 from nanogs.pipeline.scene import FitViews, Scene
-from nanogs.pipeline.seen import looks_at
 from nanogs.pipeline.views import deciding_count, parts_of
 from nanogs.pipeline.weights import fit_parameters
 from nanogs.raster.camera import Camera, pick_evenly

@@ -10,7 +10,7 @@ from nanogs.method.cut import merge_scores
 from nanogs.method.forest import grow_forest
 from nanogs.method.nodes import Nodes
 from nanogs.method.parameters import ForestParameters
-from nanogs.progress import untold
+from nanogs.progress import ignore_progress
 from nanogs.report import PassReport
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Sorted, write_table
@@ -47,7 +47,7 @@ def grow(
         balances: Balances of the cuts that will be made of the forest.
         threads: Threads for the nearest-neighbour query.
     """
-    forest = grow_forest(leaves(), parameters, threads, untold)
+    forest = grow_forest(leaves(), parameters, threads, ignore_progress)
     columns: dict[str, Array | Sorted] = {CHILDREN: forest.children}
     for number, balance in enumerate(balances):
         # Errors are not divided by the block's own median, so that the scores of all blocks are

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.io import encoded_bytes, registry, round_trip_with_size
@@ -113,13 +113,13 @@ class Grown:
             OptionError: The count is below 1, or above the number of usable splats.
             ModelError: Other elements of the file have a row for each splat, which would be lost.
         """
-        from nanogs.pipeline.foreseen import delivery_stages
+        from nanogs.pipeline.stage_estimates import delivery_stages
 
         self._check(count)
         job, start, clock = self._job, time.perf_counter(), StageClock()
         refuse_misaligned_elements(job.splats, count)
         stages = delivery_stages(job.parameters, self.available, count)
-        with drawn(progress) as tell, _on(self._device, self._threads) as (device, threads):
+        with show_progress(progress) as tell, _on(self._device, self._threads) as (device, threads):
             tracker = Tracker(tell, stages)
             outcome = self._delivered(count, clock, tracker)
             tracker.finish()
@@ -151,7 +151,7 @@ class Grown:
         """
         path = registry.file_of(format)
         stages = [Stage("measure", 1.0), Stage("encode", 0.2), Stage("score", 1.0)]
-        with drawn(progress) as tell, _on(self._device, self._threads):
+        with show_progress(progress) as tell, _on(self._device, self._threads):
             tracker = Tracker(tell, stages)
             tracker.begin("measure")
             views = self._views(tracker.part)
@@ -232,9 +232,9 @@ def grow(
     # A PSNR as the goal: `measure` renders, so that a card has work even if the preset does not.
     refuse_device(device, preset, chosen, Goal(psnr=1.0))
     check_degree(sh_degree)
-    from nanogs.pipeline.foreseen import build_stages
+    from nanogs.pipeline.stage_estimates import build_stages
 
-    with drawn(progress) as tell, _on(device, threads) as (_, used):
+    with show_progress(progress) as tell, _on(device, threads) as (_, used):
         original = as_splats(model)
         with clock.time("check"):
             job = prepare_job(original, preset, overrides, cameras, nan, sh_degree)

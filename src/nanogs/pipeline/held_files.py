@@ -11,7 +11,7 @@ from nanogs.frames import change_frame
 from nanogs.io import encoded_bytes, round_trip, round_trip_with_size, settled
 from nanogs.pipeline.outcome import Outcome
 from nanogs.report import PackingReport
-from nanogs.scoring.held_out import ToChooseBy, to_choose_by
+from nanogs.scoring.held_out import SelectionViews, selection_views
 from nanogs.splats import Splats
 
 
@@ -36,9 +36,9 @@ class HeldFiles:
     by_psnr: bool = False
 
     @cached_property
-    def views(self) -> ToChooseBy:
+    def views(self) -> SelectionViews:
         """Renders of the original by which packings are chosen, on views not used for scoring."""
-        return to_choose_by(self.original, automatic=self.by_psnr)
+        return selection_views(self.original, automatic=self.by_psnr)
 
     def count(self, result: Outcome) -> int:
         """Return the number of splats of a result; see `Files.count`."""

@@ -13,8 +13,8 @@ from nanogs.errors import CrowdedError, OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
+from nanogs.memory_estimates import pictures_bytes
 from nanogs.method.parameters import ForestParameters
-from nanogs.needs import pictures_bytes
 from nanogs.pipeline.folder import read_manifest
 from nanogs.pipeline.plan import (
     ScalePlan,
@@ -69,8 +69,8 @@ def fill_in_blocks(
     )  # fmt: skip
     settings, divided = plan_job(request, max_memory, block)
     # Imported here because these import Numba, which `--help` and `info` do without.
-    from nanogs.pipeline.ending import ResultWriter
     from nanogs.pipeline.job_report import report_of
+    from nanogs.pipeline.result_writer import ResultWriter
     from nanogs.pipeline.stored_job import BlockJob, Execution
 
     if settings.search is None:

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from nanogs.errors import OutputError
-from nanogs.pipeline.foreseen import result_stages
 from nanogs.pipeline.results import M
 from nanogs.pipeline.run import Run, brief, is_done, plain
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.settings import Settings, Sharing
+from nanogs.pipeline.stage_estimates import result_stages
 from nanogs.pipeline.stages import level_stages
 from nanogs.pipeline.work import Work
 from nanogs.progress import Stage, Tracker

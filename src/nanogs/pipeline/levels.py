@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
@@ -119,7 +119,7 @@ def judged_levels(
     refuse_misaligned_elements(job.splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
     job.refuse_too_large(counts[0], max_memory, judged=judged)
-    from nanogs.pipeline.foreseen import levels_stages
+    from nanogs.pipeline.stage_estimates import levels_stages
 
     stages = levels_stages(job.parameters, len(job.rows), counts)
     return _drawn(job, ratios, device, threads, progress, stages)
@@ -155,7 +155,7 @@ def _drawn(
     progress: Progress | bool | None,
     stages: Sequence[Stage],
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
-    with drawn(progress) as tell:
+    with show_progress(progress) as tell:
         yield from _deliver(job, ratios, device, threads, Tracker(tell, stages))
 
 
@@ -194,7 +194,7 @@ def _level(
     start: float,
     progress: Tracker,
 ) -> tuple[Splats, SimplifyReport]:
-    from nanogs.pipeline.foreseen import delivery_stages
+    from nanogs.pipeline.stage_estimates import delivery_stages
 
     target = target_count(len(job.rows), ratio, None)
     stages = delivery_stages(job.parameters, len(job.rows), target)

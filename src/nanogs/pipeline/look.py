@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.fit.views import choose_cameras
-from nanogs.method.visibility import Light, discovery_of, light_in, roaming_views, visibility_of
+from nanogs.method.visibility import (
+    SplatContributions,
+    light_in,
+    missed_light_of,
+    roaming_views,
+    visibility_of,
+)
 from nanogs.metrics._ssim import LEAST
 from nanogs.pipeline.scene import Scene, ViewLight
 from nanogs.pipeline.views import Views
@@ -58,7 +64,7 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     count = len(own.splats)
     cameras = [*views.kept, *scene.closer_views(own)]
     drawn = concatenated(prepare(own.splats), scene.occluders(number)).with_buffers()
-    looked, lights = Light(len(drawn)), []
+    looked, lights = SplatContributions(len(drawn)), []
     pictured = scene.pictured
     total = len(cameras) + len(pictured) + len(views.roaming)
     for done, camera in enumerate(cameras):
@@ -76,7 +82,7 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     del drawn
     visible, missed = visibility_of(looked, anywhere)
     # Values of the block alone: the rows after `count` belong to its surroundings.
-    own, discovery = replace(own, visible=visible[:count]), discovery_of(looked, anywhere, count)
+    own, discovery = replace(own, visible=visible[:count]), missed_light_of(looked, anywhere, count)
     record = scene.keep_look(name, own, missed[:count], lights, discovery)
     if scene.measures:
         _refuse_small(scene.deciding)

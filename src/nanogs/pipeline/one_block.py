@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F64, I32, Array, Bool
+from nanogs.activations import alphas
 from nanogs.fit.groups import Group, split
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target, as_target, make_target
@@ -22,13 +23,13 @@ from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
-from nanogs.method.visibility import DECIDING, Discovery, shown_share, visible_weights
+from nanogs.method.visibility import DECIDING, MissedLight, shown_share, visible_weights
 from nanogs.pipeline.partition import Partition
 from nanogs.pipeline.scene import LIGHT, ROUNDS, Block, FitViews, Members, Scene, Task, ViewLight
 from nanogs.pipeline.settings import Access, InputFile, Segment, Settings
 from nanogs.pipeline.units import viewers_of
 from nanogs.pipeline.views import Views
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
 from nanogs.report import PassReport
@@ -36,9 +37,8 @@ from nanogs.slices import SLICE_STEPS, slices
 from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
-from nanogs.stored import alphas
 from nanogs.views.cameras import FoundCameras
-from nanogs.views.stand_in import AFAR, stand_in
+from nanogs.views.decimated import AFAR, decimated
 
 
 class _Placed(NamedTuple):
@@ -81,7 +81,7 @@ class OneBlock(Scene):
     settings: Settings
     threads: int
     cameras: Sequence[Camera] | None = None
-    tell: Parts = untold
+    tell: Parts = ignore_progress
     targets: list[int] = field(default_factory=list)
     _records: dict[str, Record] = field(default_factory=dict)
     _views: Views | None = None
@@ -92,7 +92,7 @@ class OneBlock(Scene):
     _survey: _Placed | None = None
     visible: F64 | None = None
     missed: Bool | None = None
-    discovery: Discovery = field(default_factory=Discovery)
+    discovery: MissedLight = field(default_factory=MissedLight)
     _forest: Forest | None = None
     _leaves: Nodes | None = None
     # Results in progress: labels by level and cut, the latest groups with their labels, splats.
@@ -165,7 +165,7 @@ class OneBlock(Scene):
             np.subtract(stored[part], origin, out=means[part])
             opacities[part] = alphas(pick(splats.opacity_logits, usable[part]))
 
-        spread.each(slices(len(usable), SLICE_STEPS), convert)
+        parallel.for_each(slices(len(usable), SLICE_STEPS), convert)
         pixels = self.settings.parameters.pixels
         added = dilation(means, opacities, splats.render_mode, pixels)
         standing: Dilation | Viewers = added
@@ -180,7 +180,7 @@ class OneBlock(Scene):
 
     def from_afar(self) -> Splats:
         """Return the model, or evenly spread splats of it if it is large."""
-        return stand_in(self.splats, AFAR)
+        return decimated(self.splats, AFAR)
 
     def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
         """Return the cameras that the user asks for; None for automatic ones."""
@@ -225,7 +225,12 @@ class OneBlock(Scene):
         self._pictures.append(make_target(drawn, camera, depth=False, wanted=wanted))
 
     def keep_look(
-        self, name: str, own: Block, missed: Bool, lights: Sequence[ViewLight], discovery: Discovery
+        self,
+        name: str,
+        own: Block,
+        missed: Bool,
+        lights: Sequence[ViewLight],
+        discovery: MissedLight,
     ) -> Record:
         """Keep the visibility, and divide the views into fitted and deciding ones."""
         self.visible, self.missed, self.discovery = own.visible, missed, discovery

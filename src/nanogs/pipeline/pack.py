@@ -6,11 +6,18 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 from nanogs.pipeline.fit_size import guess_count
-from nanogs.pipeline.packing import Choices, Look, Packing, choose_packing, slope_of, unseen_packing
+from nanogs.pipeline.packing import (
+    Choices,
+    MeasureFiles,
+    Packing,
+    choose_packing,
+    slope_of,
+    unseen_packing,
+)
 from nanogs.pipeline.results import Results
+from nanogs.pipeline.size_request import Files, SizeRequest
 from nanogs.pipeline.target import count_for_size
 from nanogs.pipeline.weights import PACKINGS
-from nanogs.pipeline.wish import Files, SizeRequest
 from nanogs.progress import Stage, Tracker
 from nanogs.report import PackingReport
 from nanogs.splats import Splats
@@ -140,7 +147,7 @@ class Packer(Generic[T]):
 
         return slope_of(choices, *map(shown, CUTS))
 
-    def _attempt(self, packing: Packing, count: int, look: Look) -> list[PackingReport]:
+    def _attempt(self, packing: Packing, count: int, look: MeasureFiles) -> list[PackingReport]:
         """Make a result of `count` splats and measure files of it; see `packing.Try`."""
         count = self.within(count)
         some = self.made(packing)

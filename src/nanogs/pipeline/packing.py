@@ -69,11 +69,11 @@ class Packing:
         return dict(self.bits) | dict(self.settled) | palette
 
 
-Seen = Callable[[Packing], PackingReport]
+MeasureFile = Callable[[Packing], PackingReport]
 """Packs the result at hand, whose harmonics may be of a higher degree, and measures it."""
-Look = Callable[[Seen], list[PackingReport]]
+MeasureFiles = Callable[[MeasureFile], list[PackingReport]]
 """Looks at files of a result."""
-Try = Callable[[Packing, int, Look], list[PackingReport]]
+MakeAndMeasure = Callable[[Packing, int, MeasureFiles], list[PackingReport]]
 """Makes the result of a packing and a count, and looks at files of it."""
 
 
@@ -143,7 +143,7 @@ def choose_packing(
     size: int,
     slope: float,
     guess: Callable[[Packing], int],
-    attempt: Try,
+    attempt: MakeAndMeasure,
     available: int,
 ) -> tuple[Packing, int, tuple[PackingReport, ...]]:
     """Search for the packing whose file of a given size looks best.
@@ -232,7 +232,7 @@ class _Search:
     size: int
     slope: float
     guess: Callable[[Packing], int]
-    attempt: Try
+    attempt: MakeAndMeasure
     available: int
     found: dict[Packing, dict[_Values, PackingReport]] = field(default_factory=dict)
     probes: list[PackingReport] = field(default_factory=list)
@@ -357,7 +357,7 @@ class _Search:
         return tuple((name, probe.options[name]) for name in names)
 
     def _look(
-        self, packing: Packing, seen: Seen, *, lower: bool = False, near: bool = False
+        self, packing: Packing, seen: MeasureFile, *, lower: bool = False, near: bool = False
     ) -> list[PackingReport]:
         """Measure files of a result; of the first one also with other bits, palette and degrees.
 
@@ -414,7 +414,7 @@ class _Search:
         # More splats would fill the room that is left, unless these are all.
         return over if found.count < self.available else max(over, 0)
 
-    def _tried(self, packing: Packing, count: int, look: Look) -> list[PackingReport]:
+    def _tried(self, packing: Packing, count: int, look: MeasureFiles) -> list[PackingReport]:
         probes = self.attempt(packing, count, look)
         self.probes += probes
         return probes

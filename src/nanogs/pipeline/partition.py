@@ -15,7 +15,7 @@ import numpy as np
 from nanogs._types import I64, U64
 from nanogs.errors import NONE_USABLE, CrowdedError, ModelError
 from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.spill import DIGEST
+from nanogs.pipeline.sorted_segments import DIGEST
 from nanogs.store.columns import CODES
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table

@@ -10,21 +10,21 @@ from nanogs.card.device import CPU, use_device
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
-from nanogs.filters import Filter, listed
+from nanogs.filters import Filter, checked_filters
 from nanogs.frames import checked_frames
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
 from nanogs.io.format import Sizer
 from nanogs.io.retag import checked_mode
-from nanogs.io.stand_ins import refuse_address
+from nanogs.io.url_files import refuse_address
 from nanogs.memory import Memory, allowed_memory
 from nanogs.pipeline.api import refuse_device, refuse_searches, refuse_small
-from nanogs.pipeline.asked import AUTO, requested_views
 from nanogs.pipeline.cameras import refuse_unused_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory, plan_writing
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
+from nanogs.pipeline.requested_views import AUTO, requested_views
 from nanogs.pipeline.rows import Changes, check_nan, open_parts
 from nanogs.pipeline.target import Goal, is_searched, target_count
 from nanogs.ranges import as_switch, is_number
@@ -85,7 +85,7 @@ class Request:
 
     def __post_init__(self) -> None:
         """Refuse values that are not valid, before anything is read."""
-        object.__setattr__(self, "filters", listed(self.filters))
+        object.__setattr__(self, "filters", checked_filters(self.filters))
         object.__setattr__(self, "frame", checked_frames(self.frame))
         check_nan(self.nan)
         check_degree(self.sh_degree)
@@ -192,7 +192,7 @@ class Request:
         if self.goal.size is None:
             return
         from nanogs.pipeline.held_files import HeldFiles
-        from nanogs.pipeline.wish import SizeRequest
+        from nanogs.pipeline.size_request import SizeRequest
 
         known, given = registry.writable(self.output), self.format_options or {}
         looks = renders(self.parameters)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, Self, TypeVar
 
 from nanogs.clock import StageClock
-from nanogs.pipeline.foreseen import delivery_stages
 from nanogs.pipeline.one_block import OneBlock
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import brief, deliver, plain
 from nanogs.pipeline.settings import Sharing
+from nanogs.pipeline.stage_estimates import delivery_stages
 from nanogs.progress import Stage, Tracker
 
 T = TypeVar("T")

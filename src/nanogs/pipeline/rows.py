@@ -13,8 +13,8 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.filters import Filter, filter_of, refuse_whole
 from nanogs.io import open as open_model
 from nanogs.io.parts import FileSource
-from nanogs.pipeline.asked import AUTOMATIC, RequestedViews
 from nanogs.pipeline.inputs import Inputs, input_file
+from nanogs.pipeline.requested_views import AUTOMATIC, RequestedViews
 from nanogs.pipeline.settings import Access, FilterCounts, InputFile, Segment, Settings
 from nanogs.pipeline.unpack import Unpacked
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout

@@ -12,7 +12,7 @@ from nanogs.pipeline.scene import Scene, Task
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.stages import JobStage, do, held_stages, stages_of
 from nanogs.pipeline.work import BEGUN, Work
-from nanogs.progress import Tracker, untold
+from nanogs.progress import Tracker, ignore_progress
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import verified, write_table
 
@@ -215,6 +215,6 @@ def _do_here(
             start = time.perf_counter()
             scene.tell = progress.part
             own = do(scene, task).facts.get("seconds")
-            scene.tell = untold
+            scene.tell = ignore_progress
             for seconds in own or [{stage.name: time.perf_counter() - start}]:
                 clock.add(seconds)

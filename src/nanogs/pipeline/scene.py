@@ -16,7 +16,7 @@ from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups
-from nanogs.method.visibility import Discovery
+from nanogs.method.visibility import MissedLight
 from nanogs.pipeline.partition import Partition
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.views import Views
@@ -199,7 +199,12 @@ class Scene(ABC):
 
     @abstractmethod
     def keep_look(
-        self, name: str, own: Block, missed: Bool, lights: Sequence[ViewLight], discovery: Discovery
+        self,
+        name: str,
+        own: Block,
+        missed: Bool,
+        lights: Sequence[ViewLight],
+        discovery: MissedLight,
     ) -> Record:
         """Keep a block's visibility, how much of it each view shows, and what the views miss."""
 

@@ -11,22 +11,22 @@ from nanogs.clock import StageClock
 from nanogs.io import bytes_on_disk, encoded_bytes, registry, save, settled
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
-from nanogs.pipeline.draw import search_draw_cost
-from nanogs.pipeline.ending import result_of
+from nanogs.pipeline.draw_cost_search import search_draw_cost
 from nanogs.pipeline.fit_size import SAMPLE, WHOLE_FITS
 from nanogs.pipeline.job_results import JobResults, Result
 from nanogs.pipeline.pack import Packer, PackingForPsnr
 from nanogs.pipeline.presets import renders
-from nanogs.pipeline.reach import reach_psnr
+from nanogs.pipeline.psnr_search import reach_psnr
+from nanogs.pipeline.result_writer import result_of
 from nanogs.pipeline.rows import opened, sample
 from nanogs.pipeline.run import Done, Run
+from nanogs.pipeline.size_request import SizeRequest
 from nanogs.pipeline.sized import fill_size
-from nanogs.pipeline.wish import SizeRequest
 from nanogs.pipeline.work import SPAN, Work
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport, StopReason
 from nanogs.scoring.draw_views import draw_views
-from nanogs.scoring.held_out import ToChooseBy, held_out, to_choose_by
+from nanogs.scoring.held_out import SelectionViews, held_out, selection_views
 from nanogs.sink import held_splats, refuse_large
 from nanogs.source import Reduced, Source, Turned
 from nanogs.splats import Splats
@@ -196,12 +196,12 @@ class _Files:
     clock: StageClock
 
     @cached_property
-    def views(self) -> ToChooseBy:
+    def views(self) -> SelectionViews:
         """The original on the views to choose by, which are not those that judge the result."""
         sought, most = self.work.settings.search, self.search.max_memory
         by_psnr = sought is not None and sought.psnr is not None
         with opened(self.work.settings, self.work.unpacked()) as original:
-            return to_choose_by(original, most, automatic=by_psnr)
+            return selection_views(original, most, automatic=by_psnr)
 
     def count(self, result: Result) -> int:
         """Return the number of splats of a result."""

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.filters import Plain
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.asked import AUTOMATIC, RequestedViews
 from nanogs.pipeline.presets import renders
+from nanogs.pipeline.requested_views import AUTOMATIC, RequestedViews
 from nanogs.source import Layout
 
 # Most splats of a block's halo, as a share of its own, to bound memory; the nearest are kept.

@@ -28,7 +28,7 @@ from nanogs.pipeline.parts import write_rest
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.scene import Scene, Task
 from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.spill import spill
+from nanogs.pipeline.sorted_segments import spill
 from nanogs.pipeline.target import target_count
 from nanogs.pipeline.trials import (
     choose,

@@ -18,7 +18,6 @@ from nanogs.errors import (
     TooSmallError,
     UnstorableError,
 )
-from nanogs.pipeline.ending import ResultWriter
 from nanogs.pipeline.folder import (
     MANIFEST,
     SCRATCH,
@@ -27,9 +26,10 @@ from nanogs.pipeline.folder import (
     read_manifest,
     write_manifest,
 )
-from nanogs.pipeline.foreseen import job_stages
+from nanogs.pipeline.result_writer import ResultWriter
 from nanogs.pipeline.run import Done, Executor, InProcess, Search, run_tasks
 from nanogs.pipeline.settings import Settings, differences, in_words
+from nanogs.pipeline.stage_estimates import job_stages
 from nanogs.pipeline.weights import measure_stage
 from nanogs.pipeline.workers import workers_of
 from nanogs.progress import WAITING, Progress, Tracker

@@ -10,7 +10,7 @@ from nanogs._types import Bool
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.project import HIDDEN, unpack_box
 from nanogs.method.visibility import DECIDING
-from nanogs.pipeline.asked import camera_of, plain_camera
+from nanogs.pipeline.requested_views import camera_of, plain_camera
 from nanogs.raster.camera import Camera, pick_evenly
 from nanogs.raster.rendering import PreparedSplats, project
 

@@ -12,7 +12,7 @@ from nanogs.fit.stages import refit_stages
 from nanogs.method.parameters import ForestParameters
 from nanogs.progress import Stage
 from nanogs.protocol import VIEWS
-from nanogs.views.stand_in import AFAR
+from nanogs.views.decimated import AFAR
 
 ROUND = 32  # steps in each round of the fit, about
 SIZES, RESULTS = 4, 2  # expected files of a search for a size: of plain cuts, and of results

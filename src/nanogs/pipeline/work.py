@@ -17,7 +17,16 @@ from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Target, as_target
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
-from nanogs.method.visibility import SHOWN, Discovery
+from nanogs.method.visibility import SHOWN, MissedLight
+from nanogs.pipeline.block_visibility import (
+    VISIBLE,
+    closer_views,
+    hidden_weight,
+    read_visible,
+    shown_share,
+    typical_weight,
+    write_look,
+)
 from nanogs.pipeline.blocks import Visibility, leaves_of, morton_rows, read_block, with_codes
 from nanogs.pipeline.cameras import fit_cameras
 from nanogs.pipeline.coarse import coarse_scene, surroundings
@@ -30,15 +39,6 @@ from nanogs.pipeline.partition import Partition, partition_of
 from nanogs.pipeline.parts import read_part
 from nanogs.pipeline.rows import sample
 from nanogs.pipeline.scene import Block, FitViews, Members, Scene, Task, ViewLight
-from nanogs.pipeline.seen import (
-    VISIBLE,
-    closer_views,
-    hidden_weight,
-    read_visible,
-    shown_share,
-    typical_weight,
-    write_look,
-)
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.settle import (
     GONE,
@@ -52,7 +52,7 @@ from nanogs.pipeline.settle import (
 from nanogs.pipeline.units import Units, survey, units_of
 from nanogs.pipeline.unpack import Unpacked
 from nanogs.pipeline.views import Views, parts_of, views_of
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, concatenated, prepare, render
 from nanogs.report import PassReport
@@ -90,7 +90,7 @@ class Work(Scene):
     settings: Settings
     threads: int
     known: dict[str, Record] = field(default_factory=dict)
-    tell: Parts = untold
+    tell: Parts = ignore_progress
 
     def record(self, task: Task) -> Record:
         """Return the record that a task wrote.
@@ -301,7 +301,12 @@ class Work(Scene):
         return render(drawn, camera, contributions=True, sh_degree=0)
 
     def keep_look(
-        self, name: str, own: Block, missed: Bool, lights: Sequence[ViewLight], discovery: Discovery
+        self,
+        name: str,
+        own: Block,
+        missed: Bool,
+        lights: Sequence[ViewLight],
+        discovery: MissedLight,
     ) -> Record:
         """Write a block's visibility, how much of it each view shows, and what the views miss."""
         return write_look(self, name, own, missed, lights, discovery)

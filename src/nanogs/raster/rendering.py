@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Bool, F
+from nanogs.activations import rotations
 from nanogs.card.device import engine_in_use
 from nanogs.errors import OptionError
 from nanogs.kernels import listing, raster
@@ -22,7 +23,6 @@ from nanogs.kernels.radix import sorted_rows
 from nanogs.raster.camera import Camera
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import RenderMode, Splats, padded, refuse_other
-from nanogs.stored import rotations
 
 if TYPE_CHECKING:
     from nanogs.card.engine import Engine, Model, View
@@ -153,7 +153,7 @@ def prepare(splats: Splats) -> PreparedSplats:
         with np.errstate(invalid="ignore", over="ignore"):
             factors[rows] = rotations(some.unit_quats()) * some.scales()[:, None, :]
 
-    spread.each(slices(n), activate)
+    parallel.for_each(slices(n), activate)
     return PreparedSplats(
         means=splats.means,
         factors=factors,
@@ -429,7 +429,7 @@ def _sums(entries: I32, partial: F32, count: int) -> F64:
         for run in range(1, _RUNS):
             whole[rows] += totals[run, rows]
 
-    spread.each(slices(count, SLICE_STEPS), add)
+    parallel.for_each(slices(count, SLICE_STEPS), add)
     return whole
 
 
@@ -459,7 +459,7 @@ def _rows_of_a_line(n: int) -> F64:
 def _depth_order(features: F32, boxes: I64) -> I64:
     """Indices of the drawn splats, nearest first, ties by index."""
     runs = list(slices(len(boxes), SLICE_STEPS))
-    counts = spread.results(runs, lambda rows: np.count_nonzero(boxes[rows]))  # HIDDEN is 0
+    counts = parallel.map_ordered(runs, lambda rows: np.count_nonzero(boxes[rows]))  # HIDDEN is 0
     ends = np.cumsum([0, *counts])
     bounds = np.array([0, *(rows.stop for rows in runs)])
     keys = np.empty(ends[-1], np.uint64)

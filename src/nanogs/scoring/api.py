@@ -7,7 +7,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, opened
 from nanogs.io.urls import place
@@ -15,8 +15,14 @@ from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.raster.camera import Camera
-from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside, remarks_on
 from nanogs.scoring.needed import room_for_comparison
+from nanogs.scoring.packed_models import (
+    files_of,
+    named,
+    packing_notes,
+    remarks_on,
+    write_packed_files,
+)
 from nanogs.scoring.packing import packing_of
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -122,17 +128,17 @@ def compare(
         from nanogs.card.device import device_notes, use_device
         from nanogs.scoring.comparison import compare_with_photographs
         from nanogs.scoring.on_sets import compare_on_sets
-        from nanogs.scoring.photos import beside_photographs, photographs
+        from nanogs.scoring.photos import photographs, room_beside_photographs
         from nanogs.threads import use_threads
 
-        with use_device(device) as used, use_threads(threads), drawn(progress) as tell:
+        with use_device(device) as used, use_threads(threads), show_progress(progress) as tell:
             first, *tests = zip(names, sources, strict=True)
             entries: list[tuple[str, Splats | Source, str]] = [(*test, "") for test in tests]
             files = files_of(sources[1:], packing)
             sets_count = asked.sets_count if photos is None else 0
             tracker = Tracker(tell, _stages(len(models), files, sets_count))
             if packing:
-                entries = packed_beside(tests, packing, stack, limit, tracker)
+                entries = write_packed_files(tests, packing, stack, limit, tracker)
                 made = [source for _, source, suffix in entries if suffix]
                 room = room_for_comparison([*given, *made], [*sources, *made], *looking)
             every = [named(*entry, room is None) for entry in [(*first, ""), *entries]]
@@ -147,12 +153,12 @@ def compare(
                 behind, frames = photographs(Path(photos), images, split, background, limit)
                 comparison, _ = compare_with_photographs(
                     str(photos), every, frames, split=split, background=behind, extras=extras,
-                    costs=True, room=beside_photographs(room, frames, packed=bool(packing)),
+                    costs=True, room=room_beside_photographs(room, frames, packed=bool(packing)),
                     progress=tracker,
                 )  # fmt: skip
             tracker.finish()
             remarks = remarks_on([*zip(names, sources, strict=True)])
-            notes = (*remarks, *notes_beside(tests, packing), *comparison.notes)
+            notes = (*remarks, *packing_notes(tests, packing), *comparison.notes)
             notes = (*notes, *device_notes(device, used))
     return replace(comparison, notes=notes)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from nanogs.costs import DrawCost
 from nanogs.errors import ModelError
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.protocol import PIXELS, VIEWS, Protocol
 from nanogs.raster.camera import Camera
 from nanogs.source import Source
@@ -41,7 +41,7 @@ class DrawViews:
         return self.cost(model).share_of(self.original)
 
 
-def draw_views(original: Splats | Source, tell: Parts = untold) -> DrawViews:
+def draw_views(original: Splats | Source, tell: Parts = ignore_progress) -> DrawViews:
     """Measure the draw cost of the original, once for any number of models.
 
     Args:

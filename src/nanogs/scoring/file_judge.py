@@ -11,12 +11,12 @@ from nanogs.errors import FormatError, ModelError
 from nanogs.frames import change_frame
 from nanogs.io import load, registry
 from nanogs.io import open as open_model
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.protocol import UNMEASURED, Judged, PackingLoss
 from nanogs.scoring.packing import rounds
 from nanogs.source import Source, Turned
 from nanogs.splats import Splats
-from nanogs.switches import PixelOf, Switch
+from nanogs.switches import PixelOf, SwitchQuality
 
 if TYPE_CHECKING:
     from nanogs.scoring.draw_views import DrawViews
@@ -84,7 +84,7 @@ class FileJudge:
 
         return self._tried(measure, ())
 
-    def at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> Switch | None:
+    def quality_at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> SwitchQuality | None:
         """Score a level at the distance at which a viewer switches to it.
 
         Args:
@@ -101,7 +101,7 @@ class FileJudge:
 
         original, cameras = self.original, [view.camera for view in self.views.views]
 
-        def measure() -> Switch | None:
+        def measure() -> SwitchQuality | None:
             with self._read(path, level) as model:
                 if self._switching is None:
                     self._switching = switch_views(original, cameras, self.max_memory)
@@ -170,7 +170,7 @@ def file_judge(
     *,
     turn: tuple[str, str] | None = None,
     threads: int | None = None,
-    tell: Parts = untold,
+    tell: Parts = ignore_progress,
     max_memory: int | None = None,
     costs: bool = False,
 ) -> FileJudge:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from nanogs.errors import ModelError
 from nanogs.metrics import psnr
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.protocol import BLACK, PIXELS, UNMEASURED, Judged, PackingLoss, Protocol
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.scoring.scores import (
@@ -27,7 +27,7 @@ from nanogs.views.cameras import cameras_for
 from nanogs.views.plan import room_for_measuring
 from nanogs.views.streamed import Streamed, drawable, renderings
 
-ROAMING = 16  # number of roaming views in `to_choose_by`
+ROAMING = 16  # number of roaming views in `selection_views`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +88,7 @@ class HeldOut:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ToChooseBy:
+class SelectionViews:
     """Renders of the original on several kinds of views, which are weighted equally.
 
     Attributes:
@@ -105,7 +105,7 @@ class ToChooseBy:
 
 
 def held_out(
-    original: Splats | Source, tell: Parts = untold, max_memory: int | None = None
+    original: Splats | Source, tell: Parts = ignore_progress, max_memory: int | None = None
 ) -> HeldOut:
     """Render the original on the test views, once for any number of models.
 
@@ -122,9 +122,9 @@ def held_out(
     return _shown(original, Protocol(pixels=(PIXELS, PIXELS)), tell, max_memory)
 
 
-def to_choose_by(
+def selection_views(
     original: Splats | Source, max_memory: int | None = None, *, automatic: bool = False
-) -> ToChooseBy:
+) -> SelectionViews:
     """Render the original on training views, by which methods select among candidate results.
 
     There are automatic and roaming views: candidates that are equal on automatic views often differ
@@ -139,13 +139,13 @@ def to_choose_by(
     """
     usual = Protocol(pixels=(PIXELS, PIXELS), split="train")
     if automatic:
-        return ToChooseBy((_shown(original, usual, untold, max_memory),))
+        return SelectionViews((_shown(original, usual, ignore_progress, max_memory),))
     pixels = PIXELS // 2
     kinds = []
     for protocol in (usual, Protocol(ROAMING, (pixels, pixels), "roam", "train")):
         with suppress(ModelError):  # such views show nothing
-            kinds.append(_shown(original, protocol, untold, max_memory))
-    return ToChooseBy(tuple(kinds))
+            kinds.append(_shown(original, protocol, ignore_progress, max_memory))
+    return SelectionViews(tuple(kinds))
 
 
 def _shown(

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
 from nanogs.io.registry import ARCHIVE, LEVELS
-from nanogs.io.stand_ins import refuse_address
+from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import place
 from nanogs.memory import allowed_memory, refuse_too_large
-from nanogs.needs import model_bytes, models_bytes, scoring_bytes
+from nanogs.memory_estimates import model_bytes, models_bytes, scoring_bytes
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
@@ -142,7 +142,7 @@ def compare_mixed(
     _refuse_too_large(original, paths, *asked.pictures(views), limit)
     # Imported here because these import Numba.
     from nanogs.raster.rendering import prepare
-    from nanogs.scoring.mixed_views import levels_together
+    from nanogs.scoring.mixed_views import read_levels
     from nanogs.scoring.scores import reference_views
     from nanogs.threads import use_threads
     from nanogs.views.costing import views_of
@@ -150,10 +150,12 @@ def compare_mixed(
     scores, notes = list[MixedScore](), list[str]()
     with ExitStack() as stack:
         stack.enter_context(use_threads(threads))
-        told = Tracker(stack.enter_context(drawn(progress)), _stages(len(paths), asked.sets_count))
+        told = Tracker(
+            stack.enter_context(show_progress(progress)), _stages(len(paths), asked.sets_count)
+        )
         told.begin("read")
         whole = as_splats(original)
-        together = [levels_together(path) for path in paths]
+        together = [read_levels(path) for path in paths]
         for found in asked.sets(whole, views, up):
             told.begin("render")
             ready = prepare(whole)

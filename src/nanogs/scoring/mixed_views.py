@@ -70,7 +70,7 @@ def loss_of(error: float, other: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LevelsTogether:
+class StreamLevels:
     """All levels of a streamed SOG in one array, so that any mixture of levels can be drawn.
 
     Attributes:
@@ -186,7 +186,7 @@ def _squares(a: F32, b: F32) -> F64:
     return found
 
 
-def levels_together(path: Path) -> LevelsTogether:
+def read_levels(path: Path) -> StreamLevels:
     """Read all levels of a streamed SOG.
 
     Raises:
@@ -204,4 +204,4 @@ def levels_together(path: Path) -> LevelsTogether:
         ends.append(ends[-1] + own)
     numbers.append(np.full(len(apart), NOTHING, np.int64))
     together = prepare(concatenate([*parts, apart]))
-    return LevelsTogether(chunks, together, np.concatenate(numbers), np.array(ends))
+    return StreamLevels(chunks, together, np.concatenate(numbers), np.array(ends))

@@ -12,7 +12,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.costs import DrawCost
 from nanogs.formatting import number_text
 from nanogs.io.models import Model, opened
@@ -146,7 +146,7 @@ def mode_evidence(
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
+class RenderFindings:
     """Results of `nanogs info` that need renders of the model.
 
     Attributes:
@@ -172,15 +172,15 @@ def look_at(
     threads: int | None = None,
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
-) -> Looked:
+) -> RenderFindings:
     """Render a model in both modes, and measure its draw cost; arguments as for `mode_evidence`."""
     limit = None if max_memory is None else as_bytes(max_memory)
     background = None if background is None else plain_background(background)
     wanted = known_cameras(cameras) if photos is None else []
     stages = [Stage("cameras", 1.0), Stage("render", 6.0), Stage("cover", 2.0)]
-    with opened(model) as source, drawn(progress) as tell:
+    with opened(model) as source, show_progress(progress) as tell:
         # Imported here because these import Numba.
-        from nanogs.scoring.photos import beside_photographs, photographs
+        from nanogs.scoring.photos import photographs, room_beside_photographs
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
 
@@ -193,7 +193,7 @@ def look_at(
                 behind, frames = photographs(Path(photos), images, split, background, limit)
                 wanted = [view.camera for view in frames]
             room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), limit)
-            room = beside_photographs(room, frames)
+            room = room_beside_photographs(room, frames)
             some = source_of(source).load() if room is None else source
             if isinstance(wanted, str):
                 chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
@@ -206,7 +206,7 @@ def look_at(
             tracker.begin("cover")
             cost = cost_on(some, chosen, protocol, tracker.part)
         tracker.finish()
-    return Looked(modes, cost)
+    return RenderFindings(modes, cost)
 
 
 def evidence_on(

@@ -6,7 +6,7 @@ from os import PathLike
 from nanogs.io import inspect
 from nanogs.io.models import Model
 from nanogs.memory import allowed_memory
-from nanogs.needs import models_bytes, pictures_bytes, scoring_bytes
+from nanogs.memory_estimates import models_bytes, pictures_bytes, scoring_bytes
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.plan import room_for_splats

@@ -9,7 +9,7 @@ from nanogs.io import registry, save
 from nanogs.io.format import FormatOptions
 from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
-from nanogs.needs import convert_bytes
+from nanogs.memory_estimates import convert_bytes
 from nanogs.progress import Progress
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
@@ -18,7 +18,7 @@ Packing = Mapping[str, FormatOptions]
 """Formats to pack models in, by suffix, each with the options that it is written with."""
 
 # Formats by their name in `FileInfo` or suffix -> the format that encodes values in the same way.
-_ALIKE = {"meta.json": "sog", "streamed sog": "sog"}
+_SAME_ENCODING = {"meta.json": "sog", "streamed sog": "sog"}
 _ROUNDED = {"sog", "spz", "compressed.ply", "splat", "ksplat"}  # formats that quantise values
 
 
@@ -62,24 +62,24 @@ def refuse_packed(source: Splats | Source, packing: Packing) -> None:
         OptionError: The model's file has such a format, or one with the same encoding.
     """
     for suffix in packing:
-        if is_packed_so(source, suffix):
+        if has_format(source, suffix):
+            encoding = _SAME_ENCODING.get(suffix, suffix.lstrip("."))
             raise OptionError(
-                f"{source_of(source).name} is packed as .{_ALIKE.get(suffix, suffix.lstrip('.'))}"
-                " already; name another format, or compare it with the model that it was made of"
-                " (`nanogs compare`)."
+                f"{source_of(source).name} is packed as .{encoding} already; name another format,"
+                " or compare it with the model that it was made of (`nanogs compare`)."
             )
 
 
 def rounds(suffix: str) -> bool:
     """Return whether a format quantises values, rather than only dropping what it cannot hold."""
     name = suffix.removeprefix(".")
-    return _ALIKE.get(name, name) in _ROUNDED
+    return _SAME_ENCODING.get(name, name) in _ROUNDED
 
 
-def is_packed_so(source: Splats | Source, suffix: str) -> bool:
+def has_format(source: Splats | Source, suffix: str) -> bool:
     """Return whether a model comes from a file of a format, or of one with the same encoding."""
     name = suffix.removeprefix(".")
-    return isinstance(source, FileSource) and _packed_as(source) == _ALIKE.get(name, name)
+    return isinstance(source, FileSource) and _packed_as(source) == _SAME_ENCODING.get(name, name)
 
 
 def notes_on(source: Splats | Source) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ def notes_on(source: Splats | Source) -> tuple[str, ...]:
 
 
 def _packed_as(source: FileSource) -> str:
-    return _ALIKE.get(source.info.format, source.info.format)
+    return _SAME_ENCODING.get(source.info.format, source.info.format)
 
 
 def refuse_too_large_to_pack(
@@ -116,7 +116,7 @@ def refuse_too_large_to_pack(
     if not isinstance(source, FileSource):
         return
     for suffix, options in packing.items():
-        if is_packed_so(source, suffix):
+        if has_format(source, suffix):
             continue
         refuse_too_large(
             f"Packing {source.name} as {suffix}",

@@ -12,7 +12,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.cleanup import temporary_folder
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io import open as open_model
@@ -21,7 +21,7 @@ from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, opened
 from nanogs.io.urls import place
 from nanogs.memory import allowed_memory
-from nanogs.needs import pictures_bytes
+from nanogs.memory_estimates import pictures_bytes
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import PIXELS, VIEWS, Judged
 from nanogs.quantities import as_bytes
@@ -131,7 +131,7 @@ def packing_cost(
         given = model_in(place(model)) if isinstance(model, str | PathLike) else model
         source = stack.enter_context(opened(given))
         refuse_packed(source, packing)
-        tracker = Tracker(stack.enter_context(drawn(progress)), _stages(packing))
+        tracker = Tracker(stack.enter_context(show_progress(progress)), _stages(packing))
         from nanogs.threads import use_threads  # imported here because it imports Numba
 
         with use_threads(threads):

@@ -6,7 +6,7 @@ from pathlib import Path
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 from nanogs.memory import allowed_memory, refuse_too_large
-from nanogs.needs import photographs_bytes
+from nanogs.memory_estimates import photographs_bytes
 from nanogs.protocol import Background
 from nanogs.scoring.scores import ReferenceView
 from nanogs.views.plan import LEAST
@@ -57,7 +57,7 @@ def photographs(
     ]
 
 
-def beside_photographs(
+def room_beside_photographs(
     room: int | None, frames: Sequence[ReferenceView], *, packed: bool = False
 ) -> int | None:
     """Return the bytes left for splats while rendering when photographs are in memory.

@@ -12,10 +12,9 @@ from nanogs.io.atomic import atomic_write
 from nanogs.io.format import FormatOptions
 from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
-from nanogs.needs import compare_bytes
+from nanogs.memory_estimates import compare_bytes
 from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged
-from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside, remarks_on
 from nanogs.scoring.comparison import (
     Comparison,
     NamedModel,
@@ -24,9 +23,16 @@ from nanogs.scoring.comparison import (
 )
 from nanogs.scoring.needed import LESS, room_for_comparison
 from nanogs.scoring.on_sets import compare_on_sets
+from nanogs.scoring.packed_models import (
+    files_of,
+    named,
+    packing_notes,
+    remarks_on,
+    write_packed_files,
+)
 from nanogs.scoring.packing import packing_of
 from nanogs.scoring.page import render_page
-from nanogs.scoring.photos import beside_photographs, photographs
+from nanogs.scoring.photos import photographs, room_beside_photographs
 from nanogs.scoring.scores import ReferenceView
 from nanogs.scoring.view_sets import Size, ViewSet, found_views, parse_sources, view_sets
 from nanogs.source import source_of
@@ -112,7 +118,7 @@ def compare_files(
         tracker = Tracker(progress, _stages(len(given), files, counts, sizes, page))
         opened = [(name, source, "") for name, source in given]
         if packing:
-            opened[1:] = packed_beside(given[1:], packing, stack, max_memory, tracker)
+            opened[1:] = write_packed_files(given[1:], packing, stack, max_memory, tracker)
             room = _room([source for _name, source, _suffix in opened], *looking, max_memory)
         tracker.begin("read")
         models = []
@@ -128,7 +134,7 @@ def compare_files(
             found = scoring.on_photographs(
                 models, str(photos), frames, split, behind, packed=bool(packing)
             )
-        notes = (*remarks_on(given), *notes_beside(given[1:], packing), *found.comparison.notes)
+        notes = (*remarks_on(given), *packing_notes(given[1:], packing), *found.comparison.notes)
         found = found._replace(comparison=replace(found.comparison, notes=notes))
     if report:
         viewer = None
@@ -181,8 +187,8 @@ class _Scoring(NamedTuple):
         *,
         packed: bool,
     ) -> _Found:
-        """Score models against photographs; `packed` as for `beside_photographs`."""
-        room = beside_photographs(self.room, frames, packed=packed)
+        """Score models against photographs; `packed` as for `room_beside_photographs`."""
+        room = room_beside_photographs(self.room, frames, packed=packed)
         found = compare_with_photographs(
             source, models, frames, split=split, background=behind, extras=self.extras,
             pictures=self.pictures, costs=True, room=room, progress=self.progress,

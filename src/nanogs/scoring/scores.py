@@ -12,7 +12,7 @@ from nanogs.costs import DrawCost
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import undrawn
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.protocol import Background, PackingLoss
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering
@@ -103,7 +103,7 @@ def reference_views(
     reference: PreparedSplats | Streamed,
     cameras: Iterable[Camera],
     background: Background,
-    tell: Parts = untold,
+    tell: Parts = ignore_progress,
     *,
     depth: bool = True,
 ) -> tuple[list[ReferenceView], list[str]]:

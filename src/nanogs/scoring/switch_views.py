@@ -19,7 +19,7 @@ from nanogs.scoring.held_out import as_drawn
 from nanogs.scoring.scores import reference_views, score
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
-from nanogs.switches import Switch, distance_of
+from nanogs.switches import SwitchQuality, distance_of
 from nanogs.views.streamed import renderings
 
 LEAST_PIXELS = 32  # along the shorter side; on fewer, SSIM with its window of 11 means nothing
@@ -46,7 +46,7 @@ class SwitchViews:
     pixels: Sequence[float]
     max_memory: int | None = None
 
-    def judge(self, level: Splats | Source, pixel: float) -> Switch | None:
+    def judge(self, level: Splats | Source, pixel: float) -> SwitchQuality | None:
         """Score a level against the original; None if no magnified view shows anything.
 
         Args:
@@ -68,7 +68,7 @@ class SwitchViews:
         means = score("", as_drawn(level, self.max_memory), views, BLACK)
         psnr = None if math.isinf(means.psnr) else means.psnr
         width = float(np.mean([view.camera.width for view in views]))
-        return Switch(distance_of(pixel), psnr, means.ssim, len(views), width)
+        return SwitchQuality(distance_of(pixel), psnr, means.ssim, len(views), width)
 
 
 def switch_views(

@@ -15,7 +15,7 @@ from nanogs.io.atomic import atomic_write
 from nanogs.io.collect import model_in
 from nanogs.io.registry import stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
-from nanogs.needs import compare_bytes, page_bytes
+from nanogs.memory_estimates import compare_bytes, page_bytes
 from nanogs.progress import Parts, Progress, Stage, Tracker, each
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.raster.camera import Camera

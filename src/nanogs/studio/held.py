@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from nanogs._types import Bool
-from nanogs.filters import FilterReport, sift
+from nanogs.filters import FilterReport, apply_with_mask
 from nanogs.io import encoded_bytes, load, registry
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.presets import PRESETS, renders
@@ -86,7 +86,7 @@ class WorkerCache:
         key = model_key(choice)
         if self._sifted is None or self._sifted[0] != key:
             whole = self.whole(choice.render_mode)
-            found = FilteredScene(*sift(whole, filters_of(choice.filters)))
+            found = FilteredScene(*apply_with_mask(whole, filters_of(choice.filters)))
             self._sifted, self.grown = (key, found), None
         return self._sifted[1]
 
@@ -98,7 +98,9 @@ class WorkerCache:
         """
         if self.is_shown(choice):
             return self.sifted(choice)
-        return FilteredScene(*sift(self.whole(choice.render_mode), filters_of(choice.filters)))
+        return FilteredScene(
+            *apply_with_mask(self.whole(choice.render_mode), filters_of(choice.filters))
+        )
 
     def is_shown(self, choice: Choice) -> bool:
         """Return whether the filtered scene of a choice is the one in the cache."""

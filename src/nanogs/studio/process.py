@@ -8,7 +8,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from nanogs.cleanup import clean_at_end, starting_processes
+from nanogs.cleanup import on_signal, starting_processes
 from nanogs.studio.scene import Scene, StudioSettings
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class Process:
         )
         with starting_processes():
             self._process.start()
-            clean_at_end(self.end)
+            on_signal(self.end)
         theirs.close()
         threading.Thread(target=_read, args=(self._line, told), daemon=True).start()
 

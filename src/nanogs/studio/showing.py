@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import Bool
+from nanogs.activations import SH_C0
 from nanogs.formatting import counted
 from nanogs.splats import Splats
-from nanogs.stored import SH_C0
 from nanogs.view.pack import pack
+from nanogs.views.decimated import decimated
 from nanogs.views.opening import Opening
-from nanogs.views.stand_in import stand_in
 
 MOST_SHOWN = 500_000  # most splats of a model that is sent to a page
 _MAGENTA = (1.0, 0.0, 1.0)
@@ -55,7 +55,7 @@ def show(splats: Splats, start: Opening, of: int) -> Shown:
 
 def few(splats: Splats) -> Splats:
     """Reduce a model to `MOST_SHOWN` splats if it has more."""
-    return splats if len(splats) <= MOST_SHOWN else stand_in(splats, MOST_SHOWN)
+    return splats if len(splats) <= MOST_SHOWN else decimated(splats, MOST_SHOWN)
 
 
 def marked(splats: Splats, stays: Bool) -> Splats:

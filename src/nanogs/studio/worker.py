@@ -13,7 +13,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from nanogs.allocation import keep_freed_memory
-from nanogs.cleanup import clean_all, when_undisturbed
+from nanogs.cleanup import clean_all, exit_when_allowed
 from nanogs.errors import NanogsError
 from nanogs.progress import Progress, Step
 from nanogs.studio.choice import Choice
@@ -250,7 +250,7 @@ def _outcome(
 
 def _stop(number: int, _frame: FrameType | None) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    when_undisturbed(partial(_end, 128 + number))
+    exit_when_allowed(partial(_end, 128 + number))
 
 
 def _end(code: int) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from nanogs._types import F32
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.io.models import Model, opened
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background
@@ -72,7 +72,7 @@ def render(
         from nanogs.views.streamed import drawable, renderings
 
         behind = BLACK if transparent else background  # straight alpha needs a render over black
-        with use_device(device), use_threads(threads), drawn(progress) as tell:
+        with use_device(device), use_threads(threads), show_progress(progress) as tell:
             chosen, _ = chosen_cameras(some, wanted, views, pixels, up)
             tracker = Tracker(tell, [Stage("render", 1.0)])
             shown = renderings(drawable(some, room), chosen, background=behind, tell=tracker.part)

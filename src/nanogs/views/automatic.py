@@ -19,10 +19,10 @@ from nanogs.raster.camera import Camera
 from nanogs.source import Source
 from nanogs.splats import Splats, refuse_other
 from nanogs.views import inside, orbit
-from nanogs.views.heading import body_of, seen_from
-from nanogs.views.occupancy import Core, Matter, find_core, sample
-from nanogs.views.stance import UPRIGHT, own_stance, upright
+from nanogs.views.heading import seen_from, without_surroundings
+from nanogs.views.occupancy import Core, SplatSample, find_core, sample
 from nanogs.views.up import detect_up
+from nanogs.views.up_frame import UPRIGHT, frame_from_model, frame_from_up
 
 Kind = Literal["auto", "orbit", "inside"]
 Split = Literal["fit", "test"]
@@ -44,7 +44,7 @@ class Survey:
         band: Lowest and highest elevation of cameras around it, radians.
     """
 
-    matter: Matter
+    matter: SplatSample
     core: Core
     turn: F64
     kind: Kind
@@ -83,7 +83,7 @@ def automatic_cameras(
         habit: Without `up`, whether to search for it along the axes only, with (0, -1, 0) if
             nothing is clear, as for images to look at. If False, the model alone decides, in any
             direction, and cameras are placed all around it if nothing is clear: turning any model
-            then turns its cameras (see `stance.own_stance`).
+            then turns its cameras (see `stance.frame_from_model`).
         fov: Field of view along the longer side, in degrees; by default 50 around and 75 inside.
         split: `fit` and `test` give disjoint sets that cover the same ground.
 
@@ -136,11 +136,11 @@ def survey(
     given = None if up is None else unit_up(up)
     matter = sample(model)
     if given is not None:
-        stance = upright(body_of(matter), given)
+        stance = frame_from_up(without_surroundings(matter), given)
     elif habit:
-        stance = upright(body_of(matter), detect_up(matter, find_core(matter)))
+        stance = frame_from_up(without_surroundings(matter), detect_up(matter, find_core(matter)))
     else:
-        stance = own_stance(matter, room=kind != "orbit")
+        stance = frame_from_model(matter, room=kind != "orbit")
     turn = np.eye(4)
     turn[:3, :3] = stance.frame
     matter = seen_from(matter, stance.frame)

@@ -13,7 +13,7 @@ from nanogs.raster.camera import Camera
 from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.views.automatic import Kind, Split, automatic_cameras
-from nanogs.views.stand_in import stand_in
+from nanogs.views.decimated import decimated
 
 Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
 """Where to look from: "auto", "orbit", "inside", "roam", a file or folder of them, or cameras."""
@@ -64,7 +64,7 @@ def cameras_for(
     if source == "roam":
         from nanogs.views.roam import roaming_cameras  # imports Numba
 
-        some = stand_in(model)
+        some = decimated(model)
         return FoundCameras(
             roaming_cameras(some, count, width=width, height=height, up=up, split=split)
         )

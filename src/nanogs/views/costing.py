@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from nanogs.bar import drawn
+from nanogs.bar import show_progress
 from nanogs.costs import DrawCost
 from nanogs.io.models import Model, opened
 from nanogs.progress import Progress, Stage, Tracker
@@ -62,7 +62,7 @@ def draw_cost(
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
 
-        with use_threads(threads), drawn(progress) as tell:
+        with use_threads(threads), show_progress(progress) as tell:
             tracker = Tracker(tell, [Stage("cameras", 1.0), Stage("cover", 4.0)])
             tracker.begin("cameras")
             chosen, kind = chosen_cameras(some, wanted, views, pixels, up)

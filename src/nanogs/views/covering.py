@@ -10,7 +10,7 @@ from nanogs.costs import LARGEST, DrawCost
 from nanogs.kernels.covering import cover_tiles
 from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.project import HIDDEN
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.protocol import Protocol
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, project_rows
@@ -22,7 +22,10 @@ SHARE = 0.99  # quantile of the pixels for `DrawCost.most_a_pixel`
 
 
 def cost_on(
-    model: Splats | Source, cameras: Sequence[Camera], protocol: Protocol, tell: Parts = untold
+    model: Splats | Source,
+    cameras: Sequence[Camera],
+    protocol: Protocol,
+    tell: Parts = ignore_progress,
 ) -> DrawCost:
     """Measure the cost of drawing views; the same for a source and for a model in memory.
 

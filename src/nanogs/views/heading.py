@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import F64
-from nanogs.views.occupancy import Matter, capped, quantiles
+from nanogs.views.occupancy import SplatSample, capped, quantiles
 from nanogs.views.poses import level_frame
 
 MEDIAN_SAMPLE = 10_000  # most splats that the median is taken of
@@ -18,7 +18,7 @@ ROUNDS = 20  # iterations of the geometric median; each about halves the error
 REACH = 4.0  # radius of the body in median distances; beyond are surroundings, skies and strays
 
 
-class Body(NamedTuple):
+class WeightedPoints(NamedTuple):
     """A model without strays and surroundings.
 
     Attributes:
@@ -30,7 +30,7 @@ class Body(NamedTuple):
     weights: F64
 
 
-def model_frame(body: Body, up: F64) -> F64:
+def model_frame(body: WeightedPoints, up: F64) -> F64:
     """Return a (3, 3) frame: rows are the longest horizontal axis, the one beside it, and up.
 
     The first axis points to the side with the longer tail of the area.
@@ -45,7 +45,7 @@ def model_frame(body: Body, up: F64) -> F64:
     return np.stack([longest, np.cross(up, longest), up])
 
 
-def principal_frame(body: Body) -> F64:
+def principal_frame(body: WeightedPoints) -> F64:
     """Return a (3, 3) frame: rows are the principal axes of the model, the longest first.
 
     The first two point to the side with the longer tail of the area, and the third makes the frame
@@ -58,19 +58,19 @@ def principal_frame(body: Body) -> F64:
     return np.stack([first, second, np.cross(first, second)])
 
 
-def seen_from(matter: Matter, frame: F64) -> Matter:
+def seen_from(matter: SplatSample, frame: F64) -> SplatSample:
     """Transform the sample to a frame whose axes are the rows of `frame`."""
     return replace(matter, points=matter.points @ frame.T, arms=matter.arms @ frame.T)
 
 
-def body_of(matter: Matter) -> Body:
+def without_surroundings(matter: SplatSample) -> WeightedPoints:
     """Select the splats within a few median distances of the geometric median."""
     distances = np.linalg.norm(matter.points - _middle(matter), axis=1)
     rows = np.flatnonzero(distances <= REACH * quantiles(distances, matter.alphas, 0.5)[0])
     weights = capped(matter.areas[rows])
     total = weights.sum()
     even = np.full(len(rows), 1 / len(rows))
-    return Body(matter.points[rows], weights / total if total > 0 else even)
+    return WeightedPoints(matter.points[rows], weights / total if total > 0 else even)
 
 
 def _axes(points: F64, weights: F64) -> F64:
@@ -82,7 +82,7 @@ def _axes(points: F64, weights: F64) -> F64:
     return signed
 
 
-def _middle(matter: Matter) -> F64:
+def _middle(matter: SplatSample) -> F64:
     """Return the (3,) geometric median weighted by alpha (Weiszfeld, 1937).
 
     It is robust even if up to half of the weight are strays.

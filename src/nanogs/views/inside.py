@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64, I64, Bool
-from nanogs.views.occupancy import Core, Grid, Matter, build_grid, capped, quantiles
+from nanogs.views.occupancy import Core, Grid, SplatSample, build_grid, capped, quantiles
 from nanogs.views.poses import level_frame, look_at, low_discrepancy, view_hits
 
 SLAB = 0.08  # thickness of a wall over the size of the room
@@ -43,7 +43,7 @@ class Box:
     content: float
 
 
-def is_room(matter: Matter, core: Core, up: F64) -> bool:
+def is_room(matter: SplatSample, core: Core, up: F64) -> bool:
     """Return whether four walls or more hold most of the area, and some area is well inside."""
     if len(core.rows) < FEWEST:
         return False
@@ -53,7 +53,7 @@ def is_room(matter: Matter, core: Core, up: F64) -> bool:
     return bool(walled and box.faces.max() < GROUND_SHARE * area and box.content > CONTENT)
 
 
-def fit_box(matter: Matter, core: Core, up: F64) -> Box:
+def fit_box(matter: SplatSample, core: Core, up: F64) -> Box:
     """Fit the box whose slabs hold the most area, over angles of a quarter turn about `up`."""
     rows = core.rows[:: -(-len(core.rows) // SAMPLE)]
     areas = capped(matter.areas[rows])
@@ -85,7 +85,9 @@ def _box(points: F64, areas: F64, frame: F64) -> Box:
     return Box(frame, low, high, np.array(faces), share(outermost < 0.5 - 2 * SLAB))
 
 
-def poses(matter: Matter, core: Core, up: F64, lens: F64, numbers: I64) -> list[tuple[F64, float]]:
+def poses(
+    matter: SplatSample, core: Core, up: F64, lens: F64, numbers: I64
+) -> list[tuple[F64, float]]:
     """Compute the (4, 4) world-to-camera matrix and near plane of each view.
 
     Each view is the best of its own block of poses in a low-discrepancy sequence, so that views of

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64, I64
+from nanogs.activations import rotations
 from nanogs.errors import ModelError
 from nanogs.source import Source, joined_rows, source_of
 from nanogs.splats import Splats
-from nanogs.stored import rotations
 
 MAX_SAMPLE = 30_000  # most splats in the sample; larger models are sampled by a stride
 FAINTEST = 1 / 255  # alpha that rasterisers skip
@@ -24,7 +24,7 @@ OPAQUE_DEPTH = 1.0  # optical depth at which a ray is stopped
 
 
 @dataclass(frozen=True, slots=True)
-class Matter:
+class SplatSample:
     """A sample of the visible splats of a model.
 
     Attributes:
@@ -77,7 +77,7 @@ def capped(areas: F64) -> F64:
     return np.minimum(areas, np.quantile(areas, 0.99))
 
 
-def sample(model: Splats | Source) -> Matter:
+def sample(model: Splats | Source) -> SplatSample:
     """Sample the finite and visible splats.
 
     A source, which is read twice, gives the same sample as the model in memory.
@@ -92,7 +92,7 @@ def sample(model: Splats | Source) -> Matter:
     longest = np.argsort(-scales, axis=1, kind="stable")[:, :2]
     arms = np.take_along_axis(axes.transpose(0, 2, 1), longest[:, :, None], axis=1)
     means = kept.means.astype(np.float64)
-    return Matter(means, kept.opacities(), arms, scales.min(axis=1), stride)
+    return SplatSample(means, kept.opacities(), arms, scales.min(axis=1), stride)
 
 
 def _visible(splats: Splats) -> I64:
@@ -122,7 +122,7 @@ def _thinned(model: Splats | Source) -> tuple[Splats, int]:
     return joined_rows(kept), stride
 
 
-def find_core(matter: Matter) -> Core:
+def find_core(matter: SplatSample) -> Core:
     """Find the dense part of a model, robust to splats far outside of it.
 
     Medians are weighted by alpha, and not by area, so that a sky of few huge splats does not count.
@@ -200,7 +200,7 @@ class Grid:
         return depths
 
 
-def build_grid(matter: Matter, centre: F64, half: float) -> Grid:
+def build_grid(matter: SplatSample, centre: F64, half: float) -> Grid:
     """Build the occupancy grid of a cube of half-width `half` around `centre`."""
     cell = 2 * half / CELLS
     corner = centre - half

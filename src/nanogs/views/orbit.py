@@ -8,7 +8,7 @@ cropped to where it leaves a margin, and evenly over a band of elevations.
 import numpy as np
 
 from nanogs._types import F64, I64
-from nanogs.views.occupancy import Core, Grid, Matter, build_grid, quantiles
+from nanogs.views.occupancy import Core, Grid, SplatSample, build_grid, quantiles
 from nanogs.views.poses import level_frame, look_at, low_discrepancy, view_hits
 
 GRID_HALF = 4.0  # half-width of the grid in radii: contains almost all orbits
@@ -29,7 +29,7 @@ DETOURS = ((1, 0), (0.85, 0), (0.85, 0.25), (0.7, 0.25), (0.7, 0.5), (0.5, 0.5),
 
 
 def poses(
-    matter: Matter, core: Core, up: F64, lens: F64, numbers: I64, band: tuple[float, float]
+    matter: SplatSample, core: Core, up: F64, lens: F64, numbers: I64, band: tuple[float, float]
 ) -> list[tuple[F64, float]]:
     """Compute the (4, 4) world-to-camera matrix and near plane of cameras of the orbit.
 
@@ -52,7 +52,7 @@ def poses(
     return [_unblocked(grid, centre, level_frame(up), lens, *place) for place in places]
 
 
-def overview(matter: Matter, core: Core, up: F64, lens: F64) -> tuple[F64, float, F64]:
+def overview(matter: SplatSample, core: Core, up: F64, lens: F64) -> tuple[F64, float, F64]:
     """Return the pose and near plane of a view of the whole model, and the (3,) centre of the view.
 
     The arguments are those of `poses`.
@@ -65,7 +65,7 @@ def overview(matter: Matter, core: Core, up: F64, lens: F64) -> tuple[F64, float
     return pose, near, centre
 
 
-def _focus(matter: Matter, core: Core) -> tuple[F64, float]:
+def _focus(matter: SplatSample, core: Core) -> tuple[F64, float]:
     """Find the centre of the orbit, (3,), and the radius around it that holds 90 % of the core.
 
     The centre is the median and not the middle of the extent, which a tall object on a wide ground

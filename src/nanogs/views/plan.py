@@ -4,7 +4,13 @@ from collections.abc import Sequence
 
 from nanogs.io.models import Model
 from nanogs.memory import Memory, allowed_memory, refuse_too_large
-from nanogs.needs import drawn_bytes, models_bytes, pictures_bytes, shown_bytes, streaming_bytes
+from nanogs.memory_estimates import (
+    drawn_bytes,
+    models_bytes,
+    pictures_bytes,
+    shown_bytes,
+    streaming_bytes,
+)
 from nanogs.protocol import PIXELS, VIEWS
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats

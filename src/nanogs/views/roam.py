@@ -21,7 +21,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError, OptionError
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, blend, prepare, project, render
 from nanogs.splats import Splats
@@ -64,7 +64,7 @@ class Scene:
 
 
 @dataclass(slots=True)
-class Known:
+class SearchState:
     """The state of the search.
 
     Attributes:
@@ -103,7 +103,7 @@ def roaming_cameras(
     fov: float = FOV,
     up: Sequence[float] | None = None,
     split: str = "fit",
-    tell: Parts = untold,
+    tell: Parts = ignore_progress,
 ) -> list[Camera]:
     """Draw random cameras from the free space in which the model is visible, near and far.
 
@@ -134,7 +134,7 @@ def roaming_cameras(
     scene = _scene(splats, up)
     known = _begin(scene, splats, up, split)
     for candidate in _candidates(scene, known, lens, split, TRIES * count):
-        if _keeps(scene, known, candidate):
+        if _accepts(scene, known, candidate):
             tell(len(known.cameras), count)
         if len(known.cameras) == count:
             break
@@ -180,9 +180,9 @@ def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
     return Scene(prepare(splats), centre, radius, turn, reachable)
 
 
-def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str) -> Known:
+def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str) -> SearchState:
     """Start the search with automatic views, whose positions are known to be free."""
-    known = Known(np.zeros(len(splats)), FreeSpace(scene.splats), [])
+    known = SearchState(np.zeros(len(splats)), FreeSpace(scene.splats), [])
     automatic = automatic_cameras(
         splats, SEEDS, width=SIZE, height=SIZE, up=up, habit=False,
         split="test" if split == "test" else "fit",
@@ -194,7 +194,7 @@ def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str)
     return known
 
 
-def _add(known: Known, place: F64, contributions: F64) -> None:
+def _add(known: SearchState, place: F64, contributions: F64) -> None:
     """Add a free position, and the light of the splats in the image from there."""
     total = contributions.sum()
     if total > 0:
@@ -203,7 +203,7 @@ def _add(known: Known, place: F64, contributions: F64) -> None:
 
 
 def _candidates(
-    scene: Scene, known: Known, lens: Camera, split: str, tries: int
+    scene: Scene, known: SearchState, lens: Camera, split: str, tries: int
 ) -> Iterator[Candidate]:
     """Draw candidates: targets, directions and distances; `known` may grow during the iteration."""
     random = np.random.default_rng(zlib.crc32(split.encode()))
@@ -228,7 +228,7 @@ def _direction(height: float, turn: float) -> F64:
     return np.array([level * np.cos(angle), level * np.sin(angle), z])
 
 
-def _keeps(scene: Scene, known: Known, candidate: Candidate) -> bool:
+def _accepts(scene: Scene, known: SearchState, candidate: Candidate) -> bool:
     """Test a candidate, and add its camera to the state if it passes; return whether it does."""
     contributions = _shown(scene.splats, candidate)
     camera = candidate.camera

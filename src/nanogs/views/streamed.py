@@ -19,7 +19,7 @@ from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.listing import cut_boxes, extent_of
-from nanogs.progress import Parts, each, untold
+from nanogs.progress import Parts, each, ignore_progress
 from nanogs.protocol import BLACK
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import (
@@ -83,7 +83,7 @@ def renderings(
     *,
     background: tuple[float, float, float] = BLACK,
     depth: bool = False,
-    tell: Parts = untold,
+    tell: Parts = ignore_progress,
 ) -> Iterator[Rendering]:
     """Render a model from each camera, in their order; the same bytes for both kinds of model.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64, Bool
-from nanogs.views.occupancy import Core, Matter, capped, quantiles
+from nanogs.views.occupancy import Core, SplatSample, capped, quantiles
 
 HABIT_UP = (0.0, -1.0, 0.0)  # the usual up direction of trained models
 LAYERS = 20  # number of layers along each axis; a ground is two of them thick
@@ -37,7 +37,7 @@ class Surfaces:
         return float(self.areas[np.abs(self.normals @ up) > FLAT].sum())
 
 
-def detect_up(matter: Matter, core: Core) -> F64:
+def detect_up(matter: SplatSample, core: Core) -> F64:
     """Detect the up direction, (3,) unit float64: away from the model's ground.
 
     A ground is a thin and wide layer of flat-lying splats with hardly anything beneath. Only the
@@ -60,7 +60,7 @@ def detect_up(matter: Matter, core: Core) -> F64:
     return habit
 
 
-def surfaces_of(matter: Matter, core: Core) -> Surfaces:
+def surfaces_of(matter: SplatSample, core: Core) -> Surfaces:
     """Convert the core to pieces of surface: the normal of a splat is its shortest axis."""
     arms = matter.arms[core.rows]
     normals = np.cross(arms[:, 0], arms[:, 1])

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, Array
+from nanogs.activations import alphas, base_colour
 from nanogs.errors import FormatError, ModelError
 from nanogs.findings import became_infinite
 from nanogs.io.checkpoint.torch_file import TorchFile
@@ -25,7 +26,6 @@ from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
 from nanogs.io.texts import printable
 from nanogs.splats import MAX_SH_DEGREE, Splats
-from nanogs.stored import alphas, base_colour
 
 FRAME = "that of the training, as stored; nerfstudio and gsplat turn scenes to have z up by default"
 _SHAPED = ("scales", "quats", "opacities")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.activations import logit
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.gltf.colours import to_display
 from nanogs.io.gltf.document import Document, JsonObject
@@ -19,7 +20,6 @@ from nanogs.io.gltf.scene import EXTENSION, PlacedPrimitive, Pose
 from nanogs.io.info import FileInfo
 from nanogs.io.spz import read as spz
 from nanogs.io.spz.header import read_header
-from nanogs.stored import logit
 
 MAX_DEGREE = 3
 PACKED = "KHR_gaussian_splatting_compression_spz_2"

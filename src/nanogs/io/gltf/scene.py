@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, F64
+from nanogs.activations import quaternions, rotations
 from nanogs.errors import FormatError
 from nanogs.io.gltf.document import Document, JsonObject
 from nanogs.sh import basis
-from nanogs.stored import quaternions, rotations
 
 EXTENSION = "KHR_gaussian_splatting"
 # glTF is y-up, 3DGS files are y-down by convention: half a turn about z converts between them.

@@ -20,6 +20,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs._version import __version__
+from nanogs.activations import SH_C0
 from nanogs.errors import OutputError
 from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
@@ -31,7 +32,6 @@ from nanogs.io.gltf.scene import EXTENSION, HALF_TURN
 from nanogs.io.texts import as_utf8
 from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
-from nanogs.stored import SH_C0
 
 _FLOAT, _BYTE = 5126, 5121
 _KINDS = {_FLOAT: "<f4", _BYTE: "u1"}

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F64, I64, Array
+from nanogs.activations import base_colour, logit
 from nanogs.errors import FormatError
 from nanogs.findings import negative_scales
 from nanogs.formatting import counted
@@ -23,7 +24,6 @@ from nanogs.io.info import FileInfo
 from nanogs.io.ksplat.header import AGAIN, TYPE_NAMES, Headers, Section, columns, read_headers
 from nanogs.io.parts import FileSource, row_blocks
 from nanogs.splats import Splats, empty_arrays
-from nanogs.stored import base_colour, logit
 
 _CENTRE = np.dtype([("centre", "<f4", 3)])
 _SCALE_RANGE = 32767  # steps to either side of a bucket's centre, if the header gives none

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F64, Array
+from nanogs.activations import base_colour, logit
 from nanogs.errors import FormatError
 from nanogs.findings import Finding
 from nanogs.frames import TRAINED, change_frame
@@ -24,7 +25,6 @@ from nanogs.io.lcc.header import DATA, ENVIRONMENT, HARMONICS, ROW, SH_ROW, Mode
 from nanogs.io.parts import FileSource, check_level, row_blocks
 from nanogs.io.rotations import whole_quats
 from nanogs.splats import Splats, empty_arrays
-from nanogs.stored import base_colour, logit
 
 _FRAME = "rfu"
 _TYPES = {"mean": "float", "rgba": "uchar", "scale": "ushort", "quat": "uint", "normal": "ushort"}

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F64, U32, Array
+from nanogs.activations import base_colour, logit
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
 from nanogs.io import columns, render_tag
@@ -22,7 +23,6 @@ from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes
 from nanogs.io.ply.rows import iter_blocks, iter_span
 from nanogs.io.rotations import whole_quats
 from nanogs.splats import ExtraElement, Splats, empty_arrays
-from nanogs.stored import base_colour, logit
 
 CHUNK_ROWS = 256
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")

@@ -10,6 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U32, Array
+from nanogs.activations import SH_C0
 from nanogs.findings import Finding
 from nanogs.io import columns, limits, render_tag
 from nanogs.io.files import BLOCK_ROWS
@@ -20,7 +21,6 @@ from nanogs.io.rotations import split_quats
 from nanogs.morton import interleaved_bits
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
-from nanogs.stored import SH_C0
 
 MAX_DEGREE = 3
 _LOG_SCALES = 20.0  # log-scales are clamped to ±20: -inf would make its chunk's bounds useless

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import Array
 from nanogs.errors import FormatError
 from nanogs.findings import became_infinite
@@ -88,7 +88,7 @@ class _Binary(_Ply):
                 rows = slice(part.start + block.rows.start, part.start + block.rows.stop)
                 vertex.put(replace(block, rows=rows))
 
-        spread.each(slices(stop - start, _PART_ROWS), read)
+        parallel.for_each(slices(stop - start, _PART_ROWS), read)
         return vertex.splats(self._no_rows())
 
     def read_elements(self) -> tuple[ExtraElement, ...]:

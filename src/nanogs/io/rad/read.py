@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from nanogs._types import F64, I64, Array
+from nanogs.activations import base_colour
 from nanogs.errors import FormatError
 from nanogs.findings import Finding, negative_scales
 from nanogs.io import render_tag
@@ -31,7 +32,6 @@ from nanogs.io.rad.values import (
 from nanogs.io.texts import printable
 from nanogs.source import joined_rows
 from nanogs.splats import Splats, empty_arrays
-from nanogs.stored import base_colour
 
 
 class RadFile(FileSource):

@@ -16,8 +16,9 @@ from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F64, I64, Array
+from nanogs.activations import SH_C0, alphas, rounded_bytes
 from nanogs.io import limits, render_tag
 from nanogs.io.rad.header import (
     BANDS,
@@ -37,7 +38,6 @@ from nanogs.io.rotations import minimise_rotation
 from nanogs.io.texts import as_utf8
 from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
-from nanogs.stored import SH_C0, alphas, rounded_bytes
 
 SUFFIX = ".rad"
 _DEFLATE_LEVEL = 10  # of libdeflate: as fast as the default of zlib, and 2 to 3 % smaller
@@ -194,7 +194,7 @@ def _deflated(columns: list[bytes]) -> list[bytes]:
 
     # The longest first, for the best balance between threads.
     order = sorted(range(len(columns)), key=lambda n: -len(columns[n]))
-    done = dict(zip(order, spread.results(order, deflate), strict=True))
+    done = dict(zip(order, parallel.map_ordered(order, deflate), strict=True))
     return [done[number] for number in range(len(columns))]
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, U8
 from nanogs.io.sog.meta import CODES
 from nanogs.slices import slices
@@ -48,7 +48,7 @@ def nearest(values: F32, book: F32) -> U8:
     def find(part: slice) -> None:
         indices[part] = np.searchsorted(middles, flat[part])
 
-    spread.each(slices(len(flat)), find)
+    parallel.for_each(slices(len(flat)), find)
     return indices.reshape(values.shape)
 
 

@@ -26,10 +26,10 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, F64, I64
+from nanogs.activations import logit
 from nanogs.io.json_fields import integer, numbers, plain_name, refused, rows, table
 from nanogs.io.sog.texture import MAX_SIDE
 from nanogs.splats import RenderMode
-from nanogs.stored import logit
 
 MAX_META_BYTES = 1 << 22  # a usual meta.json has 10 to 20 KB
 CODES = 256  # number of codes of a byte

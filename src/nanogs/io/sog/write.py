@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I64, U8, U16
 from nanogs._version import __version__
 from nanogs.errors import UnstorableError
@@ -34,7 +34,7 @@ from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.meta import CODES, LAST_CODE
 from nanogs.io.sog.texture import MAX_SIDE, encode
 from nanogs.morton import interleaved_bits
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.slices import slices
 from nanogs.splats import RenderMode, Splats
 
@@ -75,7 +75,7 @@ USUAL = Packing()
 def write(
     splats: Splats,
     file: BinaryIO,
-    tell: Parts = untold,
+    tell: Parts = ignore_progress,
     *,
     palette_size: int | None = None,
     bits: int = USUAL_BITS,
@@ -135,7 +135,7 @@ def write_folder(
 def contents(
     splats: Splats,
     groups: I64 | None = None,
-    tell: Parts = untold,
+    tell: Parts = ignore_progress,
     packing: Packing = USUAL,
 ) -> dict[str, bytes]:
     """Encode a model; return the contents of `meta.json` and its textures by file name.
@@ -165,7 +165,7 @@ def start_encoding(
     pool: ThreadPoolExecutor,
     splats: Splats,
     groups: I64 | None = None,
-    tell: Parts = untold,
+    tell: Parts = ignore_progress,
     packing: Packing = USUAL,
 ) -> Callable[[], dict[str, bytes]]:
     """Compute the textures and submit their WebP encoding to a thread pool.
@@ -187,7 +187,7 @@ def start_encoding(
     encoding: dict[str, Callable[[], bytes]] = {}
 
     def submit(name: str, texels: U8) -> None:
-        future = spread.asked(pool, encode, texels)
+        future = parallel.try_submit(pool, encode, texels)
         encoding[name] = future.result if future else partial(encode, texels)
 
     meta = _encode(splats, groups, packing, submit, tell)
@@ -273,7 +273,7 @@ def _encode(
 
 def _codebooks(*wanted: tuple[F32, int]) -> list[F32]:
     """Compute a codebook for each pair of values and number of entries, in parallel."""
-    return spread.results(wanted, lambda values: codebook(*values))
+    return parallel.map_ordered(wanted, lambda values: codebook(*values))
 
 
 def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
@@ -289,7 +289,7 @@ def _logarithms(splats: Splats) -> F64:
         some, means = logarithms[rows], splats.means[rows]
         np.copysign(np.log1p(np.abs(means, dtype=np.float64), out=some), means, out=some)
 
-    spread.each(slices(len(splats)), take)
+    parallel.for_each(slices(len(splats)), take)
     return logarithms
 
 
@@ -317,7 +317,7 @@ def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[fl
     def encode_rows(rows: slice) -> None:
         codes[rows] = np.rint((logarithms[rows] - low) / range_ * steps) * step
 
-    spread.each(slices(len(splats)), encode_rows)
+    parallel.for_each(slices(len(splats)), encode_rows)
     highest = low + range_ * (LAST_CODE / (steps * step))
     return codes, {"mins": low.tolist(), "maxs": np.where(high > low, highest, high).tolist()}
 
@@ -343,7 +343,7 @@ def _quats(quats: F64, step: int) -> U8:
         out[rows, :3] = np.minimum(np.rint(codes / step), 255 // step) * step
         out[rows, 3] = 252 + largest
 
-    spread.each(slices(len(quats)), pack)
+    parallel.for_each(slices(len(quats)), pack)
     return out
 
 

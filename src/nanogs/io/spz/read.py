@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from nanogs._types import F32, F64, I32, U8, Array
+from nanogs.activations import logit
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
@@ -29,7 +30,6 @@ from nanogs.io.spz.body import body_pieces, read_records, stated_frame, window_b
 from nanogs.io.spz.header import ANTIALIASED, LAST_GZIP, Header, read_header
 from nanogs.io.spz.records import elements_of
 from nanogs.splats import ExtraElement, RenderMode, Splats, empty_arrays
-from nanogs.stored import logit
 
 COLOUR_SCALE = 0.15
 SCALE_STEPS, SCALE_LOW = 16, -10.0

@@ -24,6 +24,7 @@ from typing import BinaryIO
 import numpy as np
 
 from nanogs._types import F32, F64, I64, U8
+from nanogs.activations import rounded_bytes
 from nanogs.errors import OptionError, OutputError, UnstorableError
 from nanogs.findings import Finding
 from nanogs.io import limits
@@ -45,10 +46,9 @@ from nanogs.io.spz.header import (
 from nanogs.io.spz.packing import BEST, is_small, sorted_columns, write_gzip
 from nanogs.io.spz.read import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
 from nanogs.io.spz.records import has_per_splat_record, packed, without_records
-from nanogs.progress import Parts, untold
+from nanogs.progress import Parts, ignore_progress
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import RenderMode, Splats
-from nanogs.stored import rounded_bytes
 
 SUFFIX = ".spz"
 SH_BITS = 5  # bits kept of an SH coefficient of degree 1; of a higher degree, one less
@@ -97,7 +97,7 @@ STEPS = {
 def write(
     model: Splats | Source,
     file: BinaryIO,
-    tell: Parts = untold,
+    tell: Parts = ignore_progress,
     *,
     version: int | None = None,
     palette_size: int | None = None,

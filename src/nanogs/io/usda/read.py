@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F64, Array
+from nanogs.activations import logit
 from nanogs.errors import FormatError
 from nanogs.findings import negative_scales
 from nanogs.formatting import counted
@@ -23,7 +24,6 @@ from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
 from nanogs.io.usda.text import Layer, Prim, read_layer
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate, empty_arrays
-from nanogs.stored import logit
 
 PRIM = "ParticleField3DGaussianSplat"
 DEGREE = "radiance:sphericalHarmonicsDegree"

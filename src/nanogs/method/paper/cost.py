@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nanogs import spread
+from nanogs import parallel
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.cost import published_costs
 from nanogs.method.gaussians import Gaussians
@@ -59,5 +59,5 @@ def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperP
             costs[part],
         )
 
-    spread.each(slices(len(pairs), SLICE_PAIRS), compute)
+    parallel.for_each(slices(len(pairs), SLICE_PAIRS), compute)
     return costs

@@ -19,7 +19,7 @@ from nanogs.pipeline.parts import LevelSource, simplify_further
 from nanogs.pipeline.rows import opened
 from nanogs.pipeline.run import Done
 from nanogs.pipeline.work import Work
-from nanogs.progress import Parts, Tracker, untold
+from nanogs.progress import Parts, Tracker, ignore_progress
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import FileJudge, file_costs, file_judge
 from nanogs.sink import Sink, Written
@@ -92,7 +92,9 @@ class ResultWriter:
             tell: Parts = progress.part
             if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
                 filling.add_trees(trees_of(work), levels, even_sample(work), tell)
-                tell = untold  # `finish` writes everything, and reports the progress itself
+                tell = (
+                    ignore_progress  # `finish` writes everything, and reports the progress itself
+                )
             for number, level in enumerate(done.levels):
                 if not isinstance(self.sink.chunks, Chunked):
                     tell(number, len(done.levels))

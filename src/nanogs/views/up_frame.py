@@ -1,8 +1,8 @@
-"""The stance of a model: the frame for its cameras, and the range of their elevations.
+"""The frame in which cameras are placed around a model, and the range of their elevations.
 
-`upright` is for a model whose up direction is known or assumed. `own_stance` finds it from the
-model alone, independent of its orientation: from a ground, from walls, or from a disc of land. If
-there is no evidence, cameras are placed all around.
+`frame_from_up` is for a model whose up direction is known or assumed. `frame_from_model` finds it
+from the model alone, independent of its orientation: from a ground, from walls, or from a disc of
+land. If there is no evidence, cameras are placed all around.
 """
 
 from dataclasses import dataclass
@@ -10,9 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64
-from nanogs.views.heading import Body, body_of, model_frame, principal_frame, seen_from
+from nanogs.views.heading import (
+    WeightedPoints,
+    model_frame,
+    principal_frame,
+    seen_from,
+    without_surroundings,
+)
 from nanogs.views.inside import is_room
-from nanogs.views.occupancy import Core, Matter, find_core, quantiles
+from nanogs.views.occupancy import Core, SplatSample, find_core, quantiles
 from nanogs.views.up import LEAD, Surfaces, ground, surfaces_of
 
 # Range of elevations, radians above the horizon; from lower, a ground would be seen from beneath.
@@ -30,7 +36,7 @@ THINNEST, ROUNDEST = 0.5, 0.7
 
 
 @dataclass(frozen=True, slots=True)
-class Stance:
+class CameraFrame:
     """A frame and a range of elevations.
 
     Attributes:
@@ -42,19 +48,19 @@ class Stance:
     band: tuple[float, float]
 
 
-def upright(body: Body, up: F64) -> Stance:
+def frame_from_up(body: WeightedPoints, up: F64) -> CameraFrame:
     """Return the stance of a model whose up direction (3,), unit, is known."""
-    return Stance(model_frame(body, up), UPRIGHT)
+    return CameraFrame(model_frame(body, up), UPRIGHT)
 
 
-def own_stance(matter: Matter, *, room: bool) -> Stance:
+def frame_from_model(matter: SplatSample, *, room: bool) -> CameraFrame:
     """Find the stance from the model itself; turning the model turns the stance.
 
     Args:
         matter: The model.
         room: Whether the model may be a room.
     """
-    body = body_of(matter)
+    body = without_surroundings(matter)
     frame = principal_frame(body)
     seen = seen_from(matter, frame)  # makes computations along axes turn with the model
     core = find_core(seen)
@@ -65,7 +71,7 @@ def own_stance(matter: Matter, *, room: bool) -> Stance:
         up = _room_up(seen, core, surfaces, flats)
     if up is None:
         up = _land_up(surfaces)
-    return Stance(frame, ALL_AROUND) if up is None else upright(body, up @ frame)
+    return CameraFrame(frame, ALL_AROUND) if up is None else frame_from_up(body, up @ frame)
 
 
 def _flat_directions(surfaces: Surfaces) -> list[F64]:
@@ -102,7 +108,7 @@ def _ground_up(surfaces: Surfaces, flats: list[F64]) -> F64 | None:
     return both[grounds.index(best)]
 
 
-def _room_up(seen: Matter, core: Core, surfaces: Surfaces, flats: list[F64]) -> F64 | None:
+def _room_up(seen: SplatSample, core: Core, surfaces: Surfaces, flats: list[F64]) -> F64 | None:
     """Return up in a room, normal to floor and ceiling, or None if it is no room.
 
     These are taken to be the largest walls, and the floor is the side with more of the contents.

@@ -9,13 +9,13 @@ from os import PathLike
 from pathlib import Path
 
 from nanogs.io import FileInfo, inspect, registry
-from nanogs.io.around import file_of
 from nanogs.io.files import splat_bytes
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model
 from nanogs.io.parts import FileSource, Packed, Whole
 from nanogs.io.spz.header import LAST_GZIP, column_widths
 from nanogs.io.spz.packing import packing_bytes
+from nanogs.io.wrapper import file_of
 from nanogs.source import Source
 from nanogs.splats import Splats
 

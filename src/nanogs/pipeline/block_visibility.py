@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from nanogs._types import F64, Bool
 from nanogs.fit.views import choose_cameras
 from nanogs.method.nodes import prominence
-from nanogs.method.visibility import Discovery, shown_prominence
-from nanogs.pipeline.asked import camera_of, plain_camera
+from nanogs.method.visibility import MissedLight, shown_prominence
 from nanogs.pipeline.blocks import leaves_of
+from nanogs.pipeline.requested_views import camera_of, plain_camera
 from nanogs.pipeline.scene import LIGHT, Block, ViewLight
 from nanogs.pipeline.views import parts_of
 from nanogs.raster.camera import Camera
@@ -30,7 +30,7 @@ def write_look(
     own: Block,
     missed: Bool,
     lights: Sequence[ViewLight],
-    discovery: Discovery,
+    discovery: MissedLight,
 ) -> Record:
     """Write the visibility of a block's splats, and how much of the block each view shows.
 
@@ -99,8 +99,8 @@ def typical_weight(work: "Work", hidden: float) -> float:
 
 def hidden_weight(work: "Work") -> float:
     """Compute the weight of a splat that no view shows, over that of one in full sight."""
-    blocks = [Discovery(*record.facts["discovery"]) for record in work.of_blocks("look")]
-    return sum(blocks, Discovery()).hidden(work.settings.parameters.hidden)
+    blocks = [MissedLight(*record.facts["discovery"]) for record in work.of_blocks("look")]
+    return sum(blocks, MissedLight()).hidden(work.settings.parameters.hidden)
 
 
 def shown_share(work: "Work") -> float:

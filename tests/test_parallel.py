@@ -1,4 +1,4 @@
-"""How the range of a kernel is spread over threads."""
+"""How the range of a kernel is split among threads."""
 
 import os
 import subprocess
@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import nanogs
-import nanogs.spread as spread_module
 from builders import random_splats
-from nanogs.spread import Spread, each
+from nanogs import parallel
+from nanogs.parallel import ParallelKernel, for_each
 from nanogs.threads import most_threads, use_threads
 
 
@@ -25,21 +25,21 @@ def add_one(start, stop, scale, values):
     values[start:stop] += scale
 
 
-def spread(function, least=1, each=8, over="values"):
-    return Spread(function, function, over, least, each)
+def split(function, least=1, each=8, over="values"):
+    return ParallelKernel(function, function, over, least, each)
 
 
 @given(st.integers(0, 300), st.integers(1, 400), st.integers(1, 20), st.booleans())
 def test_every_number_is_in_one_range(count, least, each, alone):
     values = np.zeros(count)
     with use_threads(1 if alone else None):
-        spread(add_one, least, each)(2.0, values)
+        split(add_one, least, each)(2.0, values)
     assert (values == 2.0).all()
 
 
 def test_ranges_are_as_many_as_asked_for_and_even():
     ranges = []
-    run = spread(lambda start, stop, values: ranges.append((start, stop)), 10, 3)
+    run = split(lambda start, stop, values: ranges.append((start, stop)), 10, 3)
     with use_threads(1):
         run(range(100))
         assert ranges == [(0, 33), (33, 66), (66, 100)]
@@ -60,7 +60,7 @@ def test_all_threads_take_part_and_no_more_than_asked_for():
             met.wait()
 
     with use_threads(2):
-        spread(meet)(range(100))
+        split(meet)(range(100))
     assert len(seen) == 16
     assert len(set(seen)) == 2
 
@@ -72,11 +72,11 @@ def test_what_fails_in_any_thread_reaches_the_caller(threads):
             raise ZeroDivisionError
 
     with use_threads(threads), pytest.raises(ZeroDivisionError):
-        spread(fail)(range(100))
+        split(fail)(range(100))
 
 
 def test_it_keeps_what_the_kernel_says_of_itself():
-    run = spread(add_one)
+    run = split(add_one)
     assert run.__doc__ == "Add to some values."
     assert run.signatures == []
 
@@ -84,12 +84,12 @@ def test_it_keeps_what_the_kernel_says_of_itself():
 FORK = """
 import os
 import numpy as np
-from nanogs.spread import Spread, each
+from nanogs.parallel import ParallelKernel, for_each
 
 def add_one(start, stop, values):
     values[start:stop] += 1
 
-run = Spread(add_one, add_one, "values", 1, 8)
+run = ParallelKernel(add_one, add_one, "values", 1, 8)
 run(np.zeros(100))  # starts threads, which the child does not have
 child = os.fork()
 values = np.zeros(100)
@@ -139,7 +139,7 @@ def test_parts_are_taken_once_by_all_threads():
             met.wait()
 
     with use_threads(2):
-        each(range(50), work)
+        for_each(range(50), work)
     assert sorted(part for part, _ in seen) == list(range(50))
     assert len({thread for _, thread in seen}) == 2
 
@@ -151,7 +151,7 @@ def test_a_part_that_fails_reaches_the_caller(threads):
             raise ZeroDivisionError
 
     with use_threads(threads), pytest.raises(ZeroDivisionError):
-        each(range(20), fail)
+        for_each(range(20), fail)
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
@@ -169,7 +169,7 @@ def test_after_a_failure_nothing_begins_and_nobody_works_on(fails):
         done.append(part)
 
     with use_threads(2), pytest.raises(ZeroDivisionError):
-        each(range(50), work)
+        for_each(range(50), work)
     assert len(done) == 1  # what had begun; nothing follows
     time.sleep(0.1)
     assert len(done) == 1
@@ -187,7 +187,7 @@ def test_an_interrupt_does_not_wait_for_parts_that_nobody_has_begun():
 
     started = time.perf_counter()
     with use_threads(2), pytest.raises(KeyboardInterrupt):
-        each(range(200), work)
+        for_each(range(200), work)
     assert len(begun) < 100
     assert time.perf_counter() - started < 4
 
@@ -196,7 +196,7 @@ def test_an_interrupt_does_not_wait_for_parts_that_nobody_has_begun():
 SIGNALLED = """
 import signal, threading, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from nanogs.spread import each
+from nanogs.parallel import for_each
 from nanogs.threads import use_threads
 
 begun, sent = [], []
@@ -211,7 +211,7 @@ def work(part):
 
 with use_threads(2):
     try:
-        each(range(200), work)
+        for_each(range(200), work)
     except KeyboardInterrupt:
         print("interrupted after", len(begun))
 """
@@ -228,7 +228,7 @@ def test_a_signal_does_not_wait_for_parts_that_nobody_has_begun():
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
 def test_an_interrupt_while_others_are_asked_leaves_nobody_at_work(monkeypatch):
-    pool = spread_module._pool()
+    pool = parallel._pool()
     begun = []
 
     class Interrupted:
@@ -237,9 +237,9 @@ def test_an_interrupt_while_others_are_asked_leaves_nobody_at_work(monkeypatch):
             time.sleep(0.1)  # time enough to begin
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(spread_module, "_pool", Interrupted)
+    monkeypatch.setattr(parallel, "_pool", Interrupted)
     with use_threads(2), pytest.raises(KeyboardInterrupt):
-        each(range(20), begun.append)
+        for_each(range(20), begun.append)
     time.sleep(0.1)
     assert begun == []
 
@@ -255,11 +255,11 @@ def test_work_within_work_of_the_pool_stays_on_its_thread():
             alone.append(here is threading.main_thread() or threading.current_thread() is here)
             time.sleep(0.001)
 
-        each(range(3), inner)
+        for_each(range(3), inner)
 
     found, alone = [], []
     with use_threads(None):
-        each(range(20), outer)
+        for_each(range(20), outer)
     assert sorted(found) == [(a, b) for a in range(20) for b in range(3)]
     assert all(alone)
 
@@ -267,12 +267,12 @@ def test_work_within_work_of_the_pool_stays_on_its_thread():
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
 def test_what_nobody_began_holds_no_arrays():
     ended = threading.Event()
-    busy = [spread_module._pool().submit(ended.wait) for _ in range(most_threads())]
+    busy = [parallel._pool().submit(ended.wait) for _ in range(most_threads())]
     values = np.zeros(8)
     held = weakref.ref(values)
     try:
         with use_threads(2):
-            spread(add_one)(1.0, values)
+            split(add_one)(1.0, values)
         assert (values == 1).all()
         del values
         assert held() is None

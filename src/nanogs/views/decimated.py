@@ -12,7 +12,7 @@ LIMIT = 600_000  # most splats of a stand-in
 AFAR = 200_000  # the same for roaming views that only find hidden splats, and measure nothing
 
 
-def stand_in(model: Splats | Source, limit: int | None = None) -> Splats:
+def decimated(model: Splats | Source, limit: int | None = None) -> Splats:
     """Return a model without higher harmonics, reduced to every n-th row if it exceeds a limit.
 
     The scales are multiplied by the square root of n, so that the rows cover as much as all did.

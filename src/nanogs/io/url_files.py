@@ -16,8 +16,8 @@ from nanogs.io.collect import FILES
 from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 from nanogs.io.registry import sniff
 from nanogs.io.transfer import check_absent, fetch, upload
-from nanogs.io.urls import Address, StandIn
-from nanogs.progress import Parts, untold
+from nanogs.io.urls import Address, UrlFile
+from nanogs.progress import Parts, ignore_progress
 
 TransferProgress = Callable[[str], AbstractContextManager[Parts]]
 """Begins "fetch" or "send"; what the block gets is told the bytes."""
@@ -28,7 +28,7 @@ _MANIFESTS = (registry.LEVELS, registry.TILESET, FILES, ".lcc")
 
 def no_transfer_progress(_stage: str) -> AbstractContextManager[Parts]:
     """Report no progress: a `TransferProgress` for callers without a progress display."""
-    return nullcontext(untold)
+    return nullcontext(ignore_progress)
 
 
 @contextmanager
@@ -136,7 +136,7 @@ def detect_suffix(raw: Path, called: str, format: str | None, remedy: str) -> st
     suffix = registry.suffix_of(format) if format else sniff(raw)
     if suffix is None:
         with raw.open("rb") as file:
-            refuse_stand_in(StandIn(raw, called), file.read(HEAD_BYTES))
+            refuse_stand_in(UrlFile(raw, called), file.read(HEAD_BYTES))
         raise OptionError(f"The first bytes of {called} are of no format that says so; {remedy}.")
     return suffix
 
@@ -153,8 +153,8 @@ def _own(folder: Path, address: Address, places: dict[str, str]) -> Path:
     return own
 
 
-def _stand_in(path: Path, address: Address) -> StandIn:
-    return StandIn(path, str(address))
+def _stand_in(path: Path, address: Address) -> UrlFile:
+    return UrlFile(path, str(address))
 
 
 def _fetched(

@@ -12,7 +12,7 @@ from nanogs.source import Layout, Source
 from nanogs.splats import ExtraElement, Splats
 
 
-class Around(FileSource):
+class SourceWrapper(FileSource):
     """Base class of the wrappers: forwards everything to the wrapped `FileSource`.
 
     Args:
@@ -84,7 +84,7 @@ class Around(FileSource):
         self.file.close()
 
 
-class Downloaded(Around):
+class Downloaded(SourceWrapper):
     """The source of a downloaded file, which is removed on close or garbage collection.
 
     Args:
@@ -104,6 +104,6 @@ class Downloaded(Around):
 
 def file_of(source: Source) -> Source:
     """Return the innermost wrapped file; other sources are returned unchanged."""
-    while isinstance(source, Around):
+    while isinstance(source, SourceWrapper):
         source = source.file
     return source

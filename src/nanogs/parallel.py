@@ -23,7 +23,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-class Spread(Generic[P]):
+class ParallelKernel(Generic[P]):
     """A compiled kernel `f(start, stop, *args)` that is called as `f(*args)`.
 
     The range is split, and the parts are run on the thread pool.
@@ -35,12 +35,12 @@ class Spread(Generic[P]):
         compiled: Callable[..., None],
         over: str,
         least: int,
-        each: int,
+        for_each: int,
     ) -> None:
         """Wrap a compiled kernel; see `policy.parallel_kernel` for the arguments."""
         self._compiled = compiled
         self._place = list(inspect.signature(function).parameters).index(over) - 2
-        self._least, self._each = least, each
+        self._least, self._each = least, for_each
         self.__doc__ = function.__doc__
 
     @property
@@ -63,7 +63,7 @@ class Spread(Generic[P]):
         self._compiled(0, len(args[self._place]), *args)  # type: ignore[arg-type]
 
 
-def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
+def for_each(parts: Iterable[T], work: Callable[[T], None]) -> None:
     """Call a function for each part, in any order, on all threads.
 
     This is for NumPy, which releases the GIL.
@@ -75,19 +75,19 @@ def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
     _on(_threads(), list(parts), work)
 
 
-def results(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
-    """Call a function for each part as `each` does, and return the results in order."""
+def map_ordered(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
+    """Call a function for each part as `for_each` does, and return the results in order."""
     every = list(parts)
     found: dict[int, R] = {}
 
     def keep(number: int) -> None:
         found[number] = work(every[number])
 
-    each(range(len(every)), keep)
+    for_each(range(len(every)), keep)
     return [found[number] for number in range(len(every))]
 
 
-def asked(pool: "Executor", work: Callable[..., R], *args: object) -> "Future[R] | None":
+def try_submit(pool: "Executor", work: Callable[..., R], *args: object) -> "Future[R] | None":
     """Submit work to a pool; None if the pool is shut down, and the caller must do the work itself.
 
     Python shuts down all pools when the main thread ends, while other threads may still work.
@@ -148,7 +148,7 @@ def _on(threads: int, parts: Sequence[T], work: Callable[[T], None]) -> None:
     try:
         # If submitting fails, threads that had started already would not be waited for.
         with shared.closed():
-            called = (asked(_pool(), shared.work_on) for _ in range(more))
+            called = (try_submit(_pool(), shared.work_on) for _ in range(more))
             others = [other for other in called if other is not None]
         shared.work_on()
         failures = _ended(others)

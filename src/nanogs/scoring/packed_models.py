@@ -10,7 +10,7 @@ from nanogs.io.parts import FileSource
 from nanogs.progress import Stage, Tracker
 from nanogs.scoring.packing import (
     Packing,
-    is_packed_so,
+    has_format,
     notes_on,
     refuse_too_large_to_pack,
     write_packed,
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 S = TypeVar("S", bound=Splats | Source)
 
 
-def packed_beside(
+def write_packed_files(
     models: Sequence[tuple[str, S]],
     packing: Packing,
     stack: ExitStack,
@@ -57,7 +57,7 @@ def packed_beside(
     for place, (name, source) in enumerate(models):
         found.append((name, source, ""))
         for suffix, options in packing.items():
-            if is_packed_so(source, suffix):
+            if has_format(source, suffix):
                 continue
             told = progress.within(done, files, [Stage("write", 1.0)]).passing()
             path = folder / f"{place}"
@@ -69,17 +69,17 @@ def packed_beside(
 
 
 def files_of(models: Sequence[Splats | Source], packing: Packing) -> int:
-    """Count the files that `packed_beside` writes."""
-    return sum(not is_packed_so(source, suffix) for source in models for suffix in packing)
+    """Count the files that `write_packed_files` writes."""
+    return sum(not has_format(source, suffix) for source in models for suffix in packing)
 
 
-def notes_beside(
+def packing_notes(
     models: Sequence[tuple[str, Splats | Source]], packing: Packing
 ) -> tuple[str, ...]:
     """Return notes on models whose files are packed already, in one of the formats or another."""
     notes = []
     for name, source in models:
-        same = [suffix for suffix in packing if is_packed_so(source, suffix)]
+        same = [suffix for suffix in packing if has_format(source, suffix)]
         notes += [
             f"{name}: the file is packed as {suffix} already and is not packed so again; compare it"
             " with the model that it was made of to see what that cost."
@@ -106,7 +106,7 @@ def named(name: str, source: Splats | Source, packed: str, whole: bool) -> "Name
     Args:
         name: Its name.
         source: The model.
-        packed: Suffix from `packed_beside`; empty for the model itself.
+        packed: Suffix from `write_packed_files`; empty for the model itself.
         whole: Load it now; otherwise it is read some rows at a time.
     """
     from nanogs.scoring.comparison import NamedModel
