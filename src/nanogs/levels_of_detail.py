@@ -184,14 +184,14 @@ def sink_of(
 
 
 def write_levels_of_files(
-    request: Request, sink: LevelsSink, told: Progress | None, sky: EnvironmentRequest = NOTHING
+    request: Request, sink: LevelsSink, on_step: Progress | None, sky: EnvironmentRequest = NOTHING
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Write the requested levels of files, in memory or in blocks.
 
     Args:
         request: The request.
         sink: Sink for the levels.
-        told: Called with each progress step.
+        on_step: Called with each progress step.
         sky: The requested environment.
 
     Raises:
@@ -205,19 +205,23 @@ def write_levels_of_files(
         unstated = (*unstated, *device_notes(request.device, CPU))
     if isinstance(sink, LevelsFolder) and sink.chunks is None:
         sink = replace(sink, format_options=options)
-    manifest, reports = _written(request, plan, sink, told, sky)
+    manifest, reports = _written(request, plan, sink, on_step, sky)
     return replace(manifest, notes=(*manifest.notes, *unstated)), reports
 
 
 def _written(
-    request: Request, plan: Plan, sink: LevelsSink, told: Progress | None, sky: EnvironmentRequest
+    request: Request,
+    plan: Plan,
+    sink: LevelsSink,
+    on_step: Progress | None,
+    sky: EnvironmentRequest,
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make and write the levels of files by a plan; the work of `write_levels_of_files`."""
     if plan.divided:
         request, left_out = fitted_for(request, plan.sh_degree, _file(sink))
         request, beside = sky.in_blocks(request)
         sink = _with(sink, beside)
-        written, made = fill_in_blocks(request, sink, told)
+        written, made = fill_in_blocks(request, sink, on_step)
         made = without_environment(made)
         manifest = describe_levels(sink.source, made, written)
         return replace(manifest, notes=(*manifest.notes, *left_out)), tuple(made)
@@ -225,7 +229,7 @@ def _written(
     sink.check()
     import_stages(request.parameters)
     stages = _stages(request, plan.splats, sink)
-    tracker = Tracker(told, [*reading_stages(request.edits, plan.splats), *stages])
+    tracker = Tracker(on_step, [*reading_stages(request.edits, plan.splats), *stages])
     with use_threads(request.threads):  # limits the threads of reading and writing too
         manifest, reports = _whole(
             request, read_changed(request.inputs, request.edits, tracker, StageClock()), sink,
@@ -245,7 +249,7 @@ def _whole(
     request: Request,
     prepared: Prepared,
     sink: LevelsSink,
-    told: Progress | None,
+    on_step: Progress | None,
     sky: EnvironmentRequest,
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make and write the levels of a model in memory."""
@@ -258,7 +262,7 @@ def _whole(
     elif not is_measured(request):
         whole = splats  # so that the splats of the environment are not held twice
     del prepared
-    tracker = Tracker(told, _stages(request, len(splats), sink))
+    tracker = Tracker(on_step, _stages(request, len(splats), sink))
     made = judged_levels(
         splats, request.ratios, judged=is_measured(request), preset=request.preset,
         sh_degree=request.sh_degree, cameras=cameras_of(request, splats), nan=request.nan,

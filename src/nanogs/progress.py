@@ -98,11 +98,11 @@ class Tracker:
     def passing(self) -> Progress:
         """Return a callback for a nested call whose stages are the next ones of this tracker."""
 
-        def told(step: Step) -> None:
+        def on_step(step: Step) -> None:
             self._enter(step.stage)
             self.part(step.done, step.parts)
 
-        return told
+        return on_step
 
     def aside(self, name: str) -> None:
         """Report something that is not a stage, such as a wait; the fraction is unchanged."""

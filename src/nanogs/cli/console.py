@@ -97,14 +97,14 @@ def show_report(report: Any, first: dict[str, str] | None = None) -> None:  # no
         report: The report.
         first: Lines to print before the report's.
     """
-    told = {
+    record = {
         field.name.replace("_", " "): value
         for field in fields(report)
         if (value := getattr(report, field.name)) and value != field.default
         if field.name != "notes"
     }
-    tables = {name: value for name, value in told.items() if _is_table(value)}
-    lines = {name: _text(value) for name, value in told.items() if name not in tables}
+    tables = {name: value for name, value in record.items() if _is_table(value)}
+    lines = {name: _text(value) for name, value in record.items() if name not in tables}
     show(err, key_value_table((first or {}) | lines))
     for name, entries in tables.items():
         err.print(f"{name}:", markup=False)

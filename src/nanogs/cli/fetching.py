@@ -39,11 +39,11 @@ def transfer_bar(*, quiet: bool) -> TransferProgress:
     return begun
 
 
-def within(told: Progress) -> TransferProgress:
+def within(on_step: Progress) -> TransferProgress:
     """Return a callback that reports transfers as stages of a run, at fraction 0 of the whole."""
 
     @contextmanager
     def begun(stage: str) -> Iterator[Parts]:
-        yield lambda done, parts: told(Step(stage, 1, 1, done, max(parts, 1), 0.0))
+        yield lambda done, parts: on_step(Step(stage, 1, 1, done, max(parts, 1), 0.0))
 
     return begun

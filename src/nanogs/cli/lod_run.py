@@ -63,14 +63,18 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
     if not method.hushed and (plan.divided or method.dry_run):
         for note in plan.notes():
             warn(note)
-    told: dict[str, Any] = {"input": plan.name, "output": str(output.path), "layout": output.layout}
+    record: dict[str, Any] = {
+        "input": plan.name,
+        "output": str(output.path),
+        "layout": output.layout,
+    }
     if method.dry_run:
         wish, beside = wishes.sky.planned(wish, divided=plan.divided)
-        told["environment"] = beside and {"source": beside.source, "count": beside.count}
+        record["environment"] = beside and {"source": beside.source, "count": beside.count}
         shown = replace(plan, wish=wish).shown()
         counts = [target_count(shown.info.splats, ratio, None) for ratio in wish.ratios]
         asked = [{"ratio": r, "count": c} for r, c in zip(wish.ratios, counts, strict=True)]
-        return Run(shown, told | {"levels": asked})
+        return Run(shown, record | {"levels": asked})
     start = time.perf_counter()
     manifest, reports = execute(
         plan, lambda wish: write_levels_of_files(wish, sink, progress, wishes.sky)
@@ -79,7 +83,7 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
         manifest = replace(manifest, notes=(*plan.notes(), *manifest.notes))
     first, seconds = reports[0], time.perf_counter() - start
     made = {"reports": reports, "filters": first.filters, "total_seconds": seconds}
-    return Run(manifest, told | made | {"dropped_nonfinite": first.dropped_nonfinite})
+    return Run(manifest, record | made | {"dropped_nonfinite": first.dropped_nonfinite})
 
 
 def print_plan(run: Run) -> None:

@@ -42,8 +42,8 @@ class Run:
 
     def to_dict(self) -> dict[str, Any]:
         """Return report and added entries, for JSON."""
-        told: dict[str, Any] = self.report.to_dict() | self.files
-        return told
+        record: dict[str, Any] = self.report.to_dict() | self.files
+        return record
 
     def named(self, pair: Pair) -> "Run":
         """Return the run with "stdin" and "stdout" instead of their temporary files."""
@@ -131,8 +131,8 @@ def run_all(
             streams.check(pair)
         made = _make(out_dir) if writes else []
         with cleaned_up(partial(_remove_empty, made)), shown(quiet=telling.hushed) as watch:
-            told = None if telling.hushed else show
-            runs, failed = _run_several(pairs, run_one, told, watch, streams)
+            show_each = None if telling.hushed else show
+            runs, failed = _run_several(pairs, run_one, show_each, watch, streams)
     if telling.json:
         each = [run.to_dict() for run in runs]
         data = each[0] if out_dir is None else {"files": each, "failed": failed}
@@ -159,10 +159,10 @@ def _run_several(
     for number, pair in enumerate(pairs, 1):
         name = str(pair.source)
         try:
-            told = watch.of_file(number, len(pairs))
-            with notes_about(name), streams.local_copies(pair, within(told)) as near:
+            on_step = watch.of_file(number, len(pairs))
+            with notes_about(name), streams.local_copies(pair, within(on_step)) as near:
                 registry.reader(near.source)  # raises first of all if it is not a model
-                runs.append(run_one(near, told))
+                runs.append(run_one(near, on_step))
                 if show:
                     show(runs[-1])
         except Exception as error:

@@ -64,11 +64,11 @@ class Watch:
         if files == 1:
             return self
 
-        def told(step: Step) -> None:
+        def on_step(step: Step) -> None:
             self.file = f"file {number} of {files}"
             self(replace(step, fraction=(number - 1 + step.fraction) / files))
 
-        return told
+        return on_step
 
     def note_compiling(self, begun: bool) -> None:
         """Record that compiling has begun or ended."""

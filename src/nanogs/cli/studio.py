@@ -64,7 +64,7 @@ def studio(
         threads=threads, max_memory=max_memory, device=device,
     )  # fmt: skip
     serving = Studio(scene_of(model), manner, folder=Path.cwd(), port=port, idle=idle)
-    told = {"url": serving.url, "input": str(model), "folder": str(Path.cwd())}
-    telling.tell(told, partial(say, f"{model}: {serving.url} (Ctrl-C ends it)"))
+    record = {"url": serving.url, "input": str(model), "folder": str(Path.cwd())}
+    telling.tell(record, partial(say, f"{model}: {serving.url} (Ctrl-C ends it)"))
     show_page(serving.url, "the address", open_page, quiet=telling.json)
     serving.run()

@@ -65,8 +65,8 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
     passes: list[PassReport] = []
     stop = StopReason.TARGET
     while len(nodes) > 1:
-        told = partial(_tell_within, tell, count, len(nodes))
-        plan, increments, report = _one_pass(nodes, parameters, threads, told)
+        on_share = partial(_tell_within, tell, count, len(nodes))
+        plan, increments, report = _one_pass(nodes, parameters, threads, on_share)
         if len(plan) == 0:
             stop = report.stop
             passes.append(report)
@@ -78,7 +78,7 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
             made += len(plan)
             del plan  # frees memory for the next nodes
             # Features of pairs of splats, half a model, are not stored but averaged when needed.
-            told(0.9)
+            on_share(0.9)
             nodes = (gather_groups if passes else gather_pairs)(nodes, starts, members)
         passes.append(replace(report, seconds=report.seconds | clock.seconds))
     children, levels, errors = _joined(parts)
@@ -110,19 +110,19 @@ def _tell_within(tell: Parts, splats: int, nodes: int, share: float) -> None:
 
 
 def _one_pass(
-    nodes: Nodes, parameters: ForestParameters, threads: int, told: Callable[[float], None]
+    nodes: Nodes, parameters: ForestParameters, threads: int, on_share: Callable[[float], None]
 ) -> tuple[MergePlan, F32, PassReport]:
     """Run graph, cost and match; return the plan, its pairs' increments, and the pass's report."""
     count, clock = len(nodes), StageClock()
-    told(0)
+    on_share(0)
     with clock.time("graph"):
         pairs = neighbour_pairs(nodes.means, parameters.k, threads)
-    told(0.5)
+    on_share(0.5)
     with clock.time("cost"):
         dets = np.empty(count)
         log_determinants(nodes.covariances, dets)
         costs = _costs(pairs, nodes, dets, parameters)
-    told(0.65)
+    on_share(0.65)
     with clock.time("match"):
         plan = match(pairs, costs, count, count // 2)
         chosen = _increments(merge_increments, plan.pairs, nodes, dets)

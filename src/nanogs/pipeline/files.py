@@ -166,12 +166,12 @@ def simplify_blocks(
         return simplify_files(real, tell)
 
 
-def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
+def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport:
     """Carry out a request whose paths are local files, in memory or in blocks.
 
     Args:
         request: All arguments of the call.
-        told: Progress callback, called with each step.
+        on_step: Progress callback, called with each step.
 
     Raises:
         NanogsError: The request cannot be carried out.
@@ -185,7 +185,7 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     if plan.divided:
         request.refuse_device_in_blocks()
         notes = (*notes, *device_notes(request.device, CPU))
-    report = _in_blocks(request, told) if plan.divided else _in_memory(request, plan, told)
+    report = _in_blocks(request, on_step) if plan.divided else _in_memory(request, plan, on_step)
     return replace(report, notes=(*report.notes, *notes))
 
 
@@ -228,10 +228,10 @@ def stated_frame(request: Request, output: Path) -> tuple["FormatOptions | None"
         return keep_stated_frame(output, request.format_options, files)
 
 
-def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
+def _in_blocks(request: Request, on_step: Progress | None) -> SimplifyReport:
     """Simplify and write, block by block."""
     sink = OneFile(request.output, request.overwrite, request.format_options)
-    [written], [report] = fill_in_blocks(request, sink, told)
+    [written], [report] = fill_in_blocks(request, sink, on_step)
     report = replace(report, notes=(*report.notes, *written.losses))
     if request.goal.size is not None:
         notes = (*report.notes, *_size_notes(request, report))
@@ -255,7 +255,7 @@ def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
     return notes_on_known(size, count, available, lambda n: sizer(like, n))
 
 
-def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
+def _in_memory(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:
     """Read, simplify and write; the report has the seconds of the whole call."""
     start = time.perf_counter()
     request.continues_job()
@@ -264,14 +264,14 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
     )
     import_stages(request.parameters)
     with use_threads(request.threads):  # limits reading and writing, too
-        report = _from_file_to_file(request, plan, told)
+        report = _from_file_to_file(request, plan, on_step)
     return replace(report, total_seconds=time.perf_counter() - start)
 
 
-def _from_file_to_file(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
+def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:
     clock, goal = StageClock(), request.goal
     output, options = request.output, request.format_options
-    tracker = Tracker(told, _stages(request, plan))
+    tracker = Tracker(on_step, _stages(request, plan))
     splats, filtered, notes = read_changed(request.inputs, request.edits, tracker, clock)
     small, report = simplify(
         splats, ratio=goal.ratio, count=goal.count, size=goal.size, psnr=goal.psnr,

@@ -157,8 +157,8 @@ class Grown:
             views = self._views(tracker.part)
             tracker.begin("encode")
             if registry.writable(path).readable:
-                told = tracker.passing()
-                stored, size = round_trip_with_size(splats, path, format_options, progress=told)
+                on_part = tracker.passing()
+                stored, size = round_trip_with_size(splats, path, format_options, progress=on_part)
             else:
                 stored, size = splats, encoded_bytes(splats, path, format_options)
             tracker.begin("score")

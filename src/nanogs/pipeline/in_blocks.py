@@ -46,14 +46,14 @@ if TYPE_CHECKING:
 
 
 def fill_in_blocks(
-    request: "Request", sink: Sink, told: Progress | None
+    request: "Request", sink: Sink, on_step: Progress | None
 ) -> tuple[list[Written], list[SimplifyReport]]:
     """Simplify files block by block, and write the results to a sink.
 
     Args:
         request: All arguments of the call.
         sink: Destination of the results.
-        told: Progress callback, called with each step.
+        on_step: Progress callback, called with each step.
 
     Returns:
         A description of each written result, and the report of each.
@@ -96,7 +96,7 @@ def fill_in_blocks(
     job = BlockJob(settings, folder, request.scratch, ending, search)
     where = Execution(request.threads, request.executor, request.patience)
     try:
-        made = job.run(where, clock, told, resume=request.resume)
+        made = job.run(where, clock, on_step, resume=request.resume)
     except CrowdedError as error:
         limit = "block" if request.block else "max_memory"
         raise CrowdedError(f"{error}; raise `{limit}`.") from None

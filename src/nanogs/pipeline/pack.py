@@ -148,7 +148,7 @@ class Packer(Generic[T]):
         return slope_of(choices, *map(shown, CUTS))
 
     def _attempt(self, packing: Packing, count: int, look: MeasureFiles) -> list[PackingReport]:
-        """Make a result of `count` splats and measure files of it; see `packing.Try`."""
+        """Make a result of `count` splats and measure files of it; see `packing.MakeAndMeasure`."""
         count = self.within(count)
         some = self.made(packing)
         brief = some.brief()

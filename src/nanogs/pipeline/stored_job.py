@@ -94,14 +94,14 @@ class BlockJob:
     search: Search | None = None
 
     def run(
-        self, where: Execution, clock: StageClock, told: Progress | None, *, resume: bool
+        self, where: Execution, clock: StageClock, on_step: Progress | None, *, resume: bool
     ) -> tuple[Done, list[Written]]:
         """Do what is left of the job.
 
         Args:
             where: The workers that do its tasks.
             clock: Gets the seconds of each stage.
-            told: Called with each step, "wait" in place of a stage while a cluster has no worker.
+            on_step: Called with each step, "wait" in place of a stage while a cluster has no worker.
             resume: Whether a job that was begun is continued.
 
         Returns:
@@ -113,7 +113,7 @@ class BlockJob:
         stages = job_stages(self.settings)
         if self.ending.measured:
             stages.append(measure_stage(self.settings.splats))
-        progress = Tracker(told, stages)
+        progress = Tracker(on_step, stages)
         with locked(self.folder), _telling_of(self.folder):
             place = self._found(resume=resume)
             resumed = place is not None

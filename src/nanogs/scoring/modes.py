@@ -65,26 +65,26 @@ class ModeEvidence:
     @property
     def sentences(self) -> tuple[str, ...]:
         """A sentence for each number, the strongest evidence first."""
-        told = []
+        lines = []
         if self.photographs:
             plain, fine = (self.photographs[mode] for mode in MODES)
             better = "" if abs(plain - fine) < CLEAR else MODES[plain < fine].value
             values = f"{number_text(plain)} dB as default and {number_text(fine)} dB as mip"
-            told.append(f"{values} on {self.protocol.text}, {_verdict(better)}")
+            lines.append(f"{values} on {self.protocol.text}, {_verdict(better)}")
         many = "default" if self.faded >= MANY_FADED else ""
         few = "mip, or for training at more pixels" if self.thin <= FEW_THIN else ""
         fade = f"{self.faded:.1%} of the splats in sight would lose nine tenths of their opacity"
-        told.append(f"{fade} as mip, {_verdict(many)}")
-        told.append(
+        lines.append(f"{fade} as mip, {_verdict(many)}")
+        lines.append(
             f"{self.thin:.0%} of them are thinner than default widens them, {_verdict(few)}"
         )
         if self.leak is not None:
             leaks = "default" if self.leak >= LEAKING else ""
-            told.append(
+            lines.append(
                 f"{self.leak:.2%} of the light comes through opaque places as mip,"
                 f" {_verdict(leaks)}"
             )
-        return tuple(told)
+        return tuple(lines)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""

@@ -83,7 +83,7 @@ def automatic_cameras(
         habit: Without `up`, whether to search for it along the axes only, with (0, -1, 0) if
             nothing is clear, as for images to look at. If False, the model alone decides, in any
             direction, and cameras are placed all around it if nothing is clear: turning any model
-            then turns its cameras (see `stance.frame_from_model`).
+            then turns its cameras (see `up_frame.frame_from_model`).
         fov: Field of view along the longer side, in degrees; by default 50 around and 75 inside.
         split: `fit` and `test` give disjoint sets that cover the same ground.
 

@@ -117,7 +117,7 @@ def roaming_cameras(
         height: Height of the images, in pixels.
         fov: Field of view along the longer side, in degrees.
         up: (3,) up direction of the images in scene coordinates; by default the model's own (see
-            `stance.own_stance`).
+            `up_frame.frame_from_model`).
         split: Name that seeds the random numbers: other names give other cameras. "test" is
             reserved for measuring results, so nothing may be fitted to it.
         tell: Progress callback for the cameras found.

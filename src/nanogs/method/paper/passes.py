@@ -45,10 +45,10 @@ def merge_to_count(
         left = len(gaussians) - target
         limit = min(left, max(1, int(parameters.merge_cap * len(gaussians))))
 
-        def told(share: float, left: int = left, limit: int = limit) -> None:
+        def on_share(share: float, left: int = left, limit: int = limit) -> None:
             tell(wanted - left + share * limit, wanted)
 
-        gaussians, report = _one_pass(gaussians, limit, parameters, threads, told)
+        gaussians, report = _one_pass(gaussians, limit, parameters, threads, on_share)
         passes.append(report)
         if report.merged == 0:
             return Merged(gaussians, tuple(passes), report.stop)
@@ -60,28 +60,28 @@ def _one_pass(
     limit: int,
     parameters: PaperParameters,
     threads: int,
-    told: Callable[[float], None],
+    on_share: Callable[[float], None],
 ) -> tuple[Gaussians, PassReport]:
     """Run one pass: build the graph, score its pairs, match the cheapest and merge them.
 
-    `told` is called with the share of the pass that is done.
+    `on_share` is called with the share of the pass that is done.
     """
     count, clock = len(gaussians), StageClock()
-    told(0)
+    on_share(0)
     with clock.time("graph"):
         if parameters.graph == "random":
             pairs = random_pairs(count, parameters.k, parameters.seed)
         else:
             pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
-    told(0.3)
+    on_share(0.3)
     with clock.time("cost"):
         costs = pair_costs(gaussians, pairs, log_masses(gaussians), parameters)
-    told(0.75)
+    on_share(0.75)
     with clock.time("match"):
         plan = match(pairs, costs, count, limit)
     candidates = len(pairs)
     del pairs, costs  # masses are computed again below: memory peaks in the matching
-    told(0.9)
+    on_share(0.9)
     with clock.time("merge"):
         merged = merge(gaussians, plan, log_masses(gaussians))
     report = PassReport(
