@@ -101,7 +101,7 @@ class BlockJob:
         Args:
             where: The workers that do its tasks.
             clock: Gets the seconds of each stage.
-            on_step: Called with each step, "wait" in place of a stage while a cluster has no worker.
+            on_step: Called with each step; its stage is "wait" while a cluster has no worker.
             resume: Whether a job that was begun is continued.
 
         Returns:
