@@ -111,6 +111,14 @@ def test_rows_of_a_table_come_back_and_a_changed_byte_is_found(tmp_path):
     assert read_record(scratch, "t") is None
 
 
+def test_a_table_without_columns_has_no_rows(tmp_path):
+    scratch = FolderScratch(tmp_path)
+    with Table(scratch, write_table(scratch, "t", {}, {"fact": 1})) as table:
+        assert len(table) == 0
+    with Table(scratch, write_table(scratch, "u", {"n": np.arange(7)}, {})) as table:
+        assert len(table) == 7
+
+
 @pytest.mark.parametrize("kind", ["", "file://"])
 def test_a_folder_around_goes_only_if_it_was_made(tmp_path, kind):
     if kind:

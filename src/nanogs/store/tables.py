@@ -191,7 +191,8 @@ class Table:
             file.close()
 
     def __len__(self) -> int:
-        return next(iter(self.record.columns.values())).shape[0]
+        """Number of rows; 0 for a table without columns."""
+        return next((column.shape[0] for column in self.record.columns.values()), 0)
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> Array:
         """Read rows of a column; all by default."""
