@@ -20,12 +20,11 @@ from measured import SCENES
 from nanogs.metrics import psnr
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, prepare, render
+from nanogs.scoring.scores import mean_psnr
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.roam import roaming_cameras
 from rivals import ROOT
-
-HIGHEST = 100.0  # dB; cap of a view's PSNR in means
 
 
 def cameras_of(splats: Splats) -> dict[str, list[Camera]]:
@@ -44,8 +43,7 @@ def scores(
     """Compute the mean PSNR on each kind of views, dB."""
     model = prepare(small)
     return [
-        float(np.mean([min(_psnr(original, model, camera), HIGHEST) for camera in each]))
-        for each in cameras.values()
+        mean_psnr([_psnr(original, model, camera) for camera in each]) for each in cameras.values()
     ]
 
 

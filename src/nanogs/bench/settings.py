@@ -6,13 +6,12 @@ from pathlib import Path
 
 from nanogs.bench.methods import all_methods, find_method, refuse_unsized
 from nanogs.bench.rows import ORIGINAL, Wish, size_name
+from nanogs.defaults import BENCH_RATIOS
 from nanogs.errors import OptionError
 from nanogs.io import registry
 from nanogs.io.retag import checked_mode
 from nanogs.protocol import Background
 from nanogs.views.cameras import FOUND
-
-RATIOS = (0.1, 0.01, 0.001)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +45,7 @@ class BenchSettings:
         OptionError: A value is out of range, or a name unknown or given twice.
     """
 
-    ratios: tuple[float, ...] = RATIOS
+    ratios: tuple[float, ...] = BENCH_RATIOS
     methods: tuple[str, ...] = field(default_factory=all_methods)
     externals: Mapping[str, str] = field(default_factory=dict)
     views: int | None = None

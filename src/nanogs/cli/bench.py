@@ -10,6 +10,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
+from nanogs.defaults import BENCH_RATIOS
 from nanogs.errors import OptionError
 from nanogs.protocol import PIXELS
 
@@ -55,7 +56,7 @@ def bench(
         typer.Option(
             help="Compaction ratios, with commas between.",
             metavar="RATIOS",
-            show_default="0.1,0.01,0.001",
+            show_default=",".join(map(str, BENCH_RATIOS)),
         ),
     ] = None,
     sizes_of_files: Annotated[
@@ -219,8 +220,9 @@ def _wishes(ratios: str | None, sizes: str | None, formats: str | None) -> dict[
     if sizes is None:
         if formats is not None:
             raise OptionError("--format is of --sizes-of-files; give sizes too, or leave it out.")
-        texts = "0.1,0.01,0.001" if ratios is None else ratios
-        return {"ratios": tuple(options.parse_ratio(text) for text in _list(texts))}
+        if ratios is None:
+            return {"ratios": BENCH_RATIOS}
+        return {"ratios": tuple(options.parse_ratio(text) for text in _list(ratios))}
     if ratios is not None:
         raise OptionError("Give --ratios or --sizes-of-files, not both.")
     if not _list(sizes):

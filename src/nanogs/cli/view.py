@@ -70,7 +70,7 @@ def view(
     from nanogs.cli.console import say
     from nanogs.cli.fetching import fetched
     from nanogs.cli.progress import shown
-    from nanogs.cli.wording import with_options
+    from nanogs.cli.wording import with_options as options_in
     from nanogs.io.atomic import check_writable
     from nanogs.scoring.viewing import page_path, view_files
     from nanogs.view.bundle import check_built
@@ -101,9 +101,7 @@ def view(
             background=color, psnr=psnr, level=level, render_mode=render_mode,
             overwrite=run.overwrite, progress=progress, max_memory=run.max_memory,
         )  # fmt: skip
-    notes = [
-        f"{model.name}: {with_options(note)}" for model in report.models for note in model.notes
-    ]
+    notes = [f"{model.name}: {options_in(note)}" for model in report.models for note in model.notes]
     measured = "" if report.judged is None else f"; {report.judged.text}"
     said = f"{page}: {bytes_text(report.output_bytes)}{measured}"
     run.tell(report.to_dict(), partial(say, said), notes)

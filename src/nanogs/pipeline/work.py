@@ -405,6 +405,6 @@ class Work(Scene):
 
     def _handed_to(self, block: int, level: int) -> list[tuple[Record, int, int]]:
         """Return the rows that other blocks hand over to a block, as (record, start, stop)."""
-        settled = self.of_blocks("settle", level)
-        places = [(record, record.facts["handed"].get(str(block))) for record in settled]
+        records = self.of_blocks("settle", level)
+        places = [(record, record.facts["handed"].get(str(block))) for record in records]
         return [(record, *place) for record, place in places if place]

@@ -113,14 +113,15 @@ class StreamLevels:
         """
         camera, chunks = view.camera, self.chunks
         choice = chosen_levels(chunk_distances(chunks.boxes, camera), chunks.counts, budget)
-        rows, counts = self.drawn(choice), np.bincount(choice[choice != NOTHING], minlength=0)
+        levels = chunks.counts.shape[1]
+        rows, counts = self.drawn(choice), np.bincount(choice[choice != NOTHING], minlength=levels)
         shown = np.flatnonzero(counts).tolist()
         image, shares = self._picture(rows, camera, background, shown)
         marks = psnr(view.image, image), ssim(view.image, image)
-        listed = tuple(counts.tolist()) + (0,) * (chunks.counts.shape[1] - len(counts))
         own = MixedView(
-            camera.name, listed, int(np.count_nonzero(rows)), *marks, None, *marks, 0.0, 0.0, 0.0
-        )
+            camera.name, tuple(counts.tolist()), int(np.count_nonzero(rows)), *marks, None, *marks,
+            0.0, 0.0, 0.0,
+        )  # fmt: skip
         if not shown:
             return own
         alone = {level: self._alone(level, camera, background) for level in shown[1:]}

@@ -159,7 +159,7 @@ def read_header(path: Path) -> Header:
         _check_columns(chunks[-1], section, degree, tree=tree, codes=bool(codes), first=base == 0)
         base += chunks[-1].count
     if base != count:
-        raise _damaged(where, f"its chunks hold {base:,} of {count:,} rows")
+        raise damaged(where, f"its chunks hold {base:,} of {count:,} rows")
     return Header(path, files, size, count, degree, tree, codes, comment, tuple(chunks))
 
 
@@ -173,7 +173,7 @@ def _description(section: Section, magic: bytes, limit: int) -> tuple[dict[str, 
                 raise _no_start(where, start, magic)
             length = START.unpack(start)[1]
             if length > min(limit, section.size - START.size):
-                raise _damaged(where, f"a description of {length:,} bytes")
+                raise damaged(where, f"a description of {length:,} bytes")
             data = parse(file.read(length), where)
     except OSError as error:
         raise unreadable(section.path, error) from error
@@ -182,7 +182,7 @@ def _description(section: Section, magic: bytes, limit: int) -> tuple[dict[str, 
 
 def _no_start(where: str, start: bytes, magic: bytes) -> FormatError:
     if magic == CHUNK_MAGIC:
-        return _damaged(where, "no chunk lies where one should")
+        return damaged(where, "no chunk lies where one should")
     if start[:4] == CHUNK_MAGIC:
         return FormatError(f"{where} is one chunk of a .rad model; name the .rad file itself.")
     return FormatError(
@@ -211,7 +211,7 @@ def _sections(whole: Section, end: int, entries: Sequence[object]) -> list[Secti
         size = integer(given.get("bytes"), f"{where}, bytes", START.size, whole.size)
         start = end + integer(given.get("offset"), f"{where}, offset", 0, whole.size)
         if start < at or start + size > whole.size:
-            raise _damaged(where, "it lies outside of the file or in another chunk")
+            raise damaged(where, "it lies outside of the file or in another chunk")
         found.append(whole.part(start, size))
         at = start + size
     return found
@@ -223,7 +223,7 @@ def _chunk(section: Section, base: int, count: int, palette: bool) -> Chunk:
     data, end = _description(section, CHUNK_MAGIC, _MAX_CHUNK_JSON)
     _check_version(data, where)
     if integer(data.get("base"), f"{where}, base", 0, _MAX_ROWS) != base:
-        raise _damaged(where, f"a chunk does not begin with row {base:,}")
+        raise damaged(where, f"a chunk does not begin with row {base:,}")
     held = integer(data.get("count"), f"{where}, count of a chunk", 1, count - base or 1)
     with reading(section.path) as file:
         file.seek(section.start + end)
@@ -231,7 +231,7 @@ def _chunk(section: Section, base: int, count: int, palette: bool) -> Chunk:
     start = end + PAYLOAD.size
     size = PAYLOAD.unpack(told)[0] if len(told) == PAYLOAD.size else -1
     if not 0 <= size <= section.size - start or size != data.get("payloadBytes"):
-        raise _damaged(where, "a chunk is cut short, or states two sizes")
+        raise damaged(where, "a chunk is cut short, or states two sizes")
     payload = section.part(start, size)
     found: dict[str, Property] = {}
     at = 0
@@ -257,7 +257,7 @@ def _property(payload: Section, given: dict[str, Any], at: int) -> Property:
     size = integer(given.get("bytes"), f"{where}, bytes", 0, payload.size)
     start = integer(given.get("offset"), f"{where}, offset", 0, payload.size)
     if start < at or start + size > payload.size:
-        raise _damaged(where, "it lies outside of its chunk or in another property")
+        raise damaged(where, "it lies outside of its chunk or in another property")
     if (packing := given.get("compression")) not in (None, "gz"):
         raise refused(where, f"is packed as {str(packing)[:40]!r}, which nanogs does not read")
     if not isinstance(encoding, str):
@@ -280,9 +280,9 @@ def _check_columns(
         needed += [LABEL, *(CODES[:degree] if first else ())] if codes else BANDS[:degree]
     needed += [CHILD_COUNT, CHILD_START] if tree else ()
     if lacking := [name for name in needed if name not in chunk.properties]:
-        raise _damaged(str(section.path), f"a chunk lacks {' and '.join(lacking)}")
+        raise damaged(str(section.path), f"a chunk lacks {' and '.join(lacking)}")
     if spare := [name for name in chunk.properties if name not in needed]:
-        raise _damaged(
+        raise damaged(
             str(section.path), f"a chunk has {' and '.join(spare)}, of which nothing is said"
         )
 
@@ -292,5 +292,6 @@ def padded(size: int) -> int:
     return size + 7 & ~7
 
 
-def _damaged(where: str, what: str) -> FormatError:
+def damaged(where: object, what: str) -> FormatError:
+    """Build the error for a damaged file of a model."""
     return FormatError(f"{where} is damaged: {what}; export or download it again.")

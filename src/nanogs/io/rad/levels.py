@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import I32, I64
-from nanogs.errors import FormatError
-from nanogs.io.rad.header import CHILD_COUNT, CHILD_START, Header
+from nanogs.io.rad.header import CHILD_COUNT, CHILD_START, Header, damaged
 from nanogs.io.rad.values import components
 
 _MOST_LEVELS = 256  # Spark's trees of real scenes have some 20 to 40
@@ -53,7 +52,7 @@ def heights(header: Header) -> Heights:
     while len(rows := np.unique(parents[rows[rows > 0]])):
         level += 1
         if level > _MOST_LEVELS:
-            raise _damaged(header, f"its tree is more than {_MOST_LEVELS} levels high")
+            raise damaged(header.path, f"its tree is more than {_MOST_LEVELS} levels high")
         own[rows] = level
     above = own[parents]
     above[0] = own[0] + 1
@@ -77,13 +76,9 @@ def _parents(header: Header) -> I32:
     held, starts, counts = held[order], starts[order], counts[order]
     ends = 1 + np.cumsum(counts)
     if not np.array_equal(starts, ends - counts) or (ends[-1:] if len(ends) else 1) != header.count:
-        raise _damaged(header, "the rows of its tree have several parents, or none")
+        raise damaged(header.path, "the rows of its tree have several parents, or none")
     parents = np.zeros(header.count, np.int32)
     parents[1:] = np.repeat(held, counts)
     if (parents[1:] >= np.arange(1, header.count)).any():
-        raise _damaged(header, "a row of its tree comes before its parent")
+        raise damaged(header.path, "a row of its tree comes before its parent")
     return parents
-
-
-def _damaged(header: Header, what: str) -> FormatError:
-    return FormatError(f"{header.path} is damaged: {what}; export or download it again.")

@@ -21,7 +21,6 @@ from nanogs.io.rad.header import Property
 
 MOST_STEPS = 254  # steps of a logarithm in a byte, because byte 0 is a scale of zero
 _BYTE_SLACK = 1.5 / 255  # rounding of an alpha of 1 that is stored as a byte over 0 to 2
-_HALVES = ("f16", "f16_lebytes")
 _PLANES = ("f32_lebytes", "f16_lebytes")
 _DTYPES = {
     "f32": "<f4", "f32_lebytes": "<f4", "f16": "<f2", "f16_lebytes": "<f2", "ln_f16": "<f2",
