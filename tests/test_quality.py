@@ -49,6 +49,11 @@ def test_what_was_measured_is_taken_and_the_rest_is_measured(benchmarks, bench):
     assert both[1]["least_psnr"] < both[1]["psnr"]
 
 
+def test_packages_that_do_not_count_exist(benchmarks):
+    assert all((benchmarks.measured.PACKAGE / name).is_dir() for name in benchmarks.measured.APART)
+    assert "studio" in benchmarks.measured.APART
+
+
 def test_other_sources_are_measured_anew_and_kept_files_are_not(benchmarks, bench, monkeypatch):
     measure(benchmarks, bench, ("a", 0.1, "fast", "32"), ("a", 0.2, "fast", "32"))
     monkeypatch.setattr(benchmarks.measured, "digest_of_sources", lambda _apart: "other")
