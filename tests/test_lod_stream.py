@@ -412,8 +412,8 @@ def test_json_report_and_plan(scene, tmp_path):
     [
         ("out/levels.json", [], ["lod-meta.json or tileset.json", "out/levels/lod-meta.json"]),
         ("out/meta.json", [], ["lod-meta.json or tileset.json"]),
-        ("out", ["--chunk", "100"], ["chunks", "not divided"]),
-        ("out", ["--chunk-min", "100"], ["chunks", "not divided"]),
+        ("out", ["--chunk", "100"], ["chunks", ".ssog", "not divided"]),
+        ("out", ["--chunk-min", "100"], ["chunks", ".ssog", "not divided"]),
         ("out/lod-meta.json", ["--chunk-min", "20000"], ["20,000 to 32,768", "at most half"]),
         ("out/lod-meta.json", ["--chunk-min", "0"], ["at least 1", "0"]),
         ("out/lod-meta.json", ["--chunk", "0"], ["at least 1", "0"]),

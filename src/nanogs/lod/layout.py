@@ -136,8 +136,8 @@ def chunks_of(
     sized = chunk is not None or chunk_min is not None
     if sized and layout == Layout.FILES:
         raise OptionError(
-            "The size of chunks is for lod-meta.json and tileset.json; levels as files of their"
-            " own are not divided."
+            "The size of chunks is for lod-meta.json, .ssog and tileset.json; levels as files of"
+            " their own are not divided."
         )
     if sized and layout == Layout.TREE:
         raise OptionError("Chunks of a .rad file have 65,536 splats, as viewers want them.")
