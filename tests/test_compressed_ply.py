@@ -13,6 +13,7 @@ from builders import random_splats
 from conftest import scene_path
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
+from nanogs.io.ply import compressed_read
 from nanogs.io.ply import compressed_write as compressed_ply_write
 from nanogs.io.ply.compressed_write import morton_order
 from nanogs.io.ply.header import read_header
@@ -108,6 +109,15 @@ def test_extra_columns_and_elements_are_kept(load):
     model = load(("chunk", chunk()), ("vertex", extra), ("tag", [("id", "int", np.array([4]))]))
     assert model.extras["label"].tolist() == [9]
     assert model.elements[0].rows["id"].tolist() == [4]
+
+
+def test_further_elements_are_read_without_the_splats(load, tmp_path, monkeypatch):
+    extra = ("tag", [("id", "int", np.array([4, 5]))])
+    load(("chunk", chunk()), ("vertex", packed()), extra)
+    monkeypatch.setattr(compressed_read, "_decoded", None)
+    with io.open(tmp_path / "a.compressed.ply") as source:
+        [tag] = source.read_elements()
+    assert (tag.name, tag.rows["id"].tolist()) == ("tag", [4, 5])
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, Whole
 from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes
-from nanogs.io.ply.rows import iter_blocks, iter_span
+from nanogs.io.ply.rows import iter_blocks, iter_span, read_element
 from nanogs.io.rotations import whole_quats
 from nanogs.splats import ExtraElement, Splats, empty_arrays
 
@@ -74,7 +74,8 @@ class _Chunks(FileSource):
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
         """Read the further elements; see `Source.read_elements`."""
-        return tuple(self.load().elements) if self.elements else ()
+        others = [e for e in _kept(self._header) if e.name not in _OWN]
+        return tuple(ExtraElement(e.name, read_element(self._header, e)) for e in others)
 
     def load(self) -> Splats:
         """Read the whole model, in one pass over the file."""
@@ -99,6 +100,10 @@ class _Chunks(FileSource):
 
 class _Text(Whole, _Chunks):
     """A compressed file in ASCII encoding, which is loaded whole."""
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """Read the further elements; see `Source.read_elements`."""
+        return tuple(self.load().elements) if self.elements else ()
 
 
 def _splats(header: Header, rows: dict[str, Array], degree: int, skipped: int = 0) -> Splats:

@@ -19,7 +19,7 @@ from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, FileSource, Packed
 from nanogs.io.ply import compressed_read
 from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes, read_header
-from nanogs.io.ply.rows import Block, check_body, iter_blocks, iter_span
+from nanogs.io.ply.rows import Block, check_body, iter_blocks, iter_span, read_element
 from nanogs.io.texts import printable
 from nanogs.slices import slices
 from nanogs.splats import ExtraElement, Splats
@@ -93,13 +93,7 @@ class _Binary(_Ply):
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
         """Read the further elements; see `Source.read_elements`."""
-        found = []
-        for element in self._kept:
-            rows = np.empty(element.count, element.dtype())
-            for block in iter_span(self._header, element, 0, element.count):
-                rows[block.rows] = block.values
-            found.append(ExtraElement(element.name, rows))
-        return tuple(found)
+        return tuple(ExtraElement(e.name, read_element(self._header, e)) for e in self._kept)
 
 
 class _Text(_Ply, Packed):

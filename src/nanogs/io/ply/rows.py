@@ -80,6 +80,18 @@ def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterat
         yield Block(element, span, values)
 
 
+def read_element(header: Header, element: Element) -> Array:
+    """Read all rows of one element of a binary file; call `check_body` first.
+
+    Raises:
+        FormatError: The file cannot be read.
+    """
+    rows = np.empty(element.count, element.dtype())
+    for block in iter_span(header, element, 0, element.count):
+        rows[block.rows] = block.values
+    return rows
+
+
 def _check_keepable(path: Path, element: Element) -> None:
     if element.count == 0:
         return  # an element without rows is left out without loss
