@@ -55,6 +55,14 @@ def test_formats_that_are_not_written(tmp_path, name):
         io.check_writable(tmp_path / name)
 
 
+def test_a_format_that_is_given_counts_as_when_saving(tmp_path):
+    io.check_writable(tmp_path / "a.obj", format="ply")
+    io.check_writable(tmp_path / "a", format=".spz", format_options={"spz_version": 2})
+    for name, options in (("a.ply", {"format": "ksplat"}), ("a.ply", {"format": "obj"})):
+        with pytest.raises(OptionError, match=r"\.ply"):
+            io.check_writable(tmp_path / name, **options)
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [

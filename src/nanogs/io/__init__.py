@@ -35,6 +35,7 @@ __all__ = [
     "round_trip",
     "round_trip_with_size",
     "save",
+    "settled",
 ]
 
 
@@ -323,16 +324,23 @@ def check_writable(
     path: str | PathLike[str],
     *,
     overwrite: bool = False,
+    format: str | None = None,  # noqa: A002 - the name in `save`
     format_options: FormatOptions | None = None,
 ) -> None:
     """Fail before any computing if `save` could not write to `path`.
+
+    Args:
+        path: The file or its URL.
+        overwrite: As for `save`.
+        format: As for `save`.
+        format_options: As for `save`.
 
     Raises:
         OptionError: As for `save`.
         OutputError: As for `save`, except for a full disk.
     """
     path = place(path)
-    known = registry.writable(path)
+    known = registry.writable(as_named(path, format))
     registry.keywords(known, format_options or {})
     known.check()
     if isinstance(path, Address):
