@@ -15,7 +15,7 @@ from numba.core import sigutils
 
 import nanogs.kernels
 from nanogs import warming
-from nanogs.errors import NanogsError
+from nanogs.errors import NanogsError, OptionError
 from nanogs.kernels.cached import _Cache
 from nanogs.kernels.needed import needed
 from nanogs.parallel import ParallelKernel
@@ -128,6 +128,14 @@ def test_it_says_that_numba_is_told_to_compile_nothing():
     assert told.returncode == 2
     assert told.stderr.count("\n") == 1
     assert "unset it" in told.stderr
+
+
+@compiled_only
+@pytest.mark.parametrize("workers", [0, 1.5, "2", True])
+def test_processes_are_a_whole_number(workers):
+    words = f"workers must be a whole number, 1 or more, not {workers!r}"
+    with pytest.raises(OptionError, match=words):
+        warming.warm(workers=workers)
 
 
 def test_kernels_that_cannot_be_kept_are_not_compiled(tmp_path):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from nanogs.errors import NanogsError, OptionError
 from nanogs.progress import Progress, Stage, Tracker
+from nanogs.ranges import is_number
 from nanogs.threads import processors
 
 if TYPE_CHECKING:
@@ -41,7 +42,8 @@ def warm(workers: int | None = None, progress: Progress | None = None) -> Compil
         progress: Progress callback.
 
     Raises:
-        OptionError: Compilation by Numba is disabled, or `workers` is below 1.
+        OptionError: Compilation by Numba is disabled, or `workers` is no whole number or is below
+            1.
         NanogsError: The cache cannot be written.
     """
     from concurrent.futures import as_completed
@@ -54,8 +56,8 @@ def warm(workers: int | None = None, progress: Progress | None = None) -> Compil
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         raise OptionError("NUMBA_DISABLE_JIT is set, so that nothing is compiled; unset it.")
     count = processors() if workers is None else workers
-    if count < 1:
-        raise OptionError(f"workers must be 1 or more, not {count}.")
+    if not (is_number(count, whole=True) and count >= 1):
+        raise OptionError(f"workers must be a whole number, 1 or more, not {count!r}.")
     start, every = time.perf_counter(), needed()
     folders = tuple(sorted({one.folder for one in every}))
     tracker = Tracker(progress, [Stage("compile", 1.0)])
