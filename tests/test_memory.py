@@ -8,6 +8,7 @@ import pytest
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.memory import plan_memory
 from nanogs.pipeline.presets import parameters
+from nanogs.slices import SLICE_PAIRS
 
 COUNT = 300_000
 COLUMNS = 4 * 59  # bytes of a splat of SH degree 3
@@ -66,6 +67,21 @@ def test_with_five_million_splats_the_promise_holds_with_the_libraries():
     for preset in ("fast", "default"):
         planned = plan_memory(5_000_000, 3, 0, parameters(preset, {}), 500_000, judged=False)
         assert planned.peak + LIBRARIES <= MOST[preset] * 5_000_000 * COLUMNS
+
+
+@pytest.mark.parametrize("preset", ["fast", "paper"])
+def test_more_threads_than_most_machines_have_are_planned_for(preset, monkeypatch):
+    def cost():
+        return plan_memory(5_000_000, 3, 0, parameters(preset, {}), 500_000, judged=False).stages[
+            "cost"
+        ]
+
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    few = cost()
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "16")
+    assert cost() == few, "so that a model is divided alike on most machines"
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "64")
+    assert cost() - few >= 48 * SLICE_PAIRS * 8
 
 
 @pytest.fixture(scope="module")

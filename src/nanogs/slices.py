@@ -2,14 +2,24 @@
 
 from collections.abc import Iterator
 
+from nanogs.threads import most_threads
+
 SLICE = 1 << 13  # rows; few, because the allocator keeps the memory that each thread has freed
 # Rows for a few simple steps on few numbers each: long enough that threads do not wait for the GIL.
 SLICE_STEPS = 1 << 15
 SLICE_PAIRS = 1 << 15  # pairs; a kernel takes milliseconds for these
-PAIRS_IN_FLIGHT = 16 * SLICE_PAIRS  # pairs that 16 threads process at once, for planning memory
+_FEWEST_THREADS = 16  # so that plans are the same on all machines with at most so many
 
 
 def slices(count: int, size: int = SLICE) -> Iterator[slice]:
     """Iterate over consecutive slices of `size` rows."""
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
+
+
+def pairs_in_flight() -> int:
+    """Return the number of pairs that all threads process at once, for planning memory.
+
+    Fewer threads may be in use, but a plan, and with it the result, must not depend on that.
+    """
+    return max(most_threads(), _FEWEST_THREADS) * SLICE_PAIRS

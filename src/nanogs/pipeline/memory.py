@@ -11,7 +11,7 @@ from nanogs.io.format import Format
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
 from nanogs.pipeline.presets import Parameters
-from nanogs.slices import PAIRS_IN_FLIGHT
+from nanogs.slices import pairs_in_flight
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # a Gaussian; features are in the model
@@ -124,5 +124,5 @@ def _paper_stages(count: int, row: int, features: int, k: int, target: int) -> d
         "merge": max(_GEOMETRY + masses + lists + second, second + _LEFT * lists + third),
     }
     held = {stage: int(count * (_I4 + bytes_each)) for stage, bytes_each in splats.items()}
-    held["cost"] += min(int(count * pairs), PAIRS_IN_FLIGHT) * 2 * _I4
+    held["cost"] += min(int(count * pairs), pairs_in_flight()) * 2 * _I4
     return held | {"store": count * _I4 + target * (_GEOMETRY + features + row + 2 * _I8)}

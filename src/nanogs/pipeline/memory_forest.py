@@ -4,7 +4,7 @@ from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.weights import fit_parameters
 from nanogs.protocol import PIXELS, VIEWS
-from nanogs.slices import PAIRS_IN_FLIGHT
+from nanogs.slices import pairs_in_flight
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 # Bytes of a node, a merge, a pair or a splat, unless a comment says otherwise:
@@ -140,7 +140,7 @@ def _growing(count: int, features: int, k: int) -> dict[str, int]:
         h + x * lists + n for h, x, n in zip(held, left, nodes[1:], strict=False)
     )  # fmt: skip
     whole = {stage: int(count * most) for stage, most in stages.items()}
-    whole["cost"] += min(int(count * pairs_of(k)), PAIRS_IN_FLIGHT) * _BATCH
+    whole["cost"] += min(int(count * pairs_of(k)), pairs_in_flight()) * _BATCH
     return whole
 
 
