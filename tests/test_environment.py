@@ -176,6 +176,14 @@ def test_what_is_not_finite_counts_nowhere():
     assert keep[0]  # and is dropped with the others of its kind
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_centre_that_is_not_finite_stays_with_the_scene(value):
+    model = random_splats(3)
+    model.means[1, 2] = value
+    assert filters.within((0, 0, 0), 1e-6).keep(model).tolist() == [False, True, False]
+    assert filters.beyond((0, 0, 0), 1e-6).keep(model).tolist() == [True, False, True]
+
+
 # Writing it
 
 

@@ -285,21 +285,27 @@ def sphere(centre: Sequence[float], radius: float) -> Filter:
 
 
 def within(centre: Sequence[float], radius: float) -> Filter:
-    """Make the filter that removes the environment: all splats beyond a distance from a point."""
+    """Make the filter that removes the environment: all splats beyond a distance from a point.
+
+    Splats whose centre is not finite stay, so that they are dropped or refused with the model.
+    """
     middle = _point(centre)
     plain = ("within", (*middle.tolist(), float(radius)))
-    return Filter(
-        ENVIRONMENT, "", lambda splats: ~(distances(splats.means, middle) > radius), plain=plain
-    )
+    return Filter(ENVIRONMENT, "", lambda splats: ~_beyond(splats, middle, radius), plain=plain)
 
 
 def beyond(centre: Sequence[float], radius: float) -> Filter:
     """Make the filter that keeps only the environment: the splats that `within` removes."""
     middle = _point(centre)
     plain = ("beyond", (*middle.tolist(), float(radius)))
-    return Filter(
-        ENVIRONMENT, "", lambda splats: distances(splats.means, middle) > radius, plain=plain
-    )
+    return Filter(ENVIRONMENT, "", lambda splats: _beyond(splats, middle, radius), plain=plain)
+
+
+def _beyond(splats: Splats, middle: F64, radius: float) -> Bool:
+    """Return an (N,) bool mask of the splats beyond a distance; false if it is not finite."""
+    away = distances(splats.means, middle)
+    beyond: Bool = (away > radius) & np.isfinite(away)
+    return beyond
 
 
 def distances(means: F, middle: F64) -> F64:
