@@ -7,6 +7,7 @@ import pickle
 import pkgutil
 import subprocess
 import sys
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -460,6 +461,7 @@ def test_a_frame_from_and_to_which_are_two(pair, files, tmp_path, frame):
         ({"threads": True}, "threads must be a whole number, not True"),
         ({"max_memory": "much"}, "must be like 20MB"),
         ({"max_memory": 2.5}, "is a number of bytes or text"),
+        ({"progress": "yes"}, "`progress`, .* function or None, must be True or False, not 'yes'"),
     ],
 )
 def test_options_of_all_calls_are_refused_in_a_sentence(pair, files, tmp_path, options, message):
@@ -499,6 +501,40 @@ def test_options_of_jobs_are_refused_before_anything_is_written(files, tmp_path,
     with pytest.raises(OptionError, match=message):
         nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **given)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_switch_is_no_text_and_replaces_nothing(pair, files, tmp_path):
+    target = tmp_path / "a.ply"
+    target.write_text("mine")
+    given = {"overwrite": "no"}
+    for call in (
+        lambda: nanogs.save(pair[0], target, **given),
+        lambda: nanogs.io.check_writable(target, **given),
+        lambda: nanogs.convert(files[0], target, **given),
+    ):
+        with pytest.raises(OptionError, match="`overwrite` must be True or False, not 'no'"):
+            call()
+    for name, call in (
+        ("transparent", nanogs.render),
+        ("plain", partial(nanogs.write_levels, folder=tmp_path / "l", layout="3d tiles")),
+    ):
+        with pytest.raises(OptionError, match=f"`{name}` must be True or False, not 'no'"):
+            call(pair[0], **{name: "no"})
+    assert target.read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+    nanogs.save(pair[0], target, overwrite=np.bool_(True))
+    assert len(nanogs.load(target)) == len(pair[0])
+
+
+def test_progress_is_a_function_or_a_switch(pair, tmp_path):
+    for progress in ("yes", True):
+        with pytest.raises(OptionError, match="`progress` must be a function or None"):
+            nanogs.save(pair[0], tmp_path / "a.ply", progress=progress)
+    for call in (nanogs.render, nanogs.draw_cost):
+        with pytest.raises(OptionError, match="function or None, must be True or False"):
+            call(pair[0], progress="yes")
+    assert not list(tmp_path.iterdir())
+    assert nanogs.render(pair[0], views=1, pixels=16, progress=np.bool_(False))
 
 
 def test_switches_of_numpy_are_taken():

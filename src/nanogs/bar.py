@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 from nanogs.kernels.compiling import watching
 from nanogs.progress import Progress, Step
+from nanogs.ranges import as_switch
 
 
 @contextmanager
@@ -14,14 +15,18 @@ def show_progress(progress: Progress | bool | None) -> Iterator[Progress | None]
     Args:
         progress: The `progress` argument of the library's functions: True draws a bar, False and
             None nothing; a function is yielded unchanged.
+
+    Raises:
+        OptionError: It is none of these.
     """
-    if not isinstance(progress, bool):
+    if progress is None or callable(progress):
         yield progress
-    elif not progress:
+        return
+    if not as_switch("`progress`, unless it is a function or None,", progress):
         yield None
-    else:
-        with _bar() as told:
-            yield told
+        return
+    with _bar() as told:
+        yield told
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from nanogs.io.urls import place
 from nanogs.pipeline.weights import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
+from nanogs.ranges import as_switch
 from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
 from nanogs.splats import RenderMode, check_degree
 
@@ -113,6 +114,7 @@ def convert(
     frame = checked_frames(frame)
     check_degree(sh_degree)
     format_options = registry.add_target_frame(wanted, format_options, frame)
+    overwrite = as_switch("`overwrite`", overwrite)
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(wanted, **saving)
     with (

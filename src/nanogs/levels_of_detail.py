@@ -40,6 +40,7 @@ from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.place import Place
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
+from nanogs.ranges import as_switch
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import file_judge
 from nanogs.sink import Environment
@@ -127,6 +128,7 @@ def write_levels(
     }  # fmt: skip
     given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
     overrides = {key: given.pop(key) for key in given.keys() - _FIELDS}
+    plain = as_switch("`plain`", plain)
     request = Request(
         inputs=files, output=Path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
         chunks=chunks_of(layout, chunk, chunk_min, plain=plain, place=place), frame=frame,

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import NamedTuple, TypeVar
 
+from nanogs.errors import OptionError
+
 T = TypeVar("T")
 WAITING = "wait"  # reported in place of a stage while a cluster has no worker
 _ALMOST = 0.999  # largest fraction that is reported before the end
@@ -59,7 +61,12 @@ class Tracker:
         Args:
             tell: Callback for each step, or None.
             stages: All stages that may come, in their order.
+
+        Raises:
+            OptionError: The callback is not a function.
         """
+        if tell and not callable(tell):
+            raise OptionError(f"`progress` must be a function or None, not {tell!r}.")
         self._tell = tell or _ignore
         self._names = [stage.name for stage in stages] or [""]
         total = sum(stage.weight for stage in stages) or 1.0

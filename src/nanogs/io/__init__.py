@@ -20,6 +20,7 @@ from nanogs.io.url_files import check_sendable, local_copies
 from nanogs.io.urls import Address, place
 from nanogs.io.wrapper import Downloaded
 from nanogs.progress import Progress, Stage, Tracker
+from nanogs.ranges import as_switch
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats, refuse_other
 
@@ -178,6 +179,7 @@ def save(
     """
     if not isinstance(splats, Source):
         refuse_other(splats)
+    overwrite = as_switch("`overwrite`", overwrite)
     if not isinstance(path, str | PathLike):
         write_file(splats, path, format, format_options or {})
         return
@@ -339,7 +341,7 @@ def check_writable(
         OptionError: As for `save`.
         OutputError: As for `save`, except for a full disk.
     """
-    path = place(path)
+    path, overwrite = place(path), as_switch("`overwrite`", overwrite)
     known = registry.writable(as_named(path, format))
     registry.keywords(known, format_options or {})
     known.check()

@@ -8,6 +8,7 @@ from nanogs.io.models import Model, opened
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background
 from nanogs.quantities import as_bytes
+from nanogs.ranges import as_switch
 from nanogs.source import source_of
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
 from nanogs.views.costing import pictures_of
@@ -60,7 +61,7 @@ def render(
         NotEnoughMemoryError: Even streaming takes more memory than is free or allowed.
         OptionError: An argument is out of range, or there is no such device.
     """
-    wanted = known_cameras(cameras)
+    wanted, transparent = known_cameras(cameras), as_switch("`transparent`", transparent)
     with opened(model) as source:
         most = None if max_memory is None else as_bytes(max_memory)
         room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), most)
