@@ -24,7 +24,7 @@ _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
 
 
 @dataclass(frozen=True, slots=True)
-class ParallelKernel:
+class Distribution:
     """Distribution of some values: minimum, percentiles and maximum."""
 
     min: float
@@ -68,8 +68,8 @@ class ModelInfo:
     opaque: int
     transparent: int
     bounds: tuple[tuple[float, ...], ...]
-    alpha: ParallelKernel | None
-    scale: ParallelKernel | None
+    alpha: Distribution | None
+    scale: Distribution | None
     notes: tuple[str, ...]
     levels: tuple[int, ...]
     environment: int
@@ -175,6 +175,6 @@ class _Census:
             self.scales.add_second_pass(usable.scales().astype(np.float32).reshape(-1))
 
 
-def _spread(values: Percentiles) -> ParallelKernel | None:
+def _spread(values: Percentiles) -> Distribution | None:
     found = values.values()
-    return None if found is None else ParallelKernel(*found)
+    return None if found is None else Distribution(*found)

@@ -16,7 +16,7 @@ from nanogs.formatting import bytes_text, counted, number_text
 if TYPE_CHECKING:
     from nanogs.io import FileInfo
     from nanogs.io.parts import FileSource
-    from nanogs.model_info import ModelInfo, ParallelKernel
+    from nanogs.model_info import ModelInfo, Distribution
     from nanogs.scoring.modes import RenderFindings
     from nanogs.scoring.packing_cost import PackedFile, PackingCost
 
@@ -180,7 +180,7 @@ def _environment(splats: int) -> dict[str, str]:
     return {"environment": f"{splats:,} of the splats of every level"} if splats else {}
 
 
-def _spread(spread: "ParallelKernel | None") -> str:
+def _spread(spread: "Distribution | None") -> str:
     if spread is None:
         return "none"
     return (
