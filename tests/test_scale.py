@@ -111,6 +111,29 @@ def test_rows_of_a_table_come_back_and_a_changed_byte_is_found(tmp_path):
     assert read_record(scratch, "t") is None
 
 
+@pytest.mark.parametrize("kind", ["", "file://", "memory://"])
+@pytest.mark.parametrize("there", [0, 1, 3])
+def test_folders_around_go_as_far_as_they_were_made(tmp_path, kind, there):
+    outer = tmp_path / "a" / "b" / "c"
+    if kind:
+        files = pytest.importorskip("fsspec").filesystem(kind.partition(":")[0])
+        files.makedirs(str(tmp_path), exist_ok=True)
+    else:
+        files = None
+    made = [tmp_path / "a", tmp_path / "a" / "b", outer]
+    exists = files.exists if files else os.path.exists
+    for folder in made[:there]:
+        files.makedir(str(folder)) if files else folder.mkdir()
+    scratch = open_scratch(f"{kind}{outer}/nanogs-1")
+    scratch.prepare()
+    open_scratch(f"{kind}{outer}/nanogs-1").prepare()  # of a run that continues the job
+    write_table(scratch, "t", {"n": np.arange(7)}, {})
+    assert all(exists(str(folder)) for folder in made)
+    scratch.remove()
+    assert [exists(str(folder)) for folder in made] == [number < there for number in range(3)]
+    assert exists(str(tmp_path))
+
+
 def test_a_table_without_columns_has_no_rows(tmp_path):
     scratch = FolderScratch(tmp_path)
     with Table(scratch, write_table(scratch, "t", {}, {"fact": 1})) as table:

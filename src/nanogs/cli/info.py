@@ -16,7 +16,7 @@ from nanogs.formatting import bytes_text, counted, number_text
 if TYPE_CHECKING:
     from nanogs.io import FileInfo
     from nanogs.io.parts import FileSource
-    from nanogs.model_info import ModelInfo, Distribution
+    from nanogs.model_info import Distribution, ModelInfo
     from nanogs.scoring.modes import RenderFindings
     from nanogs.scoring.packing_cost import PackedFile, PackingCost
 

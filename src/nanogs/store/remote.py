@@ -9,7 +9,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import NanogsError, OptionError, OutputError
-from nanogs.store.scratch import PARENT_MARKER, SUFFIXES, write_hashed
+from nanogs.store.scratch import PARENT_MARKER, SUFFIXES, made_parents, write_hashed
 
 # Object stores: they have no folders, so none is made or removed; for a name without slashes, that
 # would be a bucket.
@@ -54,10 +54,10 @@ class UrlScratch:
         """Make the folder, and try to write, read and delete there before anything is computed."""
         with self._reached(f"{self.url} cannot be written to"):
             if self.has_folders:
-                new = not self.files.exists(self.root.rpartition("/")[0])
+                new = sum(not self.files.exists(parent) for parent in self._parents())
                 self.files.makedirs(self.root, exist_ok=True)
                 if new:
-                    self.files.touch(f"{self.root}/{PARENT_MARKER}")
+                    self.files.pipe_file(f"{self.root}/{PARENT_MARKER}", f"{new}".encode())
         self.write(_PROBE, [np.zeros(1, np.uint8)])
         with self.open(_PROBE) as file:
             file.read()
@@ -102,14 +102,16 @@ class UrlScratch:
         """Delete all files written here, and the folder; see `Scratch.remove`."""
         with self._reached(f"{self.url} cannot be emptied"):
             self._abort()
-            paths = self._names(SUFFIXES)
+            paths, made = self._names(SUFFIXES), 0
             for path in paths:
+                if path.endswith(f"/{PARENT_MARKER}"):
+                    made = made_parents(self.files.cat_file(path))
                 self.files.rm_file(path)
             if self.has_folders:
                 with suppress(OSError, NotImplementedError):
                     self.files.rmdir(self.root)
-                    if any(path.endswith(f"/{PARENT_MARKER}") for path in paths):
-                        self.files.rmdir(self.root.rpartition("/")[0])
+                    for parent in self._parents()[:made]:
+                        self.files.rmdir(parent)
 
     def tidy(self) -> None:
         """Delete temporary files and abort unfinished uploads of killed writers."""
@@ -117,6 +119,12 @@ class UrlScratch:
             self._abort()
             for path in self._names((".tmp",)):
                 self.files.rm_file(path)
+
+    def _parents(self) -> list[str]:
+        """Return the folders around the root, the nearest first."""
+        parts = self.root.split("/")
+        around = ("/".join(parts[:end]) for end in range(len(parts) - 1, 0, -1))
+        return [parent for parent in around if parent]
 
     def _names(self, suffixes: tuple[str, ...]) -> list[str]:
         self.files.invalidate_cache()

@@ -17,7 +17,7 @@ from nanogs._types import Array
 from nanogs.io.atomic import output_error
 
 SUFFIXES = (".npy", ".json", ".tmp")
-PARENT_MARKER = "made.json"  # marks that `prepare` made the parent folder, not the user
+PARENT_MARKER = "made.json"  # holds the number of folders around that `prepare` made
 _CHUNK = 1 << 22
 
 
@@ -61,9 +61,9 @@ class Scratch(Protocol):
         """Delete all files of `write` whose names begin with one of `beginnings`."""
 
     def remove(self) -> None:
-        """Delete all files of `write`, the folder, and its parent.
+        """Delete all files of `write`, the folder, and the folders around it.
 
-        The parent only if it is empty and `prepare` made it, in this run or an earlier one.
+        The latter only if they are empty and `prepare` made them, in this run or an earlier one.
         """
 
     def tidy(self) -> None:
@@ -87,12 +87,12 @@ class FolderScratch:
         return 1
 
     def prepare(self) -> None:
-        """Make the folder, and mark that its parent was made too; see `Scratch.prepare`."""
+        """Make the folder, and note how many around it were made too; see `Scratch.prepare`."""
         try:
-            new = not self.folder.parent.exists()
+            new = sum(not parent.exists() for parent in self.folder.parents)
             self.folder.mkdir(parents=True, exist_ok=True)
             if new:
-                (self.folder / PARENT_MARKER).touch()
+                (self.folder / PARENT_MARKER).write_text(f"{new}")
         except OSError as error:
             raise output_error(self.folder, error) from error
 
@@ -122,13 +122,16 @@ class FolderScratch:
 
     def remove(self) -> None:
         """Delete all files written here, and the folder; see `Scratch.remove`."""
-        made = (self.folder / PARENT_MARKER).exists()
+        try:
+            made = made_parents((self.folder / PARENT_MARKER).read_bytes())
+        except OSError:
+            made = 0
         for path in self._files(SUFFIXES):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # unless something else is in it
             self.folder.rmdir()
-            if made:
-                self.folder.parent.rmdir()
+            for parent in self.folder.parents[:made]:
+                parent.rmdir()
 
     def tidy(self) -> None:
         """Delete temporary files of writers that were killed."""
@@ -138,6 +141,11 @@ class FolderScratch:
     def _files(self, suffixes: tuple[str, ...]) -> Iterator[Path]:
         if self.folder.is_dir():
             yield from [path for path in self.folder.iterdir() if path.suffix in suffixes]
+
+
+def made_parents(marker: bytes) -> int:
+    """Return the number of folders that a marker counts; an empty one counts one."""
+    return int(marker) if marker.isdigit() else 1
 
 
 def open_scratch(place: str) -> Scratch:
