@@ -284,6 +284,14 @@ def test_a_file_beside_older_levels_is_never_deleted(splats, tmp_path):
     assert names(folder) == ["level_0.ply", "levels.json", "mine.txt"]
 
 
+def test_the_list_of_levels_is_called_by_its_name(splats, tmp_path):
+    write_levels(splats, tmp_path / "l", [0.5], preset="fast", suffix=".spz")
+    result = run("info", tmp_path / "l" / "levels.json")
+    assert_refused(result, "is the list of levels that `nanogs lod` wrote", "level_0.spz")
+    (tmp_path / "levels.json").write_text("{}")
+    assert_refused(run("info", tmp_path / "levels.json"), "unknown suffix")
+
+
 def test_a_changed_manifest_leads_to_no_file_elsewhere(tmp_path):
     entries = [{"file": name} for name in ("../mine.txt", "/etc/passwd", "a.ply")] + [{}, 3]
     manifest = {"format": "nanogs-levels", "levels": [*entries, {"file": 3}]}

@@ -14,6 +14,7 @@ from nanogs.splats import Splats
 
 _HEAD_BYTES = 8  # bytes at the start of a file from which the format is detected
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
+FILES = "levels.json"  # the list of levels in a folder with one file for each
 ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
 
 
@@ -86,10 +87,25 @@ def reader(path: Path) -> Format:
             raise FormatError(f"{path}: no such file or folder; check the path.")
         if path.is_dir() and not isinstance(path, Address):
             raise FormatError(f"{path} is a folder; name the model file inside it.")
+        _refuse_list(path)
         suffixes = [known.suffix for known in formats() if known.readable]
         meant = _meant(path, suffixes)
         raise FormatError(f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}.")
     return known
+
+
+def _refuse_list(path: Path) -> None:
+    """Refuse a list of levels, and name the file of the finest one.
+
+    Raises:
+        FormatError: It is one.
+    """
+    if path.name == FILES and not isinstance(path, Address):
+        for finest in sorted(path.parent.glob("level_0.*")):
+            raise FormatError(
+                f"{path} is the list of levels that `nanogs lod` wrote; name a level, such as"
+                f" {finest}."
+            )
 
 
 def _meant(path: Path, suffixes: Sequence[str]) -> str:

@@ -12,7 +12,6 @@ from pathlib import Path, PurePosixPath
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import FormatError, NanogsError, OptionError
 from nanogs.io import registry
-from nanogs.io.collect import FILES
 from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 from nanogs.io.registry import sniff
 from nanogs.io.transfer import check_absent, fetch, upload
@@ -23,7 +22,7 @@ TransferProgress = Callable[[str], AbstractContextManager[Parts]]
 """Begins "fetch" or "send"; what the block gets is told the bytes."""
 # Manifests whose model cannot be downloaded file by file: their files name further files, or have
 # to be there before the manifest can be opened.
-_MANIFESTS = (registry.LEVELS, registry.TILESET, FILES, ".lcc")
+_MANIFESTS = (registry.LEVELS, registry.TILESET, registry.FILES, ".lcc")
 
 
 def no_transfer_progress(_stage: str) -> AbstractContextManager[Parts]:
