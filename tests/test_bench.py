@@ -509,6 +509,23 @@ def test_a_command_that_measures_nothing_says_so_and_fails(tmp_path):
     assert "gone.ply" in result.stderr.split("measured")[1]
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_where_nothing_was_measured_nothing_is_written(tmp_path, there):
+    out = tmp_path / "made" / "out"
+    if there:
+        out.mkdir(parents=True)
+        (out / "results.md").write_text("before")
+    options = ("--scene", f"a={tmp_path}/gone.ply", "--methods", "opacity", "--quiet")
+    result = run("bench", *options, "--out", out, *(["-w"] if there else []))
+    assert result.returncode == 2
+    assert "Nothing was measured; a: " in result.stderr
+    if there:
+        assert [path.name for path in out.iterdir()] == ["results.md"]
+        assert (out / "results.md").read_text() == "before"
+    else:
+        assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     out = tmp_path / "out"

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -64,6 +64,7 @@ class ResultFolder:
         with _writing(self.path):
             if not overwrite:
                 self.done = self._rows_so_far()
+            self._made = [each for each in (self.path, *self.path.parents) if not each.exists()]
             self.path.mkdir(parents=True, exist_ok=True)
 
     def add(self, row: BenchRow) -> None:
@@ -110,6 +111,19 @@ class ResultFolder:
                 (self.path / name).write_bytes(content)
         with _writing(self.path / UNFINISHED):
             (self.path / UNFINISHED).unlink(missing_ok=True)
+
+    def abandon(self) -> None:
+        """Remove what was begun here, for a run that measured nothing.
+
+        Raises:
+            OutputError: It cannot be removed.
+        """
+        with _writing(self.path / UNFINISHED):
+            if self._begun:
+                (self.path / UNFINISHED).unlink(missing_ok=True)
+        with suppress(OSError):  # unless something else is in it
+            for folder in self._made:
+                folder.rmdir()
 
     def _rows_so_far(self) -> list[BenchRow]:
         """Read the rows of an unfinished run; a last line that was cut off is dropped."""

@@ -207,8 +207,10 @@ def _run(
             watch(Step(what, min(made + 1, total), total, 0, 1, made / (total + 1)))
 
         rows = run_bench(scenes, settings, done=done, on_row=on_row, progress=on_stage)
-    if folder:
+    if folder and any(row.measured for row in rows):
         folder.finish(rows, above, tuple(settings.externals))
+    elif folder:
+        folder.abandon()
     return rows
 
 
