@@ -23,7 +23,7 @@ from nanogs.scoring.page import rate_distortion_plot
 from nanogs.scoring.pictures import error_map
 from nanogs.scoring.run import compare_files
 from nanogs.scoring.scores import mean_psnr
-from nanogs.views.png import file_names
+from nanogs.views.png import file_names, render_images
 from test_cli import assert_refused
 
 
@@ -100,6 +100,20 @@ def test_an_empty_view_is_left_out_of_the_mean_and_named():
     assert with_empty.skipped_views == ("back",)
     assert any("back" in note for note in with_empty.notes)
     assert with_empty.models == without.models
+
+
+@pytest.mark.parametrize("empty", [3, 4, 9])
+def test_many_empty_views_take_one_line(tmp_path, empty):
+    splats = random_splats(300)
+    away = [camera(f"back{number}", away=True) for number in range(empty)]
+    found, _ = compare_models(NamedModel("r", splats), [NamedModel("s", splats)], [camera(), *away])
+    assert len(found.skipped_views) == empty
+    _, drawn = render_images(splats, [camera(), *away], tmp_path / "pictures")
+    assert len(found.notes) == len(drawn) == (3 if empty == 3 else 1)
+    more = {4: "1 more view: ", 9: "6 more views: "}.get(empty)
+    for [note, *_], fact in ((found.notes, "of the reference"), (drawn, "of the model")):
+        assert note.startswith(f"back0, back1, back2 and {more}" if more else "back0: ")
+        assert f"nothing {fact} is seen" in note
 
 
 def test_only_empty_views_are_refused():

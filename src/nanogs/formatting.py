@@ -1,12 +1,14 @@
 """Formatting of numbers for people, the same on terminal and pages, and of values for JSON."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, is_dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 NONE = "–"  # noqa: RUF001 - an en dash stands for "no value"
+_VIEWS_IN_NOTES = 3  # number of views that are named
 
 
 def number_text(value: float | None, digits: int = 2) -> str:
@@ -27,6 +29,14 @@ def counted(count: int, one: str, more: str = "") -> str:
         more: Text after any other number; by default `one` and an s.
     """
     return f"{count:,} {one if count == 1 else more or f'{one}s'}"
+
+
+def notes_on_views(names: Sequence[str], fact: str) -> list[str]:
+    """Return a note with a fact for each view, or one for all if there are more than three."""
+    if len(names) <= _VIEWS_IN_NOTES:
+        return [f"{name}: {fact}" for name in names]
+    first, more = names[:_VIEWS_IN_NOTES], counted(len(names) - _VIEWS_IN_NOTES, "more view")
+    return [f"{', '.join(first)} and {more}: {fact}"]
 
 
 def undrawn(count: int) -> str:

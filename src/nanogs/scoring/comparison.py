@@ -7,7 +7,7 @@ from typing import Any
 
 from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
-from nanogs.formatting import counted, number_text, undrawn
+from nanogs.formatting import counted, notes_on_views, number_text, undrawn
 from nanogs.progress import Tracker
 from nanogs.protocol import BLACK, Background, Judged, Kind, Protocol
 from nanogs.raster.camera import Camera
@@ -171,9 +171,7 @@ def compare_models(
     drawn = drawable(reference.splats, room)
     views, skipped = reference_views(drawn, cameras, background, progress.part)
     del drawn
-    notes = [
-        f"{name}: nothing of the reference is seen; left out of every mean" for name in skipped
-    ]
+    notes = notes_on_views(skipped, "nothing of the reference is seen; left out of every mean")
     first = views[0].rendering
     if first and first.skipped:
         notes.append(f"the reference: {undrawn(first.skipped)}")

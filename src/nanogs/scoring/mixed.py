@@ -11,7 +11,7 @@ import numpy as np
 
 from nanogs.bar import show_progress
 from nanogs.errors import OptionError
-from nanogs.formatting import counted
+from nanogs.formatting import counted, notes_on_views
 from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
 from nanogs.io.registry import ARCHIVE, LEVELS
@@ -162,7 +162,7 @@ def compare_mixed(
             seen, empty = reference_views(ready, found.cameras, background, told.part, depth=False)
             del ready
             notes += [*found.notes]
-            notes += [f"{name}: nothing of the original is seen; left out" for name in empty]
+            notes += notes_on_views(empty, "nothing of the original is seen; left out")
             cameras = [view.camera for view in seen]
             protocol = views_of(cameras, found.kind, background=background)
             told.begin("score")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from nanogs._types import Array
 from nanogs.errors import OptionError
-from nanogs.formatting import counted, undrawn
+from nanogs.formatting import counted, notes_on_views, undrawn
 from nanogs.io.atomic import atomic_write, check_writable
 from nanogs.io.folder import atomic_folder
 from nanogs.progress import Progress, Stage, Tracker
@@ -113,6 +113,7 @@ def _write(
     """Write each image into a folder; return the names of the files, and notes for the user."""
     written: list[str] = []
     notes: dict[str, None] = {}
+    unseen: list[str] = []
     skipped = 0
     for rendering, name in zip(shown, names, strict=True):
         skipped = rendering.skipped
@@ -124,7 +125,8 @@ def _write(
             written.append(file_name)
         notes.update(dict.fromkeys(rendering.notes))
         if not rendering.alpha.any():
-            notes[f"{name}: nothing of the model is seen"] = None
+            unseen.append(name)
+    notes |= dict.fromkeys(notes_on_views(unseen, "nothing of the model is seen"))
     if skipped:
         notes[undrawn(skipped)] = None
     return written, list(notes)
