@@ -166,6 +166,23 @@ POINTS = st.lists(
 )  # fmt: skip
 
 
+@given(
+    st.dictionaries(st.integers(1, 2000), st.integers(0, 50_000), min_size=1, max_size=6),
+    st.integers(1, 30_000),
+)
+def test_estimated_sizes_never_fall_however_measured_ones_lie(measured, size):
+    curve = Curve(2000, 1, lambda n: round(10.4 * n), exact=False)
+    for count, found in measured.items():
+        curve.add(Point(count, found, 30.0, True))
+    sizes = [curve.bytes_of(count) for count in range(1, 2001)]
+    assert sizes == sorted(sizes)
+    within = sum(each <= size for each in sizes)
+    assert curve.count_for(Goal(size=size)) == max(within, 1)
+    known = sorted(measured)
+    if sorted(measured.values()) == [measured[each] for each in known]:
+        assert all(curve.bytes_of(each) == max(measured[each], 1) for each in known)
+
+
 @given(points=POINTS, count=COUNTS, size=st.integers(1, 10**7), psnr=st.floats(0.1, 90))
 def test_wishes_come_to_counts_that_there_are(points, count, size, psnr):
     curve = Curve(10_000, 7, lambda n: 41 * n, exact=False)

@@ -76,13 +76,18 @@ class Curve:
         return self._last(lambda count: (self.psnr_of(count) or 0.0) <= wanted)
 
     def bytes_of(self, count: int) -> int:
-        """Estimate the bytes of a file from its count; they should grow with the count."""
-        known = {point.count: point.bytes for point in list(self.points.values())}
+        """Estimate the bytes of a file from its count; they never fall where the count grows.
+
+        Sizes are interpolated between measured ones; outside, `each` is scaled to the nearest.
+        """
+        known = {point.count: max(point.bytes, 1) for point in list(self.points.values())}
         if self.exact or not known:
             return self.each(count)
         counts = sorted(known)
-        factors = [known[each] / max(self.each(each), 1) for each in counts]
-        return round(self.each(count) * _between(count, counts, factors))
+        sizes = np.maximum.accumulate([known[each] for each in counts])
+        inside = min(max(count, counts[0]), counts[-1])
+        size = math.exp(_between(inside, counts, np.log(sizes).tolist()))
+        return round(size * (self.each(count) / max(self.each(inside), 1)))
 
     def psnr_of(self, count: int) -> float | None:
         """Estimate the PSNR in dB of a result from its count; None if nothing was measured.
