@@ -364,7 +364,7 @@ def test_what_reaches_a_store_is_named_where_it_is_missing():
 @pytest.mark.parametrize("name", ["job", "threads"])
 def test_what_goes_missing_meanwhile_is_said_whatever_the_url(name, monkeypatch):
     pytest.importorskip("fsspec")
-    scratch = open_scratch(f"memory://{name}")
+    scratch = open_scratch(f"memory://missing/{name}")
     scratch.prepare()
     scratch.write("left.tmp", [np.zeros(1, np.uint8)])
 
@@ -374,8 +374,10 @@ def test_what_goes_missing_meanwhile_is_said_whatever_the_url(name, monkeypatch)
     with pytest.raises(FileNotFoundError):  # which callers look for
         scratch.open("nothing.bin")
     monkeypatch.setattr(scratch.files, "rm_file", gone)
-    with pytest.raises(OutputError, match=f"^memory://{name} cannot be tidied"):
+    with pytest.raises(OutputError, match=f"^memory://missing/{name} cannot be tidied"):
         scratch.tidy()
+    monkeypatch.undo()
+    scratch.remove()
 
 
 def test_files_of_others_in_the_scratch_are_left_alone(tmp_path):
