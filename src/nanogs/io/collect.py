@@ -48,7 +48,7 @@ def model_in(path: Path) -> Path:
     if not path.is_dir():
         return path
     inside = _files(path)
-    if len(inside) > 1 and not (path / registry.FILES).is_file():
+    if len(inside) > 1 and not (path / registry.LEVEL_LIST).is_file():
         names = ", ".join(file.name for file in inside[:4]) + (", ..." if len(inside) > 4 else "")
         raise FormatError(f"The folder {path} holds {len(inside)} models; name one: {names}.")
     return inside[0]  # sorted by name, so of several levels the finest

@@ -14,7 +14,7 @@ from nanogs.splats import Splats
 
 _HEAD_BYTES = 8  # bytes at the start of a file from which the format is detected
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
-FILES = "levels.json"  # the list of levels in a folder with one file for each
+LEVEL_LIST = "levels.json"  # the list of levels in a folder with one file for each
 ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
 
 
@@ -100,7 +100,7 @@ def _refuse_list(path: Path) -> None:
     Raises:
         FormatError: It is one.
     """
-    if path.name == FILES and not isinstance(path, Address):
+    if path.name == LEVEL_LIST and not isinstance(path, Address):
         for finest in sorted(path.parent.glob("level_0.*")):
             raise FormatError(
                 f"{path} is the list of levels that `nanogs lod` wrote; name a level, such as"

@@ -22,7 +22,7 @@ TransferProgress = Callable[[str], AbstractContextManager[Parts]]
 """Begins "fetch" or "send"; what the block gets is told the bytes."""
 # Manifests whose model cannot be downloaded file by file: their files name further files, or have
 # to be there before the manifest can be opened.
-_MANIFESTS = (registry.LEVELS, registry.TILESET, registry.FILES, ".lcc")
+_MANIFESTS = (registry.LEVELS, registry.TILESET, registry.LEVEL_LIST, ".lcc")
 
 
 def no_transfer_progress(_stage: str) -> AbstractContextManager[Parts]:

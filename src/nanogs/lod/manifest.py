@@ -9,13 +9,13 @@ from typing import Any
 
 from nanogs._version import __version__
 from nanogs.io.json_fields import is_plain
-from nanogs.io.registry import FILES
+from nanogs.io.registry import LEVEL_LIST
 from nanogs.protocol import Protocol
 from nanogs.report import SimplifyReport, StopReason
 from nanogs.sink import Written
 from nanogs.switches import GOOD_PSNR, GOOD_SSIM, SwitchQuality
 
-NAME = FILES
+NAME = LEVEL_LIST
 FORMAT = "nanogs-levels"
 VERSION = 1
 
