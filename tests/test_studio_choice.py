@@ -167,7 +167,7 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(data, said):
     [
         ({"wish": {"splats": 61}}, "above the 60 splats"),
         ({"wish": {"splats": 5}, "format": ".xyz"}, "does not write"),
-        ({"wish": {"splats": 5}, "format": ".ssog"}, "say which"),
+        ({"wish": {"splats": 5}, "format": ".ssog"}, "give their ratios"),
         ({"wish": {"splats": 5}, "levels": "1", "format": ".ply"}, "Levels are written as"),
         ({"wish": {"psnr": 30}, "preset": "fast", "sh_degree": 0}, "lower SH degree"),
     ],

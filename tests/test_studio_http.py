@@ -220,7 +220,7 @@ def test_the_scene_itself_and_what_exists_are_not_replaced_unasked(studio):
     for path, overwrite, said in (
         ("scene.ply", True, "scene that is open"),
         ("sub/../scene.ply", True, "out of the folder"),
-        ("note.txt", True, "is no name of a .ply"),
+        ("note.txt", True, "is not the name of a .ply"),
         ("nowhere/x.ply", False, "does not exist"),
     ):
         body = ASK | {"path": path, "overwrite": overwrite}

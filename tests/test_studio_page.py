@@ -318,7 +318,7 @@ def test_what_would_go_is_magenta_before_it_is_taken(studio):
     page.wait_for_selector("body[data-preview=shown]", timeout=PATIENCE)
     studio.shows(MAGENTA, "left")
     studio.becomes(lambda: studio.share(AMBER, "right") > 0.001)
-    assert "100 splats of 300 go, 200 stay" in page.inner_text("#takes")
+    assert "100 splats of 300 removed, 200 left" in page.inner_text("#takes")
     page.click("#untake")
     studio.shows(RED, "left")
     assert studio.share(AMBER, "right") == 0
@@ -334,7 +334,7 @@ def test_what_would_go_is_magenta_before_it_is_taken(studio):
         model=studio.fake.model("green"),
     )  # fmt: skip
     studio.shows(GREEN, "left")
-    assert page.inner_text("#taken") == "100 taken"
+    assert page.inner_text("#taken") == "100 removed"
     page.click("#undo")
     assert studio.asked(3)["filters"]["min_opacity"] is None
     assert page.input_value("#opacity") == "0"

@@ -357,7 +357,7 @@ def test_a_port_that_is_taken_is_a_sentence(studio, folder):
     port = studio.url.split(":")[2].split("/")[0]
     done = run("studio", "scene.ply", "--no-open", "--port", port, cwd=folder)
     assert done.returncode == 2
-    assert f"Port {port} cannot be had" in done.stderr
+    assert f"Port {port} cannot be used" in done.stderr
 
 
 def test_help_needs_neither_the_server_nor_numba():

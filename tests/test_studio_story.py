@@ -202,7 +202,7 @@ def test_the_whole_story(look, folder, tmp_path, width, scheme):
     assert "--crop" not in seen.text("command")
     seen.measured(seen.at("take").click)
     assert "--crop box:" in seen.text("command")
-    assert "taken" in seen.text("taken")
+    assert "removed" in seen.text("taken")
     assert magenta(picture(seen, f"studio-taken-{width}")) < 0.005
     seen.measured(seen.at("undo").click)
     assert "--crop" not in seen.text("command")

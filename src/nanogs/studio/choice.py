@@ -107,7 +107,9 @@ def _sifting(data: object) -> FilterChoice:
     given = _entries(data or {}, "filters", tuple(FilterChoice.__dataclass_fields__))
     box, alpha, floaters = (given.get(name) for name in ("box", "min_opacity", "floaters"))
     if box is not None and (not isinstance(box, list) or len(box) != 6):
-        raise OptionError("A box is six numbers: x, y, z of its lowest corner and its highest.")
+        raise OptionError(
+            "A box must be six numbers: x, y, z of its lowest corner and of its highest."
+        )
     if not isinstance(floaters, bool | None):
         raise OptionError(f"Floaters are left out or not: true or false, not {floaters!r}.")
     corners = None if box is None else tuple(_number(value, "box") for value in box)
@@ -127,7 +129,9 @@ def _levels(data: object) -> tuple[float, ...] | None:
     except ValueError:
         ratios = ()
     if not isinstance(data, str) or not ratios or not all(0 < ratio <= 1 for ratio in ratios):
-        raise OptionError(f"Levels are ratios with commas between, like 1,0.5,0.1, not {data!r}.")
+        raise OptionError(
+            f"Levels must be ratios separated by commas, like 1,0.5,0.1, not {data!r}."
+        )
     return ratios
 
 

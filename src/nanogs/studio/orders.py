@@ -53,7 +53,9 @@ class SaveRequest:
         refuse_unfit(self.scene, self.choice)
         known = self.choice.format.lower()
         if not self.path.name.lower().endswith(known):
-            raise OptionError(f"{self.path} is no name of a {known} file; end it in {known}.")
+            raise OptionError(
+                f"{self.path} is not the name of a {known} file; let it end in {known}."
+            )
         found = registry.find(self.path)
         if found is None or found.suffix != known:
             raise OptionError(f"{self.path} is not the name of a {known} file; name another one.")
@@ -157,7 +159,7 @@ def refuse_unfit(scene: Scene, choice: Choice) -> None:
     """
     goal, count = choice.goal, choice.goal.count
     if choice.levels is None and choice.format in LAYOUTS and choice.format != ".rad":
-        raise OptionError(f"{choice.format} is of levels of detail; say which.")
+        raise OptionError(f"{choice.format} needs levels of detail; give their ratios.")
     if choice.levels is not None and choice.format not in LAYOUTS:
         raise OptionError(f"Levels are written as {', '.join(LAYOUTS)}, not as {choice.format}.")
     if choice.levels is None:
@@ -172,8 +174,9 @@ def refuse_unfit(scene: Scene, choice: Choice) -> None:
         and not renders(PRESETS[choice.preset])
     ):
         raise OptionError(
-            "A PSNR is against the whole model, of which a lower SH degree leaves out some; choose"
-            " the preset default or best, or another wish."
+            "A PSNR cannot be chosen with a lower SH degree and this preset, because it is"
+            " measured against the whole model; choose the preset default or best, or set the"
+            " count or the file size."
         )
     if choice.up is not None and choice.up != scene.up and scene.states_frame:
         raise refuse_stated(scene.path.name)

@@ -349,7 +349,7 @@ def _listening(port: int) -> socket.socket:
     except OSError as error:
         listening.close()
         reason = error.strerror or str(error)
-        raise OptionError(f"Port {port} cannot be had ({reason}); choose another.") from None
+        raise OptionError(f"Port {port} cannot be used ({reason}); choose another.") from None
     return listening
 
 
@@ -364,6 +364,6 @@ def _check_installed() -> None:
         import uvicorn  # noqa: F401
     except ImportError:
         raise OptionError(
-            "The studio takes starlette and uvicorn: install them with `pip install"
+            "The studio needs starlette and uvicorn; install them with `pip install"
             " nanogs[studio]`."
         ) from None

@@ -44,8 +44,8 @@ def show(splats: Splats, start: Opening, of: int) -> Shown:
     if of > len(splats):
         notes.insert(
             0,
-            f"{counted(len(splats), 'splat')} stand for {of:,}, as a browser draws no more;"
-            " numbers are of the whole model.",
+            f"{counted(len(splats), 'splat')} are drawn in place of {of:,}, because a browser"
+            " cannot draw more; numbers are those of the whole model.",
         )
     entry = {
         "id": name, "splats": len(splats), "mip": packed.mip, "note": " ".join(notes) or None,

@@ -33,7 +33,7 @@ def axis_of(direction: Sequence[float]) -> str:
     """
     if sum(value != 0 for value in direction) != 1:
         raise OptionError(
-            "The studio takes an axis as `up`, such as 0,0,1; turn a model that leans first."
+            "In the studio, `up` must be an axis, such as 0,0,1; rotate a tilted model first."
         )
     return up_of(direction)
 
@@ -81,6 +81,6 @@ def turned(frames: tuple[str, str] | None) -> tuple[str, str] | None:
 def refuse_stated(name: str) -> OptionError:
     """Make the error for choosing another up axis than the model's file states."""
     return OptionError(
-        f"{name} states its frame, so that another way up would contradict it; save it without, or"
-        " convert it to .ply first and open that."
+        f"The up direction cannot be changed, because {name} states its frame; save it without"
+        " the change, or convert it to .ply first and open that."
     )

@@ -189,8 +189,8 @@ class WorkerSupervisor:
             self._tell(job, {"type": "cancelled"})
         elif job is not None:
             message = (
-                f"The process that did the work has ended ({process.ended_by}); it is started"
-                " again with the next request."
+                f"The process that did the work has ended ({process.ended_by}); the next request"
+                " starts a new one."
             )
             self._tell(job, {"type": "failed", "message": message})
         if job is not None and job.kind == "curve":

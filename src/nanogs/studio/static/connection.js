@@ -25,7 +25,7 @@ export function connect() {
         body: JSON.stringify({ page: PAGE, ...body }),
       });
     } catch {
-      throw new Refused("The studio does not answer; has the command been ended?", 0);
+      throw new Refused("The studio does not answer; check that its command is still running.", 0);
     }
     if (response.status === 204) return {};
     const answer = await response.json().catch(() => ({}));
@@ -58,7 +58,7 @@ export function connect() {
     async model(id) {
       const response = await fetch(`models/${encodeURIComponent(id)}.spz`);
       if (response.status !== 200)
-        throw new Refused("A model is no longer there; move a slider.", response.status);
+        throw new Refused("A model is no longer available; move a slider to make it again.", response.status);
       return new Uint8Array(await response.arrayBuffer());
     },
   };

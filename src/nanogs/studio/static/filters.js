@@ -44,7 +44,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
       return;
     }
     document.body.dataset.preview = "asked";
-    say("Looking for what would go …");
+    say("Looking for the splats to remove …");
     timer = setTimeout(() => ask(pending), at);
   }
 
@@ -63,7 +63,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
   onCommit(opacity.field, () => {
     const value = numbers.parsed(opacity.field.value || "0");
     if (value >= 0 && value <= 1) change({ min_opacity: value || null }, 0);
-    else complain(`“${opacity.field.value}” is no opacity; those are from 0 to 1.`);
+    else complain(`“${opacity.field.value}” is not an opacity; type a number from 0 to 1.`);
     render();
   });
   floaters.addEventListener("change", () => change({ floaters: floaters.checked }, 0));
@@ -82,7 +82,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
         const value = numbers.parsed(field.value);
         if (Number.isFinite(value)) {
           if (field.value !== scale.short(box[axis + 3 * end])) moveFace(axis, end, value, 0);
-        } else complain(`“${field.value}” is no number of the scene's units.`);
+        } else complain(`“${field.value}” is not a number; type one in units of the scene.`);
         render();
       });
     });
@@ -111,7 +111,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
     opacity.field.value = alpha ? String(alpha) : "0";
     opacity.range.value = Math.round(STEPS * opacity.scale.place(alpha));
     fill(opacity.range, 0, opacity.range.value);
-    opacity.range.setAttribute("aria-valuetext", alpha ? String(alpha) : "none is taken");
+    opacity.range.setAttribute("aria-valuetext", alpha ? String(alpha) : "removes none");
     floaters.checked = pending.floaters;
     crop.checked = Boolean(pending.box);
     byId("box").hidden = !pending.box;
@@ -129,7 +129,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
       ends[1].range.style.zIndex = low > STEPS / 2 ? 1 : 2;
     });
     byId("take").disabled = byId("untake").disabled = !isNew();
-    byId("take").textContent = same(pending, NONE) && isNew() ? "Put all back" : "Take away";
+    byId("take").textContent = same(pending, NONE) && isNew() ? "Put all back" : "Remove";
     const seen = pending.box && panel.open;
     draw(seen ? pending.box.slice(0, 3) : null, seen ? pending.box.slice(3) : null);
   }
@@ -159,7 +159,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
     taken(event) {
       const lost = gone(event);
       marked = false;
-      byId("taken").textContent = lost ? `${numbers.count(lost)} taken` : "";
+      byId("taken").textContent = lost ? `${numbers.count(lost)} removed` : "";
       byId("taken").title = lost ? outcome(event) : "";
     },
     refused(message) {
@@ -173,13 +173,13 @@ const gone = ({ took }) => took.reduce((sum, { removed }) => sum + removed, 0);
 
 function outcome(event) {
   const lost = gone(event);
-  if (!lost) return "Nothing goes: no splat is like that.";
+  if (!lost) return "No splat is removed, because none matches.";
   const parts = event.took.filter(({ removed }) => removed);
   const each =
     parts.length > 1
       ? ` (${parts.map(({ name, removed }) => `${name}: ${numbers.count(removed)}`).join(", ")})`
       : "";
-  return `${numbers.splats(lost)} of ${numbers.count(lost + event.left)} ${lost === 1 ? "goes" : "go"}${each}, ${numbers.count(event.left)} stay.`;
+  return `${numbers.splats(lost)} of ${numbers.count(lost + event.left)} removed${each}, ${numbers.count(event.left)} left.`;
 }
 
 // A scale over the range that holds nearly all splats, whose two ends mean the full range.

@@ -8,7 +8,7 @@ export function makePicture(scene, fetchModel, { complain, onStill, onBox }) {
     camera: scene.camera,
     background: scene.background,
     names: [scene.name, "simplified"],
-    onLost: () => complain("The graphics processor gave up: load the page again."),
+    onLost: () => complain("The graphics processor has stopped; load the page again."),
     onStill,
     onBox,
   });

@@ -27,7 +27,7 @@ export function makePreview(scene, state, facts, { connection, asks, picture, st
   async function look(event) {
     if (event.number !== asked) return;
     rest();
-    const words = ["magenta goes", `${numbers.splats(event.left)} stay`];
+    const words = ["magenta is removed", `${numbers.splats(event.left)} left`];
     await picture.instead(event.model, scene.name, words).catch(failed);
     if (event.number === asked) filters.preview(event);
   }

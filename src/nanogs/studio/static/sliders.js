@@ -20,14 +20,14 @@ const KINDS = {
     read: (words) => numbers.bytesOf(numbers.parsed(words)),
     tidy: (value) => numbers.bytesOf(numbers.parsed(numbers.megabytes(value))),
     full: numbers.size,
-    sample: "of megabytes, such as 1.5",
+    sample: "in megabytes, such as 1.5",
   },
   psnr: {
     words: numbers.decibels,
     read: numbers.parsed,
     tidy: (value) => Math.round(100 * value) / 100,
     full: (value) => `${numbers.decibels(value)} dB`,
-    sample: "of decibels, such as 35",
+    sample: "in decibels, such as 35",
   },
 };
 
@@ -69,9 +69,9 @@ export function makeSliders(scene, state, curve, complain) {
   }
 
   function fault(key, kind, value, words) {
-    if (!(value > 0)) return `“${words}” is no number; type one ${kind.sample}.`;
+    if (!(value > 0)) return `“${words}” is not a number; type one ${kind.sample}.`;
     if (key !== "splats" || value <= limits.most) return "";
-    return `There are ${numbers.splats(limits.most)}; choose that many or fewer.`;
+    return `The scene has ${numbers.splats(limits.most)}; choose that many or fewer.`;
   }
 
   // Least splats of the slider; smaller counts can be typed.

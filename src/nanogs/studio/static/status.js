@@ -7,7 +7,7 @@ const WORDS = {
   draft: "Making the model",
   measure: "Measuring",
   curve: "Filling the plot",
-  filters: "Looking for what goes",
+  filters: "Looking for the splats to remove",
   save: "Saving",
 };
 

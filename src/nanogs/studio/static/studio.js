@@ -45,7 +45,7 @@ connection.on("lost", ({ final }) => {
   status.complain(
     final
       ? "The studio has ended; start the command again."
-      : "The studio does not answer: its command has ended, or is busy. Trying again …",
+      : "The studio does not answer, because its command has ended or is busy. Trying again …",
   );
 });
 
