@@ -100,17 +100,17 @@ def test_unknown_placeholders_are_refused():
     ("options", "words"),
     [
         ({"ratios": (0.0,)}, "above 0"),
-        ({"ratios": (0.1, 0.1)}, "two of the ratio .* leave one out"),
+        ({"ratios": (0.1, 0.1)}, "The ratio .* occurs twice; leave one out"),
         ({"ratios": ()}, "at least one ratio"),
         ({"methods": ("nope",)}, "no method 'nope'"),
         ({"methods": ("paper:x=1",)}, "no parameter 'x'"),
         ({"methods": ("paper:k=many",)}, "takes a number"),
         ({"methods": ("paper:graph=tree",)}, "knn or random"),
-        ({"methods": ("random",), "externals": {"random": "a"}}, "two of the method"),
-        ({"externals": {ORIGINAL: "a"}}, "two of the method"),
+        ({"methods": ("random",), "externals": {"random": "a"}}, "The method .* occurs twice"),
+        ({"externals": {ORIGINAL: "a"}}, "The method .* occurs twice"),
         ({"views": 0}, "views"),
         ({"sizes": (2,)}, "16 pixels"),
-        ({"sizes": (64, 64)}, "two of the size"),
+        ({"sizes": (64, 64)}, "The size .* occurs twice"),
         ({"sizes": ()}, "one size"),
         ({"kinds": ("around",)}, "auto, orbit, inside, roam"),
     ],
@@ -288,7 +288,7 @@ def test_a_scene_that_cannot_be_read_is_skipped_and_the_next_is_measured(model, 
 
 def test_two_scenes_of_one_name_are_refused(model):
     settings = BenchSettings(ratios=(0.1,), methods=("opacity",))
-    with pytest.raises(OptionError, match="two of the scene 'ball'"):
+    with pytest.raises(OptionError, match="The scene 'ball' occurs twice"):
         run_bench([scene_of_file(model)] * 2, settings)
     with pytest.raises(OptionError, match="at least one model"):
         run_bench([], settings)

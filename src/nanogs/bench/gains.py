@@ -169,7 +169,7 @@ def _remarks(anchor: Curve, test: Curve, figures: Mapping[str, float | None]) ->
     """Explain missing figures, which are means over the sizes or PSNRs that both curves cover."""
     missing = [name for name, figure in figures.items() if figure is None]
     if missing and min(len(anchor), len(test)) < 2:
-        return ("no figure: it takes two sizes of each",)
+        return ("no figures, because they need at least two sizes of each method",)
     if missing == ["PSNRs"] and not (rises(anchor) and rises(test)):
-        return ("no BD-rate: a larger file has the lower PSNR",)
+        return ("no BD-rate, because a larger file has a lower PSNR",)
     return tuple(f"the curves share no {name}" for name in missing)

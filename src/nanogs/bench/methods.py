@@ -113,7 +113,7 @@ def refuse_unsized(name: str, suffix: str) -> None:
     """
     if name in BASELINES:
         known = ", ".join(sized_methods([suffix]))
-        raise OptionError(f"{name} makes no file of a size; choose from {known}.")
+        raise OptionError(f"{name} cannot make a file of a given size; choose from {known}.")
     preset, _ = find_preset(name)
     refuse_searches(Goal(size=1), preset, Path(f"model{suffix}"))
 

@@ -132,7 +132,7 @@ class ResultFolder:
             return []
         run, *lines = unfinished.read_text(encoding="utf-8").split("\n")
         if run != self._run:
-            fact = f"{unfinished} is of an unfinished run of other models or settings"
+            fact = f"{unfinished} belongs to an unfinished run of other models or settings"
             raise ExistsError(fact, "begin anew, or name another folder to keep it")
         rows = [BenchRow.from_dict(json.loads(line)) for line in lines[:-1]]
         return [row for row in rows if row.status is Status.OK]

@@ -8,11 +8,11 @@ from nanogs.bench.settings import BenchSettings
 from nanogs.protocol import usual_views
 
 _COLUMNS = """\
-Every method runs in a process of its own. *seconds*: the method alone on warm kernels, without
-reading and writing; for external files what their producer noted, which may hold both. *peak MB*:
-most resident memory of that process, Python and its libraries included. *bytes*: as .ply for what
-ran here at a ratio, else the file. *worst*: PSNR of the worst view. *frames/s*: of our renderer on
-the CPU.
+Every method runs in a process of its own. *seconds*: time of the method alone, with
+compiled kernels, without reading and writing; for external files the time that their producer
+noted, which may include both. *peak MB*: largest resident memory of that process, including Python
+and its libraries. *bytes*: size as .ply for methods that ran here at a ratio, otherwise size of the
+file. *worst*: PSNR of the worst view. *frames/s*: speed of the renderer of nanogs on the CPU.
 """
 
 

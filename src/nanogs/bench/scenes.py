@@ -83,7 +83,7 @@ def parse_scene(text: str) -> BenchScene:
     if len(model) < 2:  # no colon, or only that of a drive letter
         model, folder = rest, ""
     if not name or not model:
-        raise OptionError(f"A scene is NAME=MODEL or NAME=MODEL:FOLDER, not {text!r}.")
+        raise OptionError(f"A scene must be NAME=MODEL or NAME=MODEL:FOLDER, not {text!r}.")
     return BenchScene(name, Path(model), Path(folder) if folder else None)
 
 
@@ -99,7 +99,9 @@ def parse_dataset(text: str, model_pattern: str = TRAINED_MODEL) -> list[BenchSc
     """
     name, _, folder = text.partition("=")
     if name not in DATASETS or not folder:
-        raise OptionError(f"A data set is NAME=FOLDER with a name of {', '.join(DATASETS)}.")
+        raise OptionError(
+            f"A data set must be NAME=FOLDER, where NAME is one of {', '.join(DATASETS)}."
+        )
     root = Path(folder)
     if not root.is_dir():
         raise OptionError(
@@ -113,7 +115,9 @@ def parse_dataset(text: str, model_pattern: str = TRAINED_MODEL) -> list[BenchSc
             scenes.append(BenchScene(entry.name, model, entry, name, images))
     if not scenes:
         wanted = fill(model_pattern, folder=folder, scene="SCENE")
-        raise OptionError(f"{root} holds no trained model {wanted}; `model_pattern` says where.")
+        raise OptionError(
+            f"{root} holds no trained model {wanted}; give the right path with `model_pattern`."
+        )
     return scenes
 
 

@@ -83,7 +83,7 @@ class BenchSettings:
                 raise OptionError(f"The size of a view must be at least 16 pixels, not {size}.")
         for kind in self.kinds:
             if kind not in FOUND:
-                raise OptionError(f"Views are {', '.join(FOUND)}, not {kind!r}.")
+                raise OptionError(f"Views must be {', '.join(FOUND)}, not {kind!r}.")
         if not self.sizes or not self.kinds:
             raise OptionError("Give at least one size and one kind of views.")
         refuse_duplicates("size", [str(size) for size in self.sizes])
@@ -124,7 +124,9 @@ def _refuse_format(suffix: str) -> None:
     """
     known = registry.writable(Path(f"model{suffix}"))
     if known.write is None or not known.readable or known.suffix != suffix:
-        raise OptionError(f"{suffix} is no format of single files that nanogs writes and reads.")
+        raise OptionError(
+            f"{suffix} is not a format of single files that nanogs both writes and reads."
+        )
 
 
 def refuse_duplicates(what: str, names: list[str]) -> None:
@@ -136,5 +138,5 @@ def refuse_duplicates(what: str, names: list[str]) -> None:
     for index, name in enumerate(names):
         if name in names[:index]:
             raise OptionError(
-                f"There are two of the {what} {name!r}; leave one out, or name it differently."
+                f"The {what} {name!r} occurs twice; leave one out, or name it differently."
             )

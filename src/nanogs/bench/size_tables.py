@@ -13,11 +13,11 @@ from nanogs.formatting import NONE, counted, number_text
 
 TITLE = "Gain at equal size"
 LEGEND = (
-    "Mean differences of curves over the sizes that both have (Bjontegaard, piecewise cubic over"
-    " the logarithm of the bytes), then over scenes: BD-PSNR in dB, in brackets the least scene's;"
-    " BD-SSIM; BD-rate, the bytes more at equal PSNR, so that -50 % saves half, with the number of"
-    " scenes where some have none. Against several:"
-    " the best of them at each size, for PSNR and SSIM each."
+    "Differences of curves, averaged over the sizes that both cover (Bjontegaard, piecewise cubic"
+    " over the logarithm of the bytes), then over scenes: BD-PSNR in dB, in brackets the smallest"
+    " of any scene; BD-SSIM; BD-rate, the change in bytes at equal PSNR, so that -50 % saves half,"
+    " with the number of scenes if some have none. Against several methods: against the best of"
+    " them at each size, separately for PSNR and SSIM."
 )
 
 
