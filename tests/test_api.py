@@ -318,7 +318,9 @@ def test_a_job_takes_numbers_of_numpy_and_a_path_for_its_files(files, tmp_path):
     assert (folder / "tileset.json").exists()
     assert sorted(tmp_path.iterdir()) == sorted([out, folder])
     for wrong in ("100", 100.0, True):
-        with pytest.raises(OptionError, match="A chunk holds a whole number of splats, not"):
+        with pytest.raises(
+            OptionError, match="The size of a chunk must be a whole number of splats, not"
+        ):
             nanogs.write_levels(files[0], tmp_path / "no", [0.5], **fast, **many | {"chunk": wrong})
 
 

@@ -259,9 +259,9 @@ def test_a_transform_in_16_numbers(scene, tmp_path):
 @pytest.mark.parametrize(
     ("output", "options", "words"),
     [
-        ("levels", OPTIONS, ["Only 3D Tiles", "tileset.json"]),
-        ("lod-meta.json", OPTIONS, ["Only 3D Tiles"]),
-        ("a.rad", OPTIONS, ["Only 3D Tiles"]),
+        ("levels", OPTIONS, ["only in 3D Tiles", "tileset.json"]),
+        ("lod-meta.json", OPTIONS, ["only in 3D Tiles"]),
+        ("a.rad", OPTIONS, ["only in 3D Tiles"]),
         ("tileset.json", "--longitude 8", ["--latitude"]),
         ("tileset.json", "--latitude 8 --roll 3", ["--longitude"]),
         ("tileset.json", "--height 8", ["--longitude and --latitude"]),

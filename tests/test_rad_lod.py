@@ -206,15 +206,15 @@ def test_with_w_it_is_replaced_and_fitting_in_vain_is_said(tmp_path):
     for chosen in (["--preset", "fast"], ["-w"]):
         done = run("lod", tmp_path / "a.ply", tmp_path / "a.rad", "--levels", "1,0.2", *chosen)
         assert done.returncode == 0, done.stderr
-        said.append("as 'default' fitted them" in " ".join(done.stderr.split()))
+        said.append("the fit of the preset 'default' is not used" in " ".join(done.stderr.split()))
     assert said == [False, True]
     assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "a.rad"}
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
-    [(["--chunk", "100"], "65,536"), (["--format", "sog"], "leave the format out"),
-     (["--plain"], "3D Tiles only")],
+    [(["--chunk", "100"], "65,536"), (["--format", "sog"], "determines it; leave it out"),
+     (["--plain"], "only in 3D Tiles")],
 )  # fmt: skip
 def test_options_of_other_layouts_are_refused(made, given, words):
     done = run("lod", made.with_name("a.ply"), made.with_name("d.rad"), *given)

@@ -104,7 +104,9 @@ def test_a_switch_that_is_seen_is_said(splats, psnr, ssim, seen):
     manifest = describe_levels("a.ply", [report, report], [level._replace(switch=None), level])
     assert manifest.levels[0].switch is None
     assert manifest.levels[1].switch.seen is seen
-    said = [note for note in manifest.notes if note.startswith("Level 1: one sees")]
+    said = [
+        note for note in manifest.notes if note.startswith("Level 1: the switch to it is visible")
+    ]
     assert len(said) == seen
     assert not said or "12.4 units" in said[0]
 
@@ -121,8 +123,10 @@ def test_each_level_says_how_it_looks_where_a_viewer_comes_to_it(scene, tmp_path
     if name.endswith(("lod-meta.json", ".ssog")):
         assert [each["distance"] for each in others] == pytest.approx([5, 15])
     seen = [SwitchQuality(**each).seen for each in others]
-    notes = [note[:19] for note in said["notes"] if "switch to it" in note]
-    assert notes == [f"Level {n}: one sees a" for n, each in enumerate(seen, 1) if each]
+    notes = [note[:36] for note in said["notes"] if "switch to it" in note]
+    assert notes == [
+        f"Level {n}: the switch to it is visible" for n, each in enumerate(seen, 1) if each
+    ]
 
 
 def test_the_command_shows_it(scene, tmp_path):

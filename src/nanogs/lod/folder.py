@@ -199,7 +199,7 @@ class ChunksFilling(LevelsFilling):
 
     def _write(self, name: str, data: bytes) -> None:
         if not plain_paths([name]):
-            raise FormatError(f"{name!r} is no name of a chunk; remove the folder of the job.")
+            raise FormatError(f"{name!r} is not the name of a chunk; remove the job's folder.")
         path = self._folder / name
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(data)

@@ -78,14 +78,17 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     for layout, ending in _FILES.items():
         if path.suffix.lower() == ending:
             if suffix is not None:
-                raise OptionError(f"{path} says how the levels are written; leave the format out.")
+                raise OptionError(
+                    f"The format cannot be chosen, because {path} already determines it; leave it"
+                    " out."
+                )
             return Output(path, layout, TREE if layout == Layout.TREE else PLY)
     for layout, name in NAMES.items():
         if path.name == name:
             if suffix is not None:
                 raise OptionError(
-                    f"{name} says how the levels are written; name a folder for files in another"
-                    " format."
+                    f"The format cannot be chosen, because {name} already determines it; name a"
+                    " folder for files in another format."
                 )
             return Output(path.parent, layout)
     if path.suffix.lower() == ".json":
@@ -96,8 +99,8 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     if known := registry.find(path):
         given = f', and give `format="{known.suffix.lstrip(".")}"`' if known.write else ""
         raise OptionError(
-            f"{path} is the name of one {known.suffix} file, and levels are several: name a folder,"
-            f" as in {path.with_suffix('')}/{given}."
+            f"{path} is the name of one {known.suffix} file, but there are several levels: name a"
+            f" folder, as in {path.with_suffix('')}/{given}."
         )
     if suffix is None:
         return Output(path, Layout.FILES)
@@ -132,19 +135,22 @@ def chunks_of(
     """
     if layout not in list(Layout):
         known = ", ".join(f'"{each}"' for each in Layout)
-        raise OptionError(f'There is no layout "{layout}"; there are {known}.')
+        raise OptionError(f'There is no layout "{layout}"; choose from {known}.')
     sized = chunk is not None or chunk_min is not None
     if sized and layout == Layout.FILES:
         raise OptionError(
-            "The size of chunks is for lod-meta.json, .ssog and tileset.json; levels as files of"
-            " their own are not divided."
+            "The size of chunks can be given only for lod-meta.json, .ssog and tileset.json,"
+            " because levels in separate files are not divided; leave it out."
         )
     if sized and layout == Layout.TREE:
-        raise OptionError("Chunks of a .rad file have 65,536 splats, as viewers want them.")
+        raise OptionError(
+            "The size of chunks cannot be given for a .rad file, because viewers expect 65,536"
+            " splats; leave it out."
+        )
     if plain and layout != Layout.TILES:
-        raise OptionError("Contents are plain or packed in 3D Tiles only; write a tileset.json.")
+        raise OptionError("Plain contents are possible only in 3D Tiles; write a tileset.json.")
     if place is not None and layout != Layout.TILES:
-        raise OptionError("Only 3D Tiles have a place on Earth; write a tileset.json.")
+        raise OptionError("A place on Earth is possible only in 3D Tiles; write a tileset.json.")
     most = CHUNK if chunk is None else _whole(chunk)
     least = max(min(LEAST_CHUNK, most // 4), 1) if chunk_min is None else _whole(chunk_min)
     if layout == Layout.TILES:
@@ -162,5 +168,5 @@ def _whole(size: int) -> int:
         OptionError: It is not a whole number.
     """
     if not is_number(size, whole=True):
-        raise OptionError(f"A chunk holds a whole number of splats, not {size!r}.")
+        raise OptionError(f"The size of a chunk must be a whole number of splats, not {size!r}.")
     return int(size)

@@ -162,9 +162,9 @@ def describe_levels(
 
 def _seen_note(level: int, switch: SwitchQuality) -> str:
     return (
-        f"Level {level}: one sees a viewer switch to it ({switch.text}; below {GOOD_PSNR:g} dB or"
-        f" {GOOD_SSIM:g} a difference is more than slight). Give more levels or larger ratios, or"
-        " the preset `best`."
+        f"Level {level}: the switch to it is visible in a viewer ({switch.text}; below"
+        f" {GOOD_PSNR:g} dB or {GOOD_SSIM:g} a difference is more than slight). Give more levels"
+        " or larger ratios, or the preset `best`."
     )
 
 

@@ -127,8 +127,9 @@ class TreeFilling(OpenSink):
         if not any(report.refit for report in reports):
             return made
         note = (
-            "Splats that stand for others are made anew, so that they fit each other in a tree, and"
-            f" not as {made.preset!r} fitted them: the preset 'fast' takes less time for as much."
+            "Inner splats of the tree are made anew, so that they fit each other, and the fit of"
+            f" the preset {made.preset!r} is not used for them; the preset 'fast' is as good here"
+            " and takes less time."
         )
         return replace(made, notes=(*made.notes, note))
 
