@@ -64,9 +64,12 @@ def test_a_folder_with_one_model_stands_for_it(folder, tmp_path):
         ("view {a} -o {out}/a.png", "pages are written as HTML; name"),
         (
             "simplify {a} {out}/meta.json --size 9kB",
-            "--size is for models in one file, and meta.js",
+            "--size works only for models in one file, and meta.js",
         ),
-        ("simplify {a} {out}/meta.json --psnr 30", "--psnr is for models in one file, and meta.js"),
+        (
+            "simplify {a} {out}/meta.json --psnr 30",
+            "--psnr works only for models in one file, and meta.js",
+        ),
         ("simplify {a} {out}/a.sog --size 99B --dry-run", "The size 99 B is too small"),
         ("convert {a} --out-dir {out} --format xyz", "nanogs does not write a format 'xyz'"),
     ],

@@ -373,7 +373,7 @@ def test_memory_that_runs_out_in_blocks_names_the_job_that_is_kept(
     said = " ".join(capsys.readouterr().err.split())
     assert "error: Memory ran out; free some" in said
     kept = tmp_path / "small.ply.job"
-    assert f"What is done is kept in {kept}: --resume goes on" in said
+    assert f"The finished part is kept in {kept}: --resume continues" in said
     assert "another --max-memory." in said
     assert command(*given, "--resume") == 0
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]

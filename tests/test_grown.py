@@ -106,7 +106,7 @@ def test_counts_that_there_are_not_are_refused(grown, count):
 
 
 def test_paper_and_unknown_options_are_refused(model):
-    with pytest.raises(OptionError, match="paper cannot be asked for several counts"):
+    with pytest.raises(OptionError, match="paper cannot search for several counts"):
         nanogs.grow(model, preset="paper")
     with pytest.raises(OptionError, match="no parameter"):
         nanogs.grow(model, viewz=3)

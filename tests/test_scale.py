@@ -494,7 +494,7 @@ def test_a_job_is_not_mistaken_for_another(scene, tmp_path, monkeypatch):
     begin(own, out, monkeypatch)
     with pytest.raises(OutputError, match="`resume=True` continues it"):
         nanogs.simplify_blocks(own, out, ratio=0.3, **SETTLED)
-    with pytest.raises(OutputError, match=r"differs: what is asked for \(ratio[^)]*\)\);"):
+    with pytest.raises(OutputError, match=r"differs: the request \(ratio[^)]*\)\);"):
         nanogs.simplify_blocks(own, out, ratio=0.2, resume=True, **(SETTLED | {"block": 900}))
     os.utime(own, (1, 1))
     with pytest.raises(OutputError, match=r"differs: the input files\)"):

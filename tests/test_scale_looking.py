@@ -144,7 +144,7 @@ def test_where_nothing_is_measured_nothing_is_weighed_by_what_is_seen(scene, tmp
 
 
 def test_blocks_that_are_not_fitted_are_told_of(splats, tmp_path):
-    """A half of the scene shows nothing; and one view cannot tell what helps."""
+    """A half of the scene shows nothing; and a single view cannot show whether a fit helps."""
     hidden = np.where(splats.means[:, 0] > 0, np.float32(-12), splats.opacity_logits)
     nanogs.save(dataclasses.replace(splats, opacity_logits=hidden), tmp_path / "scene.ply")
 
@@ -155,12 +155,12 @@ def test_blocks_that_are_not_fitted_are_told_of(splats, tmp_path):
     some = told()
     left = some.blocks.blocks - len(some.refit.groups)
     were, blocks = "was" if left == 1 else "were", some.blocks.blocks
-    said = f"{left} of {blocks} blocks {were} not fitted: too few views show them."
+    said = f"{left} of {blocks} blocks {were} not fitted, because too few views show them."
     assert left > 0
     assert some.notes == (said,)
     none = told(views=1, block=10**6)
     assert none.refit is None
-    assert none.notes == ("The result was not fitted: too few views show it.",)
+    assert none.notes == ("The result was not fitted, because too few views show it.",)
 
 
 @pytest.mark.parametrize("given", [{"preset": "fast", "steps": 0}, {}])

@@ -244,7 +244,7 @@ def test_a_worker_says_what_it_does_not_see(tmp_path):
     run_tasks(scratch, settings, InProcess(), 1, StageClock(), Tracker(None, []),
               resumed=False)  # fmt: skip
     source.unlink()
-    with pytest.raises(FormatError, match=r"in\.ply is not there; the caller and all workers"):
+    with pytest.raises(FormatError, match=r"in\.ply was not found; the caller and all workers"):
         do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, __version__)
 
 
@@ -396,7 +396,7 @@ def test_files_of_others_in_the_scratch_are_left_alone(tmp_path):
 def test_resume_says_what_it_finds(scene, tmp_path, expected):
     out, folder = tmp_path / "small.ply", tmp_path / "small.ply.job"
     nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)  # nothing there: it begins
-    finished = "exists and {} holds no job: one that ended well leaves nothing to resume; add -w"
+    finished = "exists and {} holds no job, as after a finished run; add -w"
     assert finished.format(folder) in ended(started(scene, out, "--resume"), code=2)
     with pytest.raises(OutputError, match="nothing to resume"):
         nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)
@@ -418,7 +418,7 @@ def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expec
     with pytest.raises(OutputError, match="`resume=True` continues it"):  # -w alone does not
         nanogs.simplify_blocks(scene, out, overwrite=True, **GIVEN)
     other = GIVEN | {"ratio": 0.2}
-    with pytest.raises(OutputError, match=r"differs: what is asked for \(ratio"):
+    with pytest.raises(OutputError, match=r"differs: the request \(ratio"):
         nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **other)
     fits = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1", "--resume"]
     enough = ["--max-memory", "2GB", "-w", "--up", "0,0,1", "--sh-degree", "0"]

@@ -102,7 +102,7 @@ def test_a_size_that_only_writing_tells_is_kept(scene, tmp_path, suffix):
 def test_a_size_for_the_whole_model_merges_nothing(scene, tmp_path):
     report = nanogs.simplify_blocks(scene, tmp_path / "a.spz", size="9MB", **QUICK)
     assert report.achieved_count == SPLATS
-    assert "The whole model fits into the size asked for; nothing was merged." in report.notes
+    assert "The whole model fits into the requested size; nothing was merged." in report.notes
 
 
 def test_one_too_small_for_any_splat_leaves_nothing(scene, tmp_path):
@@ -233,7 +233,7 @@ def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
     out = tmp_path / "a.spz"
     job = killed_at_the_end(scene, out, monkeypatch, size=40_000)
     monkeypatch.setattr("nanogs.pipeline.pack.guess_count", lambda *_: 123)
-    with pytest.raises(OutputError, match=r"is of another search, which tried .* and not 123"):
+    with pytest.raises(OutputError, match=r"belongs to another search, which tried .* and not 123"):
         nanogs.simplify_blocks(scene, out, size=40_000, resume=True, **QUICK)
     record = json.loads((job / "scratch" / f"{MARKED}-0-00000.json").read_bytes())
     assert json.loads(record["record"])["facts"][COUNT] != 123

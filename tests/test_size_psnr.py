@@ -174,7 +174,7 @@ def test_a_model_whose_compressed_file_fits_is_delivered_whole(splats):
 def test_a_size_that_compresses_nothing_is_refused(splats):
     with pytest.raises(OptionError, match="a file of one splat of this model takes"):
         nanogs.simplify(splats, size=30, preset="fast", format=".spz")
-    with pytest.raises(OptionError, match=r"paper cannot be asked for the size of a \.spz file"):
+    with pytest.raises(OptionError, match=r"paper cannot search for the size of a \.spz file"):
         nanogs.simplify(splats, size=6_000, preset="paper", format=".spz")
 
 

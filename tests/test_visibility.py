@@ -72,7 +72,7 @@ def test_cameras_that_show_nothing_are_told(tmp_path, blocks):
             tmp_path / "in.ply", tmp_path / f"{place}.ply", ratio=0.5, cameras=views, steps=2,
             **blocks,
         )  # fmt: skip
-        told.append([note for note in report.notes if "show nothing of the model" in note])
+        told.append([note for note in report.notes if "No view shows the model" in note])
         assert (report.shown > 0) == (not told[-1])
     assert list(map(len, told)) == [0, 1]
 
@@ -89,8 +89,8 @@ def test_cameras_of_which_some_show_nothing_are_told(tmp_path, blocks):
     report = nanogs.simplify_blocks(
         tmp_path / "in.ply", tmp_path / "out.ply", ratio=0.5, cameras=cameras, steps=2, **blocks
     )
-    [told] = [note for note in report.notes if "Nothing of the model is seen" in note]
-    assert "in 2 of the 4 views" in told
+    [told] = [note for note in report.notes if "views show nothing of the model" in note]
+    assert "2 of the 4 views show" in told
     assert "another frame" in told
 
 
@@ -274,7 +274,7 @@ def test_views_too_small_to_choose_by_are_refused_before_the_forest(block, tmp_p
         return nanogs.simplify_blocks(path, tmp_path / name, block=block, **given, **more)
 
     monkeypatch.setattr(run, "do", noted)
-    words = "'fit_001' is 64 x 8 pixels here, .* views of 11 x 11 or more; raise `view_size`"
+    words = "'fit_001' has 64 x 8 pixels here, .* views of at least 11 x 11; raise `view_size`"
     with pytest.raises(OptionError, match=words):
         made("b.ply")
     assert stages[-1] == "look"

@@ -109,8 +109,8 @@ def test_what_a_splat_too_many_takes_is_said(tmp_path, suffix, block):
     given = {"size": more - 1, "preset": "fast", "block": block}
     report = nanogs.simplify_blocks(source, out, **given)
     assert report.achieved_count == 2
-    [note] = [note for note in report.notes if "of the size asked for" in note]
-    assert note.endswith(f"one of 3 splats takes {more:,} B.")
+    [note] = [note for note in report.notes if "of the requested size" in note]
+    assert note.endswith(f"a file of 3 splats takes {more:,} B.")
     whole = {"size": "1MB", "preset": "fast", "block": block, "overwrite": True}
     report = nanogs.simplify_blocks(source, out, **whole)
     assert any("whole model fits" in note for note in report.notes)
@@ -141,7 +141,7 @@ def test_what_is_around_the_splats_of_a_page_is_no_use_of_its_size():
     fitted = search_fit(lambda n: viewer + 20 * n, viewer + 10_000, 1, 1, 10**6, around=viewer)
     assert fitted.bytes - viewer >= 0.98 * 10_000
     assert not fitted.leap(viewer + 10_000, 10**6, viewer)
-    assert "of the size asked for" in replace(fitted, bytes=viewer).leap(10**7, 10**6, viewer)[0]
+    assert "of the requested size" in replace(fitted, bytes=viewer).leap(10**7, 10**6, viewer)[0]
 
 
 def test_a_page_takes_the_size_that_the_viewer_leaves(tmp_path):
@@ -157,7 +157,7 @@ def test_a_page_takes_the_size_that_the_viewer_leaves(tmp_path):
 def test_a_search_that_ends_early_says_so():
     fitted = search_fit(lambda count: 4000 + count.bit_length(), 10**6, 1, 1, 10**99)
     assert (len(fitted.probes), fitted.stop) == (MOST_PROBES, "settled")
-    assert "enough others were tried" in fitted.leap(10**6, 10**99)[0]
+    assert "no larger one was found in the allowed number of tries" in fitted.leap(10**6, 10**99)[0]
 
 
 @pytest.mark.parametrize(

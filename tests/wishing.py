@@ -27,7 +27,8 @@ SUFFIXES = (".sog", ".spz") * 3 + (
 FRAMES = (("rdf", "rub"), ("rub", "luf"))
 LEAST = re.compile(r"([\d,]+) B[.;]")
 FEW = {"views": 2, "view_size": 48, "roaming": 0, "steps": 2}
-ENDS = ("whole model fits", "of the size asked for: one of")  # notes that say why a file is small
+# Notes that say why a file is small.
+ENDS = ("whole model fits", "of the requested size, because a file of")
 SPANS = 0.3  # dB above an asked PSNR
 
 

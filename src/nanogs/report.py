@@ -303,7 +303,7 @@ def stop_text(report: SimplifyReport) -> str:
             f"The search for the fewest splats ended after {len(report.probes)} counts; what was "
             f"written reaches {report.asked_psnr:g} dB, and fewer may too (stop: {report.stop})."
         )
-    return f"Stopped before the asked count: {report.stop}."
+    return f"Stopped before the requested count: {report.stop}."
 
 
 def _nearest_text(report: SimplifyReport) -> str:

@@ -188,8 +188,8 @@ def refuse_device(device: str | None, preset: str, chosen: Parameters, goal: Goa
     looks = renders(chosen) or goal.psnr is not None
     if device not in (None, CPU, AUTO) and not looks:
         raise OptionError(
-            f"The preset {preset} renders nothing, so that a card has nothing to do; take"
-            ' `device="cpu"`, or another preset.'
+            f"`device` has no effect with the preset {preset}, which renders nothing; use"
+            ' `device="cpu"`, or choose another preset.'
         )
     check_device(device)
 
@@ -216,8 +216,8 @@ def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
     if known.write is None and (goal.size is not None or goal.psnr is not None):
         asked = "size" if goal.psnr is None else "psnr"
         raise OptionError(
-            f"`{asked}` is for models in one file, and {known.suffix} describes a folder; write a"
-            " .sog file."
+            f"`{asked}` works only for models in one file, and {known.suffix} describes a folder;"
+            " write a .sog file."
         )
 
 

@@ -93,6 +93,6 @@ def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool) -> None
     """
     if given and not renders(chosen):
         raise OptionError(
-            f"The preset {preset} renders nothing here, so that `views`, `view_size`, `cameras` and"
-            " `up` mean nothing to it; leave them out or choose another preset."
+            "`views`, `view_size`, `cameras` and `up` have no effect, because the preset"
+            f" {preset} renders nothing here; leave them out or choose another preset."
         )

@@ -97,7 +97,7 @@ def connected(scheduler: str) -> Iterator["Client"]:
         except Exception as error:  # the type depends on what Dask finds at the address
             raise OptionError(
                 f"No Dask scheduler answers at {scheduler!r} ({type(error).__name__}); start one"
-                " with `dask scheduler`, or do without one."
+                " with `dask scheduler`, or leave the scheduler out."
             ) from None
         with closing(client):
             yield client

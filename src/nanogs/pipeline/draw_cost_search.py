@@ -85,7 +85,8 @@ def search_share(
         if fits is None and over.count == fewest:
             raise TooSmallError(
                 f"A draw cost of {asked:.2%} is too small: {counted(fewest, 'splat')}, the fewest"
-                f" that this model can be made of, take {probe.share:.2%} of what it takes itself."
+                f" that this model can be reduced to, cost {probe.share:.2%} of the whole model;"
+                " allow at least that."
             )
         power = _power(probes) if len(probes) > 1 else power
         count = _next(fits, over, probe, asked, power, len(probes))

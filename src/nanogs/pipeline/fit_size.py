@@ -26,7 +26,7 @@ HOPELESS = 0.5  # share of the size of a one-splat file; anything smaller is ref
 _STEPS = 0.995, 0.97
 _LEAP = 16  # while all counts fit, the next is at most this many times the largest
 
-WHOLE_FITS = "The whole model fits into the size asked for; nothing was merged."
+WHOLE_FITS = "The whole model fits into the requested size; nothing was merged."
 
 Encode = Callable[[Splats], int]
 """Bytes of a model's file, by writing it."""
@@ -76,10 +76,10 @@ def little_used(size: int, taken: int, over: Probe, around: int = 0) -> tuple[st
     """
     if taken >= target_bytes(size, ENOUGH, around):
         return ()
-    more = "enough others were tried to find a larger one"
+    more = "no larger one was found in the allowed number of tries"
     if over is not None:
-        more = f"one of {counted(over.count, 'splat')} takes {over.bytes:,} B"
-    return (f"The file takes {taken / size:.0%} of the size asked for: {more}.",)
+        more = f"a file of {counted(over.count, 'splat')} takes {over.bytes:,} B"
+    return (f"The file takes only {taken / size:.0%} of the requested size, because {more}.",)
 
 
 def notes_on_known(

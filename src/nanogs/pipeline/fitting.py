@@ -123,9 +123,11 @@ def notes_on_fits(work: "Work", level: int) -> list[str]:
     if not left:
         return []
     if len(records) == 1:
-        return ["The result was not fitted: too few views show it."]
+        return ["The result was not fitted, because too few views show it."]
     were = "was" if left == 1 else "were"
-    return [f"{left:,} of {len(records):,} blocks {were} not fitted: too few views show them."]
+    return [
+        f"{left:,} of {len(records):,} blocks {were} not fitted, because too few views show them."
+    ]
 
 
 def fit_views(work: "Work", block: int, level: int) -> FitViews | None:

@@ -34,8 +34,8 @@ def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
         pass  # these errors are reported where the folder is made
     except OSError as error:
         raise OutputError(
-            f"The folder {folder} cannot be made ({error.strerror}), in which a job in blocks keeps"
-            " its files; name another one with `job`."
+            f"Cannot create the folder {folder} for the files of the job ({error.strerror}); name"
+            " another one with `job`."
         ) from error
     return folder
 
@@ -49,7 +49,7 @@ def locked(folder: Path) -> Iterator[None]:
     """
     try:
         if folder.exists() and not folder.is_dir():
-            raise OutputError(f"{folder} is no folder; name another one for the job.")
+            raise OutputError(f"{folder} is not a folder; name another one for the job.")
         folder.mkdir(parents=True, exist_ok=True)
         _refuse_foreign(folder)
         file = (folder / LOCK).open("ab")
@@ -79,7 +79,10 @@ def _refuse_foreign(folder: Path) -> None:
         return
     others = (path.name for path in folder.iterdir() if not path.name.startswith(RESULT))
     if any(name not in (LOCK, SCRATCH) for name in others):
-        raise OutputError(f"{folder} holds other files; name a new folder for the job.")
+        raise OutputError(
+            f"{folder} cannot be the folder of the job, because it holds other files; name a new"
+            " one."
+        )
 
 
 def _take(file: BinaryIO, folder: Path) -> None:
@@ -149,8 +152,8 @@ def refuse_finished(folder: Path, output: Path) -> None:
     empty = output.is_dir() and not any(output.iterdir())
     if output.exists() and not empty and not (folder / MANIFEST).exists():
         raise ExistsError(
-            f"{output} exists and {folder} holds no job: one that ended well leaves nothing to"
-            " resume",
+            f"There is nothing to resume, because {output} exists and {folder} holds no job, as"
+            " after a finished run",
             "make it anew",
         )
 

@@ -140,7 +140,7 @@ def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters
     chosen = parameters(preset, overrides)
     if not isinstance(chosen, ForestParameters):
         raise OptionError(
-            f"The preset {preset} needs the whole model in memory; take another one, or give it"
+            f"The preset {preset} needs the whole model in memory; choose another one, or provide"
             " more memory."
         )
     return chosen

@@ -51,8 +51,8 @@ def open_unchanged(file: InputFile) -> FileSource:
     """
     if not Path(file.path).exists():
         raise FormatError(
-            f"{file.path} is not there; the caller and all workers must see the inputs under one"
-            " name."
+            f"{file.path} was not found; the caller and all workers must see the inputs under the"
+            " same path."
         )
     try:
         source = open_model(file.path)

@@ -114,8 +114,8 @@ class JobResults:
             facts = work.record(task).facts
             if facts[COUNT] != count:
                 raise OutputError(
-                    f"{work.scratch.place} is of another search, which tried {facts[COUNT]:,}"
-                    f" splats and not {count:,}; remove the job's folder."
+                    f"{work.scratch.place} belongs to another search, which tried"
+                    f" {facts[COUNT]:,} splats and not {count:,}; remove the job's folder."
                 )
             self.tried.made.append(result)
             return result, facts[MARK]

@@ -132,7 +132,9 @@ def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
         OptionError: There are none, one is out of range, or they are not strictly decreasing.
     """
     if not isinstance(ratios, Iterable):
-        raise OptionError(f"The ratios of levels are several, such as [0.5, 0.1], not {ratios!r}.")
+        raise OptionError(
+            f"The ratios of levels must be a sequence, such as [0.5, 0.1], not {ratios!r}."
+        )
     found = tuple(goal.ratio for ratio in ratios if (goal := Goal(ratio=ratio)).ratio is not None)
     if not found:
         raise OptionError("Give at least one ratio for the levels.")

@@ -94,7 +94,7 @@ def _refuse_small(deciding: Sequence["Camera"]) -> None:
     for camera in deciding:
         if min(camera.width, camera.height) < LEAST:
             raise OptionError(
-                f"The view of camera {camera.name!r} is {camera.width} x {camera.height} pixels"
-                f" here, and results are chosen by views of {LEAST} x {LEAST} or more; raise"
-                " `view_size` where it makes views smaller, or leave the camera out."
+                f"The view of camera {camera.name!r} has {camera.width} x {camera.height} pixels"
+                f" here, but results are chosen by views of at least {LEAST} x {LEAST}; raise"
+                " `view_size` if it makes views smaller, or leave the camera out."
             )

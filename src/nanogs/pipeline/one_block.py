@@ -360,7 +360,9 @@ class OneBlock(Scene):
         """Return a note if a result could not be fitted; see `Scene.notes_on_fits`."""
         if self._fits[level] is not None:
             return ()
-        return ("The result was not fitted: one view cannot tell what helps.",)
+        return (
+            "The result was not fitted, because a single view cannot show whether a fit helps.",
+        )
 
     def taken(self, level: int) -> Splats:
         """Remove a result from the scene and return it."""

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from nanogs.pipeline.scene import Scene
 
 UNSEEN = (
-    "The views show nothing of the model, so that nothing was chosen by how it looks; cameras may"
-    " be in another frame than the model."
+    "No view shows the model, so nothing was chosen by how it looks; the cameras may be in"
+    " another frame than the model."
 )
 
 
@@ -91,7 +91,7 @@ def _unseen(scene: "Scene", shown: float) -> tuple[str, ...]:
     if not blind:
         return ()
     note = (
-        f"Nothing of the model is seen in {blind} of the {views} views that it was looked at from;"
-        " cameras may be in another frame than the model."
+        f"{blind} of the {views} views show nothing of the model; the cameras may be in another"
+        " frame than the model."
     )
     return (note,)

@@ -23,7 +23,7 @@ from nanogs.report import PackingReport
 from nanogs.splats import Splats
 
 T = TypeVar("T")
-BLIND = "Nothing of the model is visible, so how the file is packed was not chosen by looking."
+BLIND = "No view shows the model, so the packing of the file was not chosen by how it looks."
 CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
 
 
@@ -57,8 +57,8 @@ class Packed:
         if self.blind:
             return (BLIND,)
         kept = self.packing.sh_degree
-        why = "nothing else fits" if self.tight else "so the file shows more"
-        left = f"Spherical harmonics above degree {kept} are left out: {why}."
+        why = "nothing else fits" if self.tight else "the file looks better without them"
+        left = f"Spherical harmonics above degree {kept} are left out, because {why}."
         return (left,) if kept < self.highest else ()
 
 

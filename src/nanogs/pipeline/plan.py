@@ -134,8 +134,8 @@ def _room(max_memory: int) -> float:
 def _must_be(least: float, allowed: int) -> str:
     """Return the beginning of a message on a memory limit, set by the user or the system."""
     return (
-        f"`max_memory`, or without it what is free, is {allowed / 1e6:,.0f} MB and must be at least"
-        f" {ceil(least / 1e6):,} MB"
+        f"`max_memory`, or without it the free memory, is {allowed / 1e6:,.0f} MB and must be at"
+        f" least {ceil(least / 1e6):,} MB"
     )
 
 

@@ -26,9 +26,11 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
 )
 """The parameters of each preset, by its name; `nanogs.presets`."""
 SUMMARIES: Mapping[str, str] = {
-    "default": "one merge forest; the cut that looks most like the original, fitted a little",
-    "fast": "the same forest, one cut, nothing rendered",
-    "best": "default with a new view for every step of a long fit; takes 4 to 5 times as long",
+    "default": (
+        "merge forest; the best-looking of several cuts, then a short optimisation against renders"
+    ),
+    "fast": "merge forest and one cut; renders nothing",
+    "best": "as default, with a long fit on a new view for every step; takes 4 to 5 times as long",
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
@@ -72,8 +74,8 @@ def refuse_search(preset: str, wish: str) -> None:
     """
     if not isinstance(PRESETS[preset], ForestParameters):
         raise OptionError(
-            f"The preset {preset} cannot be asked for {wish}, since each count tried would be a "
-            "run of its own; choose another preset."
+            f"The preset {preset} cannot search for {wish}, because each count tried would be a"
+            " complete run; choose another preset."
         )
 
 

@@ -209,8 +209,8 @@ class Request:
             if used == CPU:
                 return
             raise OptionError(
-                'A model in blocks is looked at and fitted on the CPU alone: take `device="cpu"`,'
-                " or leave out what asks for blocks, and allow more with `max_memory`."
+                'A model in blocks is rendered and fitted only on the CPU; use `device="cpu"`, or'
+                " leave out the options for blocks and allow more memory with `max_memory`."
             )
 
     def check_addresses(self) -> None:
@@ -222,7 +222,9 @@ class Request:
         asked = {"resume": self.resume, "job": self.job, "executor": self.executor}
         for name in (name for name, given in asked.items() if given):
             for path in (*self.inputs, self.output):
-                refuse_address(path, f"leave `{name}` out, or name a file that stays in its place")
+                refuse_address(
+                    path, f"leave `{name}` out, or name a local file that stays where it is"
+                )
 
     def continues_job(self) -> bool:
         """Whether there is a job to continue, which checks its output itself.

@@ -50,7 +50,8 @@ class Changes:
         refuse_whole(self.filters)
         if any(each.plain is None for each in self.filters):
             raise OptionError(
-                "A job takes the filters of nanogs.filters alone; apply others to the model first."
+                "A model in blocks can be filtered only with the filters of nanogs.filters; apply"
+                " others to the model first."
             )
 
 

@@ -17,7 +17,7 @@ from nanogs.source import Layout
 MOST_SEEN = 0.1
 VERSION = 13  # of the job folder's format; a folder of another version is not continued
 
-_WISH = "what is asked for (ratio, count, size, PSNR, draw cost)"
+_WISH = "the request (ratio, count, size, PSNR, draw cost)"
 _SIZE = "the memory for blocks, or their size"
 # Fields of `Settings` in the user's terms; then those that are derived from others.
 _GIVEN = {

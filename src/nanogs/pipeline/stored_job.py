@@ -161,8 +161,8 @@ class BlockJob:
         if other or _parent_of(place) != self._scratch_parent():
             what = in_words(other or ["scratch"])
             raise OutputError(
-                f"{self.folder} holds another job (what differs: {what});"
-                " resume it with the same inputs and options, or remove the folder."
+                f"{self.folder} holds another job (what differs: {what}); resume it with the same"
+                " inputs and options, or remove the folder."
             )
         self.ending.check_begun(self.folder)
         return place
@@ -213,8 +213,8 @@ def _telling_of(folder: Path) -> Iterator[None]:
     except Exception as error:
         if (folder / MANIFEST).exists():
             error.add_note(
-                f"What is done is kept in {folder}: `resume=True` goes on from there; remove the"
-                " folder to begin anew, as with another `max_memory`."
+                f"The finished part is kept in {folder}: `resume=True` continues from there;"
+                " remove the folder to begin anew, for example with another `max_memory`."
             )
         raise
 

@@ -103,8 +103,8 @@ class Work(Scene):
             found = read_record(self.scratch, name)
             if found is None:
                 raise OutputError(
-                    f"{name} of the job is not in {self.scratch.place}; workers and caller must"
-                    " see the same files there, name such a place with `scratch`."
+                    f"{name} of the job was not found in {self.scratch.place}; name a place with"
+                    " `scratch` where the caller and all workers see the same files."
                 )
             self.known[name] = found
         return self.known[name]

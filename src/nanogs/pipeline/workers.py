@@ -27,7 +27,7 @@ from nanogs.threads import use_threads
 if TYPE_CHECKING:
     from distributed import Client
 
-KEPT = "the job is kept, `resume=True` continues it"
+KEPT = "the job is kept, and `resume=True` continues it"
 _LOOK = 1.0  # seconds between checks of the cluster
 _ANSWER = 10  # seconds that a scheduler may take to list its workers
 _SILENT = 30.0  # seconds after which a scheduler that does not answer is lost
@@ -215,7 +215,9 @@ def check(future: "futures.Future[None]", task: Task) -> None:
 
 def _ended(workers: int) -> OutputError:
     found = counted(workers, "worker")
-    return OutputError(f"{found} ended in the middle of a task, as when memory runs out; {KEPT}.")
+    return OutputError(
+        f"{found} ended in the middle of a task, perhaps because memory ran out; {KEPT}."
+    )
 
 
 def _lost() -> OutputError:
