@@ -153,7 +153,7 @@ def test_what_makes_no_sense_is_refused(scene, tmp_path):
     assert "--draw-cost" in both.stderr
     unseen = random_splats(20)
     unseen.opacity_logits[:] = -20
-    with pytest.raises(ModelError, match="to draw cannot be measured"):
+    with pytest.raises(ModelError, match="draw cost cannot be measured"):
         nanogs.simplify(unseen, draw_cost=0.5, **QUICK)
     assert not list(tmp_path.iterdir())
 

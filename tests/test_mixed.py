@@ -352,7 +352,7 @@ def test_what_hinders_mixing_is_said(scene, stream):
         return " ".join(result.stderr.split())
 
     least = said(stream, 1)
-    assert "the coarsest level, 90 splats, is drawn whatever the budget" in least
+    assert "the coarsest level, 90 splats, exceeds the budget and is drawn" in least
     assert "levels of at most 1 splat:" in least
     assert "a --budget between the splats of two levels (900, 360, 90) mixes them" in said(
         stream, 360
@@ -360,7 +360,7 @@ def test_what_hinders_mixing_is_said(scene, stream):
     whole = scene.with_name("whole.ssog")
     made = run("lod", scene, whole, "--preset", "fast", "--levels", "0.5,0.2", "-q")
     assert made.returncode == 0, made.stderr
-    assert "the stream is one chunk, make it of smaller ones (--chunk)" in said(whole, 600)
+    assert "the stream is a single chunk, make it with smaller ones (--chunk)" in said(whole, 600)
 
 
 def test_a_seam_that_is_seen_is_said(scene, stream, monkeypatch):

@@ -98,8 +98,8 @@ def test_what_is_packed_already_is_told_and_not_packed_so_again(files, temporary
     found = nanogs.compare(*pair, packed=FORMATS, **SMALL)
     assert [model.name for model in found.models] == ["half.spz", "half.spz as .sog"]
     already, itself = (note for note in found.notes if note.startswith("half.spz: the file is "))
-    assert "packed as .spz already and is not packed so again" in already
-    assert "packed itself, as .spz" in itself
+    assert "already packed as .spz and is not packed again" in already
+    assert "itself packed, as .spz" in itself
     alone = nanogs.compare(*pair, packed=[".spz"], **SMALL)
     assert [model.name for model in alone.models] == ["half.spz"]
     assert len([note for note in alone.notes if "packed" in note]) == 1

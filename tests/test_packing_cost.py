@@ -110,7 +110,7 @@ def test_what_takes_too_much_memory_to_write_is_refused_before_work(scene, tempo
         (["lod-meta.json"], {}, "levels of detail; make them with `nanogs lod`"),
         ([".splat", ".ply"], {"palette": 9}, r"`palette` is for .*, not for \.splat; leave it out"),
         ([".splat", ".sog"], {"bits": 99}, "`bits` must be a whole number from 4 to 8, not 99"),
-        ([".ply"], {}, r"scene\.ply is packed as \.ply already; name another"),
+        ([".ply"], {}, r"scene\.ply is already packed as \.ply; name another"),
     ],
 )
 def test_formats_that_cannot_be_measured_are_refused(scene, temporary, formats, options, message):
@@ -129,9 +129,9 @@ def test_a_file_that_is_packed_itself_is_named(scene, tmp_path, temporary):
     nanogs.save(nanogs.load(scene), tmp_path / "a.splat")
     nanogs.save(nanogs.load(scene), tmp_path / "a" / "meta.json")
     [note] = nanogs.packing_cost(tmp_path / "a.splat", [".spz"]).notes
-    assert note.startswith("the file is packed itself, as .splat; ")
+    assert note.startswith("the file is itself packed, as .splat; ")
     for packed in ("a", "a/meta.json"):
-        with pytest.raises(OptionError, match=r"is packed as \.sog already"):
+        with pytest.raises(OptionError, match=r"is already packed as \.sog"):
             nanogs.packing_cost(tmp_path / packed, [".sog"])
 
 
@@ -173,7 +173,7 @@ def test_info_refuses_in_one_sentence(scene):
         (".html",): "does not read .html",
         (".sgo",): "did you mean '.sog'",
         (",",): "--packed names no format",
-        (".ply",): "scene.ply is packed as .ply already",
+        (".ply",): "scene.ply is already packed as .ply",
         (".splat", "--palette", "9"): "--palette is for .",
         ("", "--bits", "6"): "--bits is for what is packed",
     }
@@ -186,5 +186,5 @@ def test_info_of_stdin_names_no_temporary_file(scene, tmp_path):
     data = (tmp_path / "a.splat").read_bytes()
     told = run("info", "-", "--from", "splat", "--packed", ".spz", data=data)
     assert "packed as .spz" in told.stdout
-    assert "note: stdin: the file is packed itself, as .splat" in told.stderr
+    assert "note: stdin: the file is itself packed, as .splat" in told.stderr
     assert tempfile.gettempdir() not in told.stdout + told.stderr

@@ -73,7 +73,7 @@ def test_fewer_views_than_asked_for_are_said(monkeypatch):
 def test_sources_are_kinds_or_one_path():
     assert parse_sources("auto, roam") == ["auto", "roam"]
     assert parse_sources("a,b.json") == ["a,b.json"]
-    with pytest.raises(OptionError, match="'orbti' is no kind of cameras"):
+    with pytest.raises(OptionError, match="'orbti' is not a kind of cameras"):
         parse_sources("auto,orbti")
 
 
@@ -82,7 +82,7 @@ def test_sources_are_kinds_or_one_path():
     [
         (["auto", "auto"], [(16, 16)], "kind of cameras is given twice"),
         (["auto"], [(16, 16), (16, 16)], "size is given twice"),
-        (["a.json"], [(16, 16), (32, 32)], "have their own"),
+        (["a.json"], [(16, 16), (32, 32)], "have sizes of their own"),
         (["a.json"], [(16, 16)], "no camera file 'a.json'"),
     ],
 )

@@ -107,10 +107,13 @@ def compare(
     background = None if background is None else plain_background(background)
     chosen = views is not None or up is not None or asked != requested_views("auto", PIXELS)
     if photos is not None and chosen:
-        raise OptionError("Photographs have views of their own; give no others beside `photos`.")
+        raise OptionError(
+            "Options for views cannot be combined with `photos`, which has views of its own;"
+            " leave them out."
+        )
     if photos is None and (images is not None or split != "test"):
         raise OptionError(
-            "`images` and `split` are for photographs; name their data set with `photos`."
+            "`images` and `split` work only with photographs; name their data set with `photos`."
         )
     largest, most = asked.pictures(views) if photos is None else (PIXELS**2, 0)
     packing = packing_of(packed, format_options) if packed else {}

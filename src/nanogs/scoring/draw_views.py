@@ -57,11 +57,11 @@ def draw_views(original: Splats | Source, tell: Parts = ignore_progress) -> Draw
             original, "auto", count=VIEWS, width=PIXELS, height=PIXELS, split="test"
         )
     except ModelError as error:
-        raise ModelError(f"What it takes to draw cannot be measured: {error}") from None
+        raise ModelError(f"The draw cost cannot be measured: {error}") from None
     protocol = Protocol()
     cost = cost_on(original, cameras, protocol, tell)
     if not cost.splats_a_pixel:
         raise ModelError(
-            "What it takes to draw cannot be measured: no splat is seen in any automatic view."
+            "The draw cost cannot be measured, because no automatic view shows any splat."
         )
     return DrawViews(cameras, protocol, cost)

@@ -268,20 +268,22 @@ def _notes(score: MixedScore, chunks: int) -> list[str]:
     where, least = f"{score.name}, {score.protocol.label}", score.levels[-1]
     if score.budget is not None and score.budget < least:
         floor = (
-            f"{where}: the coarsest level, {counted(least, 'splat')}, is drawn whatever the budget;"
-            f" give a `budget` of {least:,} or more, or make a coarser level (`levels`)."
+            f"{where}: the coarsest level, {counted(least, 'splat')}, exceeds the budget and is"
+            f" drawn nevertheless; give a `budget` of {least:,} or more, or make a coarser level"
+            " (`levels`)."
         )
         return [floor]
     if score.seam_loss is None:
-        unmixed = f"{where}: no levels meet in any view, so that nothing is said of seams; "
+        unmixed = f"{where}: no levels meet in any view, so seams could not be measured; "
         if chunks == 1:
-            return [f"{unmixed}the stream is one chunk, make it of smaller ones (`chunk`)."]
+            return [f"{unmixed}the stream is a single chunk, make it with smaller ones (`chunk`)."]
         counts = ", ".join(f"{count:,}" for count in score.levels)
         return [f"{unmixed}a `budget` between the splats of two levels ({counts}) mixes them."]
     if score.seam_loss <= SEAM_LOSS:
         return []
     worse = (
-        f"{where}: where levels meet, pictures are {score.seam_loss:.2f} dB worse than the coarser"
-        " level alone, which one may see as lines; make the stream of larger chunks (`chunk`)."
+        f"{where}: where levels meet, pictures are {score.seam_loss:.2f} dB worse than the"
+        " coarser level alone, which may be visible as lines; make the stream with larger chunks"
+        " (`chunk`)."
     )
     return [worse]

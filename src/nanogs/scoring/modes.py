@@ -76,12 +76,13 @@ class ModeEvidence:
         fade = f"{self.faded:.1%} of the splats in sight would lose nine tenths of their opacity"
         lines.append(f"{fade} as mip, {_verdict(many)}")
         lines.append(
-            f"{self.thin:.0%} of them are thinner than default widens them, {_verdict(few)}"
+            f"{self.thin:.0%} of them are thinner than the width to which default blurs them,"
+            f" {_verdict(few)}"
         )
         if self.leak is not None:
             leaks = "default" if self.leak >= LEAKING else ""
             lines.append(
-                f"{self.leak:.2%} of the light comes through opaque places as mip,"
+                f"{self.leak:.2%} of the light passes through opaque places as mip,"
                 f" {_verdict(leaks)}"
             )
         return tuple(lines)

@@ -81,8 +81,8 @@ def packing_notes(
     for name, source in models:
         same = [suffix for suffix in packing if has_format(source, suffix)]
         notes += [
-            f"{name}: the file is packed as {suffix} already and is not packed so again; compare it"
-            " with the model that it was made of to see what that cost."
+            f"{name}: the file is already packed as {suffix} and is not packed again; to see what"
+            " the packing cost, compare it with the model that it was made from."
             for suffix in same
         ]
         if len(same) < len(packing):

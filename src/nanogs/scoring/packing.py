@@ -65,8 +65,8 @@ def refuse_packed(source: Splats | Source, packing: Packing) -> None:
         if has_format(source, suffix):
             encoding = _SAME_ENCODING.get(suffix, suffix.lstrip("."))
             raise OptionError(
-                f"{source_of(source).name} is packed as .{encoding} already; name another format,"
-                " or compare it with the model that it was made of (`nanogs compare`)."
+                f"{source_of(source).name} is already packed as .{encoding}; name another format,"
+                " or compare it with the model that it was made from (`nanogs compare`)."
             )
 
 
@@ -87,8 +87,8 @@ def notes_on(source: Splats | Source) -> tuple[str, ...]:
     if not isinstance(source, FileSource) or _packed_as(source) not in _ROUNDED:
         return ()
     note = (
-        f"the file is packed itself, as .{_packed_as(source)}; unpacked stands for the model as it"
-        " is read from there, so what packing cost before is in no number."
+        f"the file is itself packed, as .{_packed_as(source)}; unpacked means the model as read"
+        " from it, so no number includes what that packing cost."
     )
     return (note,)
 

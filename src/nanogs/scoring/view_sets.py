@@ -42,8 +42,8 @@ def parse_sources(text: str) -> list[str]:
     if others and len(others) < len(names) and not Path(text).exists():
         meant = did_you_mean(others[0], FOUND)
         raise OptionError(
-            f"{others[0]!r} is no kind of cameras{meant}; choose from {', '.join(FOUND)}, or give a"
-            " camera file alone."
+            f"{others[0]!r} is not a kind of cameras{meant}; choose from {', '.join(FOUND)}, or"
+            " give a camera file alone."
         )
     return [text] if others else names
 
@@ -85,8 +85,8 @@ def view_sets(
     others = [source for source in sources if source not in FOUND]
     if others and len(sizes) > 1:
         raise OptionError(
-            f"Sizes are of views that are found; the cameras of {others[0]} have their own. Give"
-            " one size, or cameras that are found."
+            f"Several sizes cannot be given for the cameras of {others[0]}, which have sizes of"
+            " their own; give one size, or automatic views."
         )
     counts = found_views(sources, views)
     return [

@@ -166,7 +166,7 @@ def _read(
     counts = [open_model(path).levels for _name, path in inputs]
     if level is not None and not any(counts):
         raise OptionError(
-            "`level` is for levels of detail (lod-meta.json, tileset.json); leave it out."
+            "`level` works only with levels of detail (lod-meta.json, tileset.json); leave it out."
         )
     models = []
     for (_name, path), levels in each(zip(inputs, counts, strict=True), tell):
