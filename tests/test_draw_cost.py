@@ -177,7 +177,7 @@ def test_compare_says_what_each_model_takes_on_its_views(pair, tmp_path):
     assert share > 0.25, "a quarter of the splats takes more than a quarter of the work"
     text = run(*given)
     assert f"{share:.1%}" in text.stdout
-    assert "a pixel: splats that cover one" in text.stderr
+    assert "a pixel: number of splats that cover a pixel" in text.stderr
     assert f'<td data-is="draws">{100 * share:.1f} %</td>' in page.read_text(encoding="utf-8")
 
 

@@ -234,7 +234,7 @@ def test_each_splat_is_in_the_scene_or_in_its_environment(model, made):
 
 def test_the_first_picture_takes_the_environment_too(made):
     place, report, said = made
-    assert f"an environment of {SKY} splats, found apart in the model" in said
+    assert f"an environment of {SKY} splats, separated from the model" in said
     with zipfile.ZipFile(place / "a.ssog") as archive:
         names = archive.namelist()
         assert {name: archive.read(name) for name in names} == {

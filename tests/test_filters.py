@@ -224,7 +224,7 @@ def test_simplify_counts_what_the_filters_left(scene, tmp_path):
     assert report["achieved_count"] == len(nanogs.load(small)) == -(-left // 2)
     assert "filter" in report["seconds"]
     shown = run("simplify", scene, small, *options, "-w", "-v").stderr
-    assert "crop box:-1,-1,-1,1,1,500 took 1 splat; 399 are left." in shown
+    assert "crop box:-1,-1,-1,1,1,500 removed 1 splat; 399 are left." in shown
     assert f"input count {left}" in " ".join(shown.split())
     plan = run("simplify", scene, tmp_path / "b.ply", *options, "--dry-run", "--json").stdout
     assert json.loads(plan)["asked_count"] == report["achieved_count"]

@@ -132,10 +132,10 @@ def test_simplify_turns_the_result(scene, tmp_path):
     [
         ("a.ply", "b.ply", "up", "where x, y and z point"),
         ("a.ply", "b.ply", ":", "needs a frame"),
-        ("a.ply", "b.ply", "rub:", "say which frame it is to be in, as in --frame rub:rdf"),
-        ("a.spz", "b.ply", "rdf", "this one does not say it; state it too, as in --frame rub:rdf"),
-        ("a.glb", "b.ply", "rub:rdf", "states its frame"),
-        ("a.ply", "b.glb", "rub", "say only what the input is in, as in --frame rub:"),
+        ("a.ply", "b.ply", "rub:", "b.ply is missing; give it too, as in --frame rub:rdf"),
+        ("a.spz", "b.ply", "rdf", "does not state its own; give it too, as in --frame rub:rdf"),
+        ("a.glb", "b.ply", "rub:rdf", "files state it themselves; give only the frame of OUT"),
+        ("a.ply", "b.glb", "rub", "give only the frame of IN, as in --frame rub:"),
         ("a.ply", "b.ply --turn", "rub", "both turn the model"),
     ],
 )
@@ -173,4 +173,4 @@ def test_a_file_that_states_its_frame_need_not_be_told(tmp_path):
     assert nanogs.open(tmp_path / "c.spz").frame == "rdf"
     refused = run_command("convert", tmp_path / "a.spz", tmp_path / "d.ply", "--frame", "rdf:rub")
     assert refused.returncode == 2
-    assert "states its frame, rub, and --frame says rdf" in refused.stderr
+    assert "states the frame rub, but --frame says rdf" in refused.stderr

@@ -235,7 +235,7 @@ def test_what_blocks_cannot_do_is_refused_at_once(scene, tmp_path, little, capsy
     assert command("simplify", scene, tmp_path / "a.ply", *wish) == 2
     text = " ".join(capsys.readouterr().err.split())
     assert said in text
-    assert "leave that out, or give it more memory" in text
+    assert "leave that out, or provide more memory" in text
     assert list(tmp_path.iterdir()) == []
 
 
@@ -321,7 +321,7 @@ def test_options_for_blocks_that_have_no_effect_are_named(
     assert f"{option[0]} had no effect" in note
     assert command(*given, "--json", "-w", "--max-memory", "4GB") == 0
     (note, *_rest) = json.loads(capsys.readouterr().out)["notes"]
-    assert note.startswith("The model fits into --max-memory")
+    assert note.endswith("because the model fits into --max-memory and needs no blocks.")
 
 
 @pytest.mark.parametrize("option", [["--resume"], ["--scratch", "x"]])
@@ -341,7 +341,7 @@ def test_a_job_of_one_block_is_no_news(scene, tmp_path, capsys, option, monkeypa
         (MemoryError(), "Memory ran out;"),
         (
             MemoryError("Unable to allocate 91.6 MiB for an array with shape (500, 16)"),
-            r"Memory ran out \(91.6 MiB more were wanted\);",
+            r"Memory ran out \(91.6 MiB more were needed\);",
         ),
         (RuntimeError("can't start new thread"), "Memory ran out;"),
         (OSError(36, "File name too long", "aaa"), "aaa: File name too long;"),

@@ -357,7 +357,7 @@ def test_a_folder_that_appears_meanwhile_is_kept(tmp_path):
         (["--levels", "0.1,0.5"], ["fine to coarse"]),
         (["--levels", "0.5,0.5"], ["twice"]),
         (["--levels", "0.5,x"], ["0.5,x"]),
-        (["--levels", ""], ["Levels are ratios"]),
+        (["--levels", ""], ["Levels must be ratios"]),
         (["--levels", "2,0.5"], ["at most 1", "2"]),
         (["--levels", "0.5,nan"], ["ratio"]),
         (["--preset", "fast", "--tau", "0.1"], ["fast", "tau"]),

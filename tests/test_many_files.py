@@ -160,7 +160,10 @@ def test_collisions_and_missing_folders_write_nothing(folder, tmp_path):
     for arguments, words in (
         ((folder / "a.ply", folder / "b.spz", tmp_path / "x.ply"), "--out-dir"),
         ((folder / "a.ply",), "--out-dir"),
-        ((folder / "a.ply", tmp_path / "x.ply", "--format", "sog"), "--format goes with --out-dir"),
+        (
+            (folder / "a.ply", tmp_path / "x.ply", "--format", "sog"),
+            "--format works only with --out-dir",
+        ),
         ((folder, "--out-dir", folder / "a.ply"), "cannot be made"),
         ((folder / "**" / "a*", folder / "a.spz", "--out-dir", "y", "--format", "ply"), "both"),
     ):

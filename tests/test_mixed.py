@@ -376,11 +376,11 @@ def test_a_seam_that_is_seen_is_said(scene, stream, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--budget", "500"], "--budget is for --mixed"),
+        (["--budget", "500"], "--budget works only with --mixed"),
         (["--mixed", "--budget", "0"], "budget"),
-        (["--mixed", "--packed", ".sog"], "--packed does not go with --mixed"),
-        (["--mixed", "--metrics", "flip"], "--metrics does not go with --mixed"),
-        (["--mixed", "--report", "a.html"], "--report does not go with --mixed"),
+        (["--mixed", "--packed", ".sog"], "--packed cannot be combined with --mixed"),
+        (["--mixed", "--metrics", "flip"], "--metrics cannot be combined with --mixed"),
+        (["--mixed", "--report", "a.html"], "--report cannot be combined with --mixed"),
     ],
 )
 def test_refused(scene, stream, tmp_path, options, words):

@@ -157,7 +157,7 @@ def test_info_looks_only_when_asked(taken):
     assert said["draw_cost"]["protocol"]["pixels"] == [64, 64]
     text = run("info", path, "--cameras", "orbit", "--pixels", "64").stdout
     assert "splats a pixel" in text
-    assert "evidence, no proof" in text
+    assert "evidence, not proof" in text
     assert "--views 8" not in text
     assert "--views 8" in run("info", path).stdout
 

@@ -99,7 +99,7 @@ def test_shares_and_multiples_on_the_command_line(scene, tmp_path):
         (["b.ply", "-r", "0.1", "--threads", "0"], ["--threads takes 1 or more, not '0'"]),
         (["b.ply", "-r", "0.1", "--lambda-app", "x"], ["--lambda-app takes a number, not 'x'"]),
         (["b.ply", "-r", "0.1", "--max-memory", "4"], ["4 B", "--max-memory 4GB"]),
-        (["b.ply", "--size", "2", "MB"], ["MB is a unit and no file", "one word, as in 2MB"]),
+        (["b.ply", "--size", "2", "MB"], ["MB is a unit, not a file", "one word, as in 2MB"]),
         (["b.ply", "-r", "10", "%"], ["% is a unit", "as in 2%"]),
         ([], ["OUT is missing", "a.ply"]),
         (["-r", "0.1"], ["OUT is missing", "a.ply"]),
@@ -118,7 +118,9 @@ def test_what_is_too_large_is_said_in_words(scene):
 
 def test_a_preset_names_the_options_that_it_has(scene, tmp_path):
     said = run("simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast", "--tau", "3")
-    assert_refused(said, "--tau does not go with the preset fast", "--lambda-app, ", "--view-size")
+    assert_refused(
+        said, "--tau cannot be used with the preset fast", "--lambda-app, ", "--view-size"
+    )
     assert not re.search("lambda_app|halves|measure", said.stderr)
 
 

@@ -196,7 +196,7 @@ def test_the_command_has_the_numbers_of_the_library(files, temporary):
         cells += [model.packed.psnr, model.packed.ssim]
         texts = [number_text(cell, digits) for cell, digits in zip(cells, (1, 2, 4, 2, 4))]  # noqa: B905
         assert own.removeprefix(model.name).split() == texts
-    assert "so what packing alone costs; to model: of the file against" in told.stderr
+    assert "which is what packing alone costs; to model: PSNR of the file against" in told.stderr
     assert "packing" not in run("compare", *pair, *WORDS).stderr
 
 
@@ -207,7 +207,7 @@ def test_the_command_refuses_in_one_sentence(files, temporary):
         ("--packed", ".sgo"): "did you mean '.sog'",
         ("--packed", ","): "--packed names no format",
         ("--packed", ".splat", "--palette", "9"): "--palette is for .",
-        ("--palette", "9"): "--palette is for what is packed",
+        ("--palette", "9"): "--palette works only with --packed",
         ("--packed", ".spz", "--cameras", "no.json"): "no.json",
     }
     for more, words in refused.items():

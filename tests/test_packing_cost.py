@@ -175,7 +175,7 @@ def test_info_refuses_in_one_sentence(scene):
         (",",): "--packed names no format",
         (".ply",): "scene.ply is already packed as .ply",
         (".splat", "--palette", "9"): "--palette is for .",
-        ("", "--bits", "6"): "--bits is for what is packed",
+        ("", "--bits", "6"): "--bits works only with --packed",
     }
     for (formats, *more), words in refused.items():
         assert_refused(run("info", scene, "--packed", formats, *more), words)

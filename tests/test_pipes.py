@@ -135,17 +135,28 @@ def test_what_is_refused(scene, tmp_path):
     refused(run("convert", "-", "-", "--to", "obj", data=data), "does not write")
     textures = run("convert", "-", "-", "--to", "meta.json", data=data)
     refused(textures, "error: meta.json describes a folder of files; take a format of one file")
-    refused(run("convert", "-", "-", "--from", "ksplat", data=data), "add --to ply")
+    refused(
+        run("convert", "-", "-", "--from", "ksplat", data=data),
+        "choose another for OUT, as in --to ply",
+    )
     ksplat = ("--from", "ksplat", "--to", "ply")
     refused(run("convert", "-", "-", *ksplat, data=data), "stdin.ksplat")
     (tmp_path / "there.ply").touch()
     refused(run("convert", "-", tmp_path / "there.ply", data=data), "already; add -w to replace it")
     (tmp_path / "there.ply").unlink()
-    refused(run("convert", scene, tmp_path / "a.ply", "--to", "ply"), "--to is for OUT -")
-    refused(run("convert", scene, "-", "--from", "ply"), "--from is for IN -", "says it")
+    refused(run("convert", scene, tmp_path / "a.ply", "--to", "ply"), "--to works only if OUT is -")
+    refused(
+        run("convert", scene, "-", "--from", "ply"),
+        "--from works only if IN is -",
+        "states the format",
+    )
     named = run("convert", "noext", "a.ply", "--from", "ply")
-    refused(named, "--from is for IN - alone; pipe the file into it, as in - --from ply < noext")
-    refused(run("convert", scene, "out", "--to", "ply"), "--to is for OUT - alone; name out.ply")
+    refused(
+        named, "--from works only if IN is -; pipe the file into it, as in - --from ply < noext"
+    )
+    refused(
+        run("convert", scene, "out", "--to", "ply"), "--to works only if OUT is -; name out.ply"
+    )
     refused(run("convert", "-", "--out-dir", tmp_path, data=data), "--out-dir")
     refused(run("simplify", "-", "-", "-r", "2", data=data), "ratio")
     assert list(tmp_path.iterdir()) == []

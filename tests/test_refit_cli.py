@@ -40,7 +40,7 @@ def test_command_fits_and_reports(files, tmp_path):
     assert_refused(run("refit", *given, *quick), "out.ply", "exists")
     result = run("refit", *given, *quick, "-w", "-v", "--cameras", "orbit")
     assert (result.returncode, result.stdout) == (0, "")
-    assert "kept apart" in result.stderr
+    assert "held out for validation" in result.stderr
     assert "128 px" in result.stderr, "what each group of views gained"
 
 
@@ -51,7 +51,7 @@ def test_the_size_of_the_views_is_that_of_the_cameras_given(files, tmp_path):
     views = write_json(tmp_path / "views.json", transforms(frames, w=64, h=48))
     given = [files / "original.ply", files / "small.ply", tmp_path / "out.ply", "--rounds", "1"]
     result = run("refit", *given, "--cameras", views)
-    assert "2 views kept apart of 64 pixels" in result.stderr
+    assert "2 views held out for validation, of 64 pixels" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def test_compare(folder, given, option):
 )
 def test_a_camera_file_has_views_of_its_own(folder, words, option):
     result = run(*words, "--cameras", "cams.json", cwd=folder)
-    assert_refused(result, f"{option} is without effect beside --cameras cams.json")
+    assert_refused(result, f"{option} cannot be combined with --cameras cams.json")
     assert not [path for path in folder.iterdir() if path.name not in ("a.ply", "cams.json")]
 
 
@@ -70,16 +70,22 @@ def test_a_camera_file_has_views_of_its_own(folder, words, option):
     [
         (
             ["render", "a.ply", "out", "--transparent", "--background", "white"],
-            "--background is without effect beside --transparent",
+            "--background cannot be combined with --transparent",
         ),
-        (["compare", "a.ply", "a.ply", "--no-interactive"], "--no-interactive is for the page of"),
+        (
+            ["compare", "a.ply", "a.ply", "--no-interactive"],
+            "--no-interactive works only with --report",
+        ),
         (
             ["simplify", "a.ply", "b.ply", "-r", "0.5", "--preset", "fast", "--view-size", "99"],
             "--views, --view-size, --cameras and --up have no effect, because the preset fast",
         ),
-        (["view", "a.ply", "--views", "2"], "--views is for the PSNR of two models"),
-        (["view", "a.ply", "a.ply", "--no-psnr", "--pixels", "9"], "--pixels is for the PSNR of"),
-        (["compare", "a.ply", "a.ply", "--interactive"], "--interactive is for the page of --rep"),
+        (["view", "a.ply", "--views", "2"], "--views has no effect, because the PSNR of"),
+        (
+            ["view", "a.ply", "a.ply", "--no-psnr", "--pixels", "9"],
+            "--pixels has no effect, because the PSNR",
+        ),
+        (["compare", "a.ply", "a.ply", "--interactive"], "--interactive works only with --report"),
     ],
 )
 def test_what_has_no_effect_is_refused(folder, words, said):

@@ -40,21 +40,21 @@ def bench(
         list[str] | None,
         typer.Option(
             metavar="NAME=FOLDER",
-            help="A published data set, one folder a scene: nerf-synthetic, mip-nerf-360, "
-            "tanks-and-temples or deep-blending.",
+            help="A published data set in a folder with one subfolder per scene; NAME is"
+            " nerf-synthetic, mip-nerf-360, tanks-and-temples or deep-blending.",
         ),
     ] = None,
     model_pattern: Annotated[
         str | None,
         typer.Option(
-            help="Where the trained models of data sets are.",
+            help="Path of the trained model of each scene of a data set.",
             show_default="{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply",
         ),
     ] = None,
     ratios: Annotated[
         str | None,
         typer.Option(
-            help="Compaction ratios, with commas between.",
+            help="Compaction ratios, separated by commas.",
             metavar="RATIOS",
             show_default=",".join(map(str, BENCH_RATIOS)),
         ),
@@ -62,8 +62,8 @@ def bench(
     sizes_of_files: Annotated[
         str | None,
         typer.Option(
-            help="In place of ratios: sizes of files, like 0.5MB,1MB, that presets fill as"
-            " `simplify --size` does. What is measured is the file as decoded.",
+            help="Sizes of files, like 0.5MB,1MB, in place of ratios. Presets fill each size as"
+            " `simplify --size` does, and the decoded file is measured.",
             metavar="SIZES",
         ),
     ] = None,
@@ -71,7 +71,7 @@ def bench(
         str | None,
         typer.Option(
             "--format",
-            help="Formats of these files, with commas between, e.g. sog,spz.",
+            help="Formats of these files, separated by commas, e.g. sog,spz.",
             metavar="FORMATS",
             show_default="sog",
         ),
@@ -79,48 +79,54 @@ def bench(
     methods: Annotated[
         str | None,
         typer.Option(
-            help="Methods, with commas between; parameters of a preset as paper:tau=0:k=8.",
-            show_default="all presets and baselines; of files of a size the presets that search",
+            help="Methods, separated by commas; parameters of a preset are added as in"
+            " paper:tau=0:k=8.",
+            show_default="all presets and baselines; with --sizes-of-files the searching presets",
         ),
     ] = None,
     external: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=PATTERN",
-            help="Files of another tool; {scene}, {model} (its file) and {ratio}, or {size} (like"
-            " 0.5MB) and {format}, are replaced.",
+            help="Files made by another tool; {scene}, {model} (its file) and {ratio}, or {size}"
+            " (like 0.5MB) and {format}, are replaced in PATTERN.",
         ),
     ] = None,
     ablations: Annotated[
-        bool, typer.Option("--ablations", help="Also the published method without each part.")
+        bool,
+        typer.Option(
+            "--ablations", help="Also measure the published method without each of its parts."
+        ),
     ] = False,
     metrics: Annotated[
-        str, typer.Option(help="Further metrics: lpips, flip; with commas between.")
+        str, typer.Option(help="Further metrics, separated by commas: lpips, flip.")
     ] = "",
     views: options.ViewsOfKinds = None,
     sizes: options.Sizes = None,
     cameras: Annotated[
         str | None,
         typer.Option(
-            help="Where the views of scenes without photographs stand: auto, orbit, inside, roam;"
-            " with commas between.",
+            help="Automatic views for scenes without photographs: auto, orbit, inside, roam;"
+            " several are separated by commas.",
             metavar="KINDS",
             rich_help_panel=options.VIEWS,
-            show_default="auto; of files of a size auto,roam",
+            show_default="auto; with --sizes-of-files auto,roam",
         ),
     ] = None,
     up: options.Up = None,
     background: options.PhotoBackground = None,
     render_mode: options.AsMode = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of what methods draw.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the random numbers that methods use.")
+    ] = 0,
     threads: options.Threads = None,
     out: Annotated[
         Path | None,
         typer.Option(
             "--out",
             "-o",
-            help="Folder for results.md, results.jsonl and plot.svg, of files of a size also"
-            " results.html and plot.png; an unfinished run in it goes on.",
+            help="Folder for results.md, results.jsonl and plot.svg, with --sizes-of-files also"
+            " results.html and plot.png; an unfinished run in it is continued.",
         ),
     ] = None,
     overwrite: options.Overwrite = False,
@@ -191,7 +197,7 @@ def _run(
     done = folder.done if folder else []
     if done and not telling.hushed:
         taken = counted(len(done), "row is", "rows are")
-        warn(f"{taken} taken from an unfinished run in {out}; -w begins anew.")
+        warn(f"{taken} taken from an unfinished run in {out}; -w starts from the beginning.")
     total, made = row_count(scenes, settings), 0
     with shown(quiet=telling.hushed) as watch:
 
@@ -221,7 +227,9 @@ def _wishes(ratios: str | None, sizes: str | None, formats: str | None) -> dict[
 
     if sizes is None:
         if formats is not None:
-            raise OptionError("--format is of --sizes-of-files; give sizes too, or leave it out.")
+            raise OptionError(
+                "--format works only with --sizes-of-files; give sizes too, or leave it out."
+            )
         if ratios is None:
             return {"ratios": BENCH_RATIOS}
         return {"ratios": tuple(options.parse_ratio(text) for text in _list(ratios))}

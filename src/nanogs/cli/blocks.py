@@ -21,35 +21,39 @@ class Blocks:
     max_memory: Annotated[
         int | None,
         _option(
-            "Memory that a process may take, e.g. 4GB: a model that needs more is simplified in"
+            "Memory that each process may use, e.g. 4GB; a model that needs more is simplified in"
             " blocks.",
             parser=options.parse_memory,
             metavar="SIZE",
         ),
     ] = None
-    join: Annotated[bool, _option("All inputs are parts of one scene.", "--join")] = False
+    join: Annotated[bool, _option("Treat all inputs as parts of one scene.", "--join")] = False
     job: Annotated[
         Path | None,
-        _option("Folder for what survives a crash; removed at the end.", show_default="OUT.job"),
+        _option(
+            "Folder for intermediate results, which survive a crash; removed at the end.",
+            show_default="OUT.job",
+        ),
     ] = None
-    resume: Annotated[bool, _option("Continue the job in that folder.", "--resume")] = False
+    resume: Annotated[bool, _option("Continue the unfinished job in that folder.", "--resume")] = (
+        False
+    )
     scratch: Annotated[
         str | None,
         _option(
-            "Folder or URL of the intermediate files, which all workers see.",
+            "Folder or URL for the intermediate files, which all workers must be able to read and"
+            " write.",
             show_default="in the job folder",
         ),
     ] = None
-    workers: Annotated[int | None, _option("Processes on this machine.", min=1)] = None
+    workers: Annotated[int | None, _option("Number of processes on this machine.", min=1)] = None
     scheduler: Annotated[
         str | None,
         _option("Dask scheduler whose workers do the work, e.g. tcp://host:8786."),
     ] = None
     patience: Annotated[
         float,
-        _option(
-            "Seconds to wait for workers where a scheduler has none.", min=0, metavar="SECONDS"
-        ),
+        _option("Seconds to wait for workers if the scheduler has none.", min=0, metavar="SECONDS"),
     ] = PATIENCE
 
     def check(self, paths: Sequence[Path]) -> None:
@@ -62,11 +66,14 @@ class Blocks:
             raise OptionError("Give --workers or --scheduler, not both.")
         if (self.max_memory is not None or self.join) and DASH in paths:
             raise OptionError(
-                "With --max-memory or --join models are files; name them in place of -."
+                "--max-memory and --join do not work with pipes; name files in place of -."
             )
         _refuse_addresses(paths, self._needing_files)
         if self.join and len(paths) < 2:
-            raise OptionError("--join takes the parts of a scene and OUT; this is one path.")
+            raise OptionError(
+                "--join needs the parts of a scene and OUT, but only one path was given; name the"
+                " others too."
+            )
 
     @property
     def _needing_files(self) -> list[str]:
@@ -82,10 +89,11 @@ class Blocks:
         if not found:
             return []
         if self.max_memory is not None:
-            return [f"The model fits into --max-memory and needs no blocks: {found} had no effect."]
+            why = "the model fits into --max-memory and needs no blocks"
+            return [f"{found} had no effect, because {why}."]
         note = (
-            "The model fits into memory, so it is simplified in one process and not in blocks:"
-            f" {found} had no effect; --max-memory makes blocks."
+            f"{found} had no effect, because the model fits into memory and is not simplified in"
+            " blocks; --max-memory sets a limit for each process and so makes blocks."
         )
         return [note]
 
@@ -99,4 +107,4 @@ def _refuse_addresses(paths: Sequence[Path], options: Sequence[str]) -> None:
     from nanogs.io.url_files import refuse_address  # here because `--help` does not need it
 
     for path in paths if options else ():
-        refuse_address(path, f"with {options[0]} models are files: download it first")
+        refuse_address(path, f"{options[0]} needs files: download it first")

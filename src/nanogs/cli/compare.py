@@ -32,8 +32,8 @@ def compare(
         list[str],
         typer.Argument(
             metavar="TEST...",
-            help="Models to score, files or URLs; name=path calls one by a name, one name on"
-            " several sizes makes a line in the plot.",
+            help="Models to score, files or URLs; name=path names a model, and models with the"
+            " same name form a line in the plot.",
         ),
     ],
     report: Annotated[
@@ -47,7 +47,7 @@ def compare(
     interactive: Annotated[
         bool | None,
         typer.Option(
-            help="Put the models into the page, to be loaded and moved there.",
+            help="Put the models into the page, so that they can be viewed in 3D there.",
             show_default="interactive",
         ),
     ] = None,
@@ -97,8 +97,8 @@ def compare(
         typer.Option(
             parser=options.parse_count,
             metavar="COUNT",
-            help="Splats that this viewer draws at once, e.g. 1M.",
-            show_default="levels by distance alone",
+            help="Most splats that this viewer draws at once, e.g. 1M.",
+            show_default="no limit, levels by distance alone",
         ),
     ] = None,
     device: options.Device = "cpu",
@@ -117,7 +117,7 @@ def compare(
     extras = [name.strip() for name in metrics.split(",") if name.strip()]
     if interactive is not None and not report:
         option = "--interactive" if interactive else "--no-interactive"
-        raise OptionError(f"{option} is for the page of --report; give both, or leave it out.")
+        raise OptionError(f"{option} works only with --report; give both, or leave it out.")
     interactive = interactive is not False
     # --up is allowed beside photographs if there is an interactive page, whose models it orients.
     found: Given = {"--views": views, "--sizes": sizes}
@@ -131,7 +131,10 @@ def compare(
         check_writable(report, overwrite=run.overwrite)
     if report and interactive and not is_built():
         if not run.quiet:
-            warn("The page has no interactive part; this installation was built without a viewer.")
+            warn(
+                "The page has no interactive part, because this installation was built without a"
+                " viewer."
+            )
         interactive = False
     from nanogs.card.device import device_notes, use_device
     from nanogs.scoring.run import compare_files
@@ -139,7 +142,7 @@ def compare(
 
     named = [options.parse_named(text) for text in (reference, *tests)]
     if budget is not None and not mixed:
-        raise OptionError("--budget is for --mixed; give both, or leave it out.")
+        raise OptionError("--budget works only with --mixed; give both, or leave it out.")
     if mixed:
         _compare_mixed(
             named, run, budget=budget, cameras=cameras, views=views, pixels=pixels, up=up,
@@ -205,18 +208,18 @@ def _show(comparison: "Comparison", report: Path | None) -> None:
 
     show(out, _table(comparison))
     means = ", ".join(one.protocol.text for one in comparison.each)
-    say(f"PSNR in dB; means over {means}; worst: the view of least PSNR")
+    say(f"PSNR in dB; means over {means}; worst: the view with the lowest PSNR")
     if any(model.cost for model in comparison.models):
         first = comparison.reference_cost
         share = (
             f"; draws: that mean as a share of the original's {first.pixel_text}" if first else ""
         )
-        say(f"a pixel: splats that cover one, mean and 99th percentile{share}")
+        say(f"a pixel: number of splats that cover a pixel, mean and 99th percentile{share}")
     if any(model.packed for model in comparison.models):
         show(out, _packing_table(comparison))
         say(
-            "costs: PSNR and SSIM of the model less those of its file, so what packing alone costs;"
-            " to model: of the file against the same model unpacked"
+            "costs: PSNR and SSIM of the model minus those of its file, which is what packing"
+            " alone costs; to model: PSNR of the file against the same model unpacked"
         )
     if report:
         say(f"report: {report} ({bytes_text(report.stat().st_size)})")

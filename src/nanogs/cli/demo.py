@@ -13,10 +13,11 @@ def demo(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
     count: Annotated[
         int | None,
-        options.count("Make up a scene of so many splats instead, e.g. 50000 or 100k."),
+        options.count("Generate a scene with this many splats instead, e.g. 50000 or 100k."),
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, help="Of a made-up scene: another seed, another scene.")
+        int,
+        typer.Option(min=0, help="Seed of the generated scene; another seed gives another scene."),
     ] = 0,
     overwrite: options.Overwrite = False,
     quiet: options.Quiet = False,
@@ -27,7 +28,9 @@ def demo(
     from nanogs.io import check_writable, save
 
     if seed and count is None:
-        raise OptionError("--seed is for made-up scenes; give their --count too.")
+        raise OptionError(
+            "--seed works only with --count, which generates a scene; give both, or leave it out."
+        )
     check_writable(target, overwrite=overwrite)
     if count is None:
         from nanogs.datasets.plant import CREDIT, load_plant

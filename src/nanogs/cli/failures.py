@@ -30,7 +30,7 @@ def _reason(error: Exception) -> str | None:
     if is_shortage(error):
         traceback.clear_frames(error.__traceback__)
         asked = re.search(r"Unable to allocate ([\d.]+ \w+)", str(error))  # NumPy's message
-        wanted = f" ({asked[1]} more were wanted)" if asked else ""
+        wanted = f" ({asked[1]} more were needed)" if asked else ""
         return f"Memory ran out{wanted}; {_REMEDY}."
     if isinstance(error, OSError) and error.errno is not None and error.filename is not None:
         reason = error.strerror or type(error).__name__

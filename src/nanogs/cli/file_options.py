@@ -14,7 +14,7 @@ from nanogs.errors import OptionError
 
 _several = options.in_panel("Several files")
 _pipe = options.in_panel("Pipes (- in place of a file) and URLs")
-_filter = options.in_panel("Filters (before anything else, in this order)")
+_filter = options.in_panel("Filters (applied before anything else, in this order)")
 
 
 class Frames(NamedTuple):
@@ -45,8 +45,8 @@ Paths = Annotated[
     typer.Argument(
         metavar="IN... OUT",
         parser=options.parse_place,
-        help="Model to read and file to write, - for stdin and stdout, or URLs (https://, s3://);"
-        " with --out-dir all are models, folders of them or patterns.",
+        help="Model to read and file to write: paths, URLs (https://, s3://), or - for stdin and"
+        " stdout. With --out-dir all are inputs: models, folders of models or patterns.",
     ),
 ]
 From = Annotated[
@@ -54,7 +54,7 @@ From = Annotated[
     _pipe(
         "Format of stdin, or of a URL whose name does not say it, e.g. splat.",
         "--from",
-        show_default="by its first bytes",
+        show_default="recognised by its first bytes",
         metavar="FORMAT",
         autocompletion=options.complete_format,
     ),
@@ -99,16 +99,16 @@ class Edits:
         Frames | None,
         typer.Option(
             parser=parse_frames,
-            help="Frame of OUT, by where x, y and z point: rdf (right, down, forward: 3DGS), rub"
-            " (right, up, back: OpenGL, SPZ); with that of IN before it where IN is in another"
-            " than its format's, like rub:rdf.",
+            help="Coordinate frame of OUT, named by the directions of x, y and z: rdf (right,"
+            " down, forward: 3DGS), rub (right, up, back: OpenGL, SPZ). IN:OUT, like rub:rdf,"
+            " gives the frame of IN too, if it is not the usual one of its format.",
             metavar="[IN:]OUT",
         ),
     ] = None
     sh_degree: Annotated[
         int | None,
         typer.Option(
-            help="Highest degree of spherical harmonics that stays, 0 to 4.",
+            help="Highest degree of spherical harmonics to keep, 0 to 4.",
             metavar="DEGREE",
         ),
     ] = None
@@ -116,8 +116,8 @@ class Edits:
     crop: Annotated[
         list[str] | None,
         _filter(
-            "Keep what lies in box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, scene units of IN;"
-            " several times: in all of them.",
+            "Keep only splats inside box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, in scene units of"
+            " IN; given several times, only those inside all of them.",
             metavar="REGION",
         ),
     ] = None
@@ -125,5 +125,6 @@ class Edits:
         None
     )
     drop_floaters: Annotated[
-        bool, _filter("Leave out splats far from all others but a few.", "--drop-floaters")
+        bool,
+        _filter("Leave out splats that are far from all others except a few.", "--drop-floaters"),
     ] = False

@@ -32,7 +32,7 @@ def _crop(text: str) -> filters.Filter:
     if kind == "sphere" and len(numbers) == 4:
         return filters.sphere(numbers[:3], numbers[3])
     raise OptionError(
-        f"--crop is box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, each a number, not {text!r}."
+        f"--crop must be box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r with numbers, not {text!r}."
     )
 
 
@@ -50,11 +50,11 @@ def parse_changes(edits: Edits, psnr: float | None = None, *, looks: bool = Fals
     """
     degree = edits.sh_degree
     if degree is not None and not 0 <= degree <= MAX_SH_DEGREE:
-        raise OptionError(f"--sh-degree is from 0 to {MAX_SH_DEGREE}, not {degree}.")
+        raise OptionError(f"--sh-degree must be from 0 to {MAX_SH_DEGREE}, not {degree}.")
     if degree is not None and psnr is not None and not looks:
         raise OptionError(
-            "--psnr is against the whole model, of which --sh-degree leaves out some; run"
-            " `nanogs convert --sh-degree` first."
+            "--psnr cannot be combined with --sh-degree here, because PSNR is measured against"
+            " the whole model; run `nanogs convert --sh-degree` first."
         )
     return Changes(parse_filters(edits), degree)
 
@@ -64,4 +64,4 @@ def report_filters(reports: Iterable[filters.FilterReport]) -> None:
     for each in reports:
         left = counted(each.left, "is left", "are left")
         name = f"{each.name} {each.argument}".strip()
-        warn(f"{name} took {counted(each.removed, 'splat')}; {left}.")
+        warn(f"{name} removed {counted(each.removed, 'splat')}; {left}.")

@@ -27,19 +27,20 @@ def _frame_read(path: Path, before: str, after: str) -> str:
     if known.turns:
         if before:
             raise OptionError(
-                f"{path}: {known.suffix} states its frame; give that of the output alone."
+                f"The frame of {path} cannot be chosen, because {known.suffix} files state it"
+                " themselves; give only the frame of OUT."
             )
         return TRAINED
     stated = known.axes or _stated(path)
     if not before and not stated:
         raise OptionError(
-            f"{path}: {known.suffix} files differ in their frame and this one does not say it;"
-            f" state it too, as in --frame rub:{after}."
+            f"The frame of {path} is not known, because {known.suffix} files use different frames"
+            f" and this one does not state its own; give it too, as in --frame rub:{after}."
         )
     if known.axes is None and before and stated and before.lower() != stated:
         raise OptionError(
-            f"{path} states its frame, {stated}, and --frame says {before}; leave the latter out,"
-            f" as in --frame {after or TRAINED}."
+            f"{path} states the frame {stated}, but --frame says {before}; leave that out, as in"
+            f" --frame {after or TRAINED}."
         )
     return before or stated
 
@@ -54,10 +55,12 @@ def _frame_written(path: Path, before: str, after: str) -> str:
     if known.turns:
         if after:
             raise OptionError(
-                f"{path}: {known.suffix} has a frame of its own; say only what the input is in, as"
-                f" in --frame {before or 'rub'}:"
+                f"The frame of {path} cannot be chosen, because all {known.suffix} files use the"
+                f" same one; give only the frame of IN, as in --frame {before or 'rub'}:"
             )
         return TRAINED
     if not after:
-        raise OptionError(f"{path}: say which frame it is to be in, as in --frame {before}:rdf.")
+        raise OptionError(
+            f"The frame of {path} is missing; give it too, as in --frame {before}:rdf."
+        )
     return after

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from nanogs.scoring.modes import RenderFindings
     from nanogs.scoring.packing_cost import PackedFile, PackingCost
 
-_HINT = "; --views 8 says what speaks for it"
+_HINT = "; --views 8 shows the evidence for it"
 # Texts by name of the render mode.
 _MODES = {"default": "default", "mip": "mip (antialiased)", "2dgs": "2dgs (flat splats)"}
 
@@ -43,9 +43,9 @@ def info(
     looking: RenderOptions,
     json: options.Json = False,
 ) -> None:
-    """Say what a model holds, and what each other format would lose of it.
+    """Print what a model holds, and what each other format would lose of it.
 
-    With --views or --photos also what it takes to draw, and how it should be drawn.
+    With --views or --photos also how costly it is to draw, and how it should be drawn.
     """
     # Imported here because `--help` does not need it.
     from nanogs.cli.console import key_value_table, out, print_json, show, warn
@@ -106,8 +106,8 @@ def _looked_rows(looked: "RenderFindings") -> dict[str, str]:
     return {
         "to draw": f"{looked.cost.text}, on {looked.cost.protocol.text}",
         "default or mip": "\n".join(looked.modes.sentences)
-        + f"\n(evidence, no proof; one drawing is {number_text(looked.modes.between)} dB from the"
-        " other)",
+        + "\n(evidence, not proof; the renders in the two modes are"
+        f" {number_text(looked.modes.between)} dB apart)",
     }
 
 
@@ -161,7 +161,7 @@ def _rows(model: "ModelInfo", looked: bool) -> dict[str, str]:
     if file.comments:
         rows["comments"] = "\n".join(file.comments)
     whole = [suffix for suffix, sentences in model.losses.items() if not sentences]
-    rows["fits whole into"] = ", ".join(whole) or "no format that is written"
+    rows["fits whole into"] = ", ".join(whole) or "no format that nanogs writes"
     return rows | {f"as {name}": "\n".join(text) for name, text in model.losses.items() if text}
 
 
@@ -173,7 +173,9 @@ def _mode_text(file: "FileInfo") -> str:
 def _levels(counts: Sequence[int]) -> dict[str, str]:
     """Return the row of a stream's levels; the other rows describe the finest level."""
     text = ", ".join(f"{level}: {count:,}" for level, count in enumerate(counts))
-    return {"levels": f"{text} splats; the rest is about 0, the finest"} if counts else {}
+    return (
+        {"levels": f"{text} splats; the other rows describe level 0, the finest"} if counts else {}
+    )
 
 
 def _environment(splats: int) -> dict[str, str]:

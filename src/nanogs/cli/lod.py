@@ -19,7 +19,7 @@ from nanogs.errors import OptionError
 if TYPE_CHECKING:
     from nanogs.lod.manifest import Manifest
 
-_LEVELS = "1,0.5,0.25,0.125 and on to a million splats; of .rad to 0.015625"
+_LEVELS = "1,0.5,0.25,0.125 and on down to a million splats; for .rad down to 0.015625"
 
 
 @with_options
@@ -30,16 +30,17 @@ def lod(
         typer.Argument(
             metavar="IN OUT",
             parser=options.parse_place,
-            help="Model to read, a file or its URL, and folder to make, for a file a level; or"
-            " lod-meta.json (streamed SOG) or tileset.json (3D Tiles) in it; or a file: .ssog"
-            " (streamed SOG) or .rad (a tree, for Spark). With --join several models before OUT.",
+            help="Model to read, a file or its URL, and what to write: a folder, for one file per"
+            " level; lod-meta.json (streamed SOG) or tileset.json (3D Tiles) in a folder; or"
+            " one file, .ssog (streamed SOG) or .rad (a tree, for Spark). With --join several"
+            " models before OUT.",
         ),
     ],
     levels: Annotated[
         str | None,
         typer.Option(
-            help="Ratios from the finest level to the coarsest, commas between; 1 is the original"
-            " itself.",
+            help="Ratios from the finest level to the coarsest, separated by commas; 1 is the"
+            " original itself.",
             metavar="RATIOS",
             show_default=_LEVELS,
         ),
@@ -60,15 +61,16 @@ def lod(
     chunk: Annotated[
         int | None,
         typer.Option(
-            help="Most splats of a chunk of the finest level, in streamed SOG and 3D Tiles.",
+            help="Largest number of splats in a chunk of the finest level, in streamed SOG and 3D"
+            " Tiles.",
             show_default=str(CHUNK),
         ),
     ] = None,
     chunk_min: Annotated[
         int | None,
         typer.Option(
-            help="Least splats of such a chunk, and of a file of streamed SOG, unless a level has"
-            " fewer.",
+            help="Smallest number of splats in such a chunk, and in a file of streamed SOG, unless"
+            " a level has fewer.",
             show_default=f"{LEAST_CHUNK}, or a quarter of --chunk",
         ),
     ] = None,
@@ -76,16 +78,16 @@ def lod(
         bool,
         typer.Option(
             "--plain",
-            help="3D Tiles with every number as it is, not packed as SPZ; CesiumJS 1.145 does not"
-            " draw these.",
+            help="Write 3D Tiles with every number unchanged, not packed as SPZ; CesiumJS 1.145"
+            " does not draw these.",
         ),
     ] = False,
     environment: Annotated[
         str,
         typer.Option(
-            help="What streamed SOG draws with every level, such as the sky: auto takes it out of"
-            " the model where it stands far apart all around, none leaves all splats in the"
-            " levels; or a model, in the frame of IN.",
+            help="Environment of streamed SOG, such as the sky, which is drawn with every level:"
+            " auto separates it from the model if it is far away all around, none leaves all"
+            " splats in the levels; or the path of a model, in the frame of IN.",
             metavar="auto|none|FILE",
         ),
     ] = "auto",
@@ -163,15 +165,16 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
 
     refuse_units(paths)
     if len(paths) == 1:
-        raise OptionError(f"OUT is missing: name the folder to make of {paths[0]}.")
+        raise OptionError(f"OUT is missing: name the folder or file to write after {paths[0]}.")
     if len(paths) > 2 and not join:
         raise OptionError(
-            f"These are {len(paths) - 1} models before OUT; name one, or give --join where they are"
-            " parts of one scene."
+            f"Only one model can stand before OUT, but {len(paths) - 1} were given; name one, or"
+            " give --join if they are parts of one scene."
         )
     if paths[-1] == DASH:
         raise OptionError(
-            "Levels do not go to stdout; name a folder in place of -, or a .ssog or .rad file."
+            "Levels cannot be written to stdout; name a folder in place of -, or a .ssog or .rad"
+            " file."
         )
     *models, target = paths
     return collect(models) if join else [model_in(models[0])], target
@@ -190,6 +193,6 @@ def exit_if_short(manifest: "Manifest") -> None:
     short = [(number, level) for number, level in levels if level.stop != StopReason.TARGET]
     for number, level in short:
         name = getattr(level, "file", f"Level {number}")
-        warn(f"{name}: stopped before the asked count: {level.stop}.")
+        warn(f"{name}: stopped before the requested count: {level.stop}.")
     if short:
         raise typer.Exit(3)

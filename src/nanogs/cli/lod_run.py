@@ -122,8 +122,8 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         err.print(text, markup=False, soft_wrap=True)
         if switched:
             err.print(
-                "from, there: how many units away a viewer begins to draw the level, on"
-                f" {SCREEN} pixels and 45 degrees, and PSNR and SSIM from there",
+                "from: the distance, in scene units, at which a viewer begins to draw the level,"
+                f" on {SCREEN} pixels and 45 degrees; there: PSNR and SSIM at that distance",
                 markup=False, soft_wrap=True,
             )  # fmt: skip
     for number, report in enumerate(reports if verbose else []):
@@ -159,7 +159,7 @@ def _switch_cells(switch: SwitchQuality | None) -> tuple[str, str]:
 
 
 def _environment(count: int, source: str) -> str:
-    found = "found apart in the model" if source == AUTO else f"of {source}"
+    found = "separated from the model" if source == AUTO else f"of {source}"
     return f"an environment of {counted(count, 'splat')}, {found}"
 
 

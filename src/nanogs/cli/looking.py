@@ -31,9 +31,14 @@ def refuse_beside_photos(photos: Path | None, of_photos: Given, found: Given) ->
     """
     for option, value in (of_photos if photos is None else found).items():
         if value is not None and photos is None:
-            raise OptionError(f"{option} is for photographs; name their folder with --photos.")
+            raise OptionError(
+                f"{option} works only with photographs; name their folder with --photos."
+            )
         if value is not None:
-            raise OptionError(f"{option} is without effect beside --photos, which has views.")
+            raise OptionError(
+                f"{option} cannot be combined with --photos, which has views of its own; leave"
+                " one of them out."
+            )
 
 
 def refuse_beside_file(cameras: str | None, found: Given) -> None:
@@ -53,8 +58,8 @@ def refuse_beside_file(cameras: str | None, found: Given) -> None:
 
     if cameras not in FOUND and Path(cameras).exists():
         raise OptionError(
-            f"{given} is without effect beside --cameras {cameras}, which has views; leave one of"
-            " them out."
+            f"{given} cannot be combined with --cameras {cameras}, which has views of its own;"
+            " leave one of them out."
         )
 
 
@@ -65,8 +70,8 @@ class RenderOptions:
     views: Annotated[
         int | None,
         _view(
-            "Look at so many automatic views: what the model takes to draw, and what speaks for"
-            " either render mode.",
+            "Render this many automatic views, to show how costly the model is to draw, and the"
+            " evidence for either render mode.",
             "--views",
             min=1,
         ),
@@ -75,7 +80,7 @@ class RenderOptions:
     cameras: Annotated[
         str | None,
         _view(
-            "Look at the views of a file or folder of cameras, or auto, orbit, inside, roam.",
+            "Views to render: a file or folder of cameras, or auto, orbit, inside, roam.",
             metavar="CAMERAS",
         ),
     ] = None
@@ -83,8 +88,8 @@ class RenderOptions:
     photos: Annotated[
         Path | None,
         _view(
-            "Draw it as default and as mip, and score both against the photographs of this data"
-            " set (NeRF-Synthetic or COLMAP folder)."
+            "Render the model in both modes, default and mip, and score both against the"
+            " photographs of this data set (NeRF-Synthetic or COLMAP folder)."
         ),
     ] = None
     images: Annotated[str | None, _view("Folder of the photographs, such as images_4.")] = None
@@ -113,7 +118,10 @@ class RenderOptions:
         looks = bool(self.photos) or any(value is not None for value in found.values())
         others = (self.background, *(() if packed else (self.threads, self.max_memory)))
         if not looks and any(value is not None for value in others):
-            raise OptionError("Nothing is rendered so; add --views 8, or --photos with a folder.")
+            raise OptionError(
+                "Options for rendering have no effect, because nothing is rendered; add --views"
+                " 8, or --photos with a folder."
+            )
         return looks
 
     def looked(self, model: "Model", progress: "Progress") -> "RenderFindings":

@@ -62,18 +62,23 @@ def plan_pairs(paths: list[Path], files: Files) -> list[Pair]:
     refuse_units(paths)
     if out_dir is not None:
         if DASH in paths:
-            raise OptionError("- is one model and does not go with --out-dir; name files.")
+            raise OptionError(
+                "- cannot be combined with --out-dir, because a pipe holds one model; name files."
+            )
         return pair_up(collect(paths), out_dir, suffix)
     if suffix is not None:
-        raise OptionError("--format goes with --out-dir; without it the suffix of OUT decides.")
+        raise OptionError(
+            "--format works only with --out-dir; leave it out and choose the format by the suffix"
+            " of OUT."
+        )
     if len(paths) == 1:
         raise OptionError(
             f"OUT is missing: name the file to write after {paths[0]}, or give --out-dir FOLDER."
         )
     if len(paths) != 2:
         raise OptionError(
-            f"Give IN and OUT, or several inputs and --out-dir FOLDER; these are {len(paths)}"
-            " paths without it."
+            f"{len(paths)} paths were given without --out-dir; give IN and OUT, or several inputs"
+            " and --out-dir FOLDER."
         )
     return [Pair(model_in(paths[0]), paths[1])]
 
@@ -87,7 +92,7 @@ def refuse_units(paths: Sequence[Path]) -> None:
     for path in paths:
         if is_unit(str(path)) and not path.exists():
             raise OptionError(
-                f"{path} is a unit and no file: write number and unit as one word, as in 2{path}."
+                f"{path} is a unit, not a file: write number and unit as one word, as in 2{path}."
             )
 
 

@@ -69,7 +69,7 @@ def refuse_others(preset: str, given: dict[str, Any]) -> None:
         if known and name not in known:
             options = (f"--{each.replace('_', '-')}" for each in known if each in PARAMETERS)
             raise OptionError(
-                f"--{name.replace('_', '-')} does not go with the preset {preset}, which takes"
+                f"--{name.replace('_', '-')} cannot be used with the preset {preset}, which has"
                 f" {', '.join(options)}; leave it out, or choose another preset."
             )
 
@@ -90,21 +90,26 @@ class Method(options.TransferProgress):
         bool | None,
         typer.Option(
             "--measure/--no-measure",
-            help="Say the PSNR that `nanogs compare` measures; where asked for, the draw cost, and"
-            " of levels how they look from where viewers begin to draw them.",
-            show_default="where the preset renders",
+            help="Print the PSNR that `nanogs compare` measures. If --measure is given, also the"
+            " draw cost and, for levels, the quality at the distance where viewers begin to"
+            " draw them.",
+            show_default="if the preset renders",
         ),
     ] = None
     nan: Annotated[
         Literal["drop", "error"],
         typer.Option(
-            metavar="drop|error", help="Splats with a NaN or infinite value: leave out, or stop."
+            metavar="drop|error",
+            help="What to do with splats that have a NaN or infinite value: drop leaves them out,"
+            " error stops.",
         ),
     ] = "drop"
     threads: options.Threads = None
     dry_run: Annotated[
         bool,
-        typer.Option("--dry-run", help="Say what would be done and how much memory it takes."),
+        typer.Option(
+            "--dry-run", help="Print what would be done and how much memory it takes, and stop."
+        ),
     ] = False
     overrides: Annotated[dict[str, Any], PARAMETERS]
     cameras: options.Cameras = "auto"

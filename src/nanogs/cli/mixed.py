@@ -26,7 +26,8 @@ def refuse_others(**given: object) -> None:
     for name, value in given.items():
         if value:
             raise OptionError(
-                f"--{name.replace('_', '-')} does not go with --mixed; leave one of them out."
+                f"--{name.replace('_', '-')} cannot be combined with --mixed; leave one of them"
+                " out."
             )
 
 
@@ -41,9 +42,9 @@ def show_mixed(comparison: "MixedComparison") -> None:
         show(out, table)
         say(_means(score))
     say(
-        "chunks: how many of each level, the finest first; coarse: the coarsest of these, alone; at"
-        " seams: share of the pixels at which levels meet; worse by: dB there, than the coarser one"
-        " alone"
+        "chunks: number of chunks of each level, the finest first; coarse: the coarsest of these"
+        " levels, alone; at seams: share of the pixels at which levels meet; worse by: loss in dB"
+        " there against the coarser level alone"
     )
 
 

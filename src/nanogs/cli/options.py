@@ -115,8 +115,8 @@ ViewsOfKinds = Annotated[
 Sizes = Annotated[
     str | None,
     _view(
-        "Width and height of the automatic views, 512 or 1280x720; several with commas between,"
-        " each for itself.",
+        "Width and height of the automatic views, 512 or 1280x720; several, separated by commas,"
+        " are measured one by one.",
         "--sizes",
         "--pixels",
         metavar="W[xH],...",
@@ -127,7 +127,7 @@ Cameras = Annotated[str, _view(f"{_KINDS}{_FILES}", metavar="CAMERAS")]
 Kinds = Annotated[
     str,
     _view(
-        f"{_KINDS}or several of these with commas between; {_FILES}",
+        f"{_KINDS}or several of these, separated by commas; {_FILES}",
         "--cameras",
         metavar="CAMERAS",
     ),
@@ -156,34 +156,34 @@ PhotoBackground = Annotated[
 SpzVersion = Annotated[
     int | None,
     typer.Option(
-        help="Of a .spz file: 3 (gzip), which Spark reads; 4 (zstd), smaller, which PlayCanvas"
-        " reads; or 2 (gzip), for old readers, with rounder rotations.",
+        help="Version of a .spz file: 3 (gzip), which Spark reads; 4 (zstd), smaller, which"
+        " PlayCanvas reads; or 2 (gzip), for old readers, with less exact rotations.",
         show_default="3, 2 with fewer bits, or 4 for a model with extension records",
     ),
 ]
 Palette = Annotated[
     int | None,
     typer.Option(
-        help="Of a .sog or .spz file: entries of the palette of the spherical harmonics, at most"
-        " 65536 of .sog; fewer make the file smaller and colours less true.",
-        show_default="of .sog two thirds of the splats; of .spz none",
+        help="Number of entries in the palette of spherical harmonics of a .sog or .spz file, at"
+        " most 65536 in .sog; fewer make the file smaller and its colours less exact.",
+        show_default=".sog: two thirds of the splats; .spz: no palette",
         metavar="ENTRIES",
     ),
 ]
 Bits = Annotated[
     int | None,
     typer.Option(
-        help="Of a .sog or .spz file: how fine all values are, 4 (coarse) to 8; one less makes the"
+        help="Precision of all values of a .sog or .spz file, 4 (coarse) to 8; one less makes the"
         " file a tenth smaller, and its errors up to twice as large.",
-        show_default="7, of .spz 8",
+        show_default=".sog: 7; .spz: 8",
         metavar="BITS",
     ),
 ]
 ShBits = Annotated[
     int | None,
     typer.Option(
-        help="Of a .spz file: bits of a spherical harmonic of degree 1, 2 to 8; higher ones have"
-        " one less.",
+        help="Bits of a spherical harmonic of degree 1 in a .spz file, 2 to 8; higher degrees have"
+        " one bit less.",
         show_default="5",
         metavar="BITS",
     ),
@@ -191,9 +191,9 @@ ShBits = Annotated[
 SpareBits = Annotated[
     int | None,
     typer.Option(
-        help="Of a .sog or .spz file: bits that centres do without, 0 to 6; one more makes their"
-        " errors twice as large.",
-        show_default="as many as splats are large",
+        help="Bits by which the centres in a .sog or .spz file are shortened, 0 to 6; one more"
+        " makes their errors twice as large.",
+        show_default="the larger the splats, the more",
         metavar="BITS",
     ),
 ]
@@ -211,8 +211,8 @@ OfFormat = Annotated[
 Packed = Annotated[
     str,
     typer.Option(
-        help="Formats, as in .sog,.spz: say what packing alone costs, by writing models so, reading"
-        " them back and looking at both.",
+        help="Formats, as in .sog,.spz: measure what packing alone costs, by writing the models in"
+        " these formats, reading them back and comparing renders of both.",
         metavar="FORMAT,...",
         show_default=False,
     ),
@@ -222,21 +222,21 @@ AsMode = Annotated[
     typer.Option(
         "--render-mode",
         metavar="default|mip",
-        help="Draw the model so, whatever its file says, or where it says nothing: mip is for"
-        " models trained with antialiasing. What is written says the same.",
+        help="Render mode of the model, regardless of its file: mip is for models trained with"
+        " antialiasing. Written files state the same mode.",
         show_default="what the file says",
     ),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what exists.")]
-Json = Annotated[bool, typer.Option("--json", help="As JSON on stdout.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Overwrite existing output.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the results as JSON on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 MaxMemory = Annotated[
     int | None,
     typer.Option(
         parser=parse_memory,
-        help="Memory that may be taken, e.g. 4GB: what does not go within it is refused first.",
+        help="Memory that may be used, e.g. 4GB; work that needs more is refused before it starts.",
         metavar="SIZE",
-        show_default="what is free",
+        show_default="all free memory",
     ),
 ]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]
@@ -245,8 +245,8 @@ Device = Annotated[
     str,
     typer.Option(
         metavar="cpu|cuda|auto",
-        help="Where pictures are made: cuda for a graphics card, auto for one where there is one;"
-        " takes nanogs with its extra cuda.",
+        help="Where pictures are rendered: on the CPU, on a graphics card (cuda), or on a card if"
+        " there is one (auto); a card needs nanogs with its extra cuda.",
     ),
 ]
 
@@ -360,7 +360,9 @@ def parse_packed(text: str, of_format: dict[str, Any]) -> list[str]:
         raise OptionError("--packed names no format; write it as in --packed .sog,.spz.")
     if not text and of_format:
         option = next(iter(of_format)).replace("_", "-")
-        raise OptionError(f"--{option} is for what is packed; name formats, as in --packed .sog.")
+        raise OptionError(
+            f"--{option} works only with --packed; name formats, as in --packed .sog."
+        )
     return formats
 
 
@@ -389,7 +391,7 @@ def parse_ratios(text: str) -> tuple[float, ...]:
         return tuple(parse_ratio(part) for part in text.split(","))
     except OptionError:
         raise OptionError(
-            f"Levels are ratios with commas between, like 0.5,0.1, not {text!r}."
+            f"Levels must be ratios separated by commas, like 0.5,0.1, not {text!r}."
         ) from None
 
 

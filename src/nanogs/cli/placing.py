@@ -31,7 +31,7 @@ def parse_columns(text: str) -> Columns:
         values = ()
     if len(values) != 16:
         raise OptionError(
-            "A transform is 16 numbers with commas between, column after column, as in"
+            "A transform must be 16 numbers separated by commas, column by column, as in"
             f" 1,0,0,0,0,1,0,0,0,0,1,0,10,20,30,1, not {text[:200]!r}."
         )
     return Columns(values)
@@ -44,17 +44,21 @@ class Placing:
     longitude: Annotated[
         float | None,
         _on_earth(
-            "Of the scene's origin, degrees east of Greenwich; west is negative.", metavar="DEGREES"
+            "Longitude of the scene's origin, east of Greenwich; west is negative.",
+            metavar="DEGREES",
         ),
     ] = None
     latitude: Annotated[
         float | None,
-        _on_earth("Of the scene's origin, degrees north; south is negative.", metavar="DEGREES"),
+        _on_earth(
+            "Latitude of the scene's origin, north of the equator; south is negative.",
+            metavar="DEGREES",
+        ),
     ] = None
     height: Annotated[
         float | None,
         _on_earth(
-            "Of the scene's origin above the ellipsoid of WGS84, not the sea.",
+            "Height of the scene's origin above the WGS84 ellipsoid, not above sea level.",
             metavar="METRES",
             show_default="0",
         ),
@@ -62,7 +66,7 @@ class Placing:
     heading: Annotated[
         float | None,
         _on_earth(
-            "Turn of the scene, clockwise from above; done last.",
+            "Rotation of the scene, clockwise from above; applied last.",
             metavar="DEGREES",
             show_default="0",
         ),
@@ -70,7 +74,7 @@ class Placing:
     pitch: Annotated[
         float | None,
         _on_earth(
-            "Tilt of the scene, its east side up; done second.",
+            "Tilt of the scene, its east side up; applied second.",
             metavar="DEGREES",
             show_default="0",
         ),
@@ -78,7 +82,7 @@ class Placing:
     roll: Annotated[
         float | None,
         _on_earth(
-            "Tilt of the scene, its north side up; done first.",
+            "Tilt of the scene, its north side up; applied first.",
             metavar="DEGREES",
             show_default="0",
         ),
@@ -86,8 +90,8 @@ class Placing:
     transform: Annotated[
         Columns | None,
         _on_earth(
-            "In place of these: 16 numbers with commas between, column after column, from the"
-            " tiles' frame, z up, to Earth-centred, Earth-fixed coordinates.",
+            "In place of all these: a matrix of 16 numbers, separated by commas, column by"
+            " column, from the tiles' frame, z up, to Earth-centred, Earth-fixed coordinates.",
             parser=parse_columns,
             metavar="NUMBERS",
         ),
@@ -113,7 +117,9 @@ class Placing:
         columns = given.pop("transform", None)
         if columns is not None:
             if given:
-                raise OptionError(f"--transform says all of a place; leave out --{min(given)}.")
+                raise OptionError(
+                    f"--transform already gives the whole place; leave out --{min(given)}."
+                )
             return from_columns(columns.numbers)
         if missing := {"longitude", "latitude"} - given.keys():
             raise OptionError(

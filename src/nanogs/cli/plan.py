@@ -142,7 +142,7 @@ class Plan:
             if asked:
                 raise NotEnoughMemoryError(
                     f"{self._too_large()}; blocks would take less, but {wish} needs the whole"
-                    " model: leave that out, or give it more memory."
+                    " model in memory: leave that out, or provide more memory."
                 )
 
     def _too_large(self) -> str:
@@ -255,7 +255,7 @@ def show_plan(plan: Plan, text: str) -> None:
             "peak memory": f"{bytes_text(memory.peak)} if whole, and {_LIBRARIES}",
             "blocks": f"about {blocks.blocks:,}, of at most {blocks.block:,} splats",
             "memory": f"{bytes_text(blocks.memory)} for each process",
-            "scratch": f"{bytes_text(blocks.scratch)} on the disk, the result among it",
+            "scratch": f"{bytes_text(blocks.scratch)} on the disk, including the result",
             "time": f"about {blocks.seconds:,.0f} s of one processor",
         }
     show(err, key_value_table(rows))

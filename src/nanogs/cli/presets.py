@@ -19,6 +19,6 @@ def presets(json: options.Json = False) -> None:
     for name, own in PRESETS.items():
         values = effective(own)
         parameters = ", ".join(f"{key} {value}" for key, value in values.items())
-        usual = " (where none is named)" if name == DEFAULT_PRESET else ""
+        usual = " (used if none is named)" if name == DEFAULT_PRESET else ""
         rows[name] = f"{SUMMARIES[name]}{usual}\n{parameters}"
     show(out, key_value_table(rows))

@@ -34,7 +34,8 @@ def refit(
         typer.Argument(
             metavar="ORIGINAL",
             parser=options.parse_model,
-            help="The model to look like; each of the three is a file or its URL.",
+            help="The original model, which the result should look like; each of the three is a"
+            " file or its URL.",
         ),
     ],
     small: Annotated[
@@ -168,7 +169,6 @@ def _print_report(report: "RefitReport", target: Path, *, verbose: bool) -> None
     # Given cameras may have several sizes.
     sizes = " and ".join(dict.fromkeys(group.pixels for group in report.groups))
     say(
-        f"{counted(report.count, 'splat')} in {target}, {before} {arrow()} {after} dB on"
-        f" {views} kept apart of {sizes} pixels,"
-        f" {time_text(report.total_seconds)}"
+        f"{counted(report.count, 'splat')} in {target}, {before} {arrow()} {after} dB on {views}"
+        f" held out for validation, of {sizes} pixels, {time_text(report.total_seconds)}"
     )

@@ -61,8 +61,8 @@ def render(
     refuse_beside_file(cameras, {"--views": views, "--pixels": pixels, "--up": up})
     if transparent and background is not None:
         raise OptionError(
-            "--background is without effect beside --transparent, which keeps alpha in its place;"
-            " leave one of them out."
+            "--background cannot be combined with --transparent, which keeps alpha in place of a"
+            " background; leave one of them out."
         )
     color = options.parse_background(background or "black")  # straight alpha needs it black
     from nanogs.card.device import device_notes, use_device

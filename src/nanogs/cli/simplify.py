@@ -38,14 +38,15 @@ def simplify(
         int | None,
         typer.Option(
             parser=parse_bytes,
-            help="Largest size of OUT, e.g. 20MB or 20MiB: as many splats as fit.",
+            help="Largest size of OUT, e.g. 20MB or 20MiB; keeps as many splats as fit.",
             metavar="SIZE",
         ),
     ] = None,
     psnr: Annotated[
         float | None,
         typer.Option(
-            help="dB that `nanogs compare` is to say, e.g. 35: the fewest splats that reach it.",
+            help="PSNR in dB, as `nanogs compare` measures it, e.g. 35; keeps the fewest splats"
+            " that reach it.",
             metavar="DB",
         ),
     ] = None,
@@ -55,8 +56,8 @@ def simplify(
             "--draw-cost",
             parser=options.parse_ratio,
             metavar="SHARE",
-            help="Most that OUT may take to draw, e.g. 0.5: splats a pixel as a share of those of"
-            " IN, as `nanogs compare` has it under draws; as many splats as do.",
+            help="Highest cost of drawing OUT, e.g. 0.5: splats a pixel as a share of those of IN,"
+            " the column draws of `nanogs compare`; keeps as many splats as that allows.",
         ),
     ] = None,
     of_format: options.OfFormat,

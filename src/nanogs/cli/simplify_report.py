@@ -27,7 +27,10 @@ def print_report(run: Run, *, verbose: bool) -> None:
     report_filters(run.report.filters)
     warn_of_input(report.notes, report.dropped_nonfinite)
     if report.prune_limited:
-        warn("Pruning alone would have gone below the asked count; the most opaque were kept.")
+        warn(
+            "Pruning alone would have gone below the requested count; the most opaque splats were"
+            " kept."
+        )
     if verbose:
         counts = {"input": run.report.read_count, "output": report.achieved_count}
         show_report(report, {end: _file_text(run, end, count) for end, count in counts.items()})

@@ -83,10 +83,10 @@ def print_plan(run: Run) -> None:
     """Print the plan of a dry run on stderr."""
     plan: Plan = run.report
     if plan.count is None and plan.wish.goal.size is not None:
-        text = f"as many splats as fit into {plan.wish.goal.size:,} B, found by writing some"
+        text = f"as many splats as fit into {plan.wish.goal.size:,} B, found by writing some files"
     elif plan.count is None and plan.wish.goal.draw_cost is not None:
         share = f"{plan.wish.goal.draw_cost:.1%} of the splats a pixel"
-        text = f"as many splats as take {share} that the model takes, on {Protocol().text}"
+        text = f"as many splats as need at most {share} that the model needs, on {Protocol().text}"
     elif plan.count is None:
         text = f"as few splats as reach {plan.wish.goal.psnr:g} dB on {Protocol().text}"
     else:

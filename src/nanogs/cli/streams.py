@@ -48,7 +48,7 @@ class Streams:
             by_url = place == "IN" and isinstance(path, Address | UrlFile)
             if given is not None and path != DASH and not by_url:
                 raise OptionError(
-                    f"{option} is for {place} - alone; {_instead(path, place, given)}."
+                    f"{option} works only if {place} is -; {_instead(path, place, given)}."
                 )
         if pair.source == DASH and sys.stdin.isatty():
             raise OptionError("IN is - and stdin is a terminal; pipe a model into it.")
@@ -142,7 +142,10 @@ class Streams:
         except OSError as error:
             reason = error.strerror or str(error)
             place = f"a temporary file in {folder.parent}"
-            raise OutputError(f"stdin cannot be put into {place} ({reason}).") from error
+            raise OutputError(
+                f"Cannot copy stdin to {place} ({reason}); free some space, or name a file"
+                " instead of -."
+            ) from error
         if not raw.stat().st_size:
             raise OptionError("stdin is empty; pipe a model into it.")
         suffix = detect_suffix(raw, "stdin", self.read_as, _REMEDY)
@@ -154,7 +157,7 @@ class Streams:
 def _instead(path: Path, place: str, given: str) -> str:
     """Return the remedy if an option for streams is given for a file."""
     if registry.find(path) is not None:
-        return f"the name of {path} says it"
+        return f"leave it out, because the name of {path} states the format"
     if place == "IN":
         return f"pipe the file into it, as in - --from {given} < {path}"
     return f"name {path}{registry.suffix_of(given)}"
@@ -163,5 +166,7 @@ def _instead(path: Path, place: str, given: str) -> str:
 def _own_suffix(source: Path) -> str:
     known = registry.find(source)
     if known is None or known.write is None:
-        raise OptionError("The format of IN is none that nanogs writes; add --to ply.")
+        raise OptionError(
+            "nanogs cannot write the format of IN; choose another for OUT, as in --to ply."
+        )
     return known.suffix

@@ -16,7 +16,7 @@ def studio(
     model: Annotated[
         Path,
         typer.Argument(
-            metavar="SCENE", parser=options.parse_model, help="Model to make smaller, a file."
+            metavar="SCENE", parser=options.parse_model, help="Model to make smaller: a file."
         ),
     ],
     port: Annotated[
@@ -31,12 +31,14 @@ def studio(
     idle: Annotated[
         float,
         typer.Option(
-            min=0, help="Seconds to wait for another page once the last is closed; 0 for ever."
+            min=0,
+            help="Seconds for which the studio keeps running after its last page is closed; 0 is"
+            " for ever.",
         ),
     ] = 60.0,
     preset: Annotated[
         str,
-        typer.Option(help="The method to begin with: fast, default or best.", metavar="NAME"),
+        typer.Option(help="Preset to start with: fast, default or best.", metavar="NAME"),
     ] = "default",
     up: options.Up = None,
     render_mode: options.AsMode = None,
@@ -47,8 +49,8 @@ def studio(
 ) -> None:
     """Choose a smaller model in a browser: see every count, size and PSNR before it is saved.
 
-    The page is of this machine alone. It reads and saves files below the folder in which the
-    command was started; Ctrl-C ends it, and so does closing the page.
+    The page can be opened only on this machine. It reads and saves files below the folder in
+    which the command was started; Ctrl-C ends it, and so does closing the page.
     """
     # Imported here because `--help` does not need it.
     from nanogs.cli.browsing import show_page

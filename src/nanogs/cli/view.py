@@ -24,8 +24,9 @@ def view(
         list[str],
         typer.Argument(
             metavar="A [B]",
-            help="Model to look at, and a second one to see it against: one camera, and a line to"
-            " drag between. name=path calls a model by a name. Each is a file or its URL.",
+            help="Model to show, and optionally a second one to compare it with: both have the"
+            " same camera, with a line to drag between them. name=path names a model. Each is"
+            " a file or its URL.",
         ),
     ],
     output: Annotated[
@@ -48,7 +49,7 @@ def view(
         ),
     ] = None,
     psnr: Annotated[
-        bool, typer.Option(help="Measure B against A on views of A, as compare does.")
+        bool, typer.Option(help="Measure the PSNR of B against A, as `nanogs compare` does.")
     ] = True,
     open_page: Annotated[
         bool | None,
@@ -81,11 +82,14 @@ def view(
     color = options.parse_background(background)
     inputs = [options.parse_named(text) for text in models]
     if len(inputs) > 2:
-        raise OptionError(f"A page shows one model or two, and these are {len(inputs)}.")
+        raise OptionError(
+            f"A page shows one model or two, but {len(inputs)} were given; leave the others out."
+        )
     unused = [option for option, value in of_psnr.items() if value is not None]
     if unused and not (psnr and len(inputs) > 1):
         raise OptionError(
-            f"{unused[0]} is for the PSNR of two models, which is not measured here; leave it out."
+            f"{unused[0]} has no effect, because the PSNR of two models is not measured here;"
+            " leave it out."
         )
     check_built()
     page = output or page_path([path for _, path in inputs])

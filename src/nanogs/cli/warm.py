@@ -11,7 +11,12 @@ from nanogs.formatting import counted, time_text
 def warm(
     workers: Annotated[
         int | None,
-        typer.Option("--workers", min=1, metavar="N", help="Processes. By default all processors."),
+        typer.Option(
+            "--workers",
+            min=1,
+            metavar="N",
+            help="Number of processes, by default one for each processor.",
+        ),
     ] = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -31,5 +36,7 @@ def warm(
         took = f"{found.compiled} of them compiled in {time_text(found.seconds)}"
         text = f"{counted(found.kernels, 'kernel')} for {found.processor} in {found.folders[0]}"
         err.print(
-            f"{text}, {took if found.compiled else 'all there'}", markup=False, soft_wrap=True
+            f"{text}, {took if found.compiled else 'all compiled already'}",
+            markup=False,
+            soft_wrap=True,
         )
