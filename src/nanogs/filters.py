@@ -25,7 +25,7 @@ _REACH = 3.0  # extent of a splat in standard deviations
 
 
 Plain = tuple[str, tuple[float, ...]]
-"""The kind of a filter and its numbers, as a job records it."""
+"""A filter in serialisable form, for the records of jobs: its kind and its numbers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -146,7 +146,7 @@ def write_levels(
 
 
 LevelsSink = LevelsFolder | LevelsTree
-"""What takes levels."""
+"""A sink to which levels of detail can be written."""
 
 
 def usual_levels(

@@ -40,9 +40,10 @@ class Step:
 
 
 Progress = Callable[[Step], None]
-"""Called with each step, in the thread that called the library. What it raises ends the call."""
+"""Callback for each step, called in the thread that called the library; if it raises, the call
+ends with that exception."""
 Parts = Callable[[float, int], None]
-"""Called within a stage: how many parts are done, and of how many."""
+"""Callback within a stage: the number of parts that are done, and the number of all parts."""
 
 
 class Stage(NamedTuple):

@@ -29,7 +29,7 @@ from nanogs.splats import Splats
 from nanogs.switches import PixelOf, SwitchQuality
 
 Read = Callable[[], Splats]
-"""Reads a model."""
+"""Function that reads a model; called only if the model is needed."""
 
 
 class Written(NamedTuple):

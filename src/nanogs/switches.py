@@ -28,8 +28,9 @@ SPLAT_PIXELS, SPLAT_WIDTH = 1.0, 2.0
 GOOD_PSNR, GOOD_SSIM = 33.0, 0.95
 
 PixelOf: TypeAlias = Callable[[int, float], float]
-"""Scene units that a pixel shows where a viewer begins to draw a level: of its number, 1 or more,
-and of the deviation of a typical splat of it along its longest axis, scene units."""
+"""Function that returns the footprint of a pixel, in scene units, at the distance where a viewer
+starts to draw a level. Its arguments are the level's number, 1 or more, and the standard deviation
+of a typical splat of the level along its longest axis, in scene units."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ ABLATIONS = (
     "fast:rounds=3",
     "best",
 )
-"""The ablations: a method without each of its parts, one at a time."""
+"""Methods of the ablation study: each differs from its preset in one parameter, or is a preset."""
 
 
 def all_methods() -> tuple[str, ...]:

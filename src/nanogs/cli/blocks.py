@@ -10,7 +10,7 @@ from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
 
 DASH = Path("-")
-"""Stands for stdin or stdout."""
+"""The path that means stdin or stdout."""
 _option = options.in_panel("Models larger than memory, and several machines")
 
 

@@ -10,7 +10,7 @@ from inspect import Parameter, Signature, signature
 from typing import Any, get_type_hints
 
 Fields = dict[str, tuple[Any, Any]]
-"""Options by name, each with its type, which Typer reads, and its default."""
+"""Options by name: the annotated type that Typer reads, and the default."""
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

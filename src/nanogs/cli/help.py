@@ -8,7 +8,7 @@ from typing import Any
 from typer.core import TyperCommand, TyperGroup
 
 _METAVARS = {bool: "", int: "N", float: "X", str: "TEXT", Path: "PATH"}
-"""How values of a type are called where an option names nothing better; flags have none."""
+"""Default metavar for options of each type; flags have none."""
 
 
 class Command(TyperCommand):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _view = options.in_panel(options.VIEWS)
 Given = dict[str, object]
-"""Values of options by their names; None for what is not given."""
+"""Values of options by name; None for an option that was not given."""
 
 
 def refuse_beside_photos(photos: Path | None, of_photos: Given, found: Given) -> None:

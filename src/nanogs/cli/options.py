@@ -207,7 +207,7 @@ OfFormat = Annotated[
         "spare_bits": (SpareBits, None),
     },
 ]
-"""Options of one format alone, as `save` takes them."""
+"""Options that apply to some formats only: the keyword arguments of `save`."""
 Packed = Annotated[
     str,
     typer.Option(

@@ -6,7 +6,7 @@ from nanogs.io import load
 from nanogs.splats import Splats
 
 CREDIT = "a potted plant by Marcel Padilla, CC-BY-4.0, https://github.com/marcelpadilla/splats"
-"""Whoever passes the scene on, changed or not, has to name its author and licence."""
+"""The licence requires this credit wherever the scene is distributed, changed or not."""
 
 
 def load_plant() -> Splats:

@@ -9,7 +9,7 @@ from nanogs.source import InMemory, Source
 from nanogs.splats import Splats
 
 Encoder = Callable[[Splats], Array]
-"""The rows of one column of the file, of a block of splats."""
+"""Encodes one column of the file for a block of splats."""
 _PIECE = 1 << 20  # bytes
 
 

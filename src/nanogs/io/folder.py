@@ -17,8 +17,8 @@ from nanogs.io.atomic import writing
 from nanogs.io.temporary import left_beside, locked, name_beside, temporary
 
 Ours = Callable[[Path], frozenset[str] | None]
-"""The files that nanogs made in a folder, as paths from it with slashes, or None for a folder that
-it did not make."""
+"""Lists the files that nanogs made in a folder, as relative paths with slashes; returns None for a
+folder that nanogs did not make."""
 
 
 @contextmanager

@@ -14,15 +14,15 @@ from nanogs.splats import MAX_SH_DEGREE, Splats
 
 UNSTATED = "not stated in the file; y down (rdf) by habit"
 FormatOptions = Mapping[str, Any]
-"""Options of one format alone for writing, by name, such as `spz_version`; None is the default."""
+"""Options for writing one format, by name, such as `spz_version`; None means the default."""
 Writer = Callable[..., None]
 """Writes a model to a file that is open for binary writing."""
 Sizer = Callable[[Splats, int], int]
-"""Bytes of the file of a model of so many splats that is like the given one in all else."""
+"""Returns the file size in bytes of a model like the given one, but with this number of splats."""
 Losses = Callable[[Splats], tuple[str, ...]]
-"""Names what a file of the format cannot hold of a model, a sentence each, besides quantisation."""
+"""Returns a sentence for each thing in a model that the format cannot hold; not quantisation."""
 FolderWriter = Callable[..., None]
-"""Makes the folder of a model, with `overwrite` in place of one of nanogs' own; see `io.save`."""
+"""Writes a model as a folder; `overwrite` replaces one that nanogs made. See `io.save`."""
 
 
 def nothing_lost(_splats: Splats) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ FAMILIES = (
     "html",
     "checkpoint",
 )
-"""Modules and folders here; each has `FORMATS`."""
+"""Modules and packages of `nanogs.io`, one for each family of formats; each defines `FORMATS`."""
 
 FORMATS: tuple[Format, ...] = tuple(
     one for family in FAMILIES for one in import_module(f"nanogs.io.{family}").FORMATS

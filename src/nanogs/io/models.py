@@ -10,7 +10,7 @@ from nanogs.source import Source
 from nanogs.splats import Splats
 
 Model: TypeAlias = Splats | Source | str | PathLike[str]
-"""Models as functions take them: `Splats`, a `Source`, or a path that `load` reads."""
+"""A model as a function argument: `Splats`, a `Source`, or a path that `load` reads."""
 
 
 @contextmanager

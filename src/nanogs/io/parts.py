@@ -116,7 +116,7 @@ class Column:
 
 
 ColumnReader = Callable[[str, int, int], Array]
-"""Rows of an unpacked column by its name, the first and the one after the last: a new array."""
+"""Reads rows `start` to `stop` of an unpacked column, given its name; returns a new array."""
 
 
 class Packed(FileSource):

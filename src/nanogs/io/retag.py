@@ -12,7 +12,7 @@ from nanogs.source import Layout
 from nanogs.splats import RenderMode, Splats
 
 ASKED = RenderMode.DEFAULT, RenderMode.MIP
-"""The render modes that can stand in place of a file's own."""
+"""Render modes with which a caller can override the mode that a file states."""
 
 
 def checked_mode(render_mode: str | None) -> RenderMode | None:

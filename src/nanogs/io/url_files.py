@@ -19,7 +19,7 @@ from nanogs.io.urls import Address, UrlFile
 from nanogs.progress import Parts, ignore_progress
 
 TransferProgress = Callable[[str], AbstractContextManager[Parts]]
-"""Begins "fetch" or "send"; what the block gets is told the bytes."""
+"""Context manager of the stage "fetch" or "send"; yields a callback for the bytes transferred."""
 # Manifests whose model cannot be downloaded file by file: their files name further files, or have
 # to be there before the manifest can be opened.
 _MANIFESTS = (registry.LEVELS, registry.TILESET, registry.LEVEL_LIST, ".lcc")

@@ -60,7 +60,7 @@ _C0, _C1, _C2, _C3, _C4, _C5 = (np.float32(coefficient) for coefficient in POLYN
 _MIDDLES_X, _MIDDLES_Y = (SIDE * at + _HALF - np.float32(MIDDLE) for at in (COLUMNS, ROWS))
 PIXELS_X: F32 = (SIDE * COLUMNS[:, None] + COLUMNS - MIDDLE).astype(np.float32)
 PIXELS_Y: F32 = (SIDE * ROWS[:, None] + ROWS - MIDDLE).astype(np.float32)
-"""(16, 16) float32: from the middle of a tile to each pixel of each block."""
+"""(16, 16) float32: y offset of each pixel of each block from the middle of its tile."""
 
 
 @simd_or_plain

@@ -20,7 +20,7 @@ from nanogs.splats import Splats
 
 GENERATOR = "nanogs"
 Made = Iterator[tuple[Any, Mapping[str, bytes]]]
-"""Chunks one at a time, as plain data, each with the files that are made with it."""
+"""Yields chunks: the plain data that describe a chunk, and the contents of its files by name."""
 _OUTSIDE = 12_000_000  # bytes that libraries take for a file, besides those for each splat
 _DESCRIBED = 2 * 8_000  # bytes to describe a chunk at all levels; twice, as some are half full
 

@@ -29,7 +29,7 @@ _LEAP = 16  # while all counts fit, the next is at most this many times the larg
 WHOLE_FITS = "The whole model fits into the requested size; nothing was merged."
 
 Encode = Callable[[Splats], int]
-"""Bytes of a model's file, by writing it."""
+"""Writes a model's file and returns its size in bytes."""
 Probe = SizeProbeReport | None
 
 

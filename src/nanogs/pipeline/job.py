@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 NanPolicy = Literal["drop", "error"]
 Deliver = Callable[[int, StageClock, Tracker], Outcome]
-"""The result of a count, the seconds of its stages added to the clock, each told."""
+"""Makes the result with a given number of splats, and reports and times the stages of this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -70,11 +70,11 @@ class Packing:
 
 
 MeasureFile = Callable[[Packing], PackingReport]
-"""Packs the result at hand, whose harmonics may be of a higher degree, and measures it."""
+"""Packs the current result, whose SH degree may be higher than the packing's, and measures it."""
 MeasureFiles = Callable[[MeasureFile], list[PackingReport]]
-"""Looks at files of a result."""
+"""Measures some packings of a result with the given function, and returns their reports."""
 MakeAndMeasure = Callable[[Packing, int, MeasureFiles], list[PackingReport]]
-"""Makes the result of a packing and a count, and looks at files of it."""
+"""Makes the result with the packing's SH degree and a count, and measures packings of it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
         "paper": PaperParameters(),
     }
 )
-"""The parameters of each preset, by its name; `nanogs.presets`."""
+"""Parameters of each preset, by name; public as `nanogs.presets`."""
 SUMMARIES: Mapping[str, str] = {
     "default": (
         "merge forest; the best-looking of several cuts, then a short optimisation against renders"

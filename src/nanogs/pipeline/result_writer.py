@@ -27,7 +27,7 @@ from nanogs.source import InMemory, Joined, Source, Turned
 from nanogs.store.scratch import hash_file
 
 Tell = Callable[[Done, Sequence[Written]], list[SimplifyReport]]
-"""Makes the report of each result."""
+"""Makes a report for each result that was written."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,7 +98,7 @@ class Run:
 
 
 Search = Callable[[Work, Run, Tracker], Done]
-"""Makes results of a job, what is done once being done, until one meets what is sought."""
+"""Makes results of a job, from stages that are run only once, until one meets the target."""
 
 
 def run_tasks(

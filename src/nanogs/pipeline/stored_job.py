@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 UNRECOVERABLE = TooSmallError, CrowdedError, ModelError, UnstorableError
-"""After these nothing can come of a job any more."""
+"""Errors after which a job cannot be resumed, so that its files are removed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

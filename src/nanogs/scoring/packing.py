@@ -15,7 +15,7 @@ from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
 Packing = Mapping[str, FormatOptions]
-"""Formats to pack models in, by suffix, each with the options that it is written with."""
+"""Formats in which models are packed, by suffix, with the options for writing each."""
 
 # Formats by their name in `FileInfo` or suffix -> the format that encodes values in the same way.
 _SAME_ENCODING = {"meta.json": "sog", "streamed sog": "sog"}

@@ -24,7 +24,7 @@ LAYOUTS = {
     "tileset.json": ("3D Tiles, a folder", "{stem}/tileset.json"),
     ".rad": ("a tree for Spark, one file", "{stem}.rad"),
 }
-"""Layouts of levels by suffix: what they are, and a name for one."""
+"""Layouts of levels of detail, by suffix: a description, and a template of the output path."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from nanogs.io import registry
 from nanogs.io.parts import FileSource
 
 FRAMES = {"-y": "rdf", "+y": "rub", "+z": "rfu", "-z": "rbd", "+x": "ubr", "-x": "dfr"}
-"""Frames that are turns of each other, by the axis that points up in them."""
+"""Frames that are rotations of each other, by the axis that points up."""
 
 
 def direction_of(up: str) -> tuple[float, float, float]:

@@ -14,7 +14,8 @@ from nanogs.studio.scene import Scene, StudioSettings
 
 Event = dict[str, Any]
 Deliver = Callable[[str, Event, dict[str, bytes]], None]
-"""Takes an event for a page, or for all where its name is empty, with models that it names."""
+"""Sends an event to the page with this name, or to all pages if the name is empty, together with
+the models that the event names."""
 
 PATIENCE = 5.0  # seconds that a cancelled job has to stop, before the worker is killed
 PATIENCE_REPLACED = 30.0  # the same for a job replaced by a newer one, counted from its last event

@@ -16,7 +16,7 @@ from nanogs.views.automatic import Kind, Split, automatic_cameras
 from nanogs.views.decimated import decimated
 
 Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
-"""Where to look from: "auto", "orbit", "inside", "roam", a file or folder of them, or cameras."""
+"""Cameras, or their source: "auto", "orbit", "inside", "roam", or a file or folder of cameras."""
 
 AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
 FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all kinds of automatic cameras

@@ -91,7 +91,7 @@ STEPS = {
     5: Steps(2, 3, 16, 5, 5),
     4: Steps(4, 5, 32, 8, 8),
 }
-"""By the bits that are asked for."""
+"""Quantisation steps by the value of the option `bits`."""
 
 
 def write(
