@@ -439,11 +439,24 @@ def test_what_is_not_carried_is_noted(load):
         "'zDepth'",
         "'EXT_box'",
         "lin_rec709_display",
-        "1 primitives of meshes",
+        "1 primitive of a mesh was left out.",
     ):
         assert word in text
     assert again.comments == ("a",)
     assert again.render_mode is RenderMode.DEFAULT
+
+
+@pytest.mark.parametrize(
+    ("count", "note"),
+    [
+        (1, "1 primitive of a mesh was left out."),
+        (2, "2 primitives of meshes were left out."),
+    ],
+)
+def test_primitives_of_meshes_are_counted(load, count, note):
+    content, body = document(columns(random_splats(4, seed=7)))
+    content["meshes"][0]["primitives"] += [{"attributes": {"POSITION": 0}}] * count
+    assert load((content, body)).notes == (note,)
 
 
 def test_opacities_out_of_range_are_noted(load):
@@ -487,8 +500,8 @@ REFUSED = {
     "scene": (broken(("scene",), 7), "no object 7 in 'scenes'"),
     "node": (broken(("scenes", 0, "nodes"), [3]), "no object 3 in 'nodes'"),
     "node type": (broken(("scenes", 0, "nodes"), [True]), r"scenes\[0\].nodes must be an integer"),
-    "cycle": (broken(("nodes", 0, "children"), [0]), "nodes must be a tree"),
-    "twice": (broken(("scenes", 0, "nodes"), [0, 0]), "nodes must be a tree"),
+    "cycle": (broken(("nodes", 0, "children"), [0]), "nodes must form a tree"),
+    "twice": (broken(("scenes", 0, "nodes"), [0, 0]), "nodes must form a tree"),
     "mesh": (broken(("nodes", 0, "mesh"), -1), r"nodes\[0\].mesh must be an integer from 0 on"),
     "shear": (
         broken(("nodes", 0, "matrix"), [1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]),
@@ -506,7 +519,7 @@ REFUSED = {
     ),
     "rotation": (broken(("nodes", 0, "rotation"), [0, 0, 1]), "rotation must be a list of 4"),
     "big number": (broken(("nodes", 0, "translation"), [10**400, 0, 0]), "finite numbers"),
-    "triangles": (broken((*PRIMITIVE, "mode"), 4), "must be of mode 0"),
+    "triangles": (broken((*PRIMITIVE, "mode"), 4), "must have mode 0"),
     "no splats": (broken(EXTENSION, None), "mesh or point cloud"),
     "no spz": (broken((*EXTENSION, "extensions"), SPZ), "it is no .spz file"),
     "packed": (

@@ -108,10 +108,19 @@ REFUSED = {
     "splats": (lambda: ksplat(section(3, 0, 0, changes={0: ("<I", 9)}), count=9), "9 splats in 3"),
     "rows": (lambda: ksplat(section(3, 0, 0, changes={4: ("<I", HUGE)})), "cut short"),
     "buckets": (lambda: ksplat(section(9, 1, 0, changes={12: ("<I", HUGE)}), mode=1), "cut short"),
-    "full": (lambda: ksplat(section(9, 1, 0, changes={32: ("<I", HUGE)}), mode=1), "cannot be"),
+    "full": (
+        lambda: ksplat(section(9, 1, 0, changes={32: ("<I", HUGE)}), mode=1),
+        "an impossible layout",
+    ),
     "capacity": (lambda: ksplat(section(9, 1, 0, changes={8: ("<I", 0)}), mode=1), "buckets of a"),
-    "bucket bytes": (lambda: ksplat(section(9, 1, 0, changes={20: ("<H", 8)}), mode=1), "cannot"),
-    "width": (lambda: ksplat(section(9, 1, 0, changes={16: ("<f", math.nan)}), mode=1), "cannot"),
+    "bucket bytes": (
+        lambda: ksplat(section(9, 1, 0, changes={20: ("<H", 8)}), mode=1),
+        "an impossible layout",
+    ),
+    "width": (
+        lambda: ksplat(section(9, 1, 0, changes={16: ("<f", math.nan)}), mode=1),
+        "an impossible layout",
+    ),
 }
 
 

@@ -122,7 +122,9 @@ def test_commands_read_it(usual, tmp_path):
 def test_normals_are_left_out_with_a_note(tmp_path):
     rows = [lccfiles.row(), lccfiles.row(normal=(1, 0, 0)), lccfiles.row()]
     path = placed(tmp_path, lccfiles.model([(0, 0, [(rows, [])])], depth=1))
-    assert io.load(path).notes == ("Normals of 1 splat were left out, whose code is not known.",)
+    assert io.load(path).notes == (
+        "The normals of 1 splat were left out, because their encoding is not known.",
+    )
 
 
 def test_alphas_and_scales_at_their_ends_are_infinite(tmp_path):
@@ -186,12 +188,24 @@ REFUSED = {
     "no index": (lambda: changed("index.bin", None), "index.bin: no such file"),
     "no data": (lambda: changed("data.bin", None), "data.bin: no such file"),
     "no harmonics": (lambda: changed("shcoef.bin", None), "shcoef.bin: no such file"),
-    "short index": (lambda: changed("index.bin", lambda data: data[:-1]), "no cells of 2 levels"),
+    "short index": (
+        lambda: changed("index.bin", lambda data: data[:-1]),
+        "not a whole number of cells of 2 levels",
+    ),
     "short data": (lambda: changed("data.bin", lambda data: data[:-1]), "do not fit into data.bin"),
     "short harmonics": (lambda: changed("shcoef.bin", lambda data: data[:-2]), "do not fit"),
-    "offset": (lambda: changed("index.bin", at(8, b"\xff" * 8)), "places below 0 or beyond"),
-    "far": (lambda: changed("index.bin", at(8, b"\xff" * 7 + b"\x7f")), "places below 0 or beyond"),
-    "negative": (lambda: changed("index.bin", at(4, b"\xff" * 4)), "counts or places below 0"),
+    "offset": (
+        lambda: changed("index.bin", at(8, b"\xff" * 8)),
+        "offsets that are negative or too large",
+    ),
+    "far": (
+        lambda: changed("index.bin", at(8, b"\xff" * 7 + b"\x7f")),
+        "offsets that are negative or too large",
+    ),
+    "negative": (
+        lambda: changed("index.bin", at(4, b"\xff" * 4)),
+        "counts or offsets that are negative",
+    ),
     "sky": (lambda: changed("environment.bin", lambda data: data[:-1]), "no whole number of"),
     "empty": (
         lambda: lccfiles.model([(0, 0, [([], []), ([lccfiles.row()], [])])], depth=2),

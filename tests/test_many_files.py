@@ -93,7 +93,7 @@ def test_names(source, suffix, target):
         (["a.ply"], "obj", "does not write"),
         (["a.ksplat"], None, "add `format="),
         (["garden/lod-meta.json"], None, r'does not write lod-meta\.json; add `format="ply"`'),
-        (["garden/meta.json"], None, r'results are files; add `format="sog"`'),
+        (["garden/meta.json"], None, r'results are single files; add `format="sog"`'),
         (["a.ply"], "meta.json", r"^meta\.json describes a folder of files; .* such as \.sog\.$"),
     ],
 )

@@ -130,10 +130,10 @@ def nested_pickle(again):
 
 
 BOMBS = {
-    "gzip": (gzip_bomb, "far more than splats can be packed"),
-    "zstd": (zstd_bomb, "far more than splats can be packed"),
-    "zip": (zip_bomb, "far more than splats can be packed"),
-    "WebP": (webp_bomb, "far more than splats can be packed"),
+    "gzip": (gzip_bomb, "far more than splats can be compressed"),
+    "zstd": (zstd_bomb, "far more than splats can be compressed"),
+    "zip": (zip_bomb, "far more than splats can be compressed"),
+    "WebP": (webp_bomb, "far more than splats can be compressed"),
     "WebP in a packed zip": (lambda: webp_bomb(zipfile.ZIP_DEFLATED), "far more than splats"),
     "canvas": (canvas_bomb, "damaged WebP"),
     "repeated model": (repeated_model, "names a file twice"),

@@ -154,7 +154,7 @@ def test_promised_sizes_are_not_believed(tmp_path):
     member = b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header
     with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
         archive.writestr("extra:a.npy", member)
-    with pytest.raises(FormatError, match="has not the size"):
+    with pytest.raises(FormatError, match="does not have the size"):
         io.load(tmp_path / "a.npz")
 
 

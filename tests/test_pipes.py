@@ -134,7 +134,9 @@ def test_what_is_refused(scene, tmp_path):
     refused(run("convert", "-", "-", "--from", "obj", data=data), "unknown suffix")
     refused(run("convert", "-", "-", "--to", "obj", data=data), "does not write")
     textures = run("convert", "-", "-", "--to", "meta.json", data=data)
-    refused(textures, "error: meta.json describes a folder of files; take a format of one file")
+    refused(
+        textures, "error: meta.json describes a folder of files; use a format with a single file"
+    )
     refused(
         run("convert", "-", "-", "--from", "ksplat", data=data),
         "choose another for OUT, as in --to ply",

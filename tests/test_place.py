@@ -235,7 +235,7 @@ def test_the_local_scene_comes_back_with_the_place_in_a_note(placed, nowhere, tm
     result = run("convert", placed, tmp_path / "a.ply", "--level", "1")
     assert result.returncode == 0, result.stderr
     named = OPTIONS.removeprefix("--").replace(" --", ", ")
-    assert f"The place of the scene on Earth was left out: {named}." in result.stderr
+    assert f"The position of the scene on Earth was left out: {named}." in result.stderr
     again, expected = io.load(tmp_path / "a.ply"), io.load(nowhere, level=1)
     for name in ("means", "quats", "log_scales", "sh"):
         assert np.array_equal(getattr(again, name), getattr(expected, name))

@@ -127,7 +127,7 @@ def test_double_beyond_float_is_reported(load):
     columns = vertex(3, BASE, {"opacity": "double"})
     columns[6] = ("opacity", "double", np.array([1.0, 1e300, np.inf]))
     model = load(ply(("vertex", columns)))
-    assert "1 value of 'opacity' beyond float became infinite." in model.notes
+    assert "1 value of 'opacity' became infinite when converted to float32." in model.notes
 
 
 def test_integer_colours_become_float_and_the_user_is_told(load):

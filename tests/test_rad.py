@@ -295,8 +295,11 @@ REFUSED = {
     "the chunk's place": (lambda h, p, c: p.update(base=1), "begin with row 0"),
     "payload": (lambda h, p, c: p.update(payloadBytes=8), "two sizes"),
     "unknown property": (lambda h, p, c: c.append(column("depth", "f32", b"")), "'depth'"),
-    "twice": (lambda h, p, c: c.append(c[0]), "should not be"),
-    "unpromised": (lambda h, p, c: c.append(column("sh1", "f32", bytes(144))), "nothing is said"),
+    "twice": (lambda h, p, c: c.append(c[0]), "must not be in this chunk"),
+    "unpromised": (
+        lambda h, p, c: c.append(column("sh1", "f32", bytes(144))),
+        "which the file's header does not mention",
+    ),
     "missing": (lambda h, p, c: c.pop(), "lacks orientation"),
     "encoding": (lambda h, p, c: c[0][0].update(encoding="u16"), "encoded as 'u16'"),
     "compression": (lambda h, p, c: c[0][0].update(compression="zstd"), "packed as 'zstd'"),
@@ -321,14 +324,14 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
         column(entry["property"], "f32", bytes(4 * 3_000_000 * len(data) // 16))
         for entry, data in usual(4)[0]
     ]
-    with pytest.raises(FormatError, match="far more than splats can be packed"):
+    with pytest.raises(FormatError, match="far more than splats can be compressed"):
         read(tmp_path, rad([chunk(columns, 3_000_000)], 3_000_000))
 
 
 def test_data_that_go_on_are_refused(tmp_path):
     columns, _ = usual(4)
     columns[0] = columns[0][0], columns[0][1] + bytes(1 << 24)
-    with pytest.raises(FormatError, match="does not hold 48 bytes"):
+    with pytest.raises(FormatError, match="does not hold the 48 bytes"):
         read(tmp_path, rad([chunk(columns, 4)], 4))
 
 

@@ -49,7 +49,7 @@ def done(*arguments):
 
 
 def is_told(notes):
-    return any("as asked for" in note for note in notes)
+    return any("as requested" in note for note in notes)
 
 
 @pytest.mark.parametrize("own", [DEFAULT, MIP], ids=str)
@@ -225,7 +225,7 @@ def test_other_names_are_refused_wherever_they_are_given(tmp_path, models):
         lambda: nanogs.simplify_blocks(right, tmp_path / "a.ply", ratio=0.5, render_mode="MIP"),
         lambda: nanogs.info(right, render_mode="flat"),
     ):
-        with pytest.raises(OptionError, match="render mode"):
+        with pytest.raises(OptionError, match="`render_mode` must be"):
             call()
     assert not list(tmp_path.iterdir())
 
@@ -252,8 +252,8 @@ def test_info_says_where_the_tag_is(tmp_path, models, suffix, said):
         nanogs.save(nanogs.load(models[1]), path)
     assert done("info", path)["render_tag"] == said
     asked = run("info", path, "--render-mode", "default")
-    assert "default, by what was asked for" in asked.stdout
-    assert "as asked for" in asked.stderr
+    assert "default, by the request" in asked.stdout
+    assert "as requested" in asked.stderr
     assert "no tag" in run("info", models[0]).stdout
 
 

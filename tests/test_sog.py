@@ -122,7 +122,7 @@ REFUSED = {
     "half a splat": (changed(count=1.5), "count must be an integer"),
     "true": (changed(count=True), "count must be an integer"),
     "too many": (changed(count=10**9), "count must be an integer"),
-    "many in a small file": (changed(count=10**8), "far more than splats can be packed"),
+    "many in a small file": (changed(count=10**8), "far more than splats can be compressed"),
     "more than the textures": (changed(count=17), "do not fit the model"),
     "table": (changed(means=[]), "means must be a JSON object"),
     "bounds": (changed(means={"mins": [0, 0]}), "mins must be a list of 3"),
@@ -201,7 +201,7 @@ def test_zip_entries_are_checked(tmp_path):
     with pytest.raises(FormatError, match="too large for a description"):
         io.load(packed)
     packed = sogfiles.bundle(tmp_path / "c.sog", sogfiles.files(), zipfile.ZIP_BZIP2)
-    with pytest.raises(FormatError, match="other than deflate"):
+    with pytest.raises(FormatError, match="another method than deflate"):
         io.load(packed)
     (tmp_path / "d.sog").write_bytes(b"PK but no zip")
     with pytest.raises(FormatError, match="is no zip file or is cut short"):
@@ -310,7 +310,7 @@ def test_levels_are_read_one_at_a_time(streamed):
         io.load(path, level=2)
     result = run(path, path.parent / "coarse.ply", "--level", "1")
     assert result.returncode == 0, result.stderr
-    assert "note: Level 1 was read, of 2 from 0, the finest, on." in result.stderr
+    assert "note: Level 1 of 2 was read; level 0 is the finest." in result.stderr
     assert colours(io.load(path.parent / "coarse.ply")) == [(3, 0), (3, 1)]
 
 
@@ -356,7 +356,7 @@ def test_a_model_without_levels_has_none_to_choose_from(tmp_path):
         ({"lodLevels": 0}, "lodLevels must be an integer"),
         ({"version": 2}, "newer version"),
         ({"tree": None}, "tree must be a JSON object"),
-        ({"tree": {}}, "holds nothing of level 0"),
+        ({"tree": {}}, "has no splats of level 0"),
         ({"tree": leaf(_x=(0, 0, 1))}, "lods must be an integer"),
         ({"tree": leaf(**{"_" + "9" * 5000: (0, 0, 1)})}, "lods must be an integer"),
         ({"tree": leaf(_0=(0, 0, 9))}, "fewer than its lod-meta.json says"),
@@ -364,7 +364,7 @@ def test_a_model_without_levels_has_none_to_choose_from(tmp_path):
         ({"environment": "../env/meta.json"}, "environment must name files below its own"),
         ({"environment": "https://a.b/meta.json"}, "environment must name files below its own"),
         ({"environment": 5}, "environment must name files below its own"),
-        ({"environment": "1_0/meta.json"}, "is one of the models of the levels"),
+        ({"environment": "1_0/meta.json"}, "is also a model of the levels"),
         ({"environment": "gone/meta.json"}, "no such file"),
     ],
 )

@@ -141,7 +141,7 @@ def test_an_element_of_one_row_a_splat_follows_and_others_stay():
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        (np.ones(11, bool), "A mask has one flag for each of the 12 splats, not 11"),
+        (np.ones(11, bool), "A mask must have one flag for each of the 12 splats, not 11"),
         (1.5, "not float"),
         ("means", "not str"),
         (None, "not NoneType"),
@@ -231,7 +231,7 @@ def test_tensors_of_pytorch_are_taken():
         ({"opacity_logits": np.zeros(4, bool)}, "must hold real numbers, not bool"),
         ({"sh": np.zeros((4, 3))}, r"sh must be \(N, 1\|4\|9\|16\|25, 3\), not \(4, 3\)"),
         ({"sh": np.zeros((4, 1, 3), complex)}, "sh must hold real numbers"),
-        ({"log_scales": [[1], [2, 3]]}, "log_scales cannot be made an array"),
+        ({"log_scales": [[1], [2, 3]]}, "log_scales cannot be converted to an array"),
         ({"log_scales": np.full((4, 3), 1e39)}, "log_scales holds numbers that are too large"),
         (
             {"render_mode": "antialiased"},
@@ -285,7 +285,7 @@ def test_gsplat_gives_tensors_colours_and_less():
     assert plain.sh_degree == 0
     base = Splats.from_gsplat(tensors | {"sh0": model.sh[:, 0], "step": np.zeros(1)})
     assert base.sh_degree == 0
-    assert base.notes == ("Of gsplat's dictionary was left out: step.",)
+    assert base.notes == ("Left out of gsplat's dictionary: step.",)
     assert Splats.from_gsplat(tensors | harmonics, render_mode=RenderMode.MIP).render_mode == "mip"
 
 

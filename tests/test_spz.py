@@ -160,7 +160,7 @@ def test_opening_does_not_inflate_the_body_for_the_frame(tmp_path, monkeypatch):
 @pytest.mark.parametrize("payload", [b"\x11\0\0\0", b"\x04\0", b""])
 def test_a_frame_that_is_none_is_refused(load, payload):
     records = struct.pack("<II", 0xADBE0003, len(payload)) + payload
-    with pytest.raises(FormatError, match="names none"):
+    with pytest.raises(FormatError, match="names an unknown one"):
         load(encode([row()], 4, flags=2, records=records))
 
 
@@ -238,8 +238,8 @@ def test_a_stated_frame_stays_stated_where_nothing_is_turned(tmp_path):
         assert done.returncode == 0, done.stderr
         assert stated(made[2]) == "lub"
     for name, words in {
-        "c.ply": "as if they were rdf, as of .ply files; it was not turned",
-        "d.spz": "has no place for",
+        "c.ply": "but .ply files have the axes rdf; the model was not turned",
+        "d.spz": "cannot state its axes",
     }.items():
         more = ("--spz-version", "3") if name == "d.spz" else ()
         done = run("convert", path, tmp_path / name, *more)
@@ -251,10 +251,18 @@ def test_a_stated_frame_stays_stated_where_nothing_is_turned(tmp_path):
 @pytest.mark.parametrize(
     ("name", "more", "words"),
     [
-        ("levels", ("--format", "ply"), "as of .ply files; it was not turned"),
+        (
+            "levels",
+            ("--format", "ply"),
+            "but .ply files have the axes rdf; the model was not turned",
+        ),
         ("levels", ("--format", "spz"), ""),
-        ("web/lod-meta.json", (), "as of .sog files; it was not turned"),
-        ("tree.rad", ("--max-memory", "300MB"), "as of .rad files; it was not turned"),
+        ("web/lod-meta.json", (), "but .sog files have the axes rdf; the model was not turned"),
+        (
+            "tree.rad",
+            ("--max-memory", "300MB"),
+            "but .rad files have the axes rdf; the model was not turned",
+        ),
         ("turned", ("--format", "spz", "--frame", "lub:rdf"), ""),
     ],
 )
@@ -396,7 +404,7 @@ def test_centres_of_a_large_scene_cannot_do_without_what_they_lack(tmp_path):
     model = random_splats(2)
     model.means[:] = 2**21
     assert io.settled(model, "a.spz", {}) == {"spare_bits": 0}
-    with pytest.raises(OptionError, match="Of 1 bits behind the point, `spare_bits=2` leaves none"):
+    with pytest.raises(OptionError, match="`spare_bits=2` leaves none of the 1 fraction bits"):
         io.save(model, tmp_path / "a.spz", format_options={"spare_bits": 2})
     assert not list(tmp_path.iterdir())
 
@@ -651,14 +659,14 @@ def test_losses_are_counted(tmp_path):
     model.sh[0, 0, 0] = 3.5
     model.sh[0:2, 2, 1] = -1.1
     mode = "The render mode 2dgs is left out, .spz has no tag for it"
-    outside = "outside ±1, the range of .spz, clamped to that."
+    outside = "outside ±1, the range of .spz; they were clamped to it."
     assert io.losses(model, tmp_path / "a.spz") == (
         "Extra columns are left out, .spz has no room for them: label.",
         "Further elements are left out, .spz has no room for them: camera.",
         "1 comment line is left out, .spz has no room for them.",
         f"{mode}: viewers will render the model as ordinary splats.",
-        "3 splats have log-scales outside -10 to 5.94, the range of .spz, clamped to that.",
-        "1 splat has base colours outside ±3.33, the range of .spz, clamped to that.",
+        "3 splats have log-scales outside -10 to 5.94, the range of .spz; they were clamped to it.",
+        "1 splat has base colours outside ±3.33, the range of .spz; they were clamped to it.",
         f"2 splats have higher SH coefficients {outside}",
     )
     clamped = written(model, tmp_path / "a.spz")

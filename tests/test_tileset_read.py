@@ -38,7 +38,7 @@ def test_our_own_levels_come_back(splats, tmp_path, plain):
         again = again.take(nearest)
         step = 0.5 / 255 / 0.15 + 1e-6
         assert np.abs(again.sh[:, 0] - wanted.sh[:, 0]).max() < (1e-9 if plain else step)
-        assert any(f"Level {level} was read, of 3" in note for note in again.notes)
+        assert any(f"Level {level} of 3 was read" in note for note in again.notes)
     with pytest.raises(OptionError, match="levels 0 to 2; level 3"):
         io.load(path, level=3)
     info = io.inspect(path)
@@ -153,7 +153,7 @@ def test_transforms_are_applied_but_for_the_place_on_earth(tileset, tmp_path):
     # The model's x is the tileset's -x, its y the tileset's -z, its z the tileset's -y.
     x, y, z = before.means.T
     assert again.means == pytest.approx(np.column_stack([-z, y - 5, x]), abs=1e-5)
-    assert any("place of the scene on Earth was left out" in note for note in again.notes)
+    assert any("position of the scene on Earth was left out" in note for note in again.notes)
     assert not any("Earth" in note for note in io.load(tileset(tile(uri="1.glb"))).notes)
 
 
@@ -167,7 +167,7 @@ def test_a_place_below_the_root_is_left_out_as_well(tileset, tmp_path):
     again = io.load(tileset(tile(tile(uri="sub/inner.json"), away)))
     assert np.array_equal(again.means[:2], before)
     assert again.means[2:] == pytest.approx(before - [0, 3, 0], abs=1e-5)
-    assert any("place of the scene on Earth was left out" in note for note in again.notes)
+    assert any("position of the scene on Earth was left out" in note for note in again.notes)
 
 
 def test_a_root_near_by_is_applied(tileset, tmp_path):
@@ -186,7 +186,7 @@ REFUSED = {
     "web": (tile(uri="https://a/1.glb"), "in the same folder or below it"),
     "old": (tile(uri="a.b3dm"), "names a.b3dm, where glTF files are needed"),
     "missing": (tile(uri="9.glb"), "9.glb: no such file"),
-    "implicit": (tile(implicitTiling={}), "tiled implicitly"),
+    "implicit": (tile(implicitTiling={}), "uses implicit tiling"),
     "refine": (tile(refine="BOTH"), "must be ADD or REPLACE"),
     "transform": (tile(tile(uri="1.glb", transform=[1, 2])), "a list of 16"),
     "flat": (
@@ -204,7 +204,7 @@ REFUSED = {
     "children": (tile(children=[3]), "must be a JSON object"),
     "by rows": (
         tile(tile(uri="1.glb", transform=[1, 0, 0, 5, 0, 1, 0, 6, 0, 0, 1, 7, 0, 0, 0, 1])),
-        "last row is not 0, 0, 0, 1, as if rows were written in place of columns",
+        "last row is not 0, 0, 0, 1, perhaps because its rows were written as columns",
     ),
 }
 
@@ -225,7 +225,9 @@ def test_transforms_that_overflow_together_are_refused(tileset, shift):
     for _ in range(12):
         root = tile(root, **step)
     for read in (io.load, io.inspect):
-        with pytest.raises(FormatError, match="too large with its transform and those above it"):
+        with pytest.raises(
+            FormatError, match="too large after its transform and those of the tiles above it"
+        ):
             read(tileset(root))
 
 
@@ -236,4 +238,4 @@ def test_nobody_writes_one_with_save_or_convert(tileset, tmp_path):
     result = run("convert", path, tmp_path / "a.ply", "--level", "0")
     assert result.returncode == 0, result.stderr
     assert len(io.load(tmp_path / "a.ply")) == 4
-    assert "Level 0 was read" in result.stderr
+    assert "Level 0 of 1 was read" in result.stderr

@@ -250,12 +250,12 @@ REFUSED = {
     "binary": ("PXR-USDC", "does not begin with '#usda"),
     "short": (layer(prim())[:-1], "ends inside the prim"),
     "array": (layer(prim()).partition("2, 3)")[0], "an array has no end"),
-    "closing": (layer("}"), "closes nothing"),
+    "closing": (layer("}"), "has no matching {"),
     "brackets": (layer(prim("int a = (3]")), "brackets do not match"),
     "lacks": (layer(prim().replace("scales", "sizes")), "lacks scales"),
     "counts": (layer(prim().replace("opacities = [0.5, ", "opacities = [")), "has 1 number, where"),
-    "words": (layer(prim().replace("0.5, 0.5", "0.5, half")), "no number"),
-    "degree": (layer(prim().replace("Degree = 0", "Degree = 9")), "none from 0 to 4"),
+    "words": (layer(prim().replace("0.5, 0.5", "0.5, half")), "not a number"),
+    "degree": (layer(prim().replace("Degree = 0", "Degree = 9")), "not from 0 to 4"),
     "none": (layer(prim(count=0)), "holds no splats"),
     "up": (layer(prim(), metadata='upAxis = "X"'), "upAxis"),
     "operation": (
@@ -265,9 +265,16 @@ REFUSED = {
     "mirror": (
         layer(prim("float3 xformOp:scale = (-1, 1, 1)\nuniform token[] xformOpOrder ="
                    ' ["xformOp:scale"]')), "mirrors or flattens"),
-    "deep": (layer('def Xform "a" {' * 500), "is none"),
-    "text": (layer('def "a'), "begins nothing that is known"),
+    "deep": (layer('def Xform "a" {' * 500), "nested too deeply"),
+    "text": (layer('def "a'), "begins unknown syntax"),
 }  # fmt: skip
+
+
+def test_opacities_out_of_range_are_counted(load):
+    one = load(layer(prim().replace("opacities = [0.5, 0.5]", "opacities = [0.5, 1.5]")))
+    assert one.notes == ("1 opacity is not from 0 to 1 and became NaN.",)
+    both = load(layer(prim().replace("opacities = [0.5, 0.5]", "opacities = [-0.5, 1.5]")))
+    assert both.notes == ("2 opacities are not from 0 to 1 and became NaN.",)
 
 
 @pytest.mark.parametrize("name", REFUSED)

@@ -31,7 +31,9 @@ def as_array(name: str, value: object) -> Array:
         return np.asarray(value)
     except (TypeError, ValueError, RuntimeError) as error:
         reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
-        raise ModelError(f"{name} cannot be made an array ({reason}); convert it first.") from None
+        raise ModelError(
+            f"{name} cannot be converted to an array ({reason}); convert it first."
+        ) from None
 
 
 def as_floats(name: str, value: object, *, double: bool = False) -> F:
@@ -84,7 +86,9 @@ def as_rows(rows: Any, count: int) -> I64 | I32 | Bool | slice:  # noqa: ANN401 
     if array.ndim != 1 or array.dtype.kind not in "biu":
         raise _no_rows(rows)
     if array.dtype == bool and len(array) != count:
-        raise IndexError(f"A mask has one flag for each of the {count:,} splats, not {len(array)}.")
+        raise IndexError(
+            f"A mask must have one flag for each of the {count:,} splats, not {len(array)}."
+        )
     # NumPy's `take` refuses uint64. Signed types are kept: int64 could take twice the memory.
     return array.astype(np.int64) if array.dtype.kind == "u" else array
 

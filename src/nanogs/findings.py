@@ -113,7 +113,9 @@ def of_plain(data: str | Mapping[str, Any]) -> str:
 def became_infinite(name: str, count: int) -> Finding:
     """Make the note that `count` values of a column overflow float32."""
     quoted = repr(name).replace("{", "{{").replace("}", "}}")
-    return Finding(f"{{:value|values}} of {quoted} beyond float became infinite.", count)
+    return Finding(
+        f"{{:value|values}} of {quoted} became infinite when converted to float32.", count
+    )
 
 
 def negative_scales(count: int) -> list[str]:

@@ -43,7 +43,7 @@ def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode | str) ->
         **columns,
         sh=_harmonics(given, len(means) if means.ndim else 0),
         render_mode=cast("RenderMode", render_mode),  # Splats checks it
-        notes=[f"Of gsplat's dictionary was left out: {', '.join(left_out)}."] if left_out else (),
+        notes=[f"Left out of gsplat's dictionary: {', '.join(left_out)}."] if left_out else (),
     )
 
 

@@ -225,7 +225,9 @@ class Splats:
         return (self[row] for row in range(len(self)))
 
     def __array__(self, *_arguments: object, **_options: object) -> Array:
-        raise TypeError("A model is no single array; take one of its own, such as splats.means.")
+        raise TypeError(
+            "A model is not a single array; use one of its arrays, such as splats.means."
+        )
 
     @property
     def sh_degree(self) -> int:
@@ -343,7 +345,9 @@ def refuse_other(model: object) -> None:
     """
     if isinstance(model, str | os.PathLike):
         path = os.fspath(model)
-        raise ModelError(f"A model is needed, not the path {path!r}; nanogs.load({path!r}) is one.")
+        raise ModelError(
+            f"A model is needed, not the path {path!r}; nanogs.load({path!r}) reads it."
+        )
     if not isinstance(model, Splats):
         raise ModelError(f"A model is needed, Splats, not {type(model).__name__}.")
 

@@ -100,8 +100,8 @@ def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[P
         target = folder / (registry.stem_of(source) + _suffix(source, suffix))
         if target in pairs:
             raise OptionError(
-                f"{pairs[target].source} and {source} would both become {target}; rename one or"
-                " run them apart."
+                f"{pairs[target].source} and {source} would both become {target}; rename one or run"
+                " them separately."
             )
         pairs[target] = Pair(source, target)
     return list(pairs.values())
@@ -114,7 +114,8 @@ def _suffix(source: Path, asked: str | None) -> str:
     known = registry.find(source)
     if known is not None and known.write is None and known.writable:
         raise OptionError(
-            f'{source} describes a folder of files, and results are files; add `format="sog"`.'
+            f"{source} describes a folder of files, but results are single files; add"
+            ' `format="sog"`.'
         )
     if known is not None and known.write is None:
         raise OptionError(f'{source}: nanogs does not write {known.suffix}; add `format="ply"`.')

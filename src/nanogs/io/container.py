@@ -110,7 +110,7 @@ class Bundle(Folder):
         except KeyError:
             raise self._error(name, "is missing") from None
         if entry.flag_bits & _ENCRYPTED or entry.compress_type not in _METHODS:
-            raise self._error(name, "is encrypted or packed in a way other than deflate")
+            raise self._error(name, "is encrypted or compressed by another method than deflate")
         return entry
 
     def _error(self, name: str, what: str) -> FormatError:

@@ -99,8 +99,8 @@ def check_expansion(where: str, model_bytes: int, file_bytes: int) -> None:
     """
     if model_bytes > max(_SMALL_MODEL, _MAX_EXPANSION * file_bytes):
         raise FormatError(
-            f"{where} states a model of {model_bytes:,} bytes in {file_bytes:,}, far more than"
-            " splats can be packed; export or download it again."
+            f"{where} describes a model of {model_bytes:,} bytes in a file of {file_bytes:,}, far"
+            " more than splats can be compressed; export or download it again."
         )
 
 

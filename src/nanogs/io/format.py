@@ -12,7 +12,7 @@ from nanogs.io.parts import FileSource
 from nanogs.source import Source
 from nanogs.splats import MAX_SH_DEGREE, Splats
 
-UNSTATED = "not stated in the file; y down (rdf) by habit"
+UNSTATED = "not stated in the file; y down (rdf) by convention"
 FormatOptions = Mapping[str, Any]
 """Options for writing one format, by name, such as `spz_version`; None means the default."""
 Writer = Callable[..., None]

@@ -39,7 +39,9 @@ def keep_stated_frame(
     if known.axes == frame:
         return options, ()
     if known.axes is None:
-        what = f"the output does not, which such a {known.suffix} file has no place for"
+        why = (
+            f"but this kind of {known.suffix} file cannot state its axes; the model was not turned."
+        )
     else:
-        what = f"it was written as if they were {known.axes}, as of {known.suffix} files"
-    return options, (f"The input states that its axes are {frame}, and {what}; it was not turned.",)
+        why = f"but {known.suffix} files have the axes {known.axes}; the model was not turned."
+    return options, (f"The input states that its axes are {frame}, {why}",)

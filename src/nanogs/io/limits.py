@@ -36,7 +36,10 @@ def refuse_empty(source: Source, suffix: str) -> None:
         OutputError: The model has no splats.
     """
     if not source.count:
-        raise UnstorableError(f"The model holds no splats, which a {suffix} file cannot say.")
+        raise UnstorableError(
+            f"The model has no splats, but a {suffix} file needs at least one; give a model with"
+            " splats."
+        )
 
 
 def storable(source: Source, suffix: str) -> Iterator[Splats]:
@@ -58,8 +61,8 @@ def storable(source: Source, suffix: str) -> Iterator[Splats]:
     if wrong:
         raise UnstorableError(
             f"{counted(wrong, 'splat holds', 'splats hold')} NaN or infinite values, the first in"
-            f" row {first}, which {suffix} has no code for; leave such splats out, as simplifying"
-            " with `ratio=1` does."
+            f" row {first}, which {suffix} cannot store; leave such splats out, for example by"
+            " simplifying with `ratio=1`."
         )
 
 
@@ -127,5 +130,5 @@ def clamped(rows: Bool, what: str) -> list[str]:
         what: The values and their range, inserted into the sentence.
     """
     count = int(rows.reshape(len(rows), -1).any(axis=1).sum())
-    text = f"{{:splat has|splats have}} {what}, clamped to that."
+    text = f"{{:splat has|splats have}} {what}; they were clamped to it."
     return [Finding(text, count)] if count else []

@@ -29,7 +29,7 @@ from nanogs.splats import Splats
 
 def level_note(level: int, levels: int) -> str:
     """Return the note that says which level of detail was read, and of how many."""
-    return f"Level {level} was read, of {levels} from 0, the finest, on."
+    return f"Level {level} of {levels} was read; level 0 is the finest."
 
 
 class FileSource(Source):

@@ -129,7 +129,8 @@ def writer(path: Path, options: FormatOptions | None = None) -> Writer:
     known = writable(path)
     if known.write is None:
         raise OptionError(
-            f"{known.suffix} describes a folder of files; take a format of one file, such as .sog."
+            f"{known.suffix} describes a folder of files; use a format with a single file, such as"
+            " .sog."
         )
     write = known.write if known.streams else partial(_write_whole, known.write)
     return partial(write, **keywords(known, options or {}))

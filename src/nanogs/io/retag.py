@@ -24,8 +24,8 @@ def checked_mode(render_mode: str | None) -> RenderMode | None:
     if render_mode is None or render_mode in ASKED:
         return None if render_mode is None else RenderMode(render_mode)
     raise OptionError(
-        f'A render mode that is asked for is "default" or "mip", not {render_mode!r}: 2dgs is no'
-        " other way to draw a model, but another kind of model."
+        f'`render_mode` must be "default" or "mip", not {render_mode!r}: 2dgs is not another way to'
+        " draw a model, but another kind of model."
     )
 
 
@@ -60,14 +60,14 @@ def refuse_mode(name: str, own: str, mode: RenderMode) -> None:
     if own == RenderMode.SURFEL and mode is RenderMode.MIP:
         raise OptionError(
             f"{name} is tagged 2dgs, and flat splats are not trained with antialiasing; only"
-            " default can stand in place of that tag."
+            " default can override that tag."
         )
 
 
 def override_note(info: FileInfo, mode: RenderMode) -> str:
     """Return the note for the user that the render mode of the file was overridden."""
-    where = f", by {info.render_tag}" if info.render_tag else " for lack of a tag"
-    return f"The render mode is {mode}, as asked for; the file has {info.render_mode}{where}."
+    where = f", by {info.render_tag}" if info.render_tag else ", because it has no tag"
+    return f"The render mode is {mode}, as requested; the file has {info.render_mode}{where}."
 
 
 class Retagged(SourceWrapper):
@@ -85,7 +85,7 @@ class Retagged(SourceWrapper):
     @cached_property
     def info(self) -> FileInfo:
         """The metadata of the file, with the new render mode."""
-        return replace(self.file.info, render_mode=self._mode, render_tag="what was asked for")
+        return replace(self.file.info, render_mode=self._mode, render_tag="the request")
 
     @cached_property
     def columns(self) -> Layout:

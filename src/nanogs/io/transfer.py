@@ -35,8 +35,8 @@ def fetch(address: Address, target: Path, tell: Parts) -> None:
         free = shutil.disk_usage(target.parent).free
         if size is not None and size > free:
             raise OutputError(
-                f"{address} has {bytes_text(size)}, and the folder for temporary files"
-                f" {bytes_text(free)} free; free some, or name another in TMPDIR."
+                f"{address} has {bytes_text(size)}, but the folder for temporary files has only"
+                f" {bytes_text(free)} free; free some space, or name another folder in TMPDIR."
             )
         done = 0
         tell(0, 1)
@@ -57,11 +57,14 @@ def check_absent(address: Address, *, overwrite: bool) -> None:
     """
     if address.on_web:
         raise OptionError(
-            f"{address}: nanogs reads from web servers and does not write to them; name a file, or"
-            " a place such as s3://bucket/scene.sog."
+            f"{address}: nanogs cannot write to web servers; name a file, or an address such as"
+            " s3://bucket/scene.sog."
         )
     if re.search(r"[?#]", address.url):
-        raise OptionError(f"{address} is written to: leave out the ? or # and what follows it.")
+        raise OptionError(
+            f"{address}: the address of an output cannot have a ? or #; leave it out with what"
+            " follows it."
+        )
     files, path = _store(address)
     with _reached(address, "cannot be written", OutputError):
         files.invalidate_cache()
@@ -173,7 +176,7 @@ def _store(address: Address) -> tuple[Any, str]:
         if address.kind in _BUCKETS:
             raise OptionError(f"{address} needs s3fs; install nanogs[s3].") from None
         reason = address.said(str(error)).rstrip(".")
-        raise OptionError(f"{address} needs a package of its own: {reason}.") from None
+        raise OptionError(f"{address} needs another package: {reason}.") from None
     except Exception as error:
         reason = address.said(_in_a_line(error))
         raise OptionError(f"{address} cannot be reached ({reason}); check the address.") from None
@@ -195,7 +198,7 @@ def _reached(address: Address, fact: str, kind: type[NanogsError]) -> Iterator[N
         raise kind(f"{address}: {what}; check the address.") from None
     except Exception as error:
         reason = address.said(_in_a_line(error))
-        remedy = "check the address and what you may do there"
+        remedy = "check the address and your permissions"
         raise kind(f"{address} {fact} ({reason}); {remedy}.") from None
 
 

@@ -136,7 +136,7 @@ def detect_suffix(raw: Path, called: str, format: str | None, remedy: str) -> st
     if suffix is None:
         with raw.open("rb") as file:
             refuse_stand_in(UrlFile(raw, called), file.read(HEAD_BYTES))
-        raise OptionError(f"The first bytes of {called} are of no format that says so; {remedy}.")
+        raise OptionError(f"The first bytes of {called} do not show its format; {remedy}.")
     return suffix
 
 
@@ -169,8 +169,8 @@ def _fetched(
         return path
     if path.name.lower().endswith(_MANIFESTS):
         raise FormatError(
-            f"{path} describes files of its folder, which are not fetched; download the whole"
-            " folder and name that, or a stream in one file (.ssog, .rad)."
+            f"{path} refers to other files of its folder, which nanogs does not download; download"
+            " the whole folder and name that, or use a stream in one file (.ssog, .rad)."
         )
     if format is None and (known := registry.find(path)) and not known.readable:
         known.open(path)  # raises for a format that is only written, before the download

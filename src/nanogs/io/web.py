@@ -51,10 +51,10 @@ def opened(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
     except (http.client.HTTPException, ssl.SSLError, ConnectionError, TimeoutError) as error:
         raise FormatError(f"{address}: {_unreached(address, error)}.") from None
     except (EOFError, gzip.BadGzipFile):
-        raise FormatError(f"{address}: it was cut short on the way; run again.") from None
+        raise FormatError(f"{address}: the download was cut short; run again.") from None
     except ValueError as error:  # an invalid port or host
         reason = address.said(str(error))
-        raise FormatError(f"{address} is no address ({reason}); check it.") from None
+        raise FormatError(f"{address} is not a valid address ({reason}); check it.") from None
 
 
 class _Counted(io.RawIOBase):
@@ -96,8 +96,8 @@ def _refusal(error: HTTPError) -> str:
         return f"there is no such file ({error.code}); check the address"
     if error.code in (401, 403, 407):
         return (
-            f"the server does not give it out ({error.code}); check the address, its password, or"
-            " whether its signature has expired"
+            f"the server refuses access ({error.code}); check the address, its password, or whether"
+            " its signature has expired"
         )
     return f"the server answers {error.code} in place of the file; try again later"
 

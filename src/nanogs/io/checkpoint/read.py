@@ -93,7 +93,7 @@ def _degree(path: Path, found: Mapping[str, Tensor]) -> int:
     degrees = {(degree + 1) ** 2: degree for degree in range(MAX_SH_DEGREE + 1)}
     if coefficients not in degrees:
         raise FormatError(
-            f"{path}: {coefficients} coefficients of harmonics are those of no degree from 0 to"
+            f"{path}: {coefficients} coefficients of spherical harmonics fit no degree from 0 to"
             f" {MAX_SH_DEGREE}; save the splats again."
         )
     return degrees[coefficients]
@@ -104,7 +104,7 @@ def _find(path: Path, content: Any) -> dict[str, Tensor]:  # noqa: ANN401 - what
     if captured := _captured(content):
         if captured["scales"].shape[1:] == (2,):
             raise FormatError(
-                f"{path} has two scales a splat: flat 2DGS splats cannot be merged as ellipsoids;"
+                f"{path} has two scales per splat: flat 2DGS splats cannot be merged as ellipsoids;"
                 " export the model with a third scale."
             )
         return captured

@@ -166,8 +166,8 @@ class _Unpickler(pickle.Unpickler):
             return _StandIn
         named = ascii(f"{module}.{name}")[1:-1][:80]
         raise FormatError(
-            f"{self._path} names {named}, which no tensors need and which could run code of the"
-            " file, so it is refused; save the state dictionary alone."
+            f"{self._path} refers to {named}, which tensors do not need and which could run code"
+            " from the file, so nanogs refuses it; save only the state dictionary."
         )
 
     def persistent_load(self, pid: Any) -> Storage:  # noqa: ANN401 - a tuple of torch's

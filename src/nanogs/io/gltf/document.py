@@ -101,7 +101,7 @@ class JsonObject:
         """
         values = self.items(key)
         if index >= len(values) or not isinstance(values[index], dict):
-            raise self.error(f"has no object {index} in {key!r}, which is referred to")
+            raise self.error(f"has no object {index} in {key!r}, but refers to it")
         return JsonObject(self.path, f"{key}[{index}]", values[index])
 
     def numbers(self, key: str, default: tuple[float, ...]) -> F64:

@@ -133,5 +133,5 @@ def _chunk(path: Path, header: bytes, at: int, size: int) -> tuple[int, bytes]:
         raise damaged(path, "it ends inside the header of a chunk")
     length, kind = _CHUNK.unpack(header)
     if at + length > size:
-        raise damaged(path, f"it is cut short: of a chunk's {length} bytes {size - at} are there")
+        raise damaged(path, f"it is cut short: a chunk has only {size - at} of its {length} bytes")
     return length, kind

@@ -137,7 +137,7 @@ def primitive_of(document: Document, placed: PlacedPrimitive, linear: bool) -> P
             f"is packed with {packed[0][:80]!a}, which nanogs does not read"
         )
     if placed.primitive.integer("mode", 4) != _POINTS:
-        raise placed.primitive.error("with splats must be of mode 0, points")
+        raise placed.primitive.error("with splats must have mode 0, points")
     if packed:
         view = splatting.part("extensions").part(packed[0]).integer("bufferView")
         source = spz.SpzSource(document.path, read_header(document.view(view)))

@@ -46,7 +46,9 @@ MODE_KEY, COMMENTS_KEY = "SplatRenderMode", "comments"
 _UNDERSTOOD = (EXTENSION, *PACKED_NAMES, "KHR_mesh_quantization")
 _IGNORED = "KHR_materials_"  # splats have no material
 _DERIVED = ("COLOR_0", "NORMAL")  # for viewers without support for splats
-_LOGARITHMS = "Scales are negative, so they were read as logarithms, as early drafts had."
+_LOGARITHMS = (
+    "Some scales are negative, so all were read as logarithms, as in early drafts of the extension."
+)
 # The names of the two colour spaces in drafts; without a name they meant the first.
 _DISPLAYED = (COLOUR_SPACE, "BT.709", "BT.709-srgb", "BT.709-sRGB")
 _LINEAR = (LINEAR, "lin_rec709_scene", "BT.709-linear", "linear")
@@ -191,7 +193,8 @@ def _scene(path: Path, above: F64) -> _Scene:
     if len(scene.modes) > 1:
         scene.notes.append(f"The primitives have several render modes; {scene.mode} was taken.")
     if others:
-        scene.notes.append(f"{others} primitives of meshes were left out.")
+        left = counted(others, "primitive of a mesh was", "primitives of meshes were")
+        scene.notes.append(f"{left} left out.")
     return scene
 
 
@@ -213,8 +216,8 @@ def _colour_space(scene: _Scene, primitive: JsonObject) -> bool:
     space = splatting.text("colorSpace", COLOUR_SPACE)
     if space in _LINEAR:
         scene.notes.append(
-            f"Colours in linear light ({space}) became those of a display ({COLOUR_SPACE}), as"
-            " which splats are blended too."
+            f"Colours in linear light ({space}) were converted to display colours ({COLOUR_SPACE}),"
+            " in which splats are blended."
         )
     elif space not in _DISPLAYED:
         scene.notes.append(f"The colour space {space[:40]!a} is unknown: read as {COLOUR_SPACE}.")
@@ -245,7 +248,7 @@ def _describe(scene: _Scene, primitive: JsonObject, info: FileInfo) -> None:
     stated = extras.get(MODE_KEY, info.render_mode)
     known_mode = stated in list(RenderMode)
     if not known_mode:
-        scene.notes.append(f"The render mode {ascii(stated)[:40]} is unknown and was not carried.")
+        scene.notes.append(f"The render mode {ascii(stated)[:40]} is unknown and was left out.")
     if known_mode and MODE_KEY in extras:
         scene.tag = f"{MODE_KEY} in the extras of its splats"
     scene.tag = scene.tag or info.render_tag

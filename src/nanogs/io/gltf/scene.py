@@ -161,7 +161,7 @@ def _nodes(root: JsonObject, above: F64) -> Iterator[tuple[JsonObject, F64]]:
         index, above = waiting.pop()
         node = root.at("nodes", index)
         if index in seen:
-            raise node.error("has two parents or is its own, and nodes must be a tree")
+            raise node.error("has two parents or is its own parent, but nodes must form a tree")
         seen.add(index)
         with np.errstate(all="ignore"):  # overflow is refused by `pose_of`
             matrix = above @ _local(node)
@@ -197,8 +197,8 @@ def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
     """
     if np.isfinite(matrix).all() and np.abs(matrix[3] - (0, 0, 0, 1)).max() > _CLOSE:
         raise error(
-            "is placed by a transform whose last row is not 0, 0, 0, 1, as if rows were written in"
-            " place of columns"
+            "has a transform whose last row is not 0, 0, 0, 1, perhaps because its rows were"
+            " written as columns"
         )
     with np.errstate(all="ignore"):
         matrix = _TO_PLY @ matrix

@@ -179,12 +179,12 @@ class _Reader:
         """
         where = f"{place.path}, tile"
         if "implicitTiling" in data:
-            raise refused(where, "is tiled implicitly, which nanogs does not read")
+            raise refused(where, "uses implicit tiling, which nanogs does not read")
         adds = _adds(data.get("refine"), place.adds, where)
         with np.errstate(all="ignore"):
             above = place.above @ _transform(data, where)
         if not np.isfinite(above).all():
-            raise refused(where, "is too large with its transform and those above it")
+            raise refused(where, "is too large after its transform and those of the tiles above it")
         inner = replace(place, above=above, adds=adds)
         contents, below = [], []
         for file in self._contents(data, place.path):
@@ -241,10 +241,10 @@ def _read(path: Path) -> _Tileset:
             return _Tileset(path, tree, ())
         near = _in_frame_of(tree, place, np.linalg.inv(place).astype(np.float64))
     except RecursionError:
-        raise refused(str(path), "has tiles in each other without end") from None
+        raise refused(str(path), "has tiles that are nested too deeply") from None
     except np.linalg.LinAlgError:
         raise refused(f"{path}, tile", "flattens the splats with its transform") from None
-    note = f"The place of the scene on Earth was left out: {text_of(_Z_UP @ place @ _Z_UP.T)}."
+    note = f"The position of the scene on Earth was left out: {text_of(_Z_UP @ place @ _Z_UP.T)}."
     return _Tileset(path, near, (note,))
 
 

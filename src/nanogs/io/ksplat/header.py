@@ -153,8 +153,8 @@ def _degree(path: Path, sections: list[dict[str, Any]]) -> int:
     degrees = {section["degree"] for section in sections if section["splats"]}
     if len(degrees) > 1 or (degrees and max(degrees) > _MAX_DEGREE):
         raise FormatError(
-            f"{path}: its sections have the SH degrees {sorted(degrees)}, and not all the same one"
-            f" from 0 to {_MAX_DEGREE}; {AGAIN}"
+            f"{path}: its sections have the SH degrees {sorted(degrees)}, but must all have the"
+            f" same one from 0 to {_MAX_DEGREE}; {AGAIN}"
         )
     return degrees.pop() if degrees else 0
 
@@ -193,7 +193,7 @@ def _check_buckets(path: Path, number: int, fields: dict[str, Any]) -> None:
         or not np.isfinite(fields["width"])
     ):
         raise FormatError(
-            f"{path}: section {number} has {fields['buckets']} buckets of"
-            f" {fields['bucket_bytes']} bytes and {fields['width']} wide, {fields['full']} full"
-            f" and {fields['partial']} not, which cannot be; {AGAIN}"
+            f"{path}: section {number} states an impossible layout: {fields['buckets']} buckets of"
+            f" {fields['bucket_bytes']} bytes and width {fields['width']}, {fields['full']} of them"
+            f" full and {fields['partial']} partly filled; {AGAIN}"
         )

@@ -159,7 +159,7 @@ class Model:
         row = np.dtype([("x", "<i2"), ("y", "<i2"), ("levels", place, (depth,))])
         size = input_size(path)
         if size % row.itemsize or size > _MAX_INDEX:
-            what = f"{size:,} bytes are no cells of {counted(depth, 'level')}"
+            what = f"{size:,} bytes are not a whole number of cells of {counted(depth, 'level')}"
             raise FormatError(f"{path}: {what}, or too many; {_AGAIN}")
         with reading(path) as file:
             cells = np.frombuffer(file.read(size), row)["levels"]
@@ -172,14 +172,16 @@ class Model:
             counts, offsets = counts[held], offsets[held]
             # No sum below can overflow: a cell has less than 2^31 splats, which is 2^36 bytes.
             if (counts < 0).any() or (offsets < 0).any() or (offsets > room).any():
-                raise FormatError(f"{path} has counts or places below 0 or beyond; {_AGAIN}")
+                raise FormatError(
+                    f"{path} has counts or offsets that are negative or too large; {_AGAIN}"
+                )
             if (offsets + counts * ROW.itemsize > room).any() or counts.sum() * ROW.itemsize > room:
                 raise FormatError(
                     f"{path}: the splats of level {level} do not fit into {DATA}; {_AGAIN}"
                 )
             if counts.sum() != stated:
                 raise FormatError(
-                    f"{path} has {counted(int(counts.sum()), 'splat')} in level {level}, and the"
+                    f"{path} has {counted(int(counts.sum()), 'splat')} in level {level}, but the"
                     f" .lcc says {stated:,}; {_AGAIN}"
                 )
             found.append(LevelLocation(offsets, np.append(0, np.cumsum(counts))))

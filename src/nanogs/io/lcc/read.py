@@ -28,7 +28,7 @@ from nanogs.splats import Splats, empty_arrays
 
 _FRAME = "rfu"
 _TYPES = {"mean": "float", "rgba": "uchar", "scale": "ushort", "quat": "uint", "normal": "ushort"}
-_NORMALS = "Normals of {:splat|splats} were left out, whose code is not known."
+_NORMALS = "The normals of {:splat|splats} were left out, because their encoding is not known."
 
 
 def open_level(path: Path, level: int = 0) -> "LccLevel":

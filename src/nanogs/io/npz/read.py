@@ -193,12 +193,12 @@ def _members(path: Path, archive: zipfile.ZipFile) -> dict[str, _Member]:
 def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Member:
     where = f"{path}: array {printable(info.filename)!r}"
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise FormatError(f"{where} is packed in a way NumPy never does; save it again.")
+        raise FormatError(f"{where} is packed in a way that NumPy never uses; save it again.")
     with archive.open(info) as file:
         dtype, shape, fortran, start = _parse(where, file)
     member = _Member(info, dtype, shape, fortran, start)
     if member.data_bytes != math.prod(shape) * dtype.itemsize:
-        raise FormatError(f"{where} has not the size its header states; save it again.")
+        raise FormatError(f"{where} does not have the size that its header states; save it again.")
     return member
 
 
@@ -215,7 +215,7 @@ def _parse(where: str, file: IO[bytes]) -> tuple[np.dtype[np.generic], tuple[int
         dtype = np.dtype(match[1])
         shape = tuple(int(part) for part in match[3].split(",") if part.strip())
     except (TypeError, ValueError):
-        raise FormatError(f"{where} is of unknown type or shape; save it again.") from None
+        raise FormatError(f"{where} has an unknown type or shape; save it again.") from None
     return dtype, shape, match[2] == "True", 8 + width + size
 
 

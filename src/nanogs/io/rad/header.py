@@ -182,7 +182,7 @@ def _description(section: Section, magic: bytes, limit: int) -> tuple[dict[str, 
 
 def _no_start(where: str, start: bytes, magic: bytes) -> FormatError:
     if magic == CHUNK_MAGIC:
-        return damaged(where, "no chunk lies where one should")
+        return damaged(where, "there is no chunk where its header says that one begins")
     if start[:4] == CHUNK_MAGIC:
         return FormatError(f"{where} is one chunk of a .rad model; name the .rad file itself.")
     return FormatError(
@@ -192,7 +192,7 @@ def _no_start(where: str, start: bytes, magic: bytes) -> FormatError:
 
 def _check_version(data: dict[str, Any], where: str) -> None:
     if data.get("version") != VERSION:
-        raise refused(f"{where}, version", f"is not {VERSION}, which is the one that nanogs reads")
+        raise refused(f"{where}, version", f"is not {VERSION}, the only one that nanogs reads")
 
 
 def _sections(whole: Section, end: int, entries: Sequence[object]) -> list[Section]:
@@ -238,7 +238,7 @@ def _chunk(section: Section, base: int, count: int, palette: bool) -> Chunk:
     for entry in rows(data.get("properties"), f"{where}, properties"):
         one = _property(payload, table(entry, f"{where}, properties"), at)
         if one.name in found or (one.name in CODES and not palette):
-            raise refused(one.where, "is there where it should not be")
+            raise refused(one.where, "must not be in this chunk")
         found[one.name] = one
         at = one.section.start + one.section.size - payload.start
     return Chunk(held, found)
@@ -283,7 +283,8 @@ def _check_columns(
         raise damaged(str(section.path), f"a chunk lacks {' and '.join(lacking)}")
     if spare := [name for name in chunk.properties if name not in needed]:
         raise damaged(
-            str(section.path), f"a chunk has {' and '.join(spare)}, of which nothing is said"
+            str(section.path),
+            f"a chunk has {' and '.join(spare)}, which the file's header does not mention",
         )
 
 

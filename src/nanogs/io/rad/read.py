@@ -160,8 +160,8 @@ class RadFile(FileSource):
         notes = negative_scales(drawn.negative)
         if drawn.widened:
             text = (
-                "{:splat has|splats have} an alpha above 1, as Spark's trees have them, and became"
-                " opaque and larger."
+                "{:splat has|splats have} an alpha above 1, as in Spark's trees, and became opaque"
+                " and larger."
             )
             notes.append(Finding(text, drawn.widened))
         comments = self._comments

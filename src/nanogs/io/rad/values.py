@@ -120,8 +120,8 @@ def _bytes(column: Property, expected: int) -> U8:
         whole = inflate.eof or not inflate.decompress(inflate.unconsumed_tail, 1)
     if len(data) != expected or not whole:
         raise FormatError(
-            f"{column.where} does not hold {expected:,} bytes, as its rows take; export or download"
-            " it again."
+            f"{column.where} does not hold the {expected:,} bytes that its rows take; export or"
+            " download it again."
         )
     return np.frombuffer(data, np.uint8)
 

@@ -103,7 +103,7 @@ class Levels:
         """
         check_level(path, level, len(self.levels))
         if not self.levels[level]:
-            raise refused(f"{path}, tree", f"holds nothing of level {level}")
+            raise refused(f"{path}, tree", f"has no splats of level {level}")
         return (*self.levels[level], *([self.environment] if self.environment else ()))
 
 
@@ -115,7 +115,7 @@ def read_manifest(path: Path) -> Levels:
     """
     data = _archived(path) if _is_archive(path) else read_json(path, MAX_MANIFEST_BYTES)
     if data.get("version", 1) != 1:
-        raise refused(str(path), "is of a newer version than 1, which nanogs does not read")
+        raise refused(str(path), "has a newer version than 1, which nanogs does not read")
     depth = integer(data.get("lodLevels"), f"{path}, lodLevels", 1, _MAX_LEVELS)
     names = rows(data.get("filenames"), f"{path}, filenames")
     if len(set(map(str, names))) < len(names):
@@ -126,7 +126,7 @@ def read_manifest(path: Path) -> Levels:
         for level, file, span in leaf.entries:
             spans[level].setdefault(file, []).append(span)
     if not spans[0]:
-        raise refused(f"{path}, tree", "holds nothing of level 0")
+        raise refused(f"{path}, tree", "has no splats of level 0")
     levels = [
         tuple(_piece(path, names[file], found[file]) for file in sorted(found)) for found in spans
     ]
@@ -153,7 +153,9 @@ def _environment(path: Path, name: object, names: Sequence[object]) -> Piece | N
     if name is None or name == "":  # viewers treat both as none
         return None
     if name in names:
-        raise refused(f"{path}, environment", "is one of the models of the levels")
+        raise refused(
+            f"{path}, environment", "is also a model of the levels, but must be another one"
+        )
     return _piece(path, name, None, "environment")
 
 

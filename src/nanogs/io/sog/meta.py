@@ -130,7 +130,7 @@ def read_meta(data: Mapping[str, Any], where: str) -> Meta:
 def _render_mode(model: object) -> tuple[RenderMode, tuple[str, ...]]:
     if isinstance(model, str) and model in MODELS:
         return MODELS[model], ()
-    note = f"The render mode {str(model)[:40]!r} is unknown; the model was read as a usual one."
+    note = f"The render mode {str(model)[:40]!r} is unknown; the model was read as an ordinary one."
     return RenderMode.DEFAULT, (note,)
 
 

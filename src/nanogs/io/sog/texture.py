@@ -63,9 +63,9 @@ def size(data: bytes, where: str) -> tuple[int, int]:
                 for place in (12, 15)
             )
         if name in (b"VP8 ", b"ALPH"):
-            raise damaged(where, "is a lossy WebP file, which garbles the values")
+            raise damaged(where, "is a lossy WebP file, which changes the values")
         if name == b"ANIM":
-            raise damaged(where, "is a moving picture")
+            raise damaged(where, "is an animation")
         at += 8 + length + length % 2
     raise damaged(where, "is a damaged WebP file")
 

@@ -215,8 +215,8 @@ def _refuse_unstorable(splats: Splats) -> None:
     if not good.all():
         raise UnstorableError(
             f"{counted(int((~good).sum()), 'splat holds', 'splats hold')} colour coefficients or"
-            f" log-scales beyond ±{_FARTHEST:g}, the first in row {int(np.argmin(good))}, and"
-            " .sog cannot hold them beside usual ones; correct them, or write .ply."
+            f" log-scales beyond ±{_FARTHEST:g}, the first in row {int(np.argmin(good))}, which"
+            " .sog cannot hold together with ordinary ones; correct them, or write .ply."
         )
 
 

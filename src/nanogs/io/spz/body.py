@@ -199,7 +199,7 @@ def _frame_in(header: Header, records: dict[int, bytes]) -> str:
         return ""
     number = int.from_bytes(payload, "little")
     if len(payload) != _NUMBER or number > len(RECORDED_FRAMES):
-        raise damaged(header, "its record of the coordinate system names none")
+        raise damaged(header, "its record of the coordinate system names an unknown one")
     return RECORDED_FRAMES[number - 1] if number else Y_UP
 
 

@@ -168,7 +168,7 @@ def write(
         file.writelines(TOC_ENTRY.pack(len(column), w * count) for column, w in sizes)
         file.writelines(streams)
     else:
-        raise OutputError(f".spz version {version} is not written; choose 2, 3 or 4.")
+        raise OutputError(f"nanogs does not write .spz version {version}; choose 2, 3 or 4.")
 
 
 def check_holds_records(version: int, what: str) -> None:
@@ -228,7 +228,7 @@ def losses(splats: Splats, *, records: bool = True) -> tuple[str, ...]:
     )
     bits = _bits(_reach([splats]))
     if 0 <= bits < USUAL_FRACTION_BITS:
-        text = "Centres are rounded to 1/{}, since the scene is so large."
+        text = "Centres are rounded to 1/{}, because the scene is so large."
         out.append(Finding(text, 1 << bits, min))
     return tuple(out)
 
@@ -248,7 +248,8 @@ def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
     spare = _spare(source, precision, bits)
     if spare > bits:
         raise OptionError(
-            f"Of {bits} bits behind the point, `spare_bits={spare}` leaves none; give fewer."
+            f"`spare_bits={spare}` leaves none of the {bits} fraction bits of the centres; give"
+            " fewer."
         )
     return bits - spare
 

@@ -16,7 +16,7 @@ import numpy as np
 from nanogs._types import F64, Array
 from nanogs.activations import logit
 from nanogs.errors import FormatError
-from nanogs.findings import negative_scales
+from nanogs.findings import Finding, negative_scales
 from nanogs.formatting import counted
 from nanogs.io.files import BLOCK_ROWS, input_size, reading
 from nanogs.io.gltf.scene import pose_of
@@ -101,7 +101,7 @@ def _field(layer: Layer, prim: Prim) -> _Field:
         spans[name] = span
     degree = float(_numbers(layer, prim, DEGREE, 1)[0]) if DEGREE in prim.values else 3.0
     if degree not in range(MAX_SH_DEGREE + 1):
-        raise layer.error(f"{DEGREE} of {prim.name[:40]!a} is none from 0 to {MAX_SH_DEGREE}")
+        raise layer.error(f"{DEGREE} of {prim.name[:40]!a} is not from 0 to {MAX_SH_DEGREE}")
     count = layer.text.count(b"(", *spans["positions"])
     if count == 0:
         raise layer.error(f"the prim {prim.name[:40]!a} holds no splats")
@@ -128,7 +128,8 @@ def _decoded(layer: Layer, given: _Field) -> Splats:
             out["log_scales"][span] = log_scales
     notes = negative_scales(int((scales < 0).any(axis=1).sum()))
     if wrong := int(np.isnan(out["opacity_logits"]).sum()):
-        notes.append(f"{wrong} opacities are not from 0 to 1 and became NaN.")
+        text = "{:opacity is|opacities are} not from 0 to 1 and became NaN."
+        notes.append(Finding(text, wrong))
     return Splats(**out, notes=notes)
 
 
@@ -161,14 +162,14 @@ def _parsed(layer: Layer, span: tuple[int, int], name: str) -> F64:
             warnings.simplefilter("error")  # NumPy only warns of text after the last number
             return np.fromstring(text, np.float64, sep=" ") if text.strip() else np.empty(0)
     except (ValueError, DeprecationWarning):
-        raise layer.error(f"{name} holds something that is no number") from None
+        raise layer.error(f"{name} holds something that is not a number") from None
 
 
 def _to_stage(layer: Layer, prim: Prim) -> F64:
     """Return the (4, 4) float64 transform from a prim to the stage, y up."""
     up = layer.metadata.get("upAxis", "Y")
     if up not in ("Y", "Z"):
-        raise layer.error(f"its upAxis {up[:40]!a} is none")
+        raise layer.error(f"its upAxis must be Y or Z, not {up[:40]!a}")
     matrix = np.eye(4)
     inner: Prim | None = prim
     while inner is not None:

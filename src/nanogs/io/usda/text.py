@@ -85,8 +85,8 @@ def read_layer(path: Path, text: bytes) -> Layer:
     """
     if not text.startswith(START):
         raise FormatError(
-            f"{path} does not begin with '#usda 1.', so it is no text of USD; give it the suffix of"
-            " its real format."
+            f"{path} does not begin with '#usda 1.', so it is not a USD text file; give it the"
+            " suffix of its real format."
         )
     return _Parser(path, text).layer()
 
@@ -108,7 +108,7 @@ class _Parser:
                 inside, words = self._prim(inside), []
             elif token == b"}":
                 if inside is None:
-                    raise self._damaged("a } closes nothing")
+                    raise self._damaged("a } has no matching {")
                 inside, words = inside.parent, []
             elif token == b"=" and words:
                 self._value(inside, words)
@@ -138,7 +138,7 @@ class _Parser:
             self._skip(opening)
             opening = self._next()
         if opening != b"{" or prim.depth() > _MOST_DEPTH:
-            raise self._damaged(f"the prim {prim.name[:40]!a} is none")
+            raise self._damaged(f"the prim {prim.name[:40]!a} has no body, or is nested too deeply")
         self._prims.append(prim)
         return prim
 
@@ -206,7 +206,7 @@ class _Parser:
             return b""
         found = _TOKEN.match(self._text, self._at)
         if found is None:
-            raise self._damaged(f"byte {self._at} begins nothing that is known")
+            raise self._damaged(f"byte {self._at} begins unknown syntax")
         self._at = found.end()
         return found[0]
 
