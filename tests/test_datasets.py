@@ -87,7 +87,10 @@ def test_downscaled_copies_in_another_format(tmp_path):
 
 def test_cropped_photograph(tmp_path):
     write_capture(tmp_path, size=(80, 56))
-    with pytest.raises(FormatError, match=r"img_0\.png: is 80x56 pixels, which is no scaled 80x60"):
+    with pytest.raises(
+        FormatError,
+        match=r"img_0\.png: is 80x56 pixels, which is not a scaled version of the 80x60",
+    ):
         open_dataset(tmp_path).split("test")
 
 
@@ -158,7 +161,7 @@ def test_options_that_make_no_sense(blender):
 
 def test_cameras_without_photographs_are_no_dataset(tmp_path):
     file = write_json(tmp_path / "cameras.json", [trained_camera()])
-    with pytest.raises(FormatError, match="cameras alone have no photographs"):
+    with pytest.raises(FormatError, match="the photographs are needed besides the cameras"):
         open_dataset(file)
     with pytest.raises(FormatError, match=r"neither transforms_test\.json nor sparse/0"):
         open_dataset(tmp_path)
@@ -254,7 +257,7 @@ def test_sixteen_bits_are_not_clipped(blender):
 
 def test_photograph_replaced_after_the_split(blender):
     data, frame = frame_with(blender, Image.new("RGB", (9, 6)))
-    with pytest.raises(FormatError, match="is 9x6 pixels where its camera is 8x6"):
+    with pytest.raises(FormatError, match="is 9x6 pixels, but its camera is 8x6"):
         data.load_photo(frame, BLACK)
 
 

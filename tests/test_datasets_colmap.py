@@ -178,10 +178,10 @@ def test_every_truncation_is_an_error(tmp_path, name):
     whole = file.read_bytes()
     for length in range(len(whole)):
         file.write_bytes(whole[:length])
-        with pytest.raises(FormatError, match=r"is empty|ends before its entries"):
+        with pytest.raises(FormatError, match=r"is empty|ends before its last entry"):
             read_model(tmp_path)
     file.write_bytes(whole + b"\0")
-    with pytest.raises(FormatError, match="goes on after its last entry"):
+    with pytest.raises(FormatError, match="has more data after its last entry"):
         read_model(tmp_path)
 
 
@@ -192,7 +192,7 @@ def test_huge_counts_allocate_nothing(tmp_path, name, count):
     file.write_bytes(count.to_bytes(8, "little") + file.read_bytes()[8:])
     tracemalloc.start()
     try:
-        with pytest.raises(FormatError, match="ends before its entries"):
+        with pytest.raises(FormatError, match="ends before its last entry"):
             read_model(tmp_path)
         assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
@@ -215,7 +215,7 @@ def test_text_without_observation_lines_loses_no_image(tmp_path):
     folder = write_model(tmp_path, encoding="txt")
     lines = images_txt(nine_images()).split("\n")
     (folder / "images.txt").write_text("\n".join(lines[:1] + lines[1::2]))
-    with pytest.raises(FormatError, match=r"line 3: is not an image's list of observations"):
+    with pytest.raises(FormatError, match=r"line 3: must be the list of observations of an image"):
         read_model(folder)
 
 
@@ -234,12 +234,16 @@ def test_text_may_end_after_the_last_pose(tmp_path, ending):
         ("cameras.txt", "1", "line 1: is not a camera"),
         ("images.txt", "1 1 0 0 0 0 0 4 1", "line 1: is not an image"),
         ("images.txt", "1 1 0 0 0 0 0 z 1 a.png", "line 1: is not an image"),
-        ("images.txt", "1 1 0 0 0 0 0 4 1 a.png\n1.0 x -1", "line 2: is not an image's list"),
+        (
+            "images.txt",
+            "1 1 0 0 0 0 0 4 1 a.png\n1.0 x -1",
+            "line 2: must be the list of observations of an image",
+        ),
         # The next image's line, with a name that is a number.
         (
             "images.txt",
             "1 1 0 0 0 0 0 4 1 6\n2 1 0 0 0 0 0 4 1 7",
-            "line 2: is not an image's list",
+            "line 2: must be the list of observations of an image",
         ),
     ],
 )
@@ -279,7 +283,9 @@ def test_scaling_by_hand(tmp_path):
 @pytest.mark.parametrize("size", [(60, 80), (80, 63), (40, 33), (37, 30), (20, 17), (83, 60)])
 def test_another_aspect_ratio_is_refused(tmp_path, size):
     camera = read_model(write_model(tmp_path))[0]
-    with pytest.raises(FormatError, match=rf"^photo: is {size[0]}x{size[1]} .* no scaled 80x60"):
+    with pytest.raises(
+        FormatError, match=rf"^photo: is {size[0]}x{size[1]} .* not a scaled version of the 80x60"
+    ):
         scaled(camera, size, "photo")
 
 

@@ -138,7 +138,7 @@ def test_the_same_cameras_as_viewpoints_are_what_they_are(capture):
     assert (x[0], y[0]) == pytest.approx(by_hand(model, params, 0.3, -0.2))
     assert (x[1], y[1]) == (0, 0)
     assert lens_notes(cameras) == [
-        "The lens distortion of 2 cameras is left out: views are those of pinholes."
+        "The lens distortion of 2 cameras is ignored: views are rendered with pinhole cameras."
     ]
 
 
@@ -168,8 +168,8 @@ def test_transforms_files_say_the_same(tmp_path, model):
 @pytest.mark.parametrize(
     ("stated", "words"),
     [
-        ({"k1": 0.1, "k4": 0.1}, "PINHOLE, cannot be taken out of the photograph"),
-        ({"k1": -3.0}, "bends too strongly"),
+        ({"k1": 0.1, "k4": 0.1}, "PINHOLE, cannot be removed from the photograph"),
+        ({"k1": -3.0}, "too strong to be removed from the photograph"),
     ],
 )
 def test_lenses_that_cannot_be_taken_out_are_refused_for_photographs(tmp_path, stated, words):
@@ -196,7 +196,7 @@ def test_the_command_says_that_distortion_is_left_out(tmp_path):
     cameras = write_json(tmp_path / "transforms.json", transforms(frames, **pose))
     result = run("render", tmp_path / "a.ply", tmp_path / "out", "--cameras", cameras)
     assert result.returncode == 0, result.stderr
-    assert "lens distortion of 1 camera is left out" in result.stderr
+    assert "lens distortion of 1 camera is ignored" in result.stderr
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["v.png"]
     result = run("compare", tmp_path / "a.ply", tmp_path / "a.ply", "--cameras", cameras, "--json")
     assert any(

@@ -99,16 +99,16 @@ def _size(
         stated = fields.side(row.get("w"), f"{where}, w"), fields.side(row.get("h"), f"{where}, h")
         if photo is not None and photo_size(photo) != stated:
             raise FormatError(
-                f"{photo}: is {photo_size(photo)} pixels where {where} states {stated}; "
-                "use the photographs that the cameras were made for"
+                f"{photo}: is {photo_size(photo)} pixels, but {where} states {stated}; use the"
+                " photographs that the cameras were made for"
             )
         return stated
     if given is not None:
         return given
     if photo is None:
         raise FormatError(
-            f"{where}: neither 'w' and 'h' nor its photograph tell the image's size; "
-            "give a width, or put the photographs where file_path says"
+            f"{where}: the image size is unknown, because there is neither 'w' and 'h' nor the"
+            " photograph; give a width, or put the photographs where file_path says"
         )
     return photo_size(photo)
 
@@ -127,8 +127,8 @@ def _focal_along(axis: str, row: dict[str, Any], side: int, where: str) -> float
     angle = fields.number(row.get(name), f"{where}, {name}")
     if not _MIN_ANGLE <= angle < math.pi:
         raise FormatError(
-            f"{where}: {name} is {angle:g} where an angle between 0 and pi radians is "
-            "needed; export the cameras again"
+            f"{where}: {name} is {angle:g}, but must be an angle between 0 and pi radians; export"
+            " the cameras again"
         )
     return 0.5 * side / math.tan(0.5 * angle)
 
@@ -137,8 +137,8 @@ def _pose(value: object, where: str) -> F64:
     camera_to_world = fields.matrix(value, (4, 4), f"{where}, transform_matrix")
     if np.abs(camera_to_world[3] - (0, 0, 0, 1)).max() > fields.RIGID_TOLERANCE:
         raise FormatError(
-            f"{where}: the last row of its transform_matrix is not 0 0 0 1; "
-            "export the cameras again, with the matrix's rows as rows"
+            f"{where}: the last row of its transform_matrix is not 0 0 0 1; export the cameras"
+            " again, with the matrix in row-major order"
         )
     rotation = camera_to_world[:3, :3] * _OPENGL_TO_OPENCV  # columns are the camera's axes
     return fields.inverted(rotation, camera_to_world[:3, 3], where)
@@ -153,8 +153,8 @@ def _lens(row: dict[str, Any], where: str) -> Lens:
     model = row.get("camera_model", "PINHOLE")
     if model not in (*_PINHOLES, _FISHEYE):
         raise FormatError(
-            f"{where}: its camera model {fields.shown(model)} is no pinhole; export the cameras as"
-            " pinholes"
+            f"{where}: its camera model {fields.shown(model)} is not a pinhole camera; export the"
+            " cameras as pinhole cameras"
         )
     given = {key: fields.number(row.get(key, 0.0), f"{where}, {key}") for key in _DISTORTION}
     radial = [given[f"k{power}"] for power in range(1, 7)]

@@ -65,8 +65,9 @@ def scaled(camera: Camera, size: tuple[int, int], where: str) -> Camera:
     highest = min((size[0] + 1) / camera.width, (size[1] + 1) / camera.height)
     if lowest > highest:
         raise FormatError(
-            f"{where}: is {size[0]}x{size[1]} pixels, which is no scaled {camera.width}x"
-            f"{camera.height} as its camera says; use the photographs that COLMAP was run on"
+            f"{where}: is {size[0]}x{size[1]} pixels, which is not a scaled version of the"
+            f" {camera.width}x{camera.height} of its camera; use the photographs that COLMAP was"
+            " run on"
         )
     across, down = size[0] / camera.width, size[1] / camera.height
     return replace(

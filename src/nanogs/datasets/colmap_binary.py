@@ -63,12 +63,13 @@ class _Cursor:
     def finish(self) -> None:
         if self._at != len(self._data):
             raise FormatError(
-                f"{self.path}: goes on after its last entry; export the model again from COLMAP"
+                f"{self.path}: has more data after its last entry; export the model again from"
+                " COLMAP"
             )
 
     def truncated(self) -> FormatError:
         return FormatError(
-            f"{self.path}: ends before its entries do; copy it again or export it from COLMAP"
+            f"{self.path}: ends before its last entry; copy it again or export it from COLMAP"
         )
 
 

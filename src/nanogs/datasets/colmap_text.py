@@ -84,8 +84,8 @@ def _check_observations(words: list[str], where: str) -> None:
             float(word)
     except ValueError as error:
         raise FormatError(
-            f"{where}: is not an image's list of observations; "
-            "leave a line, empty or not, below the line of each image"
+            f"{where}: must be the list of observations of an image; keep a line, which may be"
+            " empty, below the line of each image"
         ) from error
 
 

@@ -142,8 +142,8 @@ def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
         raise FormatError(f"{folder}: does not exist; check the path")
     if not folder.is_dir():
         raise FormatError(
-            f"{folder}: is no folder, and cameras alone have no photographs; "
-            "give the data set's folder"
+            f"{folder}: is not a folder, but the photographs are needed besides the cameras; give"
+            " the folder of the data set"
         )
     if _sparse(folder) is not None:
         return Dataset("colmap", folder, _image_folder(folder, images))

@@ -121,8 +121,8 @@ def _opened(path: Path) -> Iterator[Image.Image]:
 def _check_decodable(path: Path, image: Image.Image, size: tuple[int, int]) -> None:
     if image.size != size:
         raise FormatError(
-            f"{path}: is {image.size[0]}x{image.size[1]} pixels where its camera is "
-            f"{size[0]}x{size[1]}; use the photographs that the cameras were made for"
+            f"{path}: is {image.size[0]}x{image.size[1]} pixels, but its camera is"
+            f" {size[0]}x{size[1]}; use the photographs that the cameras were made for"
         )
     if image.mode.split(";")[0] in _WIDE:
         raise FormatError(

@@ -35,15 +35,16 @@ def straightened(camera: Camera, where: str) -> Camera:
         return camera
     if not lens.known:
         raise FormatError(
-            f"{where}: the lens of its camera, {lens.name}, cannot be taken out of the photograph;"
-            " undistort photographs and cameras with colmap image_undistorter"
+            f"{where}: the distortion of its camera's lens, {lens.name}, cannot be removed from the"
+            " photograph; undistort photographs and cameras with colmap image_undistorter"
         )
     inside = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
     zoom = _zoom(lens, inside)
     if zoom is None:
         raise FormatError(
-            f"{where}: the lens of its camera, {lens.name}, bends too strongly for a straight"
-            " picture; undistort photographs and cameras with colmap image_undistorter"
+            f"{where}: the distortion of its camera's lens, {lens.name}, is too strong to be"
+            " removed from the photograph; undistort photographs and cameras with colmap"
+            " image_undistorter"
         )
     return replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom, lens=None)
 

@@ -81,4 +81,4 @@ def lens_notes(cameras: "Sequence[Camera]") -> list[str]:
     if not bent:
         return []
     which = counted(bent, "camera")
-    return [f"The lens distortion of {which} is left out: views are those of pinholes."]
+    return [f"The lens distortion of {which} is ignored: views are rendered with pinhole cameras."]
