@@ -257,10 +257,13 @@ def test_views_are_named_or_given_and_not_ignored(pair, files, tmp_path):
         (lambda m: nanogs.filters.sphere((0, 0, 0), "1"), "above 0 and finite, not '1'"),
         (lambda m: nanogs.filters.sphere((0, 0, 0), -1.0), "above 0 and finite, not -1"),
         (lambda m: nanogs.filters.min_opacity(m, None), "from 0 to 1, not None"),
-        (lambda m: nanogs.filters.drop_floaters(m, neighbours=8.0), "a whole one, not 8.0"),
+        (lambda m: nanogs.filters.drop_floaters(m, neighbours=8.0), "a whole number, not 8.0"),
         (lambda m: nanogs.filters.drop_floaters(m, deviations="5"), "above 0 and finite, not '5'"),
         (lambda m: m.with_sh_degree("1"), "SH degree must be a whole number, not '1'"),
-        (lambda m: nanogs.Place("1", 2.0), "longitude of a place is -180 to 180 degrees, not '1'"),
+        (
+            lambda m: nanogs.Place("1", 2.0),
+            "longitude of a place must be from -180 to 180 degrees, not '1'",
+        ),
         (
             lambda m: nanogs.compare_mixed(m, "lod-meta.json", budget="5"),
             "1 splat or more, not '5'",
@@ -416,9 +419,11 @@ def test_cameras_of_a_refit_may_come_one_at_a_time(pair):
     _, report = nanogs.refit(*pair, cameras=iter(views), parameters=few)
     assert len(report.fit_views) + len(report.validation_views) == 4
     for wrong in ("auto", 5, [*views, "roam"]):
-        with pytest.raises(OptionError, match="must be a list of nanogs"):
+        with pytest.raises(OptionError, match="must be a list of at least two nanogs"):
             nanogs.refit(*pair, cameras=wrong, parameters=few)
-    with pytest.raises(OptionError, match="needs two cameras or more, one of which decides, not 1"):
+    with pytest.raises(
+        OptionError, match="needs at least two cameras, one of them for validation, not 1"
+    ):
         nanogs.refit(*pair, cameras=views[0], parameters=few)
 
 

@@ -157,7 +157,7 @@ def test_pictures_of_real_scenes_agree(name):
 
 def test_a_card_whose_memory_is_full_is_said_in_one_sentence():
     with (
-        pytest.raises(NotEnoughMemoryError, match='take `device="cpu"`'),
+        pytest.raises(NotEnoughMemoryError, match='use `device="cpu"`'),
         use_device("warp-cpu"),
     ):
         raise RuntimeError("Failed to allocate 4 bytes on device 'cuda:0'")

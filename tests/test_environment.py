@@ -381,11 +381,15 @@ def test_levels_are_measured_with_their_environment(model, tmp_path, block, smal
         (
             "out/lod-meta.json",
             ["--environment", "none", "--environment-ratio", "0.5"],
-            ["none to simplify"],
+            ["no environment to simplify"],
         ),
-        ("out/tileset.json", ["--environment", "gone.ply"], ["belongs to streamed SOG"]),
-        ("out", ["--environment-ratio", "0.5"], ["belongs to streamed SOG"]),
-        ("out.rad", ["--environment", "a.ply"], ["belongs to streamed SOG"]),
+        (
+            "out/tileset.json",
+            ["--environment", "gone.ply"],
+            ["Only streamed SOG can have an environment"],
+        ),
+        ("out", ["--environment-ratio", "0.5"], ["Only streamed SOG can have an environment"]),
+        ("out.rad", ["--environment", "a.ply"], ["Only streamed SOG can have an environment"]),
     ],
 )
 def test_refused(model, tmp_path, name, options, words):
@@ -406,10 +410,14 @@ def test_what_is_left_out_of_an_environment_is_said(tmp_path):
         **options,
     )  # fmt: skip
     assert manifest.environment.count == 149
-    assert "The environment: 2 splats hold a NaN or an infinite value; left out." in manifest.notes
+    assert (
+        "Left out of the environment: 2 splats with a NaN or an infinite value." in manifest.notes
+    )
     assert any("The environment: Extra columns" in note for note in manifest.notes)
     for nan, rows in (("error", 300), ("drop", 2)):
-        with pytest.raises(ModelError, match="The environment, a model: 2 splats hold a NaN"):
+        with pytest.raises(
+            ModelError, match="The environment, a model, cannot be used: 2 splats hold a NaN"
+        ):
             write_levels(
                 random_splats(30), tmp_path / "b.ssog", [1], nan=nan,
                 environment=labelled.take(np.arange(rows)), **options,

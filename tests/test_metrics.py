@@ -59,7 +59,7 @@ def test_single_precision_images_are_averaged_in_double():
 
 @pytest.mark.parametrize("metric", [psnr, ssim, flip, lpips])
 def test_images_of_different_shapes_are_refused(metric):
-    with pytest.raises(OptionError, match="one size"):
+    with pytest.raises(OptionError, match="the same size"):
         metric(IMAGE, IMAGE[:-1])
 
 
@@ -123,7 +123,7 @@ def test_depth_error_without_common_cover_is_refused():
         depth_error(ones * np.inf, ones, ones, ones)
     with pytest.raises(ModelError, match="NaN"):
         depth_error(ones, ones * np.nan, ones, ones)
-    with pytest.raises(OptionError, match="one size"):
+    with pytest.raises(OptionError, match="the same size"):
         depth_error(ones, ones, ones, np.ones((2, 3)))
 
 

@@ -367,7 +367,7 @@ def test_models_for_different_renderers_are_no_scene(tmp_path):
     nanogs.save(random_splats(9), tmp_path / "a.ply")
     mip = replace(random_splats(9), render_mode=nanogs.RenderMode.MIP)
     nanogs.save(mip, tmp_path / "b.ply")
-    with pytest.raises(ModelError, match="different renderers"):
+    with pytest.raises(ModelError, match="different render modes"):
         nanogs.simplify_blocks(
             [tmp_path / "a.ply", tmp_path / "b.ply"], tmp_path / "c.ply", ratio=0.5, **FAST
         )

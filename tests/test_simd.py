@@ -140,7 +140,7 @@ def test_where_the_vectors_cannot_be_trusted_the_plain_way_is_taken_and_said(fir
     assert why in chosen
     assert told.count("Slower kernels are used") == 1
     assert why in told
-    assert "NANOGS_SIMD=1 insists" in told
+    assert "NANOGS_SIMD=1 forces the fast ones" in told
     means = np.random.default_rng(0).normal(size=(500, 3))
     assert json.loads(found) == nearest_neighbours(means, 6, 1).tolist()
 

@@ -468,5 +468,5 @@ def test_a_result_that_cannot_be_fitted_is_delivered_as_it_is():
     assert len(best) == 1
     unfitted, _ = nanogs.simplify(random_splats(2), count=1, preset="best", steps=0)
     assert not report.refit.improved
-    assert any("changed nothing" in note for note in report.refit.notes)
+    assert any("was not changed" in note for note in report.refit.notes)
     assert model_bytes(best) == model_bytes(unfitted)

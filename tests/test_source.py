@@ -74,12 +74,14 @@ def test_rows_that_there_are_not_are_refused(tmp_path, suffix):
         source = nanogs.open(path)
     with source:
         for start, stop in [(-5, 3), (5, 3), (699, 701), (701, 701)]:
-            with pytest.raises(OptionError, match=f"has no rows {start} to {stop}: its 700 are"):
+            with pytest.raises(
+                OptionError, match=f"has no rows {start} to {stop}: its 700 rows are"
+            ):
                 source.read(start, stop)
         for row in (-1, 700):
-            with pytest.raises(OptionError, match=f"has no row {row}: its 700 are"):
+            with pytest.raises(OptionError, match=f"has no row {row}: its 700 rows are"):
                 source.take(np.array([3, row]))
-        with pytest.raises(OptionError, match="by number"):
+        with pytest.raises(OptionError, match="needs row numbers"):
             source.take(np.zeros(700, bool))
         assert len(source.take([3, 1, 3])) == 3
 
@@ -207,7 +209,7 @@ def test_parts_are_joined_by_the_columns_that_all_have(tmp_path, small_pages):
             "Extra columns that not all inputs have are left out",
             "The inputs' SH degrees differ",
         ]
-    with pytest.raises(ModelError, match="different renderers"):
+    with pytest.raises(ModelError, match="different render modes"):
         Joined([InMemory(one), InMemory(replace(one, render_mode="mip"))])
 
 

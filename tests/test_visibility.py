@@ -248,7 +248,7 @@ def test_it_is_said_where_fewer_roaming_views_are_found(monkeypatch):
 
     monkeypatch.setattr(visibility, "roaming_cameras", none)
     views = looked(box_with_something_inside(), None, looking(views=3, view_size=32, roaming=2))
-    assert views.views.notes == ("Of 2 roaming views to look from 0 were found.",)
+    assert views.views.notes == ("Only 0 of 2 roaming views could be found.",)
     model = random_splats(3)
     camera = automatic_cameras(model, 1, width=32, height=32)[0]
     monkeypatch.setattr(visibility, "roaming_cameras", lambda *_, **__: [camera, camera])

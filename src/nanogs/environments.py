@@ -182,7 +182,7 @@ def surroundings(
     if layout not in _LAYOUTS:
         if named or ratio is not None:
             raise OptionError(
-                "An environment belongs to streamed SOG; write a lod-meta.json or a .ssog."
+                "Only streamed SOG can have an environment; write a lod-meta.json or a .ssog."
             )
         return EnvironmentRequest()
     if ratio is not None and not (is_number(ratio) and 0 < ratio <= 1):
@@ -191,7 +191,7 @@ def surroundings(
             f"The ratio of the environment must be above 0 and at most 1, not {given}."
         )
     if ratio is not None and asked == NONE:
-        raise OptionError("Without an environment there is none to simplify; leave its ratio out.")
+        raise OptionError("There is no environment to simplify; leave out its ratio.")
     return EnvironmentRequest(asked, 1.0 if ratio is None else ratio)
 
 
@@ -213,11 +213,12 @@ def _usable(splats: Splats, source: str, nan: NanPolicy) -> Splats:
     finite = splats.finite()
     if finite.all():
         return splats
-    left_out = counted(int((~finite).sum()), "splat holds", "splats hold")
-    what = f"{left_out} a NaN or an infinite value"
+    count = int((~finite).sum())
+    what = f"{counted(count, 'splat holds', 'splats hold')} a NaN or an infinite value"
     if nan == "error" or not finite.any():
-        raise ModelError(f"The environment, {source}: {what}; name another one.")
-    note = f"The environment: {what}; left out."
+        raise ModelError(f"The environment, {source}, cannot be used: {what}; name another one.")
+    splats_text = counted(count, "splat")
+    note = f"Left out of the environment: {splats_text} with a NaN or an infinite value."
     return replace(splats.take(finite), notes=(*splats.notes, note))
 
 
@@ -240,5 +241,5 @@ def _refuse_large(count: int, degree: int, max_memory: int | None) -> None:
         f"Writing the environment, {counted(count, 'splat')} in one file,",
         count * (_HELD * splat_bytes(degree) + _EACH),
         allowed_memory(max_memory),
-        'leave it in the levels with `environment="none"`, or allow more',
+        'leave it in the levels with `environment="none"`, or allow more memory',
     )

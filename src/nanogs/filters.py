@@ -156,8 +156,9 @@ def refuse_whole(filters: Sequence[Filter]) -> None:
     for each in filters:
         if each.whole:
             raise OptionError(
-                f"{each.name} needs the whole model in memory, and this one is read in parts; leave"
-                f" it out, or run `nanogs convert --{each.name}` first where there is more memory."
+                f"{each.name} needs the whole model in memory, but this model is read in parts;"
+                f" leave the filter out, or first run `nanogs convert --{each.name}` on a machine"
+                " with more memory."
             )
 
 
@@ -335,7 +336,7 @@ def opaque_enough(alpha: float) -> Filter:
 def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> Filter:
     """Make the filter that `drop_floaters` applies."""
     if not is_number(neighbours, whole=True):
-        raise OptionError(f"The number of neighbours must be a whole one, not {neighbours!r}.")
+        raise OptionError(f"The number of neighbours must be a whole number, not {neighbours!r}.")
     if neighbours < 1:
         raise OptionError(f"The number of neighbours must be at least 1, not {neighbours}.")
     if not (is_number(deviations) and 0 < deviations < math.inf):

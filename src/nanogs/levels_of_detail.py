@@ -120,7 +120,7 @@ def write_levels(
     paths = [model] if isinstance(model, str | PathLike) else model
     files = () if isinstance(paths, Splats | Source) else tuple(map(place_of, paths))
     for path in files:
-        refuse_address(path, "give the source that nanogs.open makes of it")
+        refuse_address(path, "give the source that nanogs.open returns for it")
     held = paths if isinstance(paths, Splats | Source) else files
     ratios = usual_levels(held, layout) if ratios is None else checked_ratios(ratios)
     read: dict[str, Callable[[Any], Any]] = {

@@ -63,13 +63,13 @@ def allowed_memory(max_memory: int | None, *, compiled: bool = True) -> Memory:
         NotEnoughMemoryError: The free memory is not enough for Python and its libraries.
     """
     if max_memory is not None:
-        limit = "left of the memory allowed, beside Python and its libraries"
+        limit = "left of the memory allowed, after Python and its libraries"
         return Memory(max(max_memory - (LIBRARIES if compiled else _PLAIN), 0), limit)
     free = free_memory(compiled=compiled)
     if free.bytes <= 0:
         raise NotEnoughMemoryError(
-            f"No memory is left beside Python and its libraries: {bytes_text(-free.bytes)} more are"
-            f" needed for these than are {free.limit}; free some, or raise the limit."
+            "There is not enough memory for Python and its libraries, which need"
+            f" {bytes_text(-free.bytes)} more than is {free.limit}; free some, or raise the limit."
         )
     return Memory(int(SHARE * free.bytes), free.limit)
 

@@ -131,9 +131,11 @@ def transform_of(place: Place | Sequence[Sequence[float]] | F64) -> F64:
     except (TypeError, ValueError):
         matrix = np.empty(0)
     if matrix.shape != (4, 4):
-        raise OptionError("A place is a `nanogs.Place`, or a transform of four rows of four.")
+        raise OptionError(
+            "A place must be a `nanogs.Place`, or a transform of four rows of four numbers."
+        )
     if not (np.abs(matrix) <= _FARTHEST).all():  # NaN too
-        raise OptionError(f"A transform has finite numbers of at most {_FARTHEST:g}.")
+        raise OptionError(f"The numbers of a transform must be finite and at most {_FARTHEST:g}.")
     if (matrix[3] != [0, 0, 0, 1]).any():
         raise OptionError(
             "A transform must be affine, and its last row 0, 0, 0, 1: of the 16 numbers, column"
@@ -175,8 +177,11 @@ def _out_of_range(name: str, value: object, limit: float) -> str:
     """Return the message for a field of a place that is out of range."""
     unit = "metres" if name == "height" else "degrees"
     if math.isinf(limit):
-        return f"The {name} of a place is a finite number of {unit}, not {value_text(value)}."
-    return f"The {name} of a place is -{limit:g} to {limit:g} {unit}, not {value_text(value)}."
+        return f"The {name} of a place must be a finite number of {unit}, not {value_text(value)}."
+    return (
+        f"The {name} of a place must be from -{limit:g} to {limit:g} {unit}, not"
+        f" {value_text(value)}."
+    )
 
 
 def _about(axis: int, angle: float) -> F64:

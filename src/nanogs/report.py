@@ -294,16 +294,16 @@ def stop_text(report: SimplifyReport) -> str:
         )
     if report.stop == StopReason.PROBES and report.asked_draw_cost is not None:
         return (
-            f"The search for the most splats ended after {len(report.draw_probes)} counts; what was"
-            " written takes no more to draw than was asked, and more may too (stop:"
-            f" {report.stop})."
+            f"The search for the most splats ended after {len(report.draw_probes)} counts; the"
+            " result costs no more to draw than was asked, but a larger one might be possible"
+            f" (stop: {report.stop})."
         )
     if report.stop == StopReason.PROBES:
         return (
-            f"The search for the fewest splats ended after {len(report.probes)} counts; what was "
-            f"written reaches {report.asked_psnr:g} dB, and fewer may too (stop: {report.stop})."
+            f"The search for the fewest splats ended after {len(report.probes)} counts; the result"
+            f" reaches {report.asked_psnr:g} dB, but a smaller one might too (stop: {report.stop})."
         )
-    return f"Stopped before the requested count: {report.stop}."
+    return f"Stopped before the requested count was reached: {report.stop}."
 
 
 def _nearest_text(report: SimplifyReport) -> str:

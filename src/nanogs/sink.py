@@ -363,7 +363,7 @@ def refuse_large(
         so = " with a palette" if known.streams else ""
         raise OptionError(
             f"{path}: {known.suffix}{so} is not written block by block, and {count:,} splats are"
-            " too many to be held whole; name a .ply file, or raise `max_memory`."
+            " too many to be held in memory at once; name a .ply file, or raise `max_memory`."
         )
 
 

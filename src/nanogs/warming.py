@@ -90,8 +90,8 @@ def _check_writable(folder: Path) -> None:
             pass
     except OSError as error:
         raise NanogsError(
-            f"Kernels cannot be kept in {folder} ({error.strerror}); name a folder that can be"
-            " written to in NUMBA_CACHE_DIR."
+            f"Compiled kernels cannot be saved in {folder} ({error.strerror}); set NUMBA_CACHE_DIR"
+            " to a folder that can be written to."
         ) from None
 
 

@@ -16,7 +16,7 @@ CPU, CUDA, AUTO = "cpu", "cuda", "auto"
 DEVICES = (CPU, CUDA, AUTO)
 WARP_CPU = "warp-cpu"  # the card's kernels on the CPU, in one thread, slow: for tests
 
-_NONE = "no graphics card that CUDA can use, with nanogs[cuda] installed, was found"
+_NONE = "no graphics card that CUDA can use was found, or nanogs[cuda] is not installed"
 _FULL = "Failed to allocate"  # part of Warp's error message if a card has no memory left
 
 _engine: "ContextVar[Engine | None]" = ContextVar("engine", default=None)
@@ -50,8 +50,8 @@ def use_device(name: str | None) -> Iterator[str]:
         if engine is None or _FULL not in str(error):
             raise
         raise NotEnoughMemoryError(
-            f"The memory of {engine.name} is too small for this model; take"
-            ' `device="cpu"`, or fewer pixels.'
+            f'The memory of {engine.name} is too small for this model; use `device="cpu"`, or fewer'
+            " pixels."
         ) from error
     finally:
         _engine.reset(token)
@@ -82,23 +82,23 @@ def engine_in_use() -> "Engine | None":
 
 def _found(name: str) -> "Engine | None":
     if name not in (*DEVICES, WARP_CPU):
-        raise OptionError(f"A device is {', '.join(DEVICES[:-1])} or {AUTO}, not {name!r}.")
+        raise OptionError(f"The device must be {', '.join(DEVICES[:-1])} or {AUTO}, not {name!r}.")
     if name == CPU or (name == AUTO and not (_driver() and _installed())):
         return None
     if name == CUDA and not _driver():
         raise OptionError(
-            "There is no graphics card here that CUDA can use, or its driver is not installed; take"
-            ' `device="cpu"`, or `device="auto"`, which uses a card where there is one.'
+            "There is no graphics card that CUDA can use, or its driver is not installed; use"
+            ' `device="cpu"`, or `device="auto"`, which uses a card if there is one.'
         )
     if not _installed():
-        raise OptionError(f"`device={name}` takes the package Warp: pip install 'nanogs[cuda]'.")
+        raise OptionError(f"`device={name}` needs the package Warp: pip install 'nanogs[cuda]'.")
     from nanogs.card.engine import engine_of
 
     engine = engine_of("cpu" if name == WARP_CPU else CUDA)
     if engine is None and name == CUDA:
         raise OptionError(
             "Warp finds no graphics card that it can use, although there is a driver; is"
-            ' CUDA_VISIBLE_DEVICES hiding it? Otherwise take `device="cpu"`.'
+            ' CUDA_VISIBLE_DEVICES hiding it? Otherwise use `device="cpu"`.'
         )
     return engine
 

@@ -151,8 +151,8 @@ class View:
         count = int(self.ends[n - 1 :].numpy()[0])
         if count > _MOST:
             raise ModelError(
-                f"A view has {count:,} splats and tiles that meet, more than a card can list;"
-                ' take fewer pixels, or `device="cpu"`.'
+                f"A view has {count:,} pairs of a splat and a tile that it covers, more than a"
+                ' graphics card can list; use fewer pixels, or `device="cpu"`.'
             )
         self.entries = engine.empty((count,), wp.int32)
         tiles, self.slots = (engine.empty((2 * count,), wp.int32) for _ in range(2))

@@ -156,7 +156,7 @@ def _listed(cameras: "Sequence[Camera] | Camera") -> "list[Camera]":
     given = [cameras] if isinstance(cameras, Camera) else cameras
     found = list(given) if isinstance(given, Iterable) else [given]
     if not all(isinstance(each, Camera) for each in found):
-        raise OptionError("`cameras` of a refit must be a list of nanogs.Camera, two or more.")
+        raise OptionError("`cameras` of a refit must be a list of at least two nanogs.Camera.")
     return found
 
 

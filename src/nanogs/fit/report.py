@@ -101,7 +101,7 @@ class RefitReport:
     def text(self) -> str:
         """The PSNR before and after, and the reason why it stopped, as one clause."""
         before, after = self.psnr_before, self.psnr_after
-        return f"{before:.2f} to {after:.2f} dB on the views that decide, stopped by: {self.stop}"
+        return f"{before:.2f} to {after:.2f} dB on the validation views, stopped by: {self.stop}"
 
     def to_dict(self) -> dict[str, Any]:
         """Convert to plain dictionaries, lists, numbers and strings."""

@@ -140,7 +140,7 @@ def fit(
             stop = RefitStop.OPTIMUM
             break
     improved = any(report.share for report in reports)
-    nothing = "Nothing helped on the validation views, so that the fit changed nothing."
+    nothing = "No step of the fit improved the validation views, so the model was not changed."
     notes = () if improved else (nothing,)
     outcome = Outcome(
         guard.reports(),

@@ -34,7 +34,7 @@ def view_targets(
     """
     if cameras is not None and len(cameras) < 2:
         raise OptionError(
-            f"A refit needs two cameras or more, one of which decides, not {len(cameras)}."
+            f"A refit needs at least two cameras, one of them for validation, not {len(cameras)}."
         )
     kept, more = parameters.kept + parameters.held, parameters.views - parameters.kept
     chosen, further = choose_cameras(original, cameras, kept, more, parameters.size)
@@ -44,14 +44,14 @@ def view_targets(
     blind = len(chosen) - len(targets)
     if len(targets) < 2:
         raise ModelError(
-            "The original is seen in fewer than two views; choose other cameras or let them be "
-            "found."
+            "The original is visible in fewer than two views; give other cameras, or none to use"
+            " automatic ones."
         )
     fitting, deciding = split(targets, parameters.validation)
     _refuse_elsewhere(small, [target for group in deciding for target in group.targets])
     unseen = (
-        f"Nothing of the original is seen in {blind} of {len(chosen)} views, which the fit does"
-        " without; cameras may be in another frame than the model."
+        f"The original is not visible in {blind} of {len(chosen)} views, so the fit leaves them"
+        " out; the cameras may be in another coordinate frame than the model."
     )
     return Fitting(fitting, prepared, further), deciding, (unseen,) if blind else ()
 
@@ -89,6 +89,6 @@ def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:
         total += float(wanted.sum(dtype=np.float64))
     if shared < OVERLAP * total:
         raise ModelError(
-            "The small model is hardly seen where the original is; give two models of the same "
-            "scene, in the same coordinates."
+            "The small model is hardly visible where the original is; give two models of the same"
+            " scene, in the same coordinates."
         )

@@ -64,8 +64,8 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     """
     if len(pairs) > MOST_PAIRS:
         raise ModelError(
-            f"The graph has {len(pairs):,} pairs, and {MOST_PAIRS:,} can be matched at once; ask"
-            " for fewer neighbours with `k`, or for blocks with `max_memory`."
+            f"The graph has {len(pairs):,} pairs, but at most {MOST_PAIRS:,} can be matched at"
+            " once; use fewer neighbours (`k`), or blocks (`max_memory`)."
         )
     firsts, seconds = pairs.T
     taken = np.zeros(rows, dtype=bool)

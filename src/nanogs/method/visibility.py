@@ -152,7 +152,7 @@ def roaming_views(
     found: list[Camera] = []
     with suppress(ModelError):  # none was found; the note says so
         found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", tell=tell)
-    lacking = f"Of {counted(count, 'roaming view')} to look from {len(found)} were found."
+    lacking = f"Only {len(found)} of {counted(count, 'roaming view')} could be found."
     return found, (lacking,) if len(found) < count else ()
 
 

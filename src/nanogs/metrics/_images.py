@@ -33,7 +33,7 @@ def check_pair(a: Array, b: Array) -> None:
         if not np.issubdtype(image.dtype, np.floating):
             raise OptionError(f"images must be floats in [0, 1], not {image.dtype}.")
     if a.shape != b.shape:
-        raise OptionError(f"images of one size are needed, not {a.shape} and {b.shape}.")
+        raise OptionError(f"images must have the same size, not {a.shape} and {b.shape}.")
 
 
 def image_pair(a: Array, b: Array) -> tuple[F64, F64]:

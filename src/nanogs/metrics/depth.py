@@ -28,7 +28,7 @@ def depth_error(depth: F, alpha: F, reference_depth: F, reference_alpha: F) -> f
     """
     shapes = {depth.shape, alpha.shape, reference_depth.shape, reference_alpha.shape}
     if len(shapes) != 1:
-        raise OptionError(f"depth and alpha images of one size are needed, not {sorted(shapes)}.")
+        raise OptionError(f"depth and alpha images must have the same size, not {sorted(shapes)}.")
     if np.isnan(alpha).any() or np.isnan(reference_alpha).any():
         raise ModelError("an alpha image holds NaN; which pixels it covers is unknown.")
     covered = (alpha > COVERED) & (reference_alpha > COVERED)

@@ -11,6 +11,7 @@ import numpy as np
 from nanogs._types import I64
 from nanogs.errors import OptionError
 from nanogs.findings import join_findings
+from nanogs.formatting import counted
 from nanogs.splats import ExtraElement, Splats, concatenate
 
 BLOCK_ROWS = 8192  # rows of a block by default
@@ -107,7 +108,9 @@ class Source(ABC):
         if not rows.size:
             return self.read(0, 0)
         if rows.ndim != 1 or rows.dtype.kind not in "iu":
-            raise OptionError("Rows are taken by number; of a mask, np.flatnonzero(mask) has them.")
+            raise OptionError(
+                "`take` needs row numbers; np.flatnonzero(mask) makes them from a mask."
+            )
         if len(beyond := rows[(rows < 0) | (rows >= self.count)]):
             raise self._lacking(f"no row {beyond[0]}")
         return self._take(rows)
@@ -126,7 +129,9 @@ class Source(ABC):
         return joined_rows(parts).take(back)
 
     def _lacking(self, what: str) -> OptionError:
-        return OptionError(f"{self.name} has {what}: its {self.count:,} are counted from 0.")
+        return OptionError(
+            f"{self.name} has {what}: its {counted(self.count, 'row is', 'rows are')} counted from 0."
+        )
 
     def blocks(self, rows: int | None = None) -> Iterator[Splats]:
         """Yield all splats in order, `rows` at a time, by default `BLOCK_ROWS`.

@@ -67,9 +67,9 @@ def joined_layout(parts: Sequence[Source]) -> Layout:
     modes = {layout.render_mode for layout in layouts}
     if len(modes) > 1:
         raise ModelError(
-            "The inputs are for different renderers "
-            f"({', '.join(sorted(map(str, modes)))}) and make no one scene; simplify"
-            " them apart, or say how all are to be drawn with `render_mode`."
+            f"The inputs have different render modes ({', '.join(sorted(map(str, modes)))}) and"
+            " cannot form one scene; simplify them separately, or set one mode for all with"
+            " `render_mode`."
         )
     columns = [dict(layout.extras) for layout in layouts]
     shared = {

@@ -33,7 +33,7 @@ class UrlScratch:
             self.files, self.root = _find(fsspec, self.url)
         except ImportError as error:
             reason = str(error).rstrip(".")
-            raise OptionError(f"{url} needs a package of its own: {reason}.") from None
+            raise OptionError(f"{url} needs another package: {reason}.") from None
         except ValueError as error:
             reason = str(error).rstrip(".")
             raise OptionError(f"{url} cannot be reached ({reason}); name another place.") from None

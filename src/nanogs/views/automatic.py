@@ -130,7 +130,7 @@ def survey(
         OptionError: An argument is out of range.
     """
     if kind not in ("auto", "orbit", "inside"):
-        raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
+        raise OptionError(f"The kind of views must be auto, orbit or inside, not {kind!r}.")
     if not isinstance(model, Source):
         refuse_other(model)
     given = None if up is None else unit_up(up)
@@ -157,7 +157,7 @@ def _check(count: int, width: int, height: int, fov: float | None, split: str) -
             f"Cameras need a count and a size of 1 or more, not {count} of {width} x {height}."
         )
     if split not in ("fit", "test"):
-        raise OptionError(f"The split of views is fit or test, not {split!r}.")
+        raise OptionError(f"The split of views must be fit or test, not {split!r}.")
     if fov is not None and not 1 <= fov <= 170:
         raise OptionError(f"The field of view must be 1 to 170 degrees, not {fov}.")
 

@@ -159,6 +159,7 @@ def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
     given = [cameras] if isinstance(cameras, Camera) else several
     if not given or not all(isinstance(camera, Camera) for camera in given):
         raise OptionError(
-            'Cameras are "auto", "orbit", "inside", "roam", a path, or at least one nanogs.Camera.'
+            'Cameras must be "auto", "orbit", "inside", "roam", a path, or at least one'
+            " nanogs.Camera."
         )
     return given

@@ -61,7 +61,7 @@ def room_for_measuring(model: Source, max_memory: int | None) -> int:
         NotEnoughMemoryError: There is not enough memory.
     """
     pictures = pictures_bytes(PIXELS**2, VIEWS)
-    remedy = "free some, or leave out what is measured"
+    remedy = "free some, or leave out the measurement"
     return room_for_splats("Measuring", [model], pictures, allowed_memory(max_memory), remedy)
 
 

@@ -126,7 +126,7 @@ def _write(
         notes.update(dict.fromkeys(rendering.notes))
         if not rendering.alpha.any():
             unseen.append(name)
-    notes |= dict.fromkeys(notes_on_views(unseen, "nothing of the model is seen"))
+    notes |= dict.fromkeys(notes_on_views(unseen, "nothing of the model is visible"))
     if skipped:
         notes[undrawn(skipped)] = None
     return written, list(notes)
@@ -140,7 +140,7 @@ def _places(
         return target, file_names(cameras), ".png"
     if len(cameras) > 1:
         raise OptionError(
-            f"{target} is one picture, and there are {len(cameras)} views; name a folder for them."
+            f"{target} is one picture, but there are {len(cameras)} views; name a folder for them."
         )
     check_writable(target, overwrite=overwrite)
     return target.parent, [target.stem], target.suffix
@@ -163,7 +163,7 @@ def file_names(cameras: Sequence[Camera]) -> list[str]:
     ]
     for index, name in enumerate(names):
         if name in names[:index]:
-            raise OptionError(f"Two cameras are called {name!r}; give them names of their own.")
+            raise OptionError(f"Two cameras are called {name!r}; give them different names.")
     return names
 
 

@@ -140,8 +140,8 @@ def roaming_cameras(
             break
     if not known.cameras:
         raise ModelError(
-            f"No roaming view was found in {TRIES * count:,} tries: from no free place something"
-            " fills a third of a picture; choose automatic views or give cameras."
+            f"No roaming view was found in {TRIES * count:,} tries, because nothing fills a third"
+            " of a picture from any place in free space; choose automatic views or give cameras."
         )
     return [
         replace(camera.resized(width, height), name=f"{split}_roam_{i:03}")

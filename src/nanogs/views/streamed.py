@@ -70,8 +70,8 @@ def drawable(model: Splats | Source, room: int | None) -> PreparedSplats | Strea
     if room is not None:
         if engine_in_use() is not None:
             raise OptionError(
-                "A model that does not fit into memory is drawn on the CPU alone: take"
-                ' `device="cpu"`, or allow more with `max_memory`.'
+                "A model that does not fit into memory can only be rendered on the CPU; use"
+                ' `device="cpu"`, or allow more memory with `max_memory`.'
             )
         return Streamed(source_of(model), room)
     return prepare(model if isinstance(model, Splats) else model.load())
@@ -332,9 +332,8 @@ class _Drawing:
             camera = self._cameras[gathered.part.view]
             raise NotEnoughMemoryError(
                 f"A single tile of {TILE} x {TILE} pixels of view {camera.name!r} draws"
-                f" {gathered.count:,} splats, too many for the memory that there is,"
-                f" {bytes_text(self._arena.bytes)} for them; allow more (`max_memory`), or move"
-                " the camera."
+                f" {gathered.count:,} splats, too many for the {bytes_text(self._arena.bytes)} of"
+                " memory available for them; allow more (`max_memory`), or move the camera."
             )
         return pieces
 

@@ -48,7 +48,7 @@ def _chosen() -> tuple[Way, str | None]:
     if why is None:
         return Way.SIMD, None
     _log.warning(
-        "Slower kernels are used, which take some times as long: %s; %s=1 insists on the others.",
+        "Slower kernels are used, which take several times as long: %s; %s=1 forces the fast ones.",
         why,
         VARIABLE,
     )
@@ -61,7 +61,7 @@ def _untried(version: str) -> str | None:
     if FIRST <= (int(major), int(minor)) <= LAST:
         return None
     first, last = (".".join(map(str, one)) for one in (FIRST, LAST))
-    return f"the fast ones were tried with Numba {first} to {last}, and this is {version}"
+    return f"the fast ones were tested with Numba {first} to {last}, and this is {version}"
 
 
 def _failure() -> str | None:
