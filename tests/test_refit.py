@@ -515,7 +515,9 @@ def test_views_that_show_nothing_are_left_out_and_told():
     _, report = refit(original, small, cameras=cameras, parameters=QUICK)
     assert cameras[2].name not in report.fit_views + report.validation_views
     [note] = report.notes
-    assert note.startswith("Nothing of the original is seen in 1 of 5 views, which")
+    assert note.startswith(
+        "The original is not visible in 1 of 5 views, so the fit leaves them out"
+    )
 
 
 def test_views_are_grouped_by_size_and_distance():

@@ -357,7 +357,7 @@ def test_what_reaches_a_store_is_named_where_it_is_missing():
     pytest.importorskip("fsspec")
     if find_spec("gcsfs"):
         pytest.skip("gcsfs is there")
-    with pytest.raises(OptionError, match=r"^gs://bucket/job needs a package.*nstall gcsfs"):
+    with pytest.raises(OptionError, match=r"^gs://bucket/job needs another package.*nstall gcsfs"):
         open_scratch("gs://bucket/job")
 
 

@@ -253,7 +253,7 @@ def test_it_is_said_where_fewer_roaming_views_are_found(monkeypatch):
     camera = automatic_cameras(model, 1, width=32, height=32)[0]
     monkeypatch.setattr(visibility, "roaming_cameras", lambda *_, **__: [camera, camera])
     assert visibility.roaming_views(model, 2) == ([camera, camera], ())
-    says = "Of 3 roaming views to look from 2 were found."
+    says = "Only 2 of 3 roaming views could be found."
     assert visibility.roaming_views(model, 3) == ([camera, camera], (says,))
 
 

@@ -129,9 +129,8 @@ class Source(ABC):
         return joined_rows(parts).take(back)
 
     def _lacking(self, what: str) -> OptionError:
-        return OptionError(
-            f"{self.name} has {what}: its {counted(self.count, 'row is', 'rows are')} counted from 0."
-        )
+        rows = counted(self.count, "row is", "rows are")
+        return OptionError(f"{self.name} has {what}: its {rows} counted from 0.")
 
     def blocks(self, rows: int | None = None) -> Iterator[Splats]:
         """Yield all splats in order, `rows` at a time, by default `BLOCK_ROWS`.
