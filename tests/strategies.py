@@ -87,7 +87,7 @@ def assert_same(a, b):
 def assert_written_alike(model, name, most):
     """A file that is given the spare bits that follow from its model, 1 to `most`, is the same."""
     for options in ({}, {"bits": 5}):
-        settled = io.settled(model, name, options)
+        settled = io.derived_options(model, name, options)
         assert settled["spare_bits"] in range(1, most + 1)
         plain, given = (
             io.round_trip_with_size(model, name, o) for o in (options, options | settled)

@@ -202,7 +202,7 @@ def test_a_result_is_packed_as_the_one_that_was_judged(edge):
     model = Leaping(0, 8.0, 6)
     choices = Choices([0], palettes=False, bits=BITS)
     found, count, probes = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
-    settled = dict(found.settled)
+    settled = dict(found.derived_options)
     assert [*settled] == ["spare_bits"]
     assert any(found.options(count).items() <= probe.options.items() for probe in probes)
     assert model.seen(found, count).bytes == pytest.approx(0.993 * SIZE, rel=0.002)

@@ -396,14 +396,14 @@ def test_centres_do_without_as_many_bits_as_asked_for(tmp_path, bits, spare):
 def test_bits_that_follow_from_a_model_can_be_given():
     model = random_splats(500, degree=1)
     assert_written_alike(model, "a.spz", most=6)
-    assert io.settled(model, "a.spz", {"spare_bits": 0}) == {}
-    assert io.settled(model, "a.ply", {}) == {}
+    assert io.derived_options(model, "a.spz", {"spare_bits": 0}) == {}
+    assert io.derived_options(model, "a.ply", {}) == {}
 
 
 def test_centres_of_a_large_scene_cannot_do_without_what_they_lack(tmp_path):
     model = random_splats(2)
     model.means[:] = 2**21
-    assert io.settled(model, "a.spz", {}) == {"spare_bits": 0}
+    assert io.derived_options(model, "a.spz", {}) == {"spare_bits": 0}
     with pytest.raises(OptionError, match="`spare_bits=2` leaves none of the 1 fraction bits"):
         io.save(model, tmp_path / "a.spz", format_options={"spare_bits": 2})
     assert not list(tmp_path.iterdir())

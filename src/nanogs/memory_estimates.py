@@ -158,11 +158,11 @@ def convert_bytes(
         options: Options of the target's format.
     """
     info, known = source.info, registry.find(target)
-    held = known is None or known.holds_whole(options or {})
+    held = known is None or known.needs_whole_model(options or {})
     if known is not None and not held and not whole:
         return _held(source) + _ROWS + _columns_bytes(known.suffix, info)
     model = model_bytes(info)
-    more = known.beside(model) if known is not None and held else int(_WHOLE * model)
+    more = known.extra_memory(model) if known is not None and held else int(_WHOLE * model)
     return max(_read(info), model + more)
 
 

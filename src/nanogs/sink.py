@@ -359,7 +359,7 @@ def refuse_large(
     registry.writer(path)  # refuses folders
     known = registry.writable(path)
     most = held_splats(path, row, max_memory)
-    if known.holds_whole(options or {}) and most is not None and count > most:
+    if known.needs_whole_model(options or {}) and most is not None and count > most:
         so = " with a palette" if known.streams else ""
         raise OptionError(
             f"{path}: {known.suffix}{so} is not written block by block, and {count:,} splats are"
@@ -377,4 +377,4 @@ def held_splats(path: Path, row: int, max_memory: int | None) -> int | None:
     """
     if max_memory is None:
         return None
-    return max_memory // (row + registry.writable(path).beside(row))
+    return max_memory // (row + registry.writable(path).extra_memory(row))

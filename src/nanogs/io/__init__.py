@@ -28,6 +28,7 @@ __all__ = [
     "FileInfo",
     "bytes_on_disk",
     "check_writable",
+    "derived_options",
     "encoded_bytes",
     "inspect",
     "load",
@@ -36,7 +37,6 @@ __all__ = [
     "round_trip",
     "round_trip_with_size",
     "save",
-    "settled",
 ]
 
 
@@ -197,7 +197,7 @@ def save(
         return
     write = registry.writer(named, format_options)
     tracker = Tracker(progress, [Stage("write", 1.0)])
-    told = {"tell": tracker.part} if known.tells else {}
+    told = {"tell": tracker.part} if known.reports_progress else {}
     with atomic.atomic_write(path, overwrite=overwrite) as file:
         write(splats, file, **told)
     tracker.finish()
@@ -264,7 +264,7 @@ def round_trip_with_size(
         return load(file), size
 
 
-def settled(
+def derived_options(
     model: Splats | Source, path: str | PathLike[str], format_options: FormatOptions
 ) -> FormatOptions:
     """Return the format options that are not given but computed from a model, such as `spare_bits`.
@@ -274,7 +274,7 @@ def settled(
     Raises:
         NanogsError: As for `save`.
     """
-    found = registry.writable(place(path)).settled(source_of(model), format_options)
+    found = registry.writable(place(path)).derived_options(source_of(model), format_options)
     return {name: value for name, value in found.items() if format_options.get(name) is None}
 
 

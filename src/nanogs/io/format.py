@@ -46,17 +46,17 @@ class WriteOption:
     Attributes:
         keyword: Name of the writer's parameter.
         values: Allowed values.
-        begin: For an option that sets the precision, with values from coarse to fine: the value
-            with which a search for the best one starts; None for other options.
-        unseen: For an option that sets the precision: the value for presets that do not render,
-            when a file size is asked for; None for `begin`.
+        search_start: For an option that sets the precision, with values from coarse to fine: the
+            value with which a search for the best one starts; None for other options.
+        without_rendering: For an option that sets the precision: the value for presets that do not
+            render, when a file size is asked for; None for `search_start`.
         whole: Whether a writer that gets this option has to hold the whole model.
     """
 
     keyword: str
     values: tuple[Any, ...] | range
-    begin: int | None = None
-    unseen: int | None = None
+    search_start: int | None = None
+    without_rendering: int | None = None
     whole: bool = False
 
     @property
@@ -89,18 +89,20 @@ class Format:
         states_frame: Whether a file that is written with given options can state its frame, by
             the option `frame`.
         write_folder: Writes a model as a folder, for a format whose model is one.
-        tells: Whether `write` takes a callback `tell` for its progress, because it takes long.
+        reports_progress: Whether `write` takes a callback `tell` for its progress, because it takes
+            long.
         streams: Whether `write` takes a source too and holds only some rows of it at a time, apart
             from options with `whole`.
         max_degree: Highest SH degree that files hold.
         ours: Lists the files that nanogs made in such a folder.
         check: Fails before any computing if this installation cannot write the format.
         check_options: Fails if options contradict each other.
-        settled: Computes options that are not given from the model, so that a similar model can be
-            written in the same way.
-        starts: First bytes, by which a file without a name is recognised.
-        holds: Name of a file by which a zip without a name is recognised.
-        around: Number of bytes that every file has in addition to its splats, where it is large.
+        derived_options: Computes options that are not given from the model, so that a similar model
+            can be written in the same way.
+        magic: First bytes, by which a file without a name is recognised.
+        zip_member: Name of a file by which a zip without a name is recognised.
+        overhead_bytes: Number of bytes that every file has in addition to its splats, where it is
+            large.
     """
 
     suffix: str
@@ -115,28 +117,28 @@ class Format:
     options: Mapping[str, WriteOption] = field(default_factory=dict)
     states_frame: Callable[[FormatOptions], bool] = lambda _options: False
     write_folder: FolderWriter | None = None
-    tells: bool = False
+    reports_progress: bool = False
     streams: bool = False
     max_degree: int = MAX_SH_DEGREE
     ours: Ours | None = None
     check: Callable[[], None] = lambda: None
     check_options: Callable[[FormatOptions], None] = lambda _options: None
-    settled: Callable[[Source, FormatOptions], FormatOptions] = lambda _source, _options: {}
-    starts: tuple[bytes, ...] = ()
-    holds: str = ""
-    around: Callable[[], int] = lambda: 0
+    derived_options: Callable[[Source, FormatOptions], FormatOptions] = lambda _source, _options: {}
+    magic: tuple[bytes, ...] = ()
+    zip_member: str = ""
+    overhead_bytes: Callable[[], int] = lambda: 0
 
     @property
     def readable(self) -> bool:
         """Whether nanogs reads the format."""
         return self.open is not unread
 
-    def holds_whole(self, options: FormatOptions) -> bool:
+    def needs_whole_model(self, options: FormatOptions) -> bool:
         """Whether writing with these options holds the whole model and not only some rows."""
         given = [name for name, value in options.items() if value is not None]
         return not self.streams or any(self.options[n].whole for n in given if n in self.options)
 
-    def beside(self, model: int) -> int:
+    def extra_memory(self, model: int) -> int:
         """Estimate the bytes of memory that writing takes beside a held model of `model` bytes."""
         return int(model * (_PALETTE if "palette" in self.options else _PACKED))
 

@@ -45,7 +45,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
     file.write(render_page([shown], start, (0.0, 0.0, 0.0)).encode("utf-8"))
 
 
-def _around() -> int:
+def _overhead_bytes() -> int:
     """Return the number of bytes that the viewer takes in a page."""
     from nanogs.view.bundle import licences, program
 
@@ -58,4 +58,6 @@ def losses(splats: Splats) -> tuple[str, ...]:
     return (*found, *limits.lost_mode(splats, SUFFIX, RenderMode.MIP))
 
 
-FORMATS = (Format(SUFFIX, unread, write, around=_around, losses=losses, check=check),)
+FORMATS = (
+    Format(SUFFIX, unread, write, overhead_bytes=_overhead_bytes, losses=losses, check=check),
+)

@@ -292,7 +292,7 @@ def _search_size(
     results = HeldResults(job.build(threads, clock, progress), clock)
     outcome, found = fill_size(Packer(results, wish, usable, files, progress))
     fitted, packed = found.fitted, found.packed
-    left_over = fitted.leap(size, results.available, known.around())
+    left_over = fitted.leap(size, results.available, known.overhead_bytes())
     return replace(
         outcome,
         stop=fitted.stop if outcome.stop is StopReason.TARGET else outcome.stop,

@@ -8,7 +8,7 @@ from typing import Any
 
 from nanogs.clock import StageClock
 from nanogs.frames import change_frame
-from nanogs.io import encoded_bytes, round_trip, round_trip_with_size, settled
+from nanogs.io import derived_options, encoded_bytes, round_trip, round_trip_with_size
 from nanogs.pipeline.outcome import Outcome
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import SelectionViews, selection_views
@@ -62,7 +62,7 @@ class HeldFiles:
         """Encode a result and measure its bytes and quality; see `Files.seen`."""
         with self.clock.time("encode"):
             bare = self._turned(result.splats.with_sh_degree(sh_degree))
-            options = {**options, **settled(bare, self.path, {**self.given, **options})}
+            options = {**options, **derived_options(bare, self.path, {**self.given, **options})}
             small, size = round_trip_with_size(bare, self.path, {**self.given, **options})
         with self.clock.time("measure"):
             psnr, ssim = self.views.judge(self._turned_back(small))

@@ -78,7 +78,7 @@ def plan_writing(plan: MemoryPlan, splats: int, target: int, known: Format) -> M
         known: Format of the file.
     """
     small = plan.input_columns // max(splats, 1) * target
-    held = plan.input_columns + small + known.beside(small)
+    held = plan.input_columns + small + known.extra_memory(small)
     return replace(plan, stages=plan.stages | {"write": held}, peak=max(plan.peak, held))
 
 

@@ -121,7 +121,9 @@ class Packer(Generic[T]):
         def encode(part: Splats) -> int:
             return self.files.sample_bytes(part, packing.options(len(part)))
 
-        return guess_count(some, available, self.wish.size, encode, self.wish.known.around())
+        return guess_count(
+            some, available, self.wish.size, encode, self.wish.known.overhead_bytes()
+        )
 
     def made(self, packing: Packing) -> Results[T]:
         """Return a maker of results that suit a packing."""

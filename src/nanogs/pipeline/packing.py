@@ -46,15 +46,16 @@ class Packing:
             there is no choice.
         bits: The format's options that set its precision, as (name, value).
         entries: Largest number of entries that a palette of the format has.
-        settled: Other options of the format that were derived from one result and are reused for
-            another of about the same count: otherwise its file might be of another size altogether.
+        derived_options: Other options of the format that were derived from one result and are
+            reused for another of about the same count: otherwise its file might be of another size
+            altogether.
     """
 
     sh_degree: int
     share: float | None = None
     bits: tuple[tuple[str, int], ...] = ()
     entries: int = 1 << 16
-    settled: tuple[tuple[str, int], ...] = ()
+    derived_options: tuple[tuple[str, int], ...] = ()
 
     @property
     def sharing(self) -> Sharing | None:
@@ -66,7 +67,7 @@ class Packing:
     def options(self, count: int) -> dict[str, Any]:
         """Return the format's options for a result of `count` splats."""
         palette = {PALETTE: self.sharing.entries(count)} if self.sharing else {}
-        return dict(self.bits) | dict(self.settled) | palette
+        return dict(self.bits) | dict(self.derived_options) | palette
 
 
 MeasureFile = Callable[[Packing], PackingReport]
@@ -215,7 +216,7 @@ _Values = tuple[tuple[str, int], ...]
 
 
 def _plain(packing: Packing) -> Packing:
-    return replace(packing, bits=(), settled=())
+    return replace(packing, bits=(), derived_options=())
 
 
 @dataclass(slots=True)
@@ -305,8 +306,8 @@ class _Search:
         The options that were derived from its result are fixed in it.
         """
         file, chosen = self._file(packing), {PALETTE, *self.choices.bits}
-        settled = [item for item in file.options.items() if item[0] not in chosen]
-        return replace(packing, settled=tuple(settled))
+        derived = [item for item in file.options.items() if item[0] not in chosen]
+        return replace(packing, derived_options=tuple(derived))
 
     def filling(self, packing: Packing) -> int:
         """Return a count that about fills the size with a packing that was tried."""
@@ -342,7 +343,7 @@ class _Search:
 
     def _best(self, packing: Packing) -> Packing:
         """Return a packing that was tried, with its best bits."""
-        return replace(packing, bits=self._bits_of(self._best_file(packing)), settled=())
+        return replace(packing, bits=self._bits_of(self._best_file(packing)), derived_options=())
 
     def _best_file(self, packing: Packing) -> PackingReport:
         return max(self.found[_plain(packing)].values(), key=self._worth)
@@ -382,7 +383,9 @@ class _Search:
             for way in each.ways(began, finer=larger) if lower or larger else ():
                 for value in way:
                     changed = chosen | {name: value}
-                    probes.append(seen(replace(packing, bits=tuple(changed.items()), settled=())))
+                    probes.append(
+                        seen(replace(packing, bits=tuple(changed.items()), derived_options=()))
+                    )
                     if self._worth(probes[-1]) <= self._worth(best):
                         break
                     best, chosen = probes[-1], changed

@@ -298,7 +298,7 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
     plan = plan_memory(splats, degree, extra, request.parameters, target, judged=judged)
     if request.chunks is None:
         known = None if request.ratios else registry.writable(request.output)
-        if known is not None and known.holds_whole(request.format_options or {}):
+        if known is not None and known.needs_whole_model(request.format_options or {}):
             return plan_writing(plan, splats, target, known)
         return plan
     return plan_chunks(plan, splats, degree, target, request.ratios, request.chunks)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nanogs.clock import StageClock
-from nanogs.io import bytes_on_disk, encoded_bytes, registry, save, settled
+from nanogs.io import bytes_on_disk, derived_options, encoded_bytes, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
 from nanogs.pipeline.draw_cost_search import search_draw_cost
@@ -137,7 +137,7 @@ class Search:
         result, found = fill_size(Packer(results, wish, _sample(work), files, progress))
         results.verify(result, progress)
         fitted, packed = found.fitted, found.packed
-        notes = fitted.leap(size, results.available, known.around()) + packed.notes
+        notes = fitted.leap(size, results.available, known.overhead_bytes()) + packed.notes
         if fitted.count == results.available and known.file_bytes is None:
             notes += (WHOLE_FITS,)
         entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}
@@ -238,4 +238,6 @@ class _Files:
         return PackingReport(sh_degree, options, self.count(result), size, psnr, ssim)
 
     def _settled(self, model: Source, options: Mapping[str, Any]) -> Mapping[str, Any]:
-        return settled(model, self.search.output, {**(self.search.options or {}), **options})
+        return derived_options(
+            model, self.search.output, {**(self.search.options or {}), **options}
+        )

@@ -71,9 +71,11 @@ class SizeRequest(NamedTuple):
         if self.looks and self.sh_degree is None:
             degrees = range(highest + 1)
         bits = {
-            name: Bits(option.begin, option.values, option.unseen or option.begin)
+            name: Bits(
+                option.search_start, option.values, option.without_rendering or option.search_start
+            )
             for name, option in self.known.options.items()
-            if option.begin is not None and name not in self.given
+            if option.search_start is not None and name not in self.given
         }
         if not highest:
             bits.pop(SH_BITS, None)

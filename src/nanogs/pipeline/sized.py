@@ -97,7 +97,7 @@ def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
     def bytes_of(result: T) -> int:
         return files.bytes_of(result, packing.options(files.count(result)))
 
-    near, around = packed.tight or bool(packed.packings), wish.known.around()
+    near, around = packed.tight or bool(packed.packings), wish.known.overhead_bytes()
     result, fitted = fit_size(
         chosen, wish.size, packed.count, bytes_of, progress, near=near, around=around
     )

@@ -5,6 +5,6 @@ from nanogs.io.checkpoint.torch_file import LEGACY_START, PICKLE
 from nanogs.io.format import Format
 
 FORMATS = tuple(
-    Format(suffix, Checkpoint, frame=FRAME, axes=None, starts=(LEGACY_START,), holds=PICKLE)
+    Format(suffix, Checkpoint, frame=FRAME, axes=None, magic=(LEGACY_START,), zip_member=PICKLE)
     for suffix in (".pt", ".ckpt", ".pth")
 )

@@ -22,7 +22,7 @@ FORMATS = (
         turns=True,
         streams=True,
         max_degree=MAX_DEGREE,
-        starts=(MAGIC,),
+        magic=(MAGIC,),
     ),
     Format(
         ".gltf",

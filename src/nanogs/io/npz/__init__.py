@@ -12,6 +12,6 @@ FORMATS = (
         write.file_bytes,
         write.losses,
         streams=True,
-        holds="means.npy",
+        zip_member="means.npy",
     ),
 )

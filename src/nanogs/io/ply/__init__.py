@@ -15,5 +15,5 @@ FORMATS = (
         streams=True,
         max_degree=compressed_write.MAX_DEGREE,
     ),
-    Format(".ply", open_ply, write.write, write.file_bytes, streams=True, starts=_STARTS),
+    Format(".ply", open_ply, write.write, write.file_bytes, streams=True, magic=_STARTS),
 )

@@ -14,6 +14,6 @@ FORMATS = (
         open_level=RadFile,
         streams=True,
         max_degree=MAX_DEGREE,
-        starts=(MAGIC,),
+        magic=(MAGIC,),
     ),
 )

@@ -22,7 +22,7 @@ def _version(options: FormatOptions) -> int:
     return options.get("spz_version") or usual
 
 
-def _settled(source: Source, options: FormatOptions) -> FormatOptions:
+def _derived_options(source: Source, options: FormatOptions) -> FormatOptions:
     return {"spare_bits": write.spare_bits(source, options.get("bits") or MOST_BITS)}
 
 
@@ -49,9 +49,9 @@ FORMATS = (
         },
         states_frame=lambda options: _version(options) == write.VERSION_WITH_FRAME,
         check_options=_check_options,
-        settled=_settled,
-        tells=True,
+        derived_options=_derived_options,
+        reports_progress=True,
         streams=True,
-        starts=(MAGIC, GZIP),
+        magic=(MAGIC, GZIP),
     ),
 )

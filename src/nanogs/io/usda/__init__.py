@@ -13,6 +13,6 @@ FORMATS = (
         losses=write.losses,
         frame="y up or z up as the file says, turned to y down (rdf) when read",
         turns=True,
-        starts=(START,),
+        magic=(START,),
     ),
 )
