@@ -193,7 +193,9 @@ def test_the_planner_decides_between_memory_and_blocks(tmp_path):
     )
     assert report.blocks.blocks > 1
     assert (manifest.source, manifest.levels[0].count) == ("a.ply", 1000)
-    with pytest.raises(NotEnoughMemoryError, match=r"Measuring takes about .* leave out the measurement"):
+    with pytest.raises(
+        NotEnoughMemoryError, match=r"Measuring takes about .* leave out the measurement"
+    ):
         nanogs.write_levels(tmp_path / "a.ply", tmp_path / "m", [0.01], measured=True, **given)
     assert not (tmp_path / "m.job").exists()  # it is refused before work begins
     with pytest.raises(OptionError, match="job is for files"):
