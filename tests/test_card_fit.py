@@ -177,7 +177,7 @@ def test_the_command_fits_on_the_device_and_says_so(file, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--preset", "fast"), "preset fast renders nothing"),
+        (("--preset", "fast"), "preset fast, which renders nothing"),
         (("--job", "work"), "--device cpu"),
     ],
 )

@@ -113,7 +113,7 @@ def test_many_empty_views_take_one_line(tmp_path, empty):
     more = {4: "1 more view: ", 9: "6 more views: "}.get(empty)
     for [note, *_], fact in ((found.notes, "of the reference"), (drawn, "of the model")):
         assert note.startswith(f"back0, back1, back2 and {more}" if more else "back0: ")
-        assert f"nothing {fact} is seen" in note
+        assert f"nothing {fact} is visible" in note
 
 
 def test_only_empty_views_are_refused():

@@ -59,8 +59,8 @@ def test_little_memory_gives_the_same_numbers(folder, monkeypatch):
         ({"pixels": np.array([64, 48])}, "views of their own"),
         ({"split": "val"}, "test or train"),
         ({"split": "train"}, "has no train split"),
-        ({"photos": None, "images": "images_4"}, "for photographs"),
-        ({"photos": None, "split": "train"}, "for photographs"),
+        ({"photos": None, "images": "images_4"}, "only with photographs"),
+        ({"photos": None, "split": "train"}, "only with photographs"),
     ],
 )
 def test_what_has_no_effect_is_refused(folder, given, says):

@@ -415,7 +415,7 @@ def test_matching_in_rounds_changes_nothing(monkeypatch, stretch):
 def test_more_pairs_than_there_are_numbers_for_are_refused(monkeypatch):
     monkeypatch.setattr(stage_four, "MOST_PAIRS", 2)
     pairs = np.array([[0, 1], [0, 2], [1, 2]], np.int32)
-    with pytest.raises(ModelError, match="3 pairs, and 2 can be matched"):
+    with pytest.raises(ModelError, match="3 pairs, but at most 2 can be matched"):
         match(pairs, np.zeros(3, np.float32), 3, 1)
 
 

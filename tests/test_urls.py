@@ -206,7 +206,9 @@ def test_what_cannot_be_read(host, temporary, tmp_path):
     for option in (("--resume",), ("--job", tmp_path / "job"), ("--join",)):
         result = launch.run("simplify", url, tmp_path / "b.ply", "-r", "0.5", *option)
         refused(result, f"{host}/scene.ply is a URL", option[0])
-    refused(launch.run("convert", url, tmp_path / "b.ply", "--to", "ply"), "--to is for OUT -")
+    refused(
+        launch.run("convert", url, tmp_path / "b.ply", "--to", "ply"), "--to works only if OUT is -"
+    )
     assert not (tmp_path / "b.ply").exists()
 
 

@@ -108,8 +108,8 @@ def compare(
     chosen = views is not None or up is not None or asked != requested_views("auto", PIXELS)
     if photos is not None and chosen:
         raise OptionError(
-            "Options for views cannot be combined with `photos`, which has views of its own;"
-            " leave them out."
+            "`photos` cannot be combined with options for views, because photographs have views of"
+            " their own; leave these options out."
         )
     if photos is None and (images is not None or split != "test"):
         raise OptionError(

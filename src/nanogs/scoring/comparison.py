@@ -171,7 +171,7 @@ def compare_models(
     drawn = drawable(reference.splats, room)
     views, skipped = reference_views(drawn, cameras, background, progress.part)
     del drawn
-    notes = notes_on_views(skipped, "nothing of the reference is seen; left out of every mean")
+    notes = notes_on_views(skipped, "nothing of the reference is visible; left out of every mean")
     first = views[0].rendering
     if first and first.skipped:
         notes.append(f"the reference: {undrawn(first.skipped)}")

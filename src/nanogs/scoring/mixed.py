@@ -162,7 +162,7 @@ def compare_mixed(
             seen, empty = reference_views(ready, found.cameras, background, told.part, depth=False)
             del ready
             notes += [*found.notes]
-            notes += notes_on_views(empty, "nothing of the original is seen; left out")
+            notes += notes_on_views(empty, "nothing of the original is visible; left out")
             cameras = [view.camera for view in seen]
             protocol = views_of(cameras, found.kind, background=background)
             told.begin("score")
