@@ -255,7 +255,7 @@ def test_render_with_contributions(timed, scene):
     )
 
 
-def test_pull(timed, scene):
+def test_compute_gradients(timed, scene):
     target = targets.make_target(scene["prepared"], scene["camera"])
     small, _ = nanogs.simplify(scene["splats"], ratio=1 / RATIO, preset="fast")
     prepared = rendering.prepare(small)
