@@ -14,6 +14,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   let stem = `${scene.stem}-small`;
   let overwrite = false;
   let exists = false; // whether a file of that name exists
+  let unchecked = false; // whether the server has yet to answer for what is chosen now
   let running = 0; // request number of the running save; 0 for none
   let timer = 0;
   let checked = 0;
@@ -59,7 +60,9 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
 
   function changed(pause = PAUSE) {
     if (running) return;
-    overwrite = exists = false; // until `check` has asked the server; saving checks again
+    overwrite = exists = false; // until `check` has asked the server
+    unchecked = true;
+    checked += 1; // so that an answer for what was chosen before is ignored
     go.textContent = "Save";
     byId("save-lines").replaceChildren();
     clearTimeout(timer);
@@ -68,10 +71,12 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
 
   // Asks the server for the command, or for the reason why the choice cannot be saved.
   async function check() {
+    clearTimeout(timer);
     const turn = (checked += 1);
     const wish = { choice: choice(), path: path() };
     const found = await connection.post("command", wish).catch(({ message }) => ({ message }));
     if (turn !== checked || running) return;
+    unchecked = false;
     exists = Boolean(found.exists);
     byId("save-command").textContent = found.command ?? "";
     byId("save-copy").disabled = !found.command;
@@ -132,7 +137,9 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   async function save() {
     go.disabled = true;
     await opening; // otherwise the file would go to the folder that was open before
-    go.disabled = false;
+    if (unchecked) await check(); // a click may come before the name was checked
+    else go.disabled = false;
+    if (go.disabled) return; // `check` has said why, or the name was changed meanwhile
     if (exists && !overwrite) {
       askFirst(`${path()} exists. Replace it?`);
       return;
