@@ -144,8 +144,6 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
       askFirst(`${path()} exists. Replace it?`);
       return;
     }
-    clearTimeout(timer);
-    checked += 1; // so that a pending check is ignored
     say("Saving …");
     busy(true);
     const { number, answer } = connection.start("save", { choice: choice(), path: path(), overwrite });
