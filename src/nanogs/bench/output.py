@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from nanogs.bench.size_tables import size_page
 from nanogs.bench.tables import json_line, markdown
 from nanogs.errors import ExistsError, OutputError
 from nanogs.formatting import utf8
+from nanogs.io.folder import make_folders, remove_empty
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
 PAGE, PICTURE = "results.html", "plot.png"  # only with file sizes
@@ -64,8 +65,7 @@ class ResultFolder:
         with _writing(self.path):
             if not overwrite:
                 self.done = self._rows_so_far()
-            self._made = [each for each in (self.path, *self.path.parents) if not each.exists()]
-            self.path.mkdir(parents=True, exist_ok=True)
+            self._made = make_folders(self.path)
 
     def add(self, row: BenchRow) -> None:
         """Append a row to the unfinished run's file, unless the file has it from before.
@@ -121,9 +121,7 @@ class ResultFolder:
         with _writing(self.path / UNFINISHED):
             if self._begun:
                 (self.path / UNFINISHED).unlink(missing_ok=True)
-        with suppress(OSError):  # unless something else is in it
-            for folder in self._made:
-                folder.rmdir()
+        remove_empty(self._made)
 
     def _rows_so_far(self) -> list[BenchRow]:
         """Read the rows of an unfinished run; a last line that was cut off is dropped."""

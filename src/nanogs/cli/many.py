@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +23,7 @@ from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.formatting import counted
 from nanogs.io import registry
 from nanogs.io.collect import Pair, collect, model_in, pair_up
+from nanogs.io.folder import make_folders, remove_empty
 from nanogs.progress import Progress
 from nanogs.quantities import is_unit
 
@@ -135,7 +135,7 @@ def run_all(
         for pair in pairs:
             streams.check(pair)
         made = _make(out_dir) if writes else []
-        with cleaned_up(partial(_remove_empty, made)), shown(quiet=telling.hushed) as watch:
+        with cleaned_up(partial(remove_empty, made)), shown(quiet=telling.hushed) as watch:
             show_each = None if telling.hushed else show
             runs, failed = _run_several(pairs, run_one, show_each, watch, streams)
     if telling.json:
@@ -179,20 +179,10 @@ def _run_several(
     return runs, failed
 
 
-def _remove_empty(made: Sequence[Path]) -> None:
-    """Remove folders, innermost first; those that are not empty stay."""
-    for folder in made:
-        with suppress(OSError):
-            folder.rmdir()
-
-
 def _make(folder: Path) -> list[Path]:
     """Create a folder with its parents, and return those that were missing, innermost first."""
-    missing = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        return make_folders(folder)
     except OSError as error:
-        _remove_empty(missing)
         reason = error.strerror or str(error)
         raise OutputError(f"{folder} cannot be made ({reason}); choose another folder.") from error
-    return missing

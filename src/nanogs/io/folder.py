@@ -7,7 +7,7 @@ existing folder is only replaced if it holds nothing but files that its own mani
 import contextlib
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
@@ -156,3 +156,25 @@ def _discard(old: Path, ours: Ours) -> None:
         with contextlib.suppress(FileNotFoundError):
             (old / folder).rmdir()
     old.rmdir()
+
+
+def make_folders(folder: Path) -> list[Path]:
+    """Create a folder with its parents, and return those that were missing, innermost first.
+
+    Raises:
+        OSError: It cannot be created; none of them is left.
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        remove_empty(missing)
+        raise
+    return missing
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove folders, given innermost first; those that are not empty stay."""
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()

@@ -102,12 +102,13 @@ def _refuse_list(path: Path) -> None:
     Raises:
         FormatError: It is one.
     """
-    if path.name == LEVEL_LIST and not isinstance(path, Address):
-        for finest in sorted(path.parent.glob("level_0.*")):
-            raise FormatError(
-                f"{path} is the list of levels that `nanogs lod` wrote; name a level, such as"
-                f" {finest}."
-            )
+    if path.name != LEVEL_LIST or isinstance(path, Address):
+        return
+    if finest := sorted(path.parent.glob("level_0.*")):
+        raise FormatError(
+            f"{path} is the list of levels that `nanogs lod` wrote; name a level, such as"
+            f" {finest[0]}."
+        )
 
 
 def _meant(path: Path, suffixes: Sequence[str]) -> str:

@@ -3,6 +3,7 @@
 import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import PurePosixPath
 from typing import Any, BinaryIO, cast
 
 import numpy as np
@@ -122,9 +123,8 @@ class UrlScratch:
 
     def _parents(self) -> list[str]:
         """Return the folders around the root, the nearest first."""
-        parts = self.root.split("/")
-        around = ("/".join(parts[:end]) for end in range(len(parts) - 1, 0, -1))
-        return [parent for parent in around if parent]
+        around = map(str, PurePosixPath(self.root).parents)
+        return [parent for parent in around if parent not in ("/", ".")]
 
     def _names(self, suffixes: tuple[str, ...]) -> list[str]:
         self.files.invalidate_cache()

@@ -15,6 +15,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.io.atomic import output_error
+from nanogs.io.folder import remove_empty
 
 SUFFIXES = (".npy", ".json", ".tmp")
 PARENT_MARKER = "made.json"  # holds the number of folders around that `prepare` made
@@ -128,10 +129,7 @@ class FolderScratch:
             made = 0
         for path in self._files(SUFFIXES):
             path.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # unless something else is in it
-            self.folder.rmdir()
-            for parent in self.folder.parents[:made]:
-                parent.rmdir()
+        remove_empty([self.folder, *self.folder.parents[:made]])
 
     def tidy(self) -> None:
         """Delete temporary files of writers that were killed."""
