@@ -16,7 +16,7 @@ import nanogs
 from nanogs.bench.baselines import BASELINES
 from nanogs.bench.worker import Job, run_job
 from nanogs.io import inspect, load
-from nanogs.pipeline.target import target_count
+from nanogs.pipeline.options.target import target_count
 from nanogs.protocol import BLACK, Background
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare

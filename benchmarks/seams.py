@@ -11,11 +11,11 @@ from nanogs.clock import StageClock
 from nanogs.metrics import psnr, ssim
 from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.in_blocks import plan_job
+from nanogs.pipeline.job.result_writer import result_of
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.result_writer import result_of
 from nanogs.pipeline.run import InProcess, run_tasks
-from nanogs.pipeline.target import Goal
-from nanogs.pipeline.units import survey
+from nanogs.pipeline.tasks.units import survey
 from nanogs.progress import Tracker
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats

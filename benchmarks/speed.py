@@ -29,7 +29,7 @@ from nanogs.formatting import bytes_text
 from nanogs.io import inspect
 from nanogs.io.files import splat_bytes
 from nanogs.method.order import morton_order
-from nanogs.pipeline.target import target_count
+from nanogs.pipeline.options.target import target_count
 from rivals import ROOT, install, run_tool, timed
 
 WORK = ROOT / "build" / "speed"

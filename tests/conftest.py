@@ -82,7 +82,7 @@ def benchmark_module():
 @pytest.fixture(scope="module")
 def small_views():
     """Presets that render and fit do so with few and small views."""
-    from nanogs.pipeline import presets
+    from nanogs.pipeline.options import presets
 
     few = {
         name: replace(

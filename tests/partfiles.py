@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from nanogs import io
 from nanogs.io.parts import Packed, Whole
-from nanogs.pipeline.unpack import NOTES, Unpacked, streamed
+from nanogs.pipeline.tasks.unpack import NOTES, Unpacked, streamed
 from nanogs.store.scratch import FolderScratch
 from nanogs.store.tables import write_table
 

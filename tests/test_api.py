@@ -75,7 +75,7 @@ def test_every_module_can_be_imported_by_its_name(first):
         "found = list(pkgutil.walk_packages(nanogs.__path__, 'nanogs.'))\n"
         "card = [one.name for one in found if one.name.startswith('nanogs.card.')]\n"
         f"names = [one.name for one in found if not one.name.endswith({left_out})]\n"
-        "assert 'nanogs.pipeline.presets' in names and len(names) > 200\n"
+        "assert 'nanogs.pipeline.options.presets' in names and len(names) > 200\n"
         "for name in names:\n"
         "    exec(f'import {name} as one\\nimport {name}')\n"
         "    assert one is importlib.import_module(name) is pkgutil.resolve_name(name)\n"

@@ -39,7 +39,7 @@ from nanogs.bench.worker import Job, Outcome, peak_memory, run_job
 from nanogs.errors import OptionError, OutputError
 from nanogs.io import load
 from nanogs.method.graph import random_pairs
-from nanogs.pipeline.presets import PRESETS, parameters
+from nanogs.pipeline.options.presets import PRESETS, parameters
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import render
 from nanogs.report import StopReason

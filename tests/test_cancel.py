@@ -162,7 +162,7 @@ START = """
 import os, signal, sys
 from multiprocessing import util
 from nanogs.cli.cancel import listen
-from nanogs.pipeline.cluster import processes
+from nanogs.pipeline.job.cluster import processes
 from nanogs.bench.worker import Job, run_job
 from nanogs.studio.process import Process
 spawn = util.spawnv_passfds

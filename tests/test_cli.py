@@ -352,7 +352,7 @@ def test_completion_imports_neither_numpy_nor_what_draws_help(scene):
 
 def test_the_api_is_what_it_says():
     code = (
-        "import nanogs.pipeline.presets, nanogs\n"
+        "import nanogs.pipeline.options.presets, nanogs\n"
         "for name in ('load', 'save', 'simplify', 'levels', 'Splats', 'SimplifyReport'):\n"
         "    assert callable(getattr(nanogs, name)), name\n"
     )
@@ -382,7 +382,7 @@ def test_public_names_are_the_same_whatever_is_imported_before():
     before = [
         "import nanogs.pipeline.api, nanogs.fit.api",
         "import nanogs.fit.parameters, nanogs.method.paper.passes",
-        "from nanogs import simplify, refit; from nanogs.pipeline.presets import parameters",
+        "from nanogs import refit, simplify; from nanogs.pipeline.options import presets",
         "import nanogs; nanogs.simplify, nanogs.refit; import nanogs.fit.rounds",
         "from nanogs import *",
     ]

@@ -13,7 +13,7 @@ import nanogs
 from builders import random_splats
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, did_you_mean
-from nanogs.pipeline.presets import PRESETS, parameters
+from nanogs.pipeline.options.presets import PRESETS, parameters
 
 
 def run(*arguments, **environment):

@@ -21,7 +21,7 @@ from nanogs.cli.filtering import parse_filters
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import registry
 from nanogs.method.parameters import BALANCES
-from nanogs.pipeline.presets import PRESETS, SUMMARIES
+from nanogs.pipeline.options.presets import PRESETS, SUMMARIES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -229,7 +229,7 @@ def written_and_read(splats, known, folder):
 # Before what fits models for a notebook or pictures: fitting would take most of the time.
 FEW_STEPS = """
 from dataclasses import replace
-from nanogs.pipeline import presets
+from nanogs.pipeline.options import presets
 
 few = replace(presets.PRESETS["default"], steps=2, views=4, further=4)
 presets.PRESETS = {**presets.PRESETS, "default": few}

@@ -11,7 +11,7 @@ import nanogs
 from builders import random_splats
 from launch import run
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
-from nanogs.pipeline.draw_cost_search import MOST_PROBES, SPAN, search_share
+from nanogs.pipeline.search.draw_cost import MOST_PROBES, SPAN, search_share
 from nanogs.report import StopReason
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

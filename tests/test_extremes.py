@@ -13,7 +13,7 @@ from nanogs.errors import OutputError
 from nanogs.method.extent import dilation
 from nanogs.method.gaussians import scene_origin
 from nanogs.neighbours import nearest_neighbours
-from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.options.presets import PRESETS
 from nanogs.splats import RenderMode
 
 LARGEST = float(np.finfo(np.float32).max)

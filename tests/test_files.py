@@ -12,8 +12,8 @@ from nanogs import filters
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.frames import change_frame
 from nanogs.memory import LIBRARIES
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request, plan_files
-from nanogs.pipeline.target import Goal
 from nanogs.scoring.file_judge import file_judge
 from nanogs.sink import OneFile
 from viewer_bundle import require_bundle

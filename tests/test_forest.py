@@ -31,10 +31,10 @@ from nanogs.method.nodes import (
 from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.store import MOST_OPAQUE, store_groups
-from nanogs.pipeline import trials
 from nanogs.pipeline.one_block import OneBlock, whole_settings
-from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.run import build, deliver
+from nanogs.pipeline.tasks import trials
 from nanogs.progress import Tracker, ignore_progress
 from nanogs.report import PassReport, StopReason
 from nanogs.sh import basis

@@ -16,7 +16,7 @@ from nanogs.errors import NotEnoughMemoryError
 from nanogs.io.files import splat_bytes
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
 from nanogs.pipeline.levels import judged_levels
-from nanogs.pipeline.presets import effective, parameters
+from nanogs.pipeline.options.presets import effective, parameters
 from nanogs.scoring.needed import needed_bytes
 
 GB = 10**9
@@ -259,7 +259,7 @@ def test_in_python_a_comparison_that_would_not_fit_is_refused_before_work(tmp_pa
 def test_levels_that_are_measured_hold_the_views_of_the_original(monkeypatch):
     splats, asked = make_scene(2000), []
     monkeypatch.setattr(
-        "nanogs.pipeline.job.refuse_too_large", lambda _what, needed, *_: asked.append(needed)
+        "nanogs.pipeline.in_memory.refuse_too_large", lambda _what, needed, *_: asked.append(needed)
     )
     for judged in (False, True):
         judged_levels(splats, [0.5], judged=judged)
@@ -280,8 +280,8 @@ def test_in_python_a_model_that_would_not_fit_is_refused_before_work(monkeypatch
 
 
 def test_blocks_that_are_resumed_keep_their_size_whatever_is_free(scene, tmp_path, monkeypatch):
-    from nanogs.pipeline.folder import read_manifest
     from nanogs.pipeline.in_blocks import block_memory
+    from nanogs.pipeline.job.folder import read_manifest
 
     job, out = tmp_path / "job", tmp_path / "small.ply"
 
@@ -385,7 +385,7 @@ def test_memory_that_runs_out_before_a_job_is_begun_names_none(
     def run_out(*_args):
         raise MemoryError
 
-    monkeypatch.setattr("nanogs.pipeline.stored_job.open_scratch", run_out)
+    monkeypatch.setattr("nanogs.pipeline.job.stored.open_scratch", run_out)
     assert command("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "--preset", "fast") == 2
     assert ".job" not in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

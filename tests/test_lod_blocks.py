@@ -27,10 +27,10 @@ from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
 from nanogs.pipeline import run as scale_run
 from nanogs.pipeline import stages
-from nanogs.pipeline.chunked import group_blocks
-from nanogs.pipeline.folder import MANIFEST
-from nanogs.pipeline.plan import plan_blocks
-from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.estimates.block_plan import plan_blocks
+from nanogs.pipeline.job.folder import MANIFEST
+from nanogs.pipeline.options.presets import PRESETS
+from nanogs.pipeline.tasks.chunked import group_blocks
 from nanogs.source import Layout as Columns
 from nanogs.splats import concatenate
 from supersplatpage import in_supersplat

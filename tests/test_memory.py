@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from nanogs.memory import LIBRARIES
-from nanogs.pipeline.memory import plan_memory
-from nanogs.pipeline.presets import parameters
+from nanogs.pipeline.estimates.memory import plan_memory
+from nanogs.pipeline.options.presets import parameters
 from nanogs.slices import SLICE_PAIRS
 
 COUNT = 300_000

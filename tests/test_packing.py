@@ -15,8 +15,9 @@ from nanogs.clock import StageClock
 from nanogs.errors import ModelError, TooSmallError
 from nanogs.fit.shared import SharedHarmonics
 from nanogs.io import round_trip_with_size
-from nanogs.pipeline.held_files import HeldFiles
-from nanogs.pipeline.packing import (
+from nanogs.pipeline.options.settings import Sharing
+from nanogs.pipeline.search.held_files import HeldFiles
+from nanogs.pipeline.search.packing import (
     FIRST_SHARE,
     LARGER,
     SLOPES,
@@ -28,7 +29,6 @@ from nanogs.pipeline.packing import (
     slope_of,
     unseen_packing,
 )
-from nanogs.pipeline.settings import Sharing
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
 from nanogs.views.automatic import automatic_cameras
@@ -338,7 +338,7 @@ def test_where_nobody_looks_packings_are_as_coarse_as_needed():
 
 
 def test_a_size_without_room_is_said_before_anything_is_grown(splats, monkeypatch):
-    monkeypatch.setattr("nanogs.pipeline.job.Job.build", None)
+    monkeypatch.setattr("nanogs.pipeline.in_memory.Job.build", None)
     with pytest.raises(TooSmallError, match="a file of one splat"):
         nanogs.simplify(splats, size=100, format=".sog", **FEW)
 

@@ -18,9 +18,9 @@ from nanogs.lod.tree_blocks import Linked
 from nanogs.metrics import psnr
 from nanogs.pipeline import run as scale_run
 from nanogs.pipeline import stages
-from nanogs.pipeline.folder import MANIFEST
-from nanogs.pipeline.plan import plan_blocks
-from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.estimates.block_plan import plan_blocks
+from nanogs.pipeline.job.folder import MANIFEST
+from nanogs.pipeline.options.presets import PRESETS
 from nanogs.raster.rendering import render
 from nanogs.source import Layout as Columns
 from sparkpage import in_spark

@@ -21,13 +21,11 @@ from crashes import CrashError
 from nanogs.errors import FormatError, ModelError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline import cluster, run, stages
-from nanogs.pipeline.budget import budget
-from nanogs.pipeline.folder import LOCK, MANIFEST, locked, read_manifest, write_manifest
-from nanogs.pipeline.forests import BINS, histogram_of, keys, scores_of
-from nanogs.pipeline.partition import partition
-from nanogs.pipeline.plan import held_bytes, plan_blocks
-from nanogs.pipeline.settings import (
+from nanogs.pipeline import run, stages
+from nanogs.pipeline.estimates.block_plan import held_bytes, plan_blocks
+from nanogs.pipeline.job import cluster
+from nanogs.pipeline.job.folder import LOCK, MANIFEST, locked, read_manifest, write_manifest
+from nanogs.pipeline.options.settings import (
     Access,
     FilterCounts,
     InputFile,
@@ -36,9 +34,12 @@ from nanogs.pipeline.settings import (
     differences,
     in_words,
 )
-from nanogs.pipeline.settle import keep_every_group
-from nanogs.pipeline.sorted_segments import DIGEST
-from nanogs.pipeline.units import Units
+from nanogs.pipeline.tasks.budget import budget
+from nanogs.pipeline.tasks.forests import BINS, histogram_of, keys, scores_of
+from nanogs.pipeline.tasks.partition import partition
+from nanogs.pipeline.tasks.settle import keep_every_group
+from nanogs.pipeline.tasks.sorted_segments import DIGEST
+from nanogs.pipeline.tasks.units import Units
 from nanogs.source import Layout
 from nanogs.store.columns import CODES
 from nanogs.store.scratch import FolderScratch, open_scratch
@@ -458,7 +459,7 @@ def test_damage_to_what_was_done_is_mended(scene, tmp_path, expected, monkeypatc
 
 
 def test_a_run_killed_as_the_result_got_its_name_ends_well(scene, tmp_path, expected, monkeypatch):
-    from nanogs.pipeline import stored_job as job
+    from nanogs.pipeline.job import stored as job
 
     out, folder = tmp_path / "small.ply", tmp_path / "small.ply.job"
 
@@ -536,7 +537,7 @@ def test_a_job_that_cannot_be_noted_leaves_nothing(scene, tmp_path, monkeypatch)
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("nanogs.pipeline.stored_job.write_manifest", full)
+    monkeypatch.setattr("nanogs.pipeline.job.stored.write_manifest", full)
     with pytest.raises(OSError, match="No space"):
         nanogs.simplify_blocks(
             scene, tmp_path / "a.ply", ratio=0.3, scratch=str(tmp_path / "far"), **FAST
@@ -549,7 +550,7 @@ def test_interrupts_come_again_where_no_process_can_be_started(monkeypatch):
     def none(*_):
         raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
 
-    monkeypatch.setattr("nanogs.pipeline.cluster.ProcessPoolExecutor.submit", none)
+    monkeypatch.setattr("nanogs.pipeline.job.cluster.ProcessPoolExecutor.submit", none)
     with pytest.raises(OSError, match="unavailable"), cluster.processes(1):
         pass
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, set())
@@ -582,7 +583,7 @@ def test_a_disk_that_is_too_small_is_refused_at_once(scene, tmp_path, monkeypatc
 
 
 def test_units_keep_every_digit():
-    from nanogs.pipeline.units import units_of
+    from nanogs.pipeline.tasks.units import units_of
 
     anchors = ((0.1, 0.2, 0.3, 1 / 7), (1e-300, 2.0, 3.0, 0.0))
     places = ((1 / 3, -1e-300, 7.0), (0.1, 0.2, 0.3))

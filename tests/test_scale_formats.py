@@ -15,13 +15,13 @@ from launch import run as run_command
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.sog import read as sog
 from nanogs.io.spz import read as spz
-from nanogs.pipeline import rows as source
 from nanogs.pipeline import run, stages
 from nanogs.pipeline.in_blocks import plan_job
+from nanogs.pipeline.job import rows as source
+from nanogs.pipeline.options.settings import Access
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.settings import Access
-from nanogs.pipeline.target import Goal
-from nanogs.pipeline.unpack import Cost
+from nanogs.pipeline.tasks.unpack import Cost
 from plyfiles import BASE, ply
 from torchfiles import File
 

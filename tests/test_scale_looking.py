@@ -14,17 +14,18 @@ from nanogs.fit.groups import Group
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.rounds import fit
 from nanogs.fit.targets import Fitting, make_target
-from nanogs.pipeline import fitting, run, stages
-from nanogs.pipeline import stored_job as job
+from nanogs.pipeline import run, stages
+from nanogs.pipeline.estimates.block_plan import plan_blocks
+from nanogs.pipeline.estimates.memory_blocks import FINE, ROUGH, block_stages, most_coarse
 from nanogs.pipeline.in_blocks import plan_job
-from nanogs.pipeline.memory_blocks import FINE, ROUGH, block_stages, most_coarse
-from nanogs.pipeline.plan import plan_blocks
+from nanogs.pipeline.job import stored as job
+from nanogs.pipeline.job.stored import BlockJob
+from nanogs.pipeline.options.settings import differences
+from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.options.views import RequestedViews
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.requested_views import RequestedViews
-from nanogs.pipeline.settings import differences
-from nanogs.pipeline.stored_job import BlockJob
-from nanogs.pipeline.target import Goal
-from nanogs.pipeline.views import LEAST, Views, deciding_count, parts_of, views_of
+from nanogs.pipeline.tasks import fitting
+from nanogs.pipeline.tasks.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.pipeline.work import Work
 from nanogs.progress import ignore_progress
 from nanogs.raster.camera import Camera

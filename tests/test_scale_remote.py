@@ -28,13 +28,13 @@ from crashes import CrashError
 from nanogs.clock import StageClock
 from nanogs.errors import FormatError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
-from nanogs.pipeline import cluster
+from nanogs.pipeline.estimates.block_plan import held_bytes
 from nanogs.pipeline.in_blocks import plan_job
-from nanogs.pipeline.plan import held_bytes
-from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.job import cluster
+from nanogs.pipeline.options.presets import PRESETS
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.run import InProcess, run_tasks
-from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.source import Layout
 from nanogs.store.scratch import FolderScratch, open_scratch
@@ -202,8 +202,8 @@ def test_how_a_task_ended_is_said():
     pytest.importorskip("distributed")
     from distributed import KilledWorker
 
+    from nanogs.pipeline.job.workers import check
     from nanogs.pipeline.scene import Task
-    from nanogs.pipeline.workers import check
 
     cases = [
         (None, OutputError, "scheduler was lost"),
@@ -227,8 +227,8 @@ def test_how_a_task_ended_is_said():
 
 def test_a_worker_says_what_it_does_not_see(tmp_path):
     from nanogs._version import __version__
+    from nanogs.pipeline.job.workers import do_task
     from nanogs.pipeline.scene import Task
-    from nanogs.pipeline.workers import do_task
 
     source, host = tmp_path / "in.ply", re.escape(socket.gethostname())
     nanogs.save(random_splats(900), source)

@@ -21,14 +21,14 @@ from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError, OutputError
 from nanogs.memory import LIBRARIES
+from nanogs.pipeline.estimates.block_plan import held_bytes
 from nanogs.pipeline.in_blocks import plan_job
-from nanogs.pipeline.plan import held_bytes
-from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.job.result_writer import result_of
+from nanogs.pipeline.options.presets import PRESETS
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.result_writer import result_of
 from nanogs.pipeline.run import InProcess, run_tasks
-from nanogs.pipeline.target import Goal
-from nanogs.pipeline.units import survey
+from nanogs.pipeline.tasks.units import survey
 from nanogs.progress import Tracker
 from nanogs.source import Layout
 from nanogs.store.scratch import FolderScratch
@@ -112,7 +112,7 @@ def test_what_cannot_be_done_in_blocks_is_said(scene, tmp_path, memory, more, sa
 def test_a_scheduler_that_does_not_answer_is_said(scene, tmp_path, monkeypatch, capsys):
     """In this process, where patience can be short."""
     pytest.importorskip("distributed")
-    monkeypatch.setattr("nanogs.pipeline.cluster._PATIENCE", 0.4)
+    monkeypatch.setattr("nanogs.pipeline.job.cluster._PATIENCE", 0.4)
     given = ["--ratio", "0.1", "--max-memory", "215MB", "--scheduler", "tcp://127.0.0.1:9"]
     assert launch.run_here("simplify", scene, tmp_path / "a.ply", *given) == 2
     said = capsys.readouterr().err

@@ -7,10 +7,10 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
-from nanogs.pipeline.fit_size import ENOUGH
-from nanogs.pipeline.job_results import COUNT, MARKED, JobResults
-from nanogs.pipeline.psnr_search import SPAN
-from nanogs.pipeline.search import TRIED
+from nanogs.pipeline.search.file_size import ENOUGH
+from nanogs.pipeline.search.in_blocks import TRIED
+from nanogs.pipeline.search.job_results import COUNT, MARKED, JobResults
+from nanogs.pipeline.search.psnr import SPAN
 from nanogs.report import StopReason
 from nanogs.scoring.file_judge import file_judge
 
@@ -232,7 +232,7 @@ def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
     """As if the model had been measured otherwise by then."""
     out = tmp_path / "a.spz"
     job = killed_at_the_end(scene, out, monkeypatch, size=40_000)
-    monkeypatch.setattr("nanogs.pipeline.pack.guess_count", lambda *_: 123)
+    monkeypatch.setattr("nanogs.pipeline.search.packer.guess_count", lambda *_: 123)
     with pytest.raises(OutputError, match=r"belongs to another search, which tried .* and not 123"):
         nanogs.simplify_blocks(scene, out, size=40_000, resume=True, **QUICK)
     record = json.loads((job / "scratch" / f"{MARKED}-0-00000.json").read_bytes())
@@ -240,7 +240,7 @@ def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
 
 
 def test_what_is_too_large_to_be_written_whole_is_said(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("nanogs.pipeline.search.row_bytes", lambda _: 10**9)
+    monkeypatch.setattr("nanogs.pipeline.search.in_blocks.row_bytes", lambda _: 10**9)
     given = {"size": 40_000, "preset": "fast", "job": tmp_path / "job", "max_memory": "1GB"}
     with pytest.raises(OptionError, match=r"a\.sog: \.sog is not written block by block"):
         nanogs.simplify_blocks(scene, tmp_path / "a.sog", **given)

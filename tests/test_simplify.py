@@ -18,8 +18,8 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.method import match as match_stage
 from nanogs.method.paper import passes
 from nanogs.method.paper.prune import prune
-from nanogs.pipeline.presets import PRESETS
-from nanogs.pipeline.target import target_count
+from nanogs.pipeline.options.presets import PRESETS
+from nanogs.pipeline.options.target import target_count
 from nanogs.report import StopReason
 from nanogs.splats import ExtraElement, Splats
 

@@ -13,11 +13,11 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.io import registry
 from nanogs.io.ply import write as ply_write
 from nanogs.pipeline import one_block as pipeline_run
-from nanogs.pipeline.fit_size import ENOUGH, search_fit
-from nanogs.pipeline.fit_size import MOST_PROBES as FIT_PROBES
-from nanogs.pipeline.fit_size import TOLERANCE as CLOSE
-from nanogs.pipeline.psnr_search import MOST_PROBES, SPAN, STEPS, search_count
-from nanogs.pipeline.target import Goal, count_for_size
+from nanogs.pipeline.options.target import Goal, count_for_size
+from nanogs.pipeline.search.file_size import ENOUGH, search_fit
+from nanogs.pipeline.search.file_size import MOST_PROBES as FIT_PROBES
+from nanogs.pipeline.search.file_size import TOLERANCE as CLOSE
+from nanogs.pipeline.search.psnr import MOST_PROBES, SPAN, STEPS, search_count
 from nanogs.report import StopReason
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.scoring.held_out import held_out

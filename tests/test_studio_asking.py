@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from builders import cloud_pair
-from nanogs.pipeline.target import Goal
+from nanogs.pipeline.options.target import Goal
 from nanogs.studio import asking
 from nanogs.studio.asking import QUICK, TRIES, UNSEEN, RequestHandler
 from nanogs.studio.choice import choice_of

@@ -16,7 +16,7 @@ from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method import visibility
 from nanogs.method.parameters import PICTURES, ForestParameters
 from nanogs.pipeline import run
-from nanogs.pipeline.fitting import HIDDEN, weights_of_colours
+from nanogs.pipeline.tasks.fitting import HIDDEN, weights_of_colours
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason

@@ -12,7 +12,7 @@ from builders import random_splats
 from launch import run
 from nanogs.errors import CrowdedError, TooSmallError, UnstorableError
 from nanogs.io import registry
-from nanogs.pipeline.fit_size import MOST_PROBES, search_fit
+from nanogs.pipeline.search.file_size import MOST_PROBES, search_fit
 from nanogs.views.opening import opening_for
 from wishing import FEW, Wish, draw, fulfil
 

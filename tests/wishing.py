@@ -17,7 +17,7 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import NanogsError, NotEnoughMemoryError
 from nanogs.io import encoded_bytes, registry
-from nanogs.pipeline.fit_size import ENOUGH
+from nanogs.pipeline.search.file_size import ENOUGH
 from nanogs.report import SimplifyReport
 from nanogs.splats import ExtraElement, RenderMode, Splats
 

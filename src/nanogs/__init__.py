@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from nanogs.pipeline.files import simplify_blocks
     from nanogs.pipeline.grown import Grown, Measured, grow
     from nanogs.pipeline.levels import levels
-    from nanogs.pipeline.presets import PRESETS as presets  # noqa: N811 - read like a module
+    from nanogs.pipeline.options.presets import PRESETS as presets  # noqa: N811 - read like a module
     from nanogs.place import Place
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
@@ -100,7 +100,7 @@ _HOMES = {
     "mode_evidence": "scoring.modes",
     "open": "io",
     "packing_cost": "scoring.packing_cost",
-    "presets": "pipeline.presets",
+    "presets": "pipeline.options.presets",
     "refit": "fit.api",
     "render": "views.api",
     "save": "io",

@@ -19,7 +19,7 @@ from nanogs.io.frames import keep_stated_frame
 from nanogs.io.parts import FileSource, level_note
 from nanogs.io.url_files import local_copies
 from nanogs.io.urls import place
-from nanogs.pipeline.weights import read_weight, write_weight
+from nanogs.pipeline.estimates.stage_weights import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.ranges import as_switch

@@ -24,10 +24,10 @@ from nanogs.lod.environment import Shell, find_environment
 from nanogs.lod.layout import Layout
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.pipeline.api import simplify
-from nanogs.pipeline.job import NanPolicy
+from nanogs.pipeline.in_memory import NanPolicy
+from nanogs.pipeline.job.rows import open_parts
 from nanogs.pipeline.reading import prepare, read_parts
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.rows import open_parts
 from nanogs.ranges import is_number, value_text
 from nanogs.report import SimplifyReport
 from nanogs.sink import Environment, Read

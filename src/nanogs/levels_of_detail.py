@@ -28,15 +28,15 @@ from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.lod.usual import default_ratios
 from nanogs.pipeline.api import refuse_device
+from nanogs.pipeline.estimates.durations import levels_stages
+from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.files import cameras_of, fitted_for, stated_frame
 from nanogs.pipeline.in_blocks import fill_in_blocks
-from nanogs.pipeline.job import import_stages
+from nanogs.pipeline.in_memory import import_stages
 from nanogs.pipeline.levels import checked_ratios, judged_levels
+from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
-from nanogs.pipeline.stage_estimates import levels_stages
-from nanogs.pipeline.target import Goal, target_count
-from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.place import Place
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes

@@ -51,7 +51,7 @@ def warm(workers: int | None = None, progress: Progress | None = None) -> Compil
     from numba.core import config
 
     from nanogs.kernels.needed import needed
-    from nanogs.pipeline.cluster import processes
+    from nanogs.pipeline.job.cluster import processes
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         raise OptionError("NUMBA_DISABLE_JIT is set, so that nothing is compiled; unset it.")

@@ -15,7 +15,7 @@ from nanogs.bench.worker import Job, run_job
 from nanogs.errors import NanogsError, OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect, load, losses, save
-from nanogs.pipeline.target import target_count
+from nanogs.pipeline.options.target import target_count
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, prepare, render
 from nanogs.scoring.scores import ModelScore, score

@@ -11,8 +11,8 @@ from typing import Any
 from nanogs.bench.baselines import BASELINES, Method, MethodContext
 from nanogs.errors import OptionError
 from nanogs.pipeline.api import refuse_searches, simplify
-from nanogs.pipeline.presets import PRESETS, parameters, renders
-from nanogs.pipeline.target import Goal
+from nanogs.pipeline.options.presets import PRESETS, parameters, renders
+from nanogs.pipeline.options.target import Goal
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 

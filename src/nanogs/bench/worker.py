@@ -17,7 +17,7 @@ from nanogs.cleanup import cleaned_up, starting_processes
 from nanogs.errors import NanogsError
 from nanogs.io import encoded_bytes, load, save
 from nanogs.kernels.compiling import watching
-from nanogs.pipeline.target import target_count
+from nanogs.pipeline.options.target import target_count
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 

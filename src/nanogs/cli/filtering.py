@@ -7,7 +7,7 @@ from nanogs.cli.console import warn
 from nanogs.cli.file_options import Edits
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
-from nanogs.pipeline.rows import Changes
+from nanogs.pipeline.job.rows import Changes
 from nanogs.splats import MAX_SH_DEGREE
 
 

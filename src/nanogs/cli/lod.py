@@ -121,7 +121,7 @@ def lod(
         from nanogs.io.url_files import refuse_address
         from nanogs.lod.layout import chunks_of, output_of
         from nanogs.pipeline.levels import checked_ratios
-        from nanogs.pipeline.target import Goal
+        from nanogs.pipeline.options.target import Goal
 
     # All checks are made before minutes of computing.
     method.check(paths)

@@ -21,8 +21,8 @@ from nanogs.io.collect import Pair
 from nanogs.levels_of_detail import sink_of, usual_levels, write_levels_of_files
 from nanogs.lod.layout import Layout, Output
 from nanogs.lod.manifest import ChunkedLevel, Level
+from nanogs.pipeline.options.target import target_count
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.target import target_count
 from nanogs.progress import Progress
 from nanogs.switches import SCREEN, SwitchQuality
 

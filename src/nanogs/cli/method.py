@@ -14,8 +14,8 @@ from nanogs.cli.looking import refuse_beside_file
 from nanogs.errors import OptionError
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.cameras import refuse_unused_views
-from nanogs.pipeline.presets import (
+from nanogs.pipeline.options.cameras import refuse_unused_views
+from nanogs.pipeline.options.presets import (
     DEFAULT_PRESET,
     PRESETS,
     SUMMARIES,

@@ -19,17 +19,17 @@ from nanogs.kernels.compiling import when_compiling
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
-from nanogs.pipeline.cluster import executor_of
-from nanogs.pipeline.fit_size import first_two
+from nanogs.pipeline.estimates.block_plan import ScalePlan
+from nanogs.pipeline.estimates.memory import MemoryPlan
 from nanogs.pipeline.in_blocks import block_memory, count_of, plan_job
-from nanogs.pipeline.job import import_stages, usable_rows
-from nanogs.pipeline.memory import MemoryPlan
-from nanogs.pipeline.plan import ScalePlan
-from nanogs.pipeline.presets import DEFAULT_PRESET, effective, renders
+from nanogs.pipeline.in_memory import import_stages, usable_rows
+from nanogs.pipeline.job.cluster import executor_of
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, effective, renders
+from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.reading import inspect_parts, prepare, read_parts
 from nanogs.pipeline.request import Request, is_measured, memory_of, plan_files
-from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.target import Goal
+from nanogs.pipeline.search.file_size import first_two
 
 T = TypeVar("T")
 _LIBRARIES = f"{bytes_text(LIBRARIES)} for Python and its libraries"

@@ -3,7 +3,7 @@
 from dataclasses import asdict
 
 from nanogs.cli import options
-from nanogs.pipeline.presets import DEFAULT_PRESET, PRESETS, SUMMARIES, effective
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, PRESETS, SUMMARIES, effective
 
 
 def presets(json: options.Json = False) -> None:

@@ -109,7 +109,7 @@ def _refit_files(
     from nanogs.fit.api import refit as library_refit
     from nanogs.io import losses, save
     from nanogs.io import open as open_model
-    from nanogs.pipeline.cameras import fit_cameras
+    from nanogs.pipeline.options.cameras import fit_cameras
     from nanogs.progress import Tracker
     from nanogs.threads import use_threads
 
@@ -149,7 +149,7 @@ def _stages(
     """Return the stages: reading, those of the fit, writing."""
     from nanogs.fit.stages import refit_stages
     from nanogs.io import inspect
-    from nanogs.pipeline.weights import read_weight, write_weight
+    from nanogs.pipeline.estimates.stage_weights import read_weight, write_weight
     from nanogs.progress import Stage
 
     splats, count = inspect(original).splats, inspect(small).splats

@@ -75,7 +75,7 @@ def simplify(
         from nanogs.cli import many, plan, simplify_run
         from nanogs.cli.simplify_report import print_report
         from nanogs.io.collect import collect
-        from nanogs.pipeline.target import Goal
+        from nanogs.pipeline.options.target import Goal
 
     # All checks are made here, before minutes of computing.
     joined = tuple(collect(paths[:-1])) if method.blocks.join else ()

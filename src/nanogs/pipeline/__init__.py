@@ -1,4 +1,8 @@
-"""The simplification pipeline: `api` checks the arguments, `run` runs the stages in order.
+"""The simplification pipeline, from a request to a report.
+
+`api` and `files` check the arguments, `stages` is the table of all stages, and `run` runs them in
+order, for a model in memory (`in_memory`) or in blocks (`in_blocks`). The folders hold what these
+use: `options`, `estimates`, `tasks` (the work of each stage), `search` and `job`.
 
 Importing this package imports no Numba; the stages do.
 """

@@ -14,24 +14,24 @@ from nanogs.frames import change_frame, checked_frames
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
-from nanogs.pipeline.job import Job, NanPolicy, prepare_job
-from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.presets import (
+from nanogs.pipeline.in_memory import Job, NanPolicy, prepare_job
+from nanogs.pipeline.options.presets import (
     DEFAULT_PRESET,
     Parameters,
     parameters,
     refuse_search,
     renders,
 )
-from nanogs.pipeline.target import Goal, count_for_size, is_searched
+from nanogs.pipeline.options.target import Goal, count_for_size, is_searched
+from nanogs.pipeline.outcome import Outcome
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
 if TYPE_CHECKING:
-    from nanogs.pipeline.held_files import HeldFiles
-    from nanogs.pipeline.size_request import SizeRequest
+    from nanogs.pipeline.options.size import SizeRequest
+    from nanogs.pipeline.search.held_files import HeldFiles
     from nanogs.views.cameras import Cameras
 
 
@@ -120,8 +120,8 @@ def simplify(
     check_degree(sh_degree)
     frame = checked_frames(frame)
     # Imported here because this imports Numba, which `--help` and `info` do without.
-    from nanogs.pipeline.held_files import HeldFiles
-    from nanogs.pipeline.stage_estimates import simplify_stages
+    from nanogs.pipeline.estimates.durations import simplify_stages
+    from nanogs.pipeline.search.held_files import HeldFiles
     from nanogs.threads import use_threads
 
     with (
@@ -163,7 +163,7 @@ def simplify(
 
 def _with_size_notes(outcome: Outcome, size: int, available: int, path: Path) -> Outcome:
     """Add a note on why much of the size is unused, if it is."""
-    from nanogs.pipeline.fit_size import WHOLE_FITS, notes_on_known
+    from nanogs.pipeline.search.file_size import WHOLE_FITS, notes_on_known
 
     small, file_bytes = outcome.splats, registry.writable(path).file_bytes
     notes: tuple[str, ...] = (WHOLE_FITS,) if len(small) == available else ()
@@ -267,7 +267,7 @@ def refuse_small(wish: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
     Raises:
         TooSmallError: The size is far too small.
     """
-    from nanogs.pipeline.fit_size import refuse_hopeless
+    from nanogs.pipeline.search.file_size import refuse_hopeless
 
     smallest = wish.smallest(some.sh_degree)
     lowest = some.with_sh_degree(smallest.sh_degree)
@@ -280,10 +280,10 @@ def refuse_small(wish: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
 def _search_size(
     job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
-    from nanogs.pipeline.pack import Packer
-    from nanogs.pipeline.results import HeldResults
-    from nanogs.pipeline.size_request import SizeRequest
-    from nanogs.pipeline.sized import fill_size
+    from nanogs.pipeline.options.size import SizeRequest
+    from nanogs.pipeline.search.filled import fill_size
+    from nanogs.pipeline.search.packer import Packer
+    from nanogs.pipeline.search.results import HeldResults
 
     usable, clock = job.splats.take(job.rows), files.clock
     known, looks = registry.writable(files.path), renders(job.parameters)
@@ -306,10 +306,10 @@ def _search_size(
 def _search_psnr(
     job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
-    from nanogs.pipeline.pack import PackingForPsnr
-    from nanogs.pipeline.psnr_search import reach_psnr
-    from nanogs.pipeline.results import HeldResults
-    from nanogs.pipeline.size_request import SizeRequest
+    from nanogs.pipeline.options.size import SizeRequest
+    from nanogs.pipeline.search.packer import PackingForPsnr
+    from nanogs.pipeline.search.psnr import reach_psnr
+    from nanogs.pipeline.search.results import HeldResults
     from nanogs.scoring.held_out import held_out
 
     clock = files.clock
@@ -342,8 +342,8 @@ def _search_psnr(
 def _search_draw_cost(
     job: Job, asked: float, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
-    from nanogs.pipeline.draw_cost_search import search_draw_cost
-    from nanogs.pipeline.results import HeldResults
+    from nanogs.pipeline.search.draw_cost import search_draw_cost
+    from nanogs.pipeline.search.results import HeldResults
     from nanogs.scoring.draw_views import draw_views
 
     clock = files.clock

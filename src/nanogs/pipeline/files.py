@@ -20,14 +20,14 @@ from nanogs.io.limits import degree_left_out
 from nanogs.io.url_files import local_copies
 from nanogs.io.urls import place
 from nanogs.pipeline.api import simplify
-from nanogs.pipeline.cameras import chosen_cameras
+from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
-from nanogs.pipeline.job import NanPolicy, import_stages
-from nanogs.pipeline.presets import DEFAULT_PRESET, renders
+from nanogs.pipeline.in_memory import NanPolicy, import_stages
+from nanogs.pipeline.options.cameras import chosen_cameras
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, renders
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.reading import read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
-from nanogs.pipeline.target import Goal
-from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
@@ -246,7 +246,7 @@ def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
     """
     if (sizer := request.sizer) is None or request.goal.size is None:
         return ()
-    from nanogs.pipeline.fit_size import notes_on_known
+    from nanogs.pipeline.search.file_size import notes_on_known
 
     with open_model(request.output) as file:
         like = no_splats(file.columns)
@@ -324,7 +324,7 @@ def cameras_of(request: Request, splats: Splats) -> "Sequence[Camera] | None":
 
 def _stages(request: Request, plan: Plan) -> list[Stage]:
     """List the stages of the call: reading, filters, those of the method, writing, measuring."""
-    from nanogs.pipeline.stage_estimates import simplify_stages
+    from nanogs.pipeline.estimates.durations import simplify_stages
 
     splats, suffix, goal = plan.splats, request.output.suffix, request.goal
     count = goal.known_count(splats)

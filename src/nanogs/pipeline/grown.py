@@ -13,10 +13,10 @@ from nanogs.io import encoded_bytes, registry, round_trip_with_size
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
-from nanogs.pipeline.job import Job, NanPolicy, prepare_job
+from nanogs.pipeline.in_memory import Job, NanPolicy, prepare_job
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters, refuse_search
+from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search
-from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Parts, Progress, Stage, Tracker
 from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
@@ -69,7 +69,7 @@ class Grown:
             device: Device on which results are rendered and fitted.
             threads: Number of threads; None for all.
         """
-        from nanogs.pipeline.results import HeldResults
+        from nanogs.pipeline.search.results import HeldResults
 
         self._original, self._job, self._scene = original, job, scene
         self._device, self._threads = device, threads
@@ -113,7 +113,7 @@ class Grown:
             OptionError: The count is below 1, or above the number of usable splats.
             ModelError: Other elements of the file have a row for each splat, which would be lost.
         """
-        from nanogs.pipeline.stage_estimates import delivery_stages
+        from nanogs.pipeline.estimates.durations import delivery_stages
 
         self._check(count)
         job, start, clock = self._job, time.perf_counter(), StageClock()
@@ -232,7 +232,7 @@ def grow(
     # A PSNR as the goal: `measure` renders, so that a card has work even if the preset does not.
     refuse_device(device, preset, chosen, Goal(psnr=1.0))
     check_degree(sh_degree)
-    from nanogs.pipeline.stage_estimates import build_stages
+    from nanogs.pipeline.estimates.durations import build_stages
 
     with show_progress(progress) as tell, _on(device, threads) as (_, used):
         original = as_splats(model)

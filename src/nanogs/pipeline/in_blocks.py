@@ -15,22 +15,22 @@ from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.folder import read_manifest
-from nanogs.pipeline.plan import (
+from nanogs.pipeline.estimates.block_plan import (
     ScalePlan,
     plan_blocks,
 )
-from nanogs.pipeline.presets import parameters, renders
-from nanogs.pipeline.rows import (
+from nanogs.pipeline.job.folder import read_manifest
+from nanogs.pipeline.job.rows import (
     count_filtered,
     look_at,
     open_parts,
     refuse_large_whole,
     segments_of,
 )
-from nanogs.pipeline.settings import SearchTarget, Settings
-from nanogs.pipeline.target import Goal, count_for_size, target_count
-from nanogs.pipeline.unpack import cost_of
+from nanogs.pipeline.options.presets import parameters, renders
+from nanogs.pipeline.options.settings import SearchTarget, Settings
+from nanogs.pipeline.options.target import Goal, count_for_size, target_count
+from nanogs.pipeline.tasks.unpack import cost_of
 from nanogs.progress import Progress
 from nanogs.protocol import PIXELS, VIEWS
 from nanogs.report import SimplifyReport
@@ -69,9 +69,9 @@ def fill_in_blocks(
     )  # fmt: skip
     settings, divided = plan_job(request, max_memory, block)
     # Imported here because these import Numba, which `--help` and `info` do without.
-    from nanogs.pipeline.job_report import report_of
-    from nanogs.pipeline.result_writer import ResultWriter
-    from nanogs.pipeline.stored_job import BlockJob, Execution
+    from nanogs.pipeline.job.report import report_of
+    from nanogs.pipeline.job.result_writer import ResultWriter
+    from nanogs.pipeline.job.stored import BlockJob, Execution
 
     if settings.search is None:
         most = count_of(goals[0], settings.splats, settings.result_layout, request.sizer)
@@ -87,7 +87,7 @@ def fill_in_blocks(
 
     search = None
     if settings.search is not None:
-        from nanogs.pipeline.search import Search
+        from nanogs.pipeline.search.in_blocks import Search
 
         search = Search(request.output, request.format_options, folder, max_memory).find
     measured = bool(request.measured) and request.goal.psnr is None

@@ -12,10 +12,10 @@ from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
-from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job
-from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
-from nanogs.pipeline.target import Goal, target_count
-from nanogs.pipeline.weights import level_stage
+from nanogs.pipeline.estimates.stage_weights import level_stage
+from nanogs.pipeline.in_memory import Deliver, Job, NanPolicy, prepare_job
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters
+from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport
 from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
@@ -119,7 +119,7 @@ def judged_levels(
     refuse_misaligned_elements(job.splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
     job.refuse_too_large(counts[0], max_memory, judged=judged)
-    from nanogs.pipeline.stage_estimates import levels_stages
+    from nanogs.pipeline.estimates.durations import levels_stages
 
     stages = levels_stages(job.parameters, len(job.rows), counts)
     return _drawn(job, ratios, device, threads, progress, stages)
@@ -196,7 +196,7 @@ def _level(
     start: float,
     progress: Tracker,
 ) -> tuple[Splats, SimplifyReport]:
-    from nanogs.pipeline.stage_estimates import delivery_stages
+    from nanogs.pipeline.estimates.durations import delivery_stages
 
     target = target_count(len(job.rows), ratio, None)
     stages = delivery_stages(job.parameters, len(job.rows), target)

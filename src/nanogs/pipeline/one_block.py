@@ -24,11 +24,11 @@ from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import DECIDING, MissedLight, shown_share, visible_weights
-from nanogs.pipeline.partition import Partition
+from nanogs.pipeline.options.settings import Access, InputFile, Segment, Settings
 from nanogs.pipeline.scene import LIGHT, ROUNDS, Block, FitViews, Members, Scene, Task, ViewLight
-from nanogs.pipeline.settings import Access, InputFile, Segment, Settings
-from nanogs.pipeline.units import viewers_of
-from nanogs.pipeline.views import Views
+from nanogs.pipeline.tasks.partition import Partition
+from nanogs.pipeline.tasks.units import viewers_of
+from nanogs.pipeline.tasks.views import Views
 from nanogs.progress import Parts, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render

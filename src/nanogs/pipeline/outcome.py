@@ -67,7 +67,7 @@ def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
         scene: A model in memory, or a scene in blocks; all of its stages are done.
         level: Of the result.
     """
-    from nanogs.pipeline.trials import reports_of  # imported late: it imports Numba
+    from nanogs.pipeline.tasks.trials import reports_of  # imported late: it imports Numba
 
     looked = scene.views.notes if scene.settings.looks else ()
     shown = scene.shown if scene.merges(level) and scene.looks else None

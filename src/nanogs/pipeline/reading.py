@@ -8,8 +8,8 @@ from typing import NamedTuple
 from nanogs.clock import StageClock
 from nanogs.filters import FilterReport, apply
 from nanogs.io import FileInfo, inspect, load
-from nanogs.pipeline.rows import Changes, open_parts
-from nanogs.pipeline.weights import read_weight
+from nanogs.pipeline.estimates.stage_weights import read_weight
+from nanogs.pipeline.job.rows import Changes, open_parts
 from nanogs.progress import Stage, Tracker
 from nanogs.source import Joined
 from nanogs.splats import Splats

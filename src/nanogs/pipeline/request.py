@@ -19,14 +19,14 @@ from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.memory import Memory, allowed_memory
 from nanogs.pipeline.api import refuse_device, refuse_searches, refuse_small
-from nanogs.pipeline.cameras import refuse_unused_views
-from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
-from nanogs.pipeline.job import NanPolicy
-from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory, plan_writing
-from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
-from nanogs.pipeline.requested_views import AUTO, requested_views
-from nanogs.pipeline.rows import Changes, check_nan, open_parts
-from nanogs.pipeline.target import Goal, is_searched, target_count
+from nanogs.pipeline.estimates.memory import MemoryPlan, plan_chunks, plan_memory, plan_writing
+from nanogs.pipeline.in_memory import NanPolicy
+from nanogs.pipeline.job.folder import MANIFEST, job_folder, refuse_finished
+from nanogs.pipeline.job.rows import Changes, check_nan, open_parts
+from nanogs.pipeline.options.cameras import refuse_unused_views
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, Parameters, parameters, renders
+from nanogs.pipeline.options.target import Goal, is_searched, target_count
+from nanogs.pipeline.options.views import AUTO, requested_views
 from nanogs.ranges import as_switch, is_number
 from nanogs.source import Joined
 from nanogs.splats import Splats, check_degree
@@ -191,8 +191,8 @@ class Request:
         """
         if self.goal.size is None:
             return
-        from nanogs.pipeline.held_files import HeldFiles
-        from nanogs.pipeline.size_request import SizeRequest
+        from nanogs.pipeline.options.size import SizeRequest
+        from nanogs.pipeline.search.held_files import HeldFiles
 
         known, given = registry.writable(self.output), self.format_options or {}
         looks = renders(self.parameters)

@@ -7,9 +7,9 @@ from typing import Any, Protocol
 
 from nanogs.clock import StageClock
 from nanogs.pipeline.one_block import OneBlock
+from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.outcome import Outcome, outcome_of
 from nanogs.pipeline.scene import Scene, Task
-from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.stages import JobStage, do, held_stages, stages_of
 from nanogs.pipeline.work import BEGUN, Work
 from nanogs.progress import Tracker, ignore_progress

@@ -17,9 +17,9 @@ from nanogs.fit.targets import Fitting, Target
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups
 from nanogs.method.visibility import MissedLight
-from nanogs.pipeline.partition import Partition
-from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.views import Views
+from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.tasks.partition import Partition
+from nanogs.pipeline.tasks.views import Views
 from nanogs.progress import Parts
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering

@@ -13,24 +13,30 @@ import numpy as np
 
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.method.choose import GROWTHS
-from nanogs.pipeline.blocks import leaves_of
-from nanogs.pipeline.budget import budget
-from nanogs.pipeline.chunked import write_cells, write_chunks
-from nanogs.pipeline.coarse import outline_counts, write_coarse
-from nanogs.pipeline.cuts import write_cut
-from nanogs.pipeline.fitting import fit_part
-from nanogs.pipeline.forests import grow
-from nanogs.pipeline.linked import linked_levels, write_tree
-from nanogs.pipeline.look import choose_views, look_at_block
-from nanogs.pipeline.memory_blocks import COARSE_SHARES
-from nanogs.pipeline.partition import partition
-from nanogs.pipeline.parts import write_rest
-from nanogs.pipeline.presets import renders
+from nanogs.pipeline.estimates.memory_blocks import COARSE_SHARES
+from nanogs.pipeline.estimates.stage_weights import (
+    Load,
+    fitting_seconds,
+    looking_seconds,
+    roaming_seconds,
+)
+from nanogs.pipeline.options.presets import renders
+from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.options.target import target_count
 from nanogs.pipeline.scene import Scene, Task
-from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.sorted_segments import spill
-from nanogs.pipeline.target import target_count
-from nanogs.pipeline.trials import (
+from nanogs.pipeline.tasks.blocks import leaves_of
+from nanogs.pipeline.tasks.budget import budget
+from nanogs.pipeline.tasks.chunked import write_cells, write_chunks
+from nanogs.pipeline.tasks.coarse import outline_counts, write_coarse
+from nanogs.pipeline.tasks.cuts import write_cut
+from nanogs.pipeline.tasks.fitting import fit_part
+from nanogs.pipeline.tasks.forests import grow
+from nanogs.pipeline.tasks.linked import linked_levels, write_tree
+from nanogs.pipeline.tasks.look import choose_views, look_at_block
+from nanogs.pipeline.tasks.partition import partition
+from nanogs.pipeline.tasks.parts import write_rest
+from nanogs.pipeline.tasks.sorted_segments import spill
+from nanogs.pipeline.tasks.trials import (
     choose,
     grows_on,
     growth_stage,
@@ -39,13 +45,7 @@ from nanogs.pipeline.trials import (
     try_growth,
     try_reassigned,
 )
-from nanogs.pipeline.unpack import unpack
-from nanogs.pipeline.weights import (
-    Load,
-    fitting_seconds,
-    looking_seconds,
-    roaming_seconds,
-)
+from nanogs.pipeline.tasks.unpack import unpack
 from nanogs.pipeline.work import Work
 from nanogs.store.tables import Record, write_table
 from nanogs.threads import use_threads

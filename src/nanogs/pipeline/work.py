@@ -18,7 +18,12 @@ from nanogs.fit.targets import Target, as_target
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import SHOWN, MissedLight
-from nanogs.pipeline.block_visibility import (
+from nanogs.pipeline.estimates.memory_blocks import FINE, ROUGH
+from nanogs.pipeline.job.rows import sample
+from nanogs.pipeline.options.cameras import fit_cameras
+from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.scene import Block, FitViews, Members, Scene, Task, ViewLight
+from nanogs.pipeline.tasks.block_visibility import (
     VISIBLE,
     closer_views,
     hidden_weight,
@@ -27,20 +32,15 @@ from nanogs.pipeline.block_visibility import (
     typical_weight,
     write_look,
 )
-from nanogs.pipeline.blocks import Visibility, leaves_of, morton_rows, read_block, with_codes
-from nanogs.pipeline.cameras import fit_cameras
-from nanogs.pipeline.coarse import coarse_scene, surroundings
-from nanogs.pipeline.cuts import LABELS, cut_block
-from nanogs.pipeline.fitting import fit_report, fit_views, notes_on_fits
-from nanogs.pipeline.forests import grow, passes_of
-from nanogs.pipeline.halo import Halo, find_halo, near_groups
-from nanogs.pipeline.memory_blocks import FINE, ROUGH
-from nanogs.pipeline.partition import Partition, partition_of
-from nanogs.pipeline.parts import read_part
-from nanogs.pipeline.rows import sample
-from nanogs.pipeline.scene import Block, FitViews, Members, Scene, Task, ViewLight
-from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.settle import (
+from nanogs.pipeline.tasks.blocks import Visibility, leaves_of, morton_rows, read_block, with_codes
+from nanogs.pipeline.tasks.coarse import coarse_scene, surroundings
+from nanogs.pipeline.tasks.cuts import LABELS, cut_block
+from nanogs.pipeline.tasks.fitting import fit_report, fit_views, notes_on_fits
+from nanogs.pipeline.tasks.forests import grow, passes_of
+from nanogs.pipeline.tasks.halo import Halo, find_halo, near_groups
+from nanogs.pipeline.tasks.partition import Partition, partition_of
+from nanogs.pipeline.tasks.parts import read_part
+from nanogs.pipeline.tasks.settle import (
     GONE,
     GROUP,
     read_cover,
@@ -49,9 +49,9 @@ from nanogs.pipeline.settle import (
     view_of,
     write_settled,
 )
-from nanogs.pipeline.units import Units, survey, units_of
-from nanogs.pipeline.unpack import Unpacked
-from nanogs.pipeline.views import Views, parts_of, views_of
+from nanogs.pipeline.tasks.units import Units, survey, units_of
+from nanogs.pipeline.tasks.unpack import Unpacked
+from nanogs.pipeline.tasks.views import Views, parts_of, views_of
 from nanogs.progress import Parts, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, concatenated, prepare, render

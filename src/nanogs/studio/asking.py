@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
 
-from nanogs.pipeline.target import Goal
+from nanogs.pipeline.options.target import Goal
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.splats import Splats
 from nanogs.studio.choice import Choice, FilterChoice

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nanogs.errors import OptionError, did_you_mean
-from nanogs.pipeline.target import Goal
+from nanogs.pipeline.options.target import Goal
 
 PRESETS = ("fast", "default", "best")  # these grow a forest, so that any count is made quickly
 UPS = ("+x", "-x", "+y", "-y", "+z", "-z")

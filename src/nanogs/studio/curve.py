@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nanogs.pipeline.target import Goal
+from nanogs.pipeline.options.target import Goal
 
 RATIOS = (0.05, 0.01, 0.2, 0.5, 0.1, 0.02)  # measured in this order while there are no requests
 _GUESS = 0.1  # share of the splats to begin with for a PSNR, if nothing was measured

@@ -4,7 +4,7 @@ from typing import Any
 
 from nanogs.ahead import compile_ahead, nothing_compiled
 from nanogs.kernels.compiling import when_compiling
-from nanogs.pipeline.presets import DEFAULT_PRESET
+from nanogs.pipeline.options.presets import DEFAULT_PRESET
 from nanogs.progress import Stage, Tracker
 from nanogs.studio import opening, saving
 from nanogs.studio.asking import RequestHandler, Telling

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, TypeAlias
 from nanogs._types import Bool
 from nanogs.filters import FilterReport, apply_with_mask
 from nanogs.io import encoded_bytes, load, registry
-from nanogs.pipeline.cameras import requested_cameras
-from nanogs.pipeline.presets import PRESETS, renders
+from nanogs.pipeline.options.cameras import requested_cameras
+from nanogs.pipeline.options.presets import PRESETS, renders
 from nanogs.progress import Progress
 from nanogs.splats import Splats
 from nanogs.studio.choice import Choice, FilterChoice

@@ -11,9 +11,9 @@ from nanogs.formatting import counted
 from nanogs.io import check_writable, registry
 from nanogs.levels_of_detail import sink_of
 from nanogs.lod.layout import Output, chunks_of, output_of
-from nanogs.pipeline.presets import DEFAULT_PRESET, PRESETS, renders
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, PRESETS, renders
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.target import Goal
 from nanogs.studio.choice import Choice, FilterChoice
 from nanogs.studio.scene import Scene, StudioSettings
 from nanogs.studio.turning import direction_of, frames_to, refuse_stated, turned

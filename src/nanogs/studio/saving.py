@@ -8,8 +8,8 @@ from typing import Any
 import nanogs
 from nanogs.formatting import counted, number_text, plain, time_text
 from nanogs.io import bytes_on_disk
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request, plan_files
-from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress
 from nanogs.report import SimplifyReport, stop_text
 from nanogs.studio.held import WorkerCache

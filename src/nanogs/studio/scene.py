@@ -7,7 +7,7 @@ from nanogs.errors import OptionError
 from nanogs.io import open as open_model
 from nanogs.io import registry
 from nanogs.io.url_files import refuse_address
-from nanogs.pipeline.presets import DEFAULT_PRESET
+from nanogs.pipeline.options.presets import DEFAULT_PRESET
 from nanogs.studio.choice import PRESETS
 from nanogs.studio.turning import stated_up, states_frame
 

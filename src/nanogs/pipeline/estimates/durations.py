@@ -1,0 +1,138 @@
+"""Lists of the stages of each call and their estimated durations, for its progress."""
+
+from collections.abc import Sequence
+
+from nanogs.block_layouts import Linked
+from nanogs.method.paper.parameters import PaperParameters
+from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.estimates.stage_weights import (
+    COUNTS,
+    PACKINGS,
+    RESULTS,
+    SIZES,
+    Load,
+    level_stage,
+    measure_stage,
+    published_stages,
+    write_weight,
+)
+from nanogs.pipeline.options.presets import Parameters, renders
+from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.stages import STAGES, level_stages, stages_of
+from nanogs.progress import Stage
+
+
+def job_stages(settings: Settings) -> list[Stage]:
+    """List the stages of a job in blocks, each weighted by its estimated duration."""
+    ratios = settings.ratios or tuple(count / settings.splats for count in settings.counts)
+    packing = settings.chunks.weight if settings.chunks else 1.0
+    stages = []
+    for stage, level in stages_of(settings):
+        share = ratios[level] if stage.levels is None else 1.0
+        load = Load(settings.parameters, settings.splats / 1e6, share * settings.splats / 1e6)
+        stages.append(
+            Stage(stage.name, packing * load.left if stage.name == "chunk" else stage.weight(load))
+        )
+    if (sought := settings.search) is not None:
+        splats = settings.splats
+        before, after = search_stages(
+            sought.is_measured, settings.parameters, splats, sought.suffix
+        )
+        stages += [*before, *after]
+    chunks = settings.chunks
+    writing = chunks.weight * sum(ratios) if isinstance(chunks, Linked) else 0.1
+    return [*stages, Stage("write", writing * settings.splats / 1e6)]
+
+
+def result_stages(settings: Settings, count: int) -> list[Stage]:
+    """List the stages of one result of a job in blocks."""
+    load = Load(settings.parameters, settings.splats / 1e6, count / 1e6)
+    return [Stage(stage.name, stage.weight(load)) for stage, _ in level_stages(settings, 0)]
+
+
+def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
+    """List the stages of a model in memory that run once, whatever the count.
+
+    Args:
+        parameters: Of the method; for `paper` there are none: everything runs for each count.
+        splats: Number of splats of the model.
+    """
+    return _weighed(parameters, splats, splats, results=False)
+
+
+def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Stage]:
+    """List the stages of a model in memory that run for each count."""
+    if isinstance(parameters, PaperParameters):
+        return published_stages(splats)
+    return _weighed(parameters, splats, count, results=True)
+
+
+def _weighed(parameters: Parameters, splats: int, count: int, *, results: bool) -> list[Stage]:
+    if isinstance(parameters, PaperParameters):
+        return []
+    load = Load(parameters, splats / 1e6, count / 1e6)
+    wanted = (
+        stage
+        for stage in STAGES.values()
+        if stage.held and (stage.levels is None) == results and stage.wanted(load)
+    )
+    return [Stage(stage.name, stage.weight(load)) for stage in wanted]
+
+
+def simplify_stages(
+    parameters: Parameters, goal: Goal, splats: int, count: int | None, suffix: str
+) -> list[Stage]:
+    """List the stages of `simplify`.
+
+    Args:
+        parameters: Parameters of the method.
+        goal: The target of the simplification.
+        splats: Number of splats of the model.
+        count: The count that meets the goal, or None if it has to be searched for.
+        suffix: Suffix of the file that a size refers to.
+    """
+    once = build_stages(parameters, splats)
+    if isinstance(parameters, PaperParameters) or count is not None:
+        return [*once, *delivery_stages(parameters, splats, count or splats)]
+    before, after = search_stages(goal.is_measured, parameters, splats, suffix)
+    return [*before, *once, *after]
+
+
+def search_stages(
+    measured: bool, parameters: ForestParameters, splats: int, suffix: str
+) -> tuple[list[Stage], list[Stage]]:
+    """List the stages before a search for a count, and those of the search itself.
+
+    Args:
+        measured: Whether the goal is measured on views; otherwise it is a size.
+        parameters: Parameters of the method.
+        splats: Number of splats of the model.
+        suffix: Suffix of the file that a size refers to.
+    """
+    typical, millions = splats // 10, splats / 1e6
+    weight = sum(stage.weight for stage in delivery_stages(parameters, splats, typical))
+    looks = renders(parameters)
+    writing = write_weight(suffix, typical)
+    packing = [
+        Stage("guess", writing / 5),
+        Stage("pack", measure_stage(splats).weight + PACKINGS * (2 * writing + weight)),
+    ]
+    if measured:
+        search = [Stage("search", COUNTS * (0.1 + 0.4 * millions))]
+        search += [*packing, Stage("deliver", COUNTS * (weight + 0.1))] if looks else []
+        return [measure_stage(splats)], search
+    search = packing if looks else packing[:1]
+    search = [*search, Stage("search", SIZES * (writing + 0.3 * millions))]
+    search += [Stage("deliver", RESULTS * (writing + weight))] if looks else []
+    return [], search
+
+
+def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) -> list[Stage]:
+    """List the stages of `levels`: those that run once, and one for each level."""
+    each = [delivery_stages(parameters, splats, count) for count in counts]
+    levels = [
+        Stage(level_stage(number), sum(stage.weight for stage in stages))
+        for number, stages in enumerate(each)
+    ]
+    return [*build_stages(parameters, splats), *levels]

@@ -1,0 +1,133 @@
+"""Estimate of the memory of a simplification, from the arrays that its stages allocate.
+
+This module does not import Numba: `--dry-run` uses it without compiling anything.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from nanogs.block_layouts import PLACED, Chunked, Linked
+from nanogs.io.format import Format
+from nanogs.method.paper.parameters import PaperParameters
+from nanogs.pipeline.estimates.memory_forest import (
+    forest_stages,
+    graph_bytes,
+    match_bytes,
+    pairs_of,
+)
+from nanogs.pipeline.options.presets import Parameters
+from nanogs.slices import pairs_in_flight
+
+_F4, _F8, _I4, _I8 = 4, 8, 4, 8
+_GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # a Gaussian; features are in the model
+_LEFT = 0.55  # assumed share of the splats that a pass leaves; the method leaves half or more
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryPlan:
+    """Bytes that a simplification holds in each stage, without the libraries themselves.
+
+    Attributes:
+        input_columns: Bytes of the model as loaded.
+        working_set: Bytes of the activated values of the splats.
+        stages: Bytes held in each stage, including the model.
+        peak: The largest of these.
+    """
+
+    input_columns: int
+    working_set: int
+    stages: dict[str, int]
+    peak: int
+
+
+def plan_memory(
+    count: int,
+    sh_degree: int,
+    extra_bytes: int,
+    parameters: Parameters,
+    target: int,
+    *,
+    judged: bool = False,
+) -> MemoryPlan:
+    """Estimate the memory of `simplify` from the size of the input.
+
+    Args:
+        count: Number of splats in the input.
+        sh_degree: Degree of its spherical harmonics.
+        extra_bytes: Bytes of extra columns for each splat.
+        parameters: Parameters of the method.
+        target: Number of splats in the largest result.
+        judged: Whether results are compared with the original on held-out views.
+    """
+    features = 3 * (sh_degree + 1) ** 2 * _F4
+    row = 11 * _F4 + features + extra_bytes
+    neighbours = min(parameters.k, max(count - 1, 0))
+    if isinstance(parameters, PaperParameters):
+        working_set = count * (_I4 + _GEOMETRY)
+        held = _paper_stages(count, row, features, neighbours, target)
+    else:
+        working_set, held = forest_stages(
+            count, row, features, neighbours, parameters, target, judged=judged
+        )
+    stages = {stage: count * row + more for stage, more in held.items()}
+    return MemoryPlan(count * row, working_set, stages, max(stages.values()))
+
+
+def plan_writing(plan: MemoryPlan, splats: int, target: int, known: Format) -> MemoryPlan:
+    """Add the memory of writing a file whose writer holds the whole result.
+
+    Args:
+        plan: Plan of making the result.
+        splats: Number of splats of the model.
+        target: Number of splats of the result.
+        known: Format of the file.
+    """
+    small = plan.input_columns // max(splats, 1) * target
+    held = plan.input_columns + small + known.extra_memory(small)
+    return replace(plan, stages=plan.stages | {"write": held}, peak=max(plan.peak, held))
+
+
+def plan_chunks(
+    plan: MemoryPlan,
+    splats: int,
+    degree: int,
+    target: int,
+    ratios: Sequence[float],
+    chunks: Chunked | Linked,
+) -> MemoryPlan:
+    """Add the memory of encoding levels as chunks or as a tree.
+
+    Args:
+        plan: Plan of making the levels.
+        splats: Number of splats of the model.
+        degree: Degree of its spherical harmonics.
+        target: Number of splats of the finest level.
+        ratios: Ratios of the levels.
+        chunks: The layout that divides or links them.
+    """
+    row = plan.input_columns // max(splats, 1)
+    if isinstance(chunks, Linked):
+        held = plan.input_columns + target * chunks.whole(row)
+        return replace(plan, stages=plan.stages | {"tree": held}, peak=max(plan.peak, held))
+    file = chunks.encoding(row, degree, splats, ratios).file
+    # Each level is encoded before the next one is cut, while the data for cuts stays in memory.
+    held = int(plan.stages.get("cut", plan.input_columns) + target * (row + PLACED) + file)
+    return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
+
+
+def _paper_stages(count: int, row: int, features: int, k: int, target: int) -> dict[str, int]:
+    pairs, masses = pairs_of(k), 6 * _F8  # including logarithms of scales and opacity
+    # Second pass: merged pairs, which refer to features of the model; third: with own features.
+    second = _LEFT * (_GEOMETRY + 2 * _I4 + 2 * _F8)
+    third = _LEFT**2 * (_GEOMETRY + _I4 + features)
+    lists = 3 * _I4 + _I8 + 1 + 2 * _F8
+    splats = {
+        "activate": max(_GEOMETRY, 9 * _F8),
+        "graph": _GEOMETRY + graph_bytes(k),
+        "cost": _GEOMETRY + 2 * _I4 * pairs + max(_F4 * pairs + _F8, masses),
+        "match": _GEOMETRY + match_bytes(k),
+        "merge": max(_GEOMETRY + masses + lists + second, second + _LEFT * lists + third),
+    }
+    held = {stage: int(count * (_I4 + bytes_each)) for stage, bytes_each in splats.items()}
+    held["cost"] += min(int(count * pairs), pairs_in_flight()) * 2 * _I4
+    return held | {"store": count * _I4 + target * (_GEOMETRY + features + row + 2 * _I8)}

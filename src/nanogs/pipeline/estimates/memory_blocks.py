@@ -1,0 +1,126 @@
+"""Estimates for a job in blocks: memory of each stage of a block, and disk space of all files.
+
+This module does not import Numba: `--dry-run` uses it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from nanogs.io.files import splat_bytes
+from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.estimates.memory import plan_memory
+from nanogs.pipeline.estimates.memory_forest import (
+    COMPARED,
+    DRAWN,
+    FIT_STEP,
+    PIXEL,
+    PREPARED,
+    SHARES,
+    fit_state,
+)
+from nanogs.pipeline.options.presets import renders
+from nanogs.pipeline.options.settings import MOST_SEEN
+from nanogs.source import Layout
+from nanogs.store.columns import row_bytes
+
+FINE, ROUGH = 0, 1  # indices of the coarse levels of the scene
+# Limits on the splats of each coarse level: a share of the scene's splats, and a number for each
+# splat of a block, which fits into memory because they are only rendered. `COARSE_LEAST` splats are
+# always allowed, however small the blocks are.
+COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 18, 1 << 15)
+_CODES = 2 * 8  # bytes a splat: Morton code and sort order
+_HISTOGRAM = 8 << 16  # bytes of the histogram of a forest's scores, for each balance
+_PLACE = 4 * 8  # bytes of a group: its centre and reach
+_TRIED = 2  # models compared with the original at a time; growth candidates differ in scales only
+
+
+def most_coarse(level: int, block: int, splats: int) -> int:
+    """Return the most splats of a coarse level of the scene, enough for it to hide what is behind.
+
+    Args:
+        level: `FINE` or `ROUGH`.
+        block: Largest number of splats of a block.
+        splats: Number of splats of the scene.
+    """
+    beside = max(int(COARSE_OF_BLOCK[level] * block), COARSE_LEAST[level])
+    return min(int(splats * COARSE_SHARES[level]), beside)
+
+
+def block_stages(
+    block: int, splats: int, layout: Layout, parameters: ForestParameters, share: float
+) -> dict[str, int]:
+    """Estimate the most bytes that each task of a block holds, without the libraries themselves.
+
+    Args:
+        block: Number of splats of the block.
+        splats: Number of splats of the whole scene.
+        layout: Layout of their columns.
+        parameters: Parameters of the method.
+        share: Share of the splats that the result keeps; a block can keep a larger one.
+    """
+    kept = int(min(1.0, 2 * share) * block)
+    degree, row = layout.sh_degree, row_bytes(layout)
+    extra = row - splat_bytes(degree)
+    plain = replace(parameters, measure=False, steps=0)
+    grown = plan_memory(block, degree, extra, plain, kept).peak + _CODES * block
+    grown = int(grown * (1 + MOST_SEEN if parameters.rounds else 1))
+    if not renders(parameters):
+        return {"grow": grown}
+    fine, rough = (most_coarse(level, block, splats) for level in (FINE, ROUGH))
+    bare, features = row_bytes(layout.bare()), 3 * (degree + 1) ** 2 * 4
+    pixels = parameters.view_size**2
+    coarse = plan_memory(block, 0, 0, plain, min(block, fine)).peak + block * (row + _CODES)
+    # Rendered together: the block and its surroundings, copied into one model.
+    scene = (block + rough) * (12 + features + PREPARED)
+    alone = block * (12 + features + PREPARED) + rough * (bare + PREPARED)
+    views = 4 * pixels
+    look = block * (bare + _CODES + PREPARED) + fine * (bare + PREPARED)
+    look += (block + fine) * (24 + PREPARED + DRAWN + SHARES) + pixels * PIXEL
+    judge = alone + scene + _TRIED * kept * row + 2 * views + (block + rough) * DRAWN
+    fit = alone + scene + kept * row
+    fitted = scene + kept * row + parameters.views * views + pixels * COMPARED
+    fitted += rough * (12 + features + PREPARED) + fit_state(kept, features, parameters)
+    fitted += (kept + rough) * FIT_STEP + ((block + rough) * DRAWN if parameters.further else 0)
+    return {
+        "grow": grown + 8 * block,
+        "coarse": coarse,
+        "look": look,
+        "judge": judge + pixels * COMPARED,
+        "fit": max(fit, fitted) if parameters.steps else 0,
+    }
+
+
+def scratch_bytes(
+    splats: int,
+    block: int,
+    blocks: int,
+    layout: Layout,
+    parameters: ForestParameters,
+    shares: Sequence[float],
+    *,
+    encoded: bool,
+) -> int:
+    """Estimate the bytes of all files of a job at its end, including the results.
+
+    Args:
+        splats: Number of splats of the whole scene.
+        block: Largest number of splats of a block.
+        blocks: Number of blocks.
+        layout: Layout of their columns.
+        parameters: Parameters of the method.
+        shares: Share of the splats that each result keeps.
+        encoded: Whether results are encoded as chunks before they are assembled.
+    """
+    row, balances = row_bytes(layout), len(parameters.balances)
+    results = sum(int(share * splats) for share in shares)
+    copies = 2 + encoded + (parameters.steps > 0)  # parts, fitted parts, chunks, the result
+    held = splats * (row + 8)  # sorted splats with their Morton codes
+    held += splats * (8 + 4 * balances) + blocks * balances * _HISTOGRAM  # forests
+    held += len(shares) * splats * 2 * 4 + results * (copies * row + _PLACE)  # labels, parts
+    if not renders(parameters):
+        return held
+    held += splats * 8  # visibility
+    if blocks > 1:
+        coarse = sum(most_coarse(level, block, splats) for level in (FINE, ROUGH))
+        held += splats * 12 + blocks * _HISTOGRAM + coarse * row_bytes(layout.bare())
+    return held

@@ -1,0 +1,99 @@
+"""The report of a job in blocks."""
+
+import time
+from dataclasses import asdict
+from itertools import pairwise
+
+from nanogs.clock import StageClock
+from nanogs.filters import FilterReport, filter_of
+from nanogs.findings import join_findings, of_plain
+from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.outcome import entries_of
+from nanogs.pipeline.run import Done
+from nanogs.report import BlocksReport, SimplifyReport, StopReason
+from nanogs.sink import Written
+from nanogs.store.columns import count_of
+
+
+def report_of(
+    preset: str,
+    goal: Goal,
+    done: Done,
+    written: Written,
+    clock: StageClock,
+    start: float,
+    level: int = 0,
+) -> SimplifyReport:
+    """Make the report of a result: the goal, the result, and the time taken.
+
+    Args:
+        preset: Name of the preset.
+        goal: The target of the simplification.
+        done: The job, whose tasks are done.
+        written: The result as it was written.
+        clock: The seconds of the job's stages.
+        start: `time.perf_counter()` at the start.
+        level: Number of the level.
+    """
+    work = done.work
+    settings, partition = work.settings, work.partition
+    target = work.target(level)
+    segments = work.segments()
+    merged = work.merges(level)
+    settled = work.of_blocks("settle", level) if merged and settings.parameters.rounds else []
+    own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
+    count = written.splats
+    stop = StopReason.TARGET if count == target else StopReason.NO_PROGRESS
+    cost, original = written.drawn or (None, None)
+    drawn = {"cost": cost, "original_cost": original}
+    entries = {
+        "stop": stop,
+        "judged": written.marks,
+        **drawn,
+        **entries_of(work, level),
+        **done.entries,
+    }
+    notes = (*settings.layout.notes, *own_notes, *entries["notes"], *done.notes, *written.notes)
+    return SimplifyReport(
+        preset=preset,
+        parameters=asdict(settings.parameters),
+        input_count=settings.splats,
+        asked_ratio=goal.ratio,
+        asked_count=target,
+        asked_size=goal.size,
+        asked_psnr=goal.psnr,
+        asked_draw_cost=goal.draw_cost,
+        dropped_nonfinite=sum(int(record.facts["dropped"]) for record in segments),
+        pruned=0,
+        prune_threshold=0.0,
+        prune_limited=False,
+        achieved_count=count,
+        seconds=clock.seconds,
+        total_seconds=time.perf_counter() - start,
+        threads=work.threads,
+        **{**entries, "notes": tuple(dict.fromkeys(notes))},
+        blocks=BlocksReport(
+            blocks=partition.blocks,
+            largest=max(partition.count(block) for block in range(partition.blocks)),
+            allowed=settings.block,
+            segments=len(segments),
+            seen=sum(int(record.facts["seen"]) for record in settled),
+            handed=sum(count_of(record) for record in settled),
+            resumed=done.kept,
+        ),
+        read_count=settings.read,
+        filters=_filter_reports(settings),
+    )
+
+
+def _filter_reports(settings: Settings) -> tuple[FilterReport, ...]:
+    """Report the number of splats that each filter of a job removed."""
+    if settings.filters is None:
+        return ()
+    filters = [filter_of(*plain) for plain in settings.filters.plain]
+    counts = pairwise((settings.read, *settings.filters.left))
+    return tuple(
+        FilterReport(each.name, each.argument, before - left, left)
+        for each, (before, left) in zip(filters, counts, strict=True)
+    )

@@ -1,0 +1,98 @@
+"""Cameras that the user asks for, for presets that render. Numba is imported only if needed."""
+
+import os
+from collections.abc import Sequence
+from os import PathLike
+from typing import TYPE_CHECKING
+
+from nanogs.errors import OptionError
+from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.options.presets import Parameters, renders
+
+if TYPE_CHECKING:
+    from nanogs.raster.camera import Camera
+    from nanogs.splats import Splats
+    from nanogs.views.cameras import Cameras
+
+
+def fit_cameras(
+    splats: "Splats", source: str, up: Sequence[float] | None, count: int, size: int
+) -> "list[Camera] | None":
+    """Return cameras to fit to, from a file or of a kind; None if nothing was asked for.
+
+    Args:
+        splats: The model.
+        source: As `nanogs.views.cameras.cameras_for` takes it.
+        up: Up direction of automatic views, or None.
+        count: Number of automatic views.
+        size: Width and height of automatic views in pixels.
+
+    Raises:
+        NanogsError: The source is no camera file, or cannot be read.
+    """
+    if source == "auto" and up is None:
+        return None
+    from nanogs.views.cameras import cameras_for
+
+    return cameras_for(splats, source, count=count, width=size, height=size, up=up, split="fit")
+
+
+def chosen_cameras(
+    splats: "Splats",
+    given: "Cameras | None",
+    up: Sequence[float] | None,
+    chosen: Parameters,
+) -> "Sequence[Camera] | None":
+    """Return the cameras that a caller of the library names or gives; None for the preset's own.
+
+    Args:
+        splats: The model.
+        given: As `nanogs.simplify` takes them.
+        up: Up direction of automatic views, or None.
+        chosen: Parameters of the method.
+
+    Raises:
+        NanogsError: They are not cameras, there are none, or they cannot be read.
+    """
+    if given is None or isinstance(given, str | PathLike):
+        return requested_cameras(splats, os.fspath(given or "auto"), up, chosen)
+    from nanogs.views.cameras import given_cameras
+
+    return given_cameras(given)
+
+
+def requested_cameras(
+    splats: "Splats", source: str, up: Sequence[float] | None, chosen: Parameters
+) -> "list[Camera] | None":
+    """Return the cameras asked for; None if the preset chooses its own or does not render.
+
+    Args:
+        splats: The model.
+        source: As `nanogs.views.cameras.cameras_for` takes it.
+        up: Up direction of automatic views, or None.
+        chosen: Parameters of the method.
+
+    Raises:
+        NanogsError: The source is no camera file, or cannot be read.
+    """
+    if not isinstance(chosen, ForestParameters) or not renders(chosen):
+        return None
+    return fit_cameras(splats, source, up, chosen.views, chosen.view_size)
+
+
+def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool) -> None:
+    """Raise if views are given to a preset that does not render.
+
+    Args:
+        preset: Name of the preset.
+        chosen: Its parameters.
+        given: Whether the user asked for certain views.
+
+    Raises:
+        OptionError: Views are given, and nothing is rendered.
+    """
+    if given and not renders(chosen):
+        raise OptionError(
+            "`views`, `view_size`, `cameras` and `up` have no effect, because the preset"
+            f" {preset} renders nothing here; leave them out or choose another preset."
+        )

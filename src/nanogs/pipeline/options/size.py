@@ -1,0 +1,109 @@
+"""A request for a file of a given size, and the interface that writes and measures results."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+from nanogs.io.format import Format
+from nanogs.pipeline.options.settings import Sharing
+from nanogs.pipeline.search.packing import PALETTE, SMALLER, Bits, Choices, Packing
+from nanogs.report import PackingReport
+from nanogs.splats import Splats
+
+R_contra = TypeVar("R_contra", contravariant=True)
+SH_BITS = "sh_bits"
+LEAST_BYTES = 8  # fewest bytes of a splat in a packed file
+Options = Mapping[str, Any]
+
+
+class Files(Protocol[R_contra]):
+    """Writes results to measure how large their files are, and how good they look."""
+
+    def count(self, result: R_contra) -> int:
+        """Return the number of splats of a result."""
+
+    def sample_bytes(self, some: Splats, options: Options) -> int:
+        """Return the size of a file of some splats with options of the format, bytes."""
+
+    def bytes_of(self, result: R_contra, options: Options) -> int:
+        """Return the size of a result's file, bytes."""
+
+    def shows(self) -> bool:
+        """Whether the views to choose by show the original, so that files can be compared."""
+
+    def seen(self, result: R_contra, sh_degree: int, options: Options) -> PackingReport:
+        """Write a result to a file; measure its bytes, and its quality on the views to choose by.
+
+        Args:
+            result: The result.
+            sh_degree: Degree of the harmonics that are written, as far as the result has them.
+            options: Of the format; the report also has those that are derived from the result.
+        """
+
+
+class SizeRequest(NamedTuple):
+    """A request for a file of a given size: what is fixed, apart from what can be chosen.
+
+    Attributes:
+        size: Bytes that the file may have.
+        known: Its format.
+        given: Options of the format that the user gives.
+        sh_degree: Of the harmonics that are to be written, or None to choose it.
+        by_psnr: Whether the PSNR alone decides what is best.
+        looks: Whether the choice is made on views, as in presets that render.
+        most: Splats that a writer may hold whole; None for any number.
+    """
+
+    size: int
+    known: Format
+    given: Options
+    sh_degree: int | None = None
+    by_psnr: bool = False
+    looks: bool = True
+    most: int | None = None
+
+    def choices(self, degree: int) -> Choices:
+        """Return the choices that are left open for a model of an SH degree."""
+        highest = min(degree, self.known.max_degree)
+        wanted = highest if self.sh_degree is None else min(self.sh_degree, highest)
+        degrees: Sequence[int] = [wanted]
+        if not self.known.readable:
+            return Choices(degrees, palettes=False)
+        if self.looks and self.sh_degree is None:
+            degrees = range(highest + 1)
+        bits = {
+            name: Bits(
+                option.search_start, option.values, option.without_rendering or option.search_start
+            )
+            for name, option in self.known.options.items()
+            if option.search_start is not None and name not in self.given
+        }
+        if not highest:
+            bits.pop(SH_BITS, None)
+        return Choices(degrees, self._has_palettes(), bits, self.by_psnr, self._entries())
+
+    def _has_palettes(self) -> bool:
+        """Whether the size of a palette is to be chosen.
+
+        If the format can also be written without one, the writer of a palette has to hold the whole
+        result, so there must be memory for it.
+        """
+        if PALETTE not in self.known.options or PALETTE in self.given:
+            return False
+        return not self.known.streams or self.most is None or self.size <= self.most * LEAST_BYTES
+
+    def _entries(self) -> int:
+        option = self.known.options.get(PALETTE)
+        return max(option.values) if option else 0
+
+    def sharing(self, packing: Packing) -> Sharing | None:
+        """Return how splats share entries of the palette; None without one."""
+        if PALETTE in self.given and packing.sh_degree:
+            return Sharing(1.0, int(self.given[PALETTE]))
+        return packing.sharing
+
+    def smallest(self, degree: int) -> Packing:
+        """Return the packing of the smallest files, for a model of an SH degree."""
+        choices = self.choices(degree)
+        share = SMALLER[-1] if choices.first.share else None
+        bits = tuple((name, each.values[0]) for name, each in choices.bits.items())
+        return Packing(choices.degrees[0], share, bits, choices.entries)

@@ -1,0 +1,104 @@
+"""The result that fills a size: its packing is chosen first, then its count."""
+
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+from nanogs.errors import TooSmallError
+from nanogs.pipeline.options.target import count_for_size
+from nanogs.pipeline.search.file_size import FittedSize, fit_size, too_small
+from nanogs.pipeline.search.packer import Packed, Packer
+from nanogs.pipeline.search.packing import Packing
+
+T = TypeVar("T")
+# If this many times the fewest splats fit by the guess, the fewest certainly fit, and no file is
+# made to check it.
+FEW = 8
+
+
+class Filled(NamedTuple):
+    """The outcome of a search for a result that fills a size.
+
+    Attributes:
+        fitted: The counts that were tried.
+        packed: The packing.
+    """
+
+    fitted: FittedSize
+    packed: Packed
+
+
+def fill_size(packer: Packer[T]) -> tuple[T, Filled]:
+    """Make the result of a model that is packed best and fills a size.
+
+    Args:
+        packer: Of the model's results, with what is asked.
+
+    Returns:
+        The result, and what was tried.
+
+    Raises:
+        TooSmallError: Not even the fewest splats fit.
+    """
+    smallest = _smallest(packer)
+    packed = packer.pack()
+    try:
+        return _filled(packer, packed)
+    except TooSmallError:
+        fewest = packer.results.fewest
+        return _filled(packer, replace(packed, packing=smallest, count=fewest, tight=True))
+
+
+def _smallest(packer: Packer[T]) -> Packing:
+    """Return the packing of the smallest files, after checking that the fewest splats fit.
+
+    The size of their file is computed if the format allows it; if not, the file is made, unless the
+    guess leaves ample room. So the least size that can be had is the same for every request.
+
+    Raises:
+        TooSmallError: Not even that file fits.
+    """
+    wish, sample, fewest = packer.wish, packer.sample, packer.results.fewest
+    packing = wish.smallest(sample.sh_degree)
+    if (known := wish.known.file_bytes) is not None:
+        needed = known(sample.with_sh_degree(packing.sh_degree), fewest)
+    else:
+        packer.progress.begin("guess")
+        if packer.guess(packing) > FEW * fewest:
+            return packing
+        chosen = packer.made(packing)
+        part = packer.progress.within(0, 1, chosen.stages(fewest))
+        size = partial(packer.files.bytes_of, options=packing.options(fewest))
+        _, needed = chosen.marked(fewest, size, part)
+    if needed > wish.size:
+        raise too_small(wish.size, fewest, needed)
+    return packing
+
+
+def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
+    """Make the result that fills a size in a given packing.
+
+    Raises:
+        TooSmallError: Not even the fewest splats fit in this packing.
+    """
+    wish, files, progress, packing = packer.wish, packer.files, packer.progress, packed.packing
+    chosen = packer.made(packing)
+    if (known := wish.known.file_bytes) is not None:
+        like = packer.sample.with_sh_degree(packing.sh_degree)
+        count = count_for_size(chosen.available, wish.size, lambda n: known(like, n))
+        count = max(count, chosen.fewest)
+        fitted = FittedSize(count, known(like, count), ())
+        if fitted.bytes > wish.size:
+            raise too_small(wish.size, count, fitted.bytes)
+        progress.begin("deliver")
+        result = chosen.make(count, progress.within(0, 1, chosen.stages(count)))
+        return result, Filled(fitted, packed)
+
+    def bytes_of(result: T) -> int:
+        return files.bytes_of(result, packing.options(files.count(result)))
+
+    near, around = packed.tight or bool(packed.packings), wish.known.overhead_bytes()
+    result, fitted = fit_size(
+        chosen, wish.size, packed.count, bytes_of, progress, near=near, around=around
+    )
+    return result, Filled(fitted, packed)

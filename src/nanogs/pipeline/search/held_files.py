@@ -1,0 +1,80 @@
+"""Encoding results in memory, to measure their file size and their quality when read back."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from nanogs.clock import StageClock
+from nanogs.frames import change_frame
+from nanogs.io import derived_options, encoded_bytes, round_trip, round_trip_with_size
+from nanogs.pipeline.outcome import Outcome
+from nanogs.report import PackingReport
+from nanogs.scoring.held_out import SelectionViews, selection_views
+from nanogs.splats import Splats
+
+
+@dataclass(eq=False)
+class HeldFiles:
+    """Encodes and measures results of a model in memory; see `options.size.Files`.
+
+    Attributes:
+        path: The output file; only its suffix counts.
+        given: Options of its format that the user has chosen.
+        original: The model.
+        clock: Accumulates the seconds of each stage.
+        frame: Source and target frame that results are turned from and to before encoding.
+        by_psnr: Whether the goal is a PSNR, which is measured on automatic views alone.
+    """
+
+    path: Path
+    given: Mapping[str, Any]
+    original: Splats
+    clock: StageClock
+    frame: tuple[str, str] | None = None
+    by_psnr: bool = False
+
+    @cached_property
+    def views(self) -> SelectionViews:
+        """Renders of the original by which packings are chosen, on views not used for scoring."""
+        return selection_views(self.original, automatic=self.by_psnr)
+
+    def count(self, result: Outcome) -> int:
+        """Return the number of splats of a result; see `Files.count`."""
+        return len(result.splats)
+
+    def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
+        """Return the bytes of a file of some splats; see `Files.sample_bytes`."""
+        with self.clock.time("encode"):
+            return encoded_bytes(self._turned(some), self.path, {**self.given, **options})
+
+    def bytes_of(self, result: Outcome, options: Mapping[str, Any]) -> int:
+        """Return the bytes of a result's file; see `Files.bytes_of`."""
+        return self.sample_bytes(result.splats, options)
+
+    def shows(self) -> bool:
+        """Return whether any view shows the original; see `Files.shows`."""
+        with self.clock.time("measure"):
+            return bool(self.views.kinds)
+
+    def seen(self, result: Outcome, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
+        """Encode a result and measure its bytes and quality; see `Files.seen`."""
+        with self.clock.time("encode"):
+            bare = self._turned(result.splats.with_sh_degree(sh_degree))
+            options = {**options, **derived_options(bare, self.path, {**self.given, **options})}
+            small, size = round_trip_with_size(bare, self.path, {**self.given, **options})
+        with self.clock.time("measure"):
+            psnr, ssim = self.views.judge(self._turned_back(small))
+        return PackingReport(sh_degree, options, len(bare), size, psnr, ssim)
+
+    def stored(self, splats: Splats, options: Mapping[str, Any]) -> Splats:
+        """Return splats as read back from their encoded file, in the frame of the original."""
+        given = {**self.given, **options}
+        return self._turned_back(round_trip(self._turned(splats), self.path, given))
+
+    def _turned(self, splats: Splats) -> Splats:
+        return change_frame(splats, *self.frame) if self.frame else splats
+
+    def _turned_back(self, splats: Splats) -> Splats:
+        return change_frame(splats, self.frame[1], self.frame[0]) if self.frame else splats

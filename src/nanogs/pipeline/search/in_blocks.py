@@ -1,0 +1,243 @@
+"""The search for the count of a job in blocks: results are made, written and measured."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from nanogs.clock import StageClock
+from nanogs.io import bytes_on_disk, derived_options, encoded_bytes, registry, save
+from nanogs.io import open as open_model
+from nanogs.io.format import FormatOptions
+from nanogs.pipeline.job.result_writer import result_of
+from nanogs.pipeline.job.rows import opened, sample
+from nanogs.pipeline.options.presets import renders
+from nanogs.pipeline.options.size import SizeRequest
+from nanogs.pipeline.run import Done, Run
+from nanogs.pipeline.search.draw_cost import search_draw_cost
+from nanogs.pipeline.search.file_size import SAMPLE, WHOLE_FITS
+from nanogs.pipeline.search.filled import fill_size
+from nanogs.pipeline.search.job_results import JobResults, Result
+from nanogs.pipeline.search.packer import Packer, PackingForPsnr
+from nanogs.pipeline.search.psnr import reach_psnr
+from nanogs.pipeline.work import SPAN, Work
+from nanogs.progress import Tracker
+from nanogs.report import PackingReport, StopReason
+from nanogs.scoring.draw_views import draw_views
+from nanogs.scoring.held_out import SelectionViews, held_out, selection_views
+from nanogs.sink import held_splats, refuse_large
+from nanogs.source import Reduced, Source, Turned
+from nanogs.splats import Splats
+from nanogs.store.columns import row_bytes
+
+TRIED = ".nanogs-tried"  # a file that is written to be measured; the job deletes it
+
+
+class _Found(NamedTuple):
+    """A result, the entries of its report, and notes."""
+
+    result: Result
+    entries: Mapping[str, Any]
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """Searches for the count of a result in blocks that meets a target; see `Sought`.
+
+    Attributes:
+        output: Path of the file to be written.
+        options: Of its format.
+        folder: Folder of the job, where files are written to be measured.
+        max_memory: Bytes that this process may take; by default what is free.
+    """
+
+    output: Path
+    options: FormatOptions | None
+    folder: Path
+    max_memory: int | None
+
+    def find(self, work: Work, run: Run, progress: Tracker) -> Done:
+        """Find the result that meets the target.
+
+        Args:
+            work: The job; the stages before the results are done.
+            run: Does its tasks.
+            progress: Notified of each stage.
+
+        Raises:
+            TooSmallError: No result is as small as asked.
+            OptionError: A result is too large to be written.
+            ModelError: A PSNR or a draw cost is asked of a model that shows nothing.
+        """
+        results, sought = JobResults.of(work, run), work.settings.search
+        assert sought is not None  # noqa: S101 - a search has a target
+        if sought.psnr is not None:
+            found = self._reach(results, sought.psnr, run.clock, progress)
+        elif sought.draw_cost is not None:
+            found = self._lighten(results, sought.draw_cost, run.clock, progress)
+        else:
+            found = self._fit(results, sought.size or 0, run.clock, progress)
+        result, entries, notes = found
+        return Done(result.work, run.kept, (result.level,), entries, notes)
+
+    def _reach(
+        self, results: JobResults, psnr: float, clock: StageClock, progress: Tracker
+    ) -> _Found:
+        work = results.work
+        progress.begin("measure")
+        with clock.time("measure"), opened(work.settings, work.unpacked()) as original:
+            views = held_out(original, progress.part, self.max_memory)
+
+        def psnr_of(result: Result) -> float:
+            with clock.time("measure"), self._stored(result, pack.options(result)) as small:
+                return views.psnr(small)
+
+        files = _Files(self, work, clock)
+        wish = self._wish(work, 0)
+        pack = PackingForPsnr(results, wish, partial(_sample, work), files, progress)
+        result, found = reach_psnr(results, psnr, psnr_of, progress, pack)
+        if found.stop is StopReason.UNREACHED:  # the whole model is written, without the packing
+            pack.packed = None
+        results.verify(result, progress)
+        with clock.time("measure"), self._stored(result, pack.options(result)) as small:
+            judged = views.judge(small)
+        entries = {"probes": found.probes, "stop": found.stop, "judged": judged}
+        return _Found(result, entries | pack.entries(result), pack.notes)
+
+    def _lighten(
+        self, results: JobResults, asked: float, clock: StageClock, progress: Tracker
+    ) -> _Found:
+        work = results.work
+        progress.begin("measure")
+        with clock.time("measure"), opened(work.settings, work.unpacked()) as original:
+            views = draw_views(original, progress.part)
+
+        def share_of(result: Result) -> float:
+            with clock.time("measure"), self._stored(result, {}) as small:
+                return views.share(small)
+
+        def quick_share_of(result: Result) -> float:
+            with clock.time("measure"), result_of(result.work, result.level) as small:
+                return views.share(turned_back(small, result))
+
+        result, found = search_draw_cost(results, asked, share_of, quick_share_of, progress)
+        results.verify(result, progress)
+        with clock.time("measure"), self._stored(result, {}) as small:
+            cost = views.cost(small)
+        entries = {"draw_probes": found.probes, "stop": found.stop, "cost": cost}
+        return _Found(result, entries | {"original_cost": views.original})
+
+    def _fit(self, results: JobResults, size: int, clock: StageClock, progress: Tracker) -> _Found:
+        work = results.work
+        files, known = _Files(self, work, clock), registry.writable(self.output)
+        wish = self._wish(work, size)
+        result, found = fill_size(Packer(results, wish, _sample(work), files, progress))
+        results.verify(result, progress)
+        fitted, packed = found.fitted, found.packed
+        notes = fitted.leap(size, results.available, known.overhead_bytes()) + packed.notes
+        if fitted.count == results.available and known.file_bytes is None:
+            notes += (WHOLE_FITS,)
+        entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}
+        entries |= {"stop": fitted.stop}
+        return _Found(result, entries | packed.entries(files.count(result)), notes)
+
+    def _wish(self, work: Work, size: int) -> SizeRequest:
+        settings = work.settings
+        return SizeRequest(
+            size,
+            registry.writable(self.output),
+            self.options or {},
+            settings.sh_degree,
+            looks=renders(settings.parameters),
+            most=held_splats(self.output, row_bytes(settings.layout), self.max_memory),
+        )
+
+    @contextmanager
+    def _stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
+        """Open a result as its file holds it, in the frame of the inputs."""
+        known = registry.writable(self.output)
+        with result_of(result.work, result.level) as source:
+            if known.suffix == ".ply" or not known.readable:
+                yield turned_back(source, result)
+                return
+            with self.written(source, options) as path, open_model(path) as file:
+                yield turned_back(file, result)
+
+    @contextmanager
+    def written(self, source: Source, options: Mapping[str, Any]) -> Iterator[Path]:
+        """Write a file of a result, with further options of the format; delete it afterwards."""
+        row, given = row_bytes(source.columns), {**(self.options or {}), **options}
+        refuse_large(self.output, source.count, row, self.max_memory, given)
+        path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
+        save(source, path, overwrite=True, format_options=given)
+        yield path
+        path.unlink()
+
+
+def _sample(work: Work) -> Splats:
+    return sample(work.settings, work.unpacked(), rows=SAMPLE, span=SPAN, bare=False)
+
+
+def turned_back(source: Source, result: Result) -> Source:
+    """Return a result, or its file, in the frame of the inputs."""
+    frame = result.work.settings.frame
+    return Turned(source, frame[1], frame[0]) if frame else source
+
+
+@dataclass(eq=False)
+class _Files:
+    """Writes and measures results of a job; see `options.size.Files`."""
+
+    search: Search
+    work: Work
+    clock: StageClock
+
+    @cached_property
+    def views(self) -> SelectionViews:
+        """The original on the views to choose by, which are not those that judge the result."""
+        sought, most = self.work.settings.search, self.search.max_memory
+        by_psnr = sought is not None and sought.psnr is not None
+        with opened(self.work.settings, self.work.unpacked()) as original:
+            return selection_views(original, most, automatic=by_psnr)
+
+    def count(self, result: Result) -> int:
+        """Return the number of splats of a result."""
+        return result.work.target(result.level)
+
+    def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
+        """Return the size of a file of some splats, bytes."""
+        given = {**(self.search.options or {}), **options}
+        with self.clock.time("encode"):
+            return encoded_bytes(some, self.search.output, given)
+
+    def bytes_of(self, result: Result, options: Mapping[str, Any]) -> int:
+        """Return the size of a result's file, bytes."""
+        with (
+            self.clock.time("encode"),
+            result_of(result.work, result.level) as source,
+            self.search.written(source, options) as path,
+        ):
+            return bytes_on_disk(path)
+
+    def shows(self) -> bool:
+        """Whether the views to choose by show the original."""
+        with self.clock.time("measure"):
+            return bool(self.views.kinds)
+
+    def seen(self, result: Result, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
+        """Write a result to a file and measure it; see `Files.seen`."""
+        with self.clock.time("encode"), result_of(result.work, result.level) as source:
+            bare = Reduced(source, sh_degree)
+            options = {**options, **self._settled(bare, options)}
+            with self.search.written(bare, options) as path, open_model(path) as file:
+                psnr, ssim = self.views.judge(turned_back(file, result))
+                size = bytes_on_disk(path)
+        return PackingReport(sh_degree, options, self.count(result), size, psnr, ssim)
+
+    def _settled(self, model: Source, options: Mapping[str, Any]) -> Mapping[str, Any]:
+        return derived_options(
+            model, self.search.output, {**(self.search.options or {}), **options}
+        )

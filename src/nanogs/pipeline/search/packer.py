@@ -1,0 +1,226 @@
+"""Choice of a packing for a file size: each candidate is written, read back and rendered."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from typing import Any, Generic, TypeVar
+
+from nanogs.pipeline.estimates.stage_weights import PACKINGS
+from nanogs.pipeline.options.size import Files, SizeRequest
+from nanogs.pipeline.options.target import count_for_size
+from nanogs.pipeline.search.file_size import guess_count
+from nanogs.pipeline.search.packing import (
+    Choices,
+    MeasureFiles,
+    Packing,
+    choose_packing,
+    slope_of,
+    unseen_packing,
+)
+from nanogs.pipeline.search.results import Results
+from nanogs.progress import Stage, Tracker
+from nanogs.report import PackingReport
+from nanogs.splats import Splats
+
+T = TypeVar("T")
+BLIND = "No view shows the model, so the packing of the file was not chosen by how it looks."
+CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
+
+
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """The packing of results that was chosen, by rendering where possible.
+
+    Attributes:
+        packing: The best packing.
+        count: Number of splats that about fills the size with it.
+        packings: Reports of the packings that were tried.
+        highest: The highest degree of harmonics that could be written.
+        tight: Whether only the smallest packing fits.
+        blind: Whether views were to decide which packing is best, but show nothing of the model.
+    """
+
+    packing: Packing
+    count: int
+    packings: tuple[PackingReport, ...]
+    highest: int
+    tight: bool = False
+    blind: bool = False
+
+    def entries(self, count: int) -> dict[str, Any]:
+        """Return the report fields on how a result of `count` splats is packed."""
+        return {"packings": self.packings, "format_options": self.packing.options(count)}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on a choice that the user might not expect, a sentence each."""
+        if self.blind:
+            return (BLIND,)
+        kept = self.packing.sh_degree
+        why = "nothing else fits" if self.tight else "the file looks better without them"
+        left = f"Spherical harmonics above degree {kept} are left out, because {why}."
+        return (left,) if kept < self.highest else ()
+
+
+@dataclass(eq=False)
+class Packer(Generic[T]):
+    """Chooses the packing of a model's results, by making some and measuring their files.
+
+    Attributes:
+        results: Makes results of the model.
+        wish: What is asked of the file.
+        sample: Some usable splats of the model.
+        files: Writes and measures results.
+        progress: Notified of each stage.
+        tried: Number of results that were made to choose by.
+    """
+
+    results: Results[T]
+    wish: SizeRequest
+    sample: Splats
+    files: Files[T]
+    progress: Tracker
+    tried: int = field(default=0, init=False)
+    _guesses: dict[Packing, int] = field(default_factory=dict, init=False)
+
+    def pack(self) -> Packed:
+        """Choose the packing."""
+        choices = self.wish.choices(self.sample.sh_degree)
+        self.progress.begin("guess")
+        looks = self.results.looks and choices.any
+        if not looks or not self.files.shows():
+            packing = self._unseen(choices)
+            return Packed(packing, self.guess(packing), (), packing.sh_degree, blind=looks)
+        self.progress.begin("pack")
+        slope = self._slope(choices)
+        given = self.guess, self._attempt, self.results.available
+        return Packed(*choose_packing(choices, self.wish.size, slope, *given), choices.degrees[-1])
+
+    def _unseen(self, choices: Choices) -> Packing:
+        """Return the packing if nothing is rendered.
+
+        If a PSNR is to be reached, that is all harmonics and the format's own defaults.
+        """
+        if choices.by_psnr:
+            return Packing(choices.degrees[-1])
+        return unseen_packing(choices, self.guess, self.results.available)
+
+    def guess(self, packing: Packing) -> int:
+        """Estimate how many of the model's own splats fill the size with a packing."""
+        if packing not in self._guesses:
+            self._guesses[packing] = self._guess(packing)
+        return self._guesses[packing]
+
+    def _guess(self, packing: Packing) -> int:
+        some, available = self.sample.with_sh_degree(packing.sh_degree), self.results.available
+        if (known := self.wish.known.file_bytes) is not None:
+            if known(some, 1) > self.wish.size:
+                return 1
+            return count_for_size(available, self.wish.size, lambda count: known(some, count))
+
+        def encode(part: Splats) -> int:
+            return self.files.sample_bytes(part, packing.options(len(part)))
+
+        return guess_count(
+            some, available, self.wish.size, encode, self.wish.known.overhead_bytes()
+        )
+
+    def made(self, packing: Packing) -> Results[T]:
+        """Return a maker of results that suit a packing."""
+        return self.results.packed(packing.sh_degree, self.wish.sharing(packing))
+
+    def within(self, count: int) -> int:
+        """Return the deliverable count nearest to a count."""
+        return min(max(count, self.results.fewest), self.results.available)
+
+    def _slope(self, choices: Choices) -> float:
+        """Measure how much quality more splats bring, from two plain cuts.
+
+        They are packed without a choice of palette, whose loss would blur the difference.
+        """
+        packing, plain = replace(choices.first, share=None), self.results.plain(rounds=0)
+        count = self.guess(choices.first)
+
+        def shown(share: float) -> PackingReport:
+            some = self.within(round(share * count))
+            part = self.progress.within(0, PACKINGS, plain.stages(some))
+            _, found = plain.marked(some, lambda one: asdict(self._seen(one, packing)), part)
+            return PackingReport(**found)
+
+        return slope_of(choices, *map(shown, CUTS))
+
+    def _attempt(self, packing: Packing, count: int, look: MeasureFiles) -> list[PackingReport]:
+        """Make a result of `count` splats and measure files of it; see `packing.MakeAndMeasure`."""
+        count = self.within(count)
+        some = self.made(packing)
+        brief = some.brief()
+        stages = [*brief.stages(count), Stage("encode", 1.0)]
+        part = self.progress.within(self.tried, PACKINGS, stages)
+        self.tried += 1
+
+        def mark(result: T) -> list[dict[str, Any]]:
+            part.begin("encode")
+            return [asdict(each) for each in look(partial(self._seen, result))]
+
+        _, found = brief.marked(count, mark, part)
+        return [PackingReport(**each) for each in found]
+
+    def _seen(self, result: T, packing: Packing) -> PackingReport:
+        options = packing.options(self.files.count(result))
+        return self.files.seen(result, packing.sh_degree, options)
+
+
+@dataclass(eq=False)
+class PackingForPsnr(Generic[T]):
+    """Chooses the packing of results that must reach a PSNR, once their size is about known.
+
+    Attributes:
+        results: Makes results of the model.
+        wish: What is asked of the file; its `size` is ignored.
+        sample: Returns some usable splats of the model.
+        files: Writes and measures results.
+        progress: Notified of each stage.
+        packed: The choice; None before it is made, and if no packing was tried.
+    """
+
+    results: Results[T]
+    wish: SizeRequest
+    sample: Callable[[], Splats]
+    files: Files[T]
+    progress: Tracker
+    packed: Packed | None = None
+
+    def __call__(self, count: int) -> tuple[Results[T], int]:
+        """Choose the packing for files about as large as that of a plain cut.
+
+        Args:
+            count: Splats of the plain cut.
+
+        Returns:
+            A maker of results that suit the packing, and a count whose file has about the same
+            size.
+        """
+        if self.wish.known.file_bytes is not None:  # only the count decides it: nothing to choose
+            return self.results, count
+        self.progress.begin("guess")
+        plain = self.results.plain(rounds=0)
+        within = self.progress.within(0, 1, plain.stages(count))
+        _, size = plain.marked(count, partial(self.files.bytes_of, options={}), within)
+        wish = self.wish._replace(size=size, by_psnr=True)
+        packer = Packer(self.results, wish, self.sample(), self.files, self.progress)
+        packed = packer.pack()
+        self.packed = packed if packed.packings else None
+        return packer.made(packed.packing), packed.count
+
+    def options(self, result: T) -> dict[str, Any]:
+        """Return the format options that a result is packed with."""
+        return self.packed.packing.options(self.files.count(result)) if self.packed else {}
+
+    def entries(self, result: T) -> dict[str, Any]:
+        """Return the report fields on how a result is packed; empty if nothing was chosen."""
+        return self.packed.entries(self.files.count(result)) if self.packed else {}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the choice; see `Packed.notes`."""
+        return self.packed.notes if self.packed else ()

@@ -1,0 +1,241 @@
+"""Search for the smallest count that reaches a PSNR, as `nanogs compare` measures it.
+
+Two searches of one kind: quick results, plain cuts of the forest, lead near the count; then results
+are made and measured as they are delivered, until one is within `SPAN` above the PSNR asked for.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from nanogs.pipeline.estimates.stage_weights import COUNTS
+from nanogs.pipeline.search.results import Attempts, Results, T
+from nanogs.progress import Stage, Tracker
+from nanogs.protocol import VIEWS
+from nanogs.report import ProbeReport, StopReason
+
+SPAN = 0.3  # dB above what is asked within which a result is near enough
+MOST_PROBES = 24
+GUESS = 0.1  # share of the splats in the first probe
+# Counts that differ by at most this share are neighbours; also the share of splats to be saved.
+TOLERANCE = 0.01
+STEPS = 6  # number of counts tried below a step of the PSNR
+STRIDE = 0.05  # distance between these, as a share of the count of the step
+PATIENCE = 6  # number of probes after which every second one halves the range that is left
+USUAL_SLOPE = 3.0  # dB for e times the splats; trained scenes: 2 to 5
+SLOPES = 1.0, 10.0  # dB, limits of a measured slope: beyond them, small unevennesses mislead
+LEAP = 3.0  # largest change of the log of the count at once, while one side is unknown
+FAR = 0.7  # share of the largest count, beyond which the largest is tried at once
+HOPELESS = 6.0  # dB that a quick result may lack and delivered results still be tried
+
+_Probe = ProbeReport | None
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The result of a search: its count, the counts tried, and why it ended."""
+
+    count: int
+    probes: tuple[ProbeReport, ...]
+    stop: StopReason
+
+    @property
+    def slope(self) -> float:
+        """Slope of the PSNR over the logarithm of the count, from the two latest probes, dB."""
+        return _slope(self.probes)
+
+
+def search_count(
+    psnr_of: Callable[[int], float],
+    asked: float,
+    fewest: int,
+    available: int,
+    guess: int,
+    slope: float | None = None,
+    *,
+    quick: bool = False,
+) -> Found:
+    """Search for a count whose PSNR is at least `asked` and at most `SPAN` above it.
+
+    PSNR grows with the count but for small unevennesses, and nearly linearly in its logarithm. The
+    search extrapolates along that line until one count misses and one reaches `asked`, then
+    interpolates between them; if that does not help, it halves the range. If the PSNR steps over
+    the whole span, because another candidate is chosen, some counts below the step are tried. A
+    PSNR that takes more than 99 % of the splats is out of reach: with all but a few, any can be
+    had.
+
+    Args:
+        psnr_of: Measures the result of a count, dB.
+        asked: dB.
+        fewest: Smallest count that can be delivered, at least 1.
+        available: Splats of the whole model.
+        guess: Count to begin with.
+        slope: dB for e times the splats, if it is known.
+        quick: Mark the probes so, and end within `SPAN` on either side.
+    """
+    probes: list[ProbeReport] = []
+    misses: _Probe = None
+    reaches: _Probe = None
+    most = available - max(1, round(TOLERANCE * available))
+    count = min(max(guess, fewest), most)
+    while fewest <= most:
+        probe = ProbeReport(count, psnr_of(count), quick=quick)
+        probes.append(probe)
+        if probe.psnr < asked:
+            misses = probe
+        else:
+            reaches = probe
+        if quick and abs(probe.psnr - asked) <= SPAN:
+            return Found(count, tuple(probes), StopReason.TARGET)
+        if stop := _ending(misses, reaches, asked, fewest, most, len(probes)):
+            found = Found(reaches.count if reaches else available, tuple(probes), stop)
+            return _below_step(psnr_of, found, asked, fewest, quick=quick)
+        if misses and reaches:
+            count = _between(misses, reaches, asked, len(probes))
+        else:
+            count = _beyond(probes, asked, most, slope)
+        lowest = misses.count + 1 if misses else fewest
+        count = min(max(count, lowest), reaches.count - 1 if reaches else most)
+    return Found(available, (), StopReason.UNREACHED)
+
+
+def _below_step(
+    psnr_of: Callable[[int], float], found: Found, asked: float, fewest: int, *, quick: bool
+) -> Found:
+    """After a search that ended at a step, try counts below it.
+
+    The count found is one within the span after all, or the smallest that reaches `asked`.
+    """
+    if found.stop is not StopReason.STEP:
+        return found
+    step = found.count
+    for i in range(1, STEPS + 1):
+        count = round(step * (1 - STRIDE * i))
+        if count < fewest or any(probe.count == count for probe in found.probes):
+            continue
+        probe = ProbeReport(count, psnr_of(count), quick=quick)
+        found = replace(found, probes=(*found.probes, probe))
+        if probe.psnr >= asked:
+            found = replace(found, count=count)
+        if asked <= probe.psnr <= asked + SPAN:
+            return replace(found, stop=StopReason.TARGET)
+    return found
+
+
+def _is_step(misses: ProbeReport, reaches: ProbeReport, asked: float) -> bool:
+    """Whether the PSNR rises over the whole span between neighbouring counts."""
+    near = reaches.count <= max((1 + TOLERANCE) * misses.count, misses.count + 1)
+    return near and reaches.psnr > asked + SPAN
+
+
+def _ending(
+    misses: _Probe, reaches: _Probe, asked: float, fewest: int, most: int, tried: int
+) -> StopReason | None:
+    """Return why the search ends, or None if it continues."""
+    if reaches and reaches.psnr <= asked + SPAN:
+        return StopReason.TARGET
+    if reaches and (reaches.count == fewest or (misses and _is_step(misses, reaches, asked))):
+        return StopReason.STEP
+    if misses and misses.count == most:
+        return StopReason.UNREACHED
+    if tried < MOST_PROBES:
+        return None
+    return StopReason.PROBES if reaches else StopReason.UNREACHED
+
+
+def _between(misses: ProbeReport, reaches: ProbeReport, asked: float, tried: int) -> int:
+    """Return a count between two, interpolated in the logarithm.
+
+    From `PATIENCE` probes on, every second count is halfway.
+    """
+    low, high = math.log(misses.count), math.log(reaches.count)
+    share = 0.5
+    if math.isfinite(reaches.psnr) and (tried < PATIENCE or tried % 2):
+        share = (asked + SPAN / 2 - misses.psnr) / (reaches.psnr - misses.psnr)
+    return round(math.exp(low + share * (high - low)))
+
+
+def _beyond(probes: list[ProbeReport], asked: float, most: int, slope: float | None) -> int:
+    """Extrapolate a count from the latest one; the largest if that is far up."""
+    latest = probes[-1]
+    if len(probes) > 1 or slope is None:
+        slope = _slope(probes)
+    lack = asked + SPAN / 2 - latest.psnr
+    step = min(max(lack / slope, -LEAP), LEAP)
+    count = round(latest.count * math.exp(step))
+    if step > 0 and count > FAR * most:
+        return most
+    return count + (1 if step > 0 else -1) if count == latest.count else count
+
+
+def _slope(probes: "list[ProbeReport] | tuple[ProbeReport, ...]") -> float:
+    if len(probes) < 2:
+        return USUAL_SLOPE
+    (first, second) = probes[-2:]
+    rise = second.psnr - first.psnr
+    if not math.isfinite(rise):
+        return SLOPES[1]
+    return min(max(rise / math.log(second.count / first.count), SLOPES[0]), SLOPES[1])
+
+
+def reach_psnr(
+    results: Results[T],
+    asked: float,
+    psnr_of: Callable[[T], float],
+    progress: Tracker,
+    pack: Callable[[int], tuple[Results[T], int]],
+) -> tuple[T, Found]:
+    """Find the smallest result of a model that reaches a PSNR on held-out views.
+
+    The result that is measured is delivered: the result of a count is the same each time.
+
+    Args:
+        results: Makes results of the model.
+        asked: dB.
+        psnr_of: Measures a result on views that are not used for fitting or choosing, dB.
+        progress: Notified of each stage.
+        pack: Takes the count that quick results lead to, and chooses the packing of the delivered
+            ones; returns a maker of these and a count to begin with.
+
+    Returns:
+        The result, and what was tried.
+    """
+
+    def attempts(some: Results[T]) -> Attempts[T, float]:
+        return Attempts(some, psnr_of, lambda psnr: psnr >= asked, _measuring, COUNTS, progress)
+
+    limits = results.fewest, results.available
+    guess, slope = round(GUESS * results.available), None
+    probes: tuple[ProbeReport, ...] = ()
+    delivered = results
+    progress.begin("search")
+    if results.looks:
+        near = search_count(attempts(results.plain(rounds=0)), asked, *limits, guess, quick=True)
+        probes, slope = near.probes, near.slope
+        if _hopeless(near, asked):
+            return _whole(results, near, progress)
+        delivered, guess = pack(near.count)
+        progress.begin("deliver")
+    tried = attempts(delivered)
+    found = search_count(tried, asked, *limits, guess, slope)
+    found = replace(found, probes=probes + found.probes)
+    if tried.best is None:
+        return _whole(results, found, progress)
+    return tried.best, found
+
+
+def _measuring(_count: int) -> Stage:
+    return Stage("measure", VIEWS * 0.02)
+
+
+def _hopeless(near: Found, asked: float) -> bool:
+    """Whether a quick result of even 99 % of the model is far below what is asked."""
+    return near.stop is StopReason.UNREACHED and (
+        not near.probes or near.probes[-1].psnr < asked - HOPELESS
+    )
+
+
+def _whole(results: Results[T], found: Found, progress: Tracker) -> tuple[T, Found]:
+    """Return the whole model, because no smaller one reaches what is asked."""
+    result = results.make(results.available, progress)
+    return result, replace(found, count=results.available, stop=StopReason.UNREACHED)

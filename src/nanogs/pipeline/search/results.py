@@ -1,0 +1,181 @@
+"""The interface that makes results of any count for the searches, and that of a model in memory.
+
+The one of a scene in blocks is in `job_results`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Generic, Protocol, Self, TypeVar
+
+from nanogs.clock import StageClock
+from nanogs.pipeline.estimates.durations import delivery_stages
+from nanogs.pipeline.one_block import OneBlock
+from nanogs.pipeline.options.settings import Sharing
+from nanogs.pipeline.outcome import Outcome
+from nanogs.pipeline.run import brief, deliver, plain
+from nanogs.progress import Stage, Tracker
+
+T = TypeVar("T")
+M = TypeVar("M")
+
+
+class Results(Protocol[T]):
+    """Makes results of any count, one at a time, of a scene whose forest has been grown."""
+
+    @property
+    def available(self) -> int:
+        """Splats of the whole scene."""
+
+    @property
+    def fewest(self) -> int:
+        """The smallest count that can be delivered."""
+
+    @property
+    def looks(self) -> bool:
+        """Whether making a result includes rendering, which takes long.
+
+        Quick results then lead the search.
+        """
+
+    def plain(self, rounds: int | None = None) -> Self:
+        """Return a maker of results that are cut without rendering; see `run.plain`."""
+
+    def brief(self) -> Self:
+        """Return a maker of results that are fitted in few steps; see `run.brief`."""
+
+    def packed(self, sh_degree: int, sharing: Sharing | None) -> Self:
+        """Return a maker of results for a packing: of an SH degree, with shared harmonics.
+
+        Args:
+            sh_degree: Highest degree of the harmonics, as far as the scene has them.
+            sharing: Number of sets of higher harmonics, as entries of a palette, that the fit keeps
+                to; None if each splat has its own.
+        """
+
+    def stages(self, count: int) -> list[Stage]:
+        """Return the stages of making one result."""
+
+    def make(self, count: int, progress: Tracker) -> T:
+        """Make the result of a count."""
+
+    def marked(self, count: int, mark: Callable[[T], M], progress: Tracker) -> tuple[T, M]:
+        """Make the result of a count, and measure it.
+
+        Args:
+            count: Number of splats.
+            mark: Measures the result. It must depend on the result alone and return values that
+                JSON can hold, because a resumed run reads them from its files.
+            progress: Notified of each stage.
+        """
+
+    def keep(self, result: T) -> None:
+        """Keep what is needed of this result; one that was kept before may be discarded."""
+
+
+@dataclass(slots=True, eq=False)
+class Attempts(Generic[T, M]):
+    """Makes the results of the counts that a search tries, measures each, and keeps the best.
+
+    The best is the latest that meets what is asked, since searches come nearer and nearer. One
+    result is held at a time.
+
+    Attributes:
+        results: Makes results of the model.
+        mark: Measures a result.
+        meets: Whether a result with this measurement meets what is asked.
+        measuring: Returns the stage of measuring for a count.
+        expected: Number of results that the search makes, about.
+        progress: Notified of each stage.
+        best: The latest result that meets what is asked, or None.
+    """
+
+    results: Results[T]
+    mark: Callable[[T], M]
+    meets: Callable[[M], bool]
+    measuring: Callable[[int], Stage]
+    expected: int
+    progress: Tracker
+    best: T | None = field(default=None, init=False)
+    _tried: int = field(default=0, init=False)
+
+    def __call__(self, count: int) -> M:
+        """Make the result of a count, and measure it."""
+        measuring = self.measuring(count)
+        stages = [*self.results.stages(count), measuring]
+        part = self.progress.within(self._tried, self.expected, stages)
+        self._tried += 1
+
+        def mark(result: T) -> M:
+            part.begin(measuring.name)
+            return self.mark(result)
+
+        result, found = self.results.marked(count, mark, part)
+        if self.meets(found):
+            self.results.keep(result)
+            self.best = result
+        return found
+
+    def found(self) -> T:
+        """Return the best result of a search that has ended with a count that it tried."""
+        assert self.best is not None, "the count that was found is one that meets the wish"  # noqa: S101
+        return self.best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldResults:
+    """Results of a model in memory; see `Results`.
+
+    Attributes:
+        scene: The model, rendered if its preset does so, and its forest.
+        clock: Gets the seconds of each stage.
+    """
+
+    scene: OneBlock
+    clock: StageClock
+
+    @property
+    def available(self) -> int:
+        """Splats of the whole model that are usable."""
+        return self.scene.forest.splats
+
+    @property
+    def fewest(self) -> int:
+        """The smallest count that can be delivered."""
+        return self.scene.forest.fewest
+
+    @property
+    def looks(self) -> bool:
+        """Whether making a result includes rendering; see `Results.looks`."""
+        return self.scene.looks
+
+    def plain(self, rounds: int | None = None) -> "HeldResults":
+        """Return a maker of results that are cut without rendering."""
+        scene = self.scene
+        return replace(self, scene=replace(scene, settings=plain(scene.settings, rounds)))
+
+    def brief(self) -> "HeldResults":
+        """Return a maker of results that are fitted in few steps."""
+        return replace(self, scene=replace(self.scene, settings=brief(self.scene.settings)))
+
+    def packed(self, sh_degree: int, sharing: Sharing | None) -> "HeldResults":
+        """Return a maker of results for a packing; see `Results.packed`."""
+        settings = replace(self.scene.settings, sh_degree=sh_degree, sharing=sharing)
+        return replace(self, scene=replace(self.scene, settings=settings))
+
+    def stages(self, count: int) -> list[Stage]:
+        """Return the stages of making one result."""
+        return delivery_stages(self.scene.settings.parameters, len(self.scene.usable), count)
+
+    def make(self, count: int, progress: Tracker) -> Outcome:
+        """Make the result of a count."""
+        return deliver(self.scene, count, self.clock, progress)
+
+    def marked(
+        self, count: int, mark: Callable[[Outcome], M], progress: Tracker
+    ) -> tuple[Outcome, M]:
+        """Make the result of a count, and measure it; see `Results.marked`."""
+        outcome = self.make(count, progress)
+        return outcome, mark(outcome)
+
+    def keep(self, result: Outcome) -> None:
+        """Do nothing: the caller holds the result itself."""

@@ -1,0 +1,69 @@
+"""Number of groups that each block keeps, so that the merges of lowest score overall are done.
+
+The threshold common to all blocks is found by radix selection over the bits of the scores: a
+histogram of the upper halves of all scores, then one of the lower halves of the scores in the bin
+that holds the threshold.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from nanogs._types import I64, Array
+from nanogs.pipeline.tasks.forests import BINS, counts_of, histogram_of, keys, scores_of
+from nanogs.store.scratch import Scratch
+from nanogs.store.tables import Record, Table
+
+
+def budget(scratch: Scratch, forests: Sequence[Record], target: int, balance: int = 0) -> list[int]:
+    """Divide a total number of groups among the blocks by one threshold on the merge scores.
+
+    Merges whose score equals the threshold are done in the order of the blocks. If `target` is less
+    than the forests can be merged to, each block keeps the fewest groups that it can.
+
+    Args:
+        scratch: Storage of the forests.
+        forests: Their records.
+        target: Number of groups of all blocks together.
+        balance: Index of the balance whose scores are used.
+
+    Returns:
+        Number of groups of each block.
+    """
+    splats = np.array([int(record.facts["splats"]) for record in forests], np.int64)
+    merges = splats - np.array([int(record.facts["fewest"]) for record in forests], np.int64)
+    wanted = int(min(splats.sum() - target, merges.sum()))
+    if wanted <= 0:
+        return [int(n) for n in splats]
+    upper = np.stack([_read(scratch, record, histogram_of(balance)) for record in forests])
+    high, done, left = _select(upper, wanted)
+    lower = np.zeros((len(forests), BINS), np.int64)
+    for row, record in enumerate(forests):
+        if upper[row, high]:
+            found = keys(_read(scratch, record, scores_of(balance)))
+            lower[row] = counts_of(found[found >> 16 == high])
+    low, more, left = _select(lower, left)
+    ties = lower[:, low]
+    taken = np.clip(left - (np.cumsum(ties) - ties), 0, ties)
+    return [int(n) for n in splats - done - more - taken]
+
+
+def _select(histograms: I64, wanted: int) -> tuple[int, I64, int]:
+    """Find the bin that holds the `wanted`-th lowest element of all blocks.
+
+    Args:
+        histograms: (B, bins), one of each block.
+        wanted: Number of elements to take from the lowest bins, at least 1.
+
+    Returns:
+        The bin; (B,) number of elements of each block below it; how many to take from the bin.
+    """
+    below = np.cumsum(histograms.sum(axis=0))
+    chosen = int(np.searchsorted(below, wanted))
+    done: I64 = histograms[:, :chosen].sum(axis=1)
+    return chosen, done, wanted - int(done.sum())
+
+
+def _read(scratch: Scratch, record: Record, column: str) -> Array:
+    with Table(scratch, record) as table:
+        return table.read(column)

@@ -1,0 +1,74 @@
+"""Coarse levels of the whole scene, which replace all other blocks when a block is rendered.
+
+The fine one is used for occlusion, the rough one surrounds a part while it is fitted.
+"""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from nanogs.method.store import store_groups
+from nanogs.pipeline.estimates.memory_blocks import COARSE_SHARES, most_coarse
+from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.tasks.blocks import leaves_of
+from nanogs.pipeline.tasks.cuts import cut_block
+from nanogs.pipeline.tasks.parts import read_part
+from nanogs.raster.rendering import PreparedSplats, prepare
+from nanogs.splats import Splats, concatenate
+from nanogs.store.columns import columns_of, count_of
+from nanogs.store.tables import Record, write_table
+
+if TYPE_CHECKING:
+    from nanogs.pipeline.work import Work
+
+GROWTH = 1.5  # most that its splats are enlarged, so that they still hide what is behind them
+
+
+def outline_counts(settings: Settings, blocks: int) -> list[int]:
+    """Return the number of splats of each coarse level of a job, at least one for each block."""
+    levels = range(len(COARSE_SHARES))
+    return [max(most_coarse(n, settings.block, settings.splats), blocks) for n in levels]
+
+
+def write_coarse(work: "Work", name: str, block: int, level: int) -> Record:
+    """Write a block's splats of a coarse level, with harmonics of degree 0.
+
+    Args:
+        work: The job; the rough forests and their budgets are done.
+        name: Name of the table.
+        block: Number of the block.
+        level: `FINE` or `ROUGH`.
+    """
+    splats, rows = work.block(block)
+    splats = replace(splats.with_sh_degree(0), extras={})
+    units, groups = work.units, int(work.of_job("outline").facts["groups"][level][block])
+    leaves = leaves_of(splats, rows, units)
+    labels = cut_block(work.scratch, work.of_block("rough", block), groups)
+    stored = store_groups(leaves, labels, splats, units.centre(), units.dilation(), growth=GROWTH)
+    return write_table(work.scratch, name, columns_of(stored.grown(GROWTH)), {})
+
+
+def coarse_scene(work: "Work", level: int, but: int | None = None) -> Splats | None:
+    """Read a coarse level of all blocks but one; None if the scene is a single block.
+
+    Args:
+        work: The job; the coarse levels are done.
+        level: `FINE` or `ROUGH`.
+        but: Number of the block to leave out, or None.
+    """
+    if work.partition.blocks == 1:
+        return None
+    layout = work.settings.layout.bare()
+    records = work.of_blocks("coarse", level)
+    return concatenate(
+        [
+            read_part(work.scratch, layout, record)
+            for number, record in enumerate(records)
+            if number != but and count_of(record)
+        ]
+    )
+
+
+def surroundings(work: "Work", block: int, level: int) -> PreparedSplats | None:
+    """Prepare a coarse level of all other blocks for rendering; None if there are none."""
+    scene = coarse_scene(work, level, block)
+    return None if scene is None else prepare(scene)

@@ -1,0 +1,182 @@
+"""The fit of each block's part to renders of the block, with fixed surroundings.
+
+The surroundings are the same coarse level in the renders of the original and of the part, so that
+a part corrects its own errors alone, and two neighbours do not both correct the same error.
+"""
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.fit.api import fit_to_views
+from nanogs.fit.groups import Group
+from nanogs.fit.report import GroupReport, RefitReport, RefitStop
+from nanogs.fit.shared import PaletteSize
+from nanogs.fit.targets import Fitting, make_target
+from nanogs.io.precision import visibility
+from nanogs.method.visibility import SHOWN, light_in, visibility_of, visible_weights
+from nanogs.pipeline.estimates.stage_weights import fit_parameters
+from nanogs.pipeline.scene import FitViews, Scene
+from nanogs.pipeline.tasks.block_visibility import looks_at
+from nanogs.pipeline.tasks.views import deciding_count, parts_of
+from nanogs.raster.camera import Camera, pick_evenly
+from nanogs.raster.rendering import concatenated, prepare
+from nanogs.splats import Splats
+from nanogs.store.columns import count_of
+from nanogs.store.tables import Record
+
+if TYPE_CHECKING:
+    from nanogs.pipeline.work import Work
+
+LEAST = 16.0  # pixels of a block that a view has to show
+# Number of views by which colours are weighted, and their pixels along the longer side. They do not
+# show everything: a splat hidden in all of them has this share of the weight of a visible one.
+GLANCES, GLANCE = 12, 256
+HIDDEN = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _BlockViews:
+    """Crops of views to a block: for validation, to fit to, and further ones rendered later."""
+
+    deciding: list[Camera]
+    fitting: list[Camera]
+    further: list[Camera]
+
+
+def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
+    """Fit a block's part of a result and keep it; unchanged if too few views show the block.
+
+    Args:
+        scene: The scene, which has that part of the result.
+        name: Name of the record to keep.
+        block: Number of the block.
+        level: Number of the level.
+    """
+    part, views = scene.part(block, level), scene.fit_views(block, level)
+    if views is None:
+        return scene.keep_fit(name, level, part, None)
+    parameters = replace(
+        fit_parameters(scene.settings.parameters),
+        views=len(views.fitting),
+        validation=sum(len(group.targets) for group in views.deciding),
+    )
+    most = scene.settings.entries(len(part), scene.target(level))
+    sets = PaletteSize(most, weights_of_colours(part, views.fitting)) if most else None
+    fitted, report = fit_to_views(
+        part, views.fitting, views.deciding, parameters, views.count, scene.threads, scene.tell,
+        sets,
+    )  # fmt: skip
+    return scene.keep_fit(name, level, fitted, report)
+
+
+def weights_of_colours(part: Splats, fitting: Fitting) -> F64:
+    """Return (N,) the weight of an error of each splat's colour, less if views hardly show it.
+
+    Args:
+        part: N splats.
+        fitting: The views, and the surroundings that are rendered with the splats.
+    """
+    cameras = [view.camera for view in pick_evenly(fitting.kept, GLANCES)]
+    small = [each if each.whole else each.reduced(GLANCE) for each in cameras]
+    light = light_in(concatenated(prepare(part), fitting.surroundings), small)
+    visible, _ = visibility_of(light, None)
+    return visible_weights(visibility(part), visible[: len(part)], HIDDEN)
+
+
+def fit_report(work: "Work", level: int) -> RefitReport | None:
+    """Report the gains of the fits of all blocks, one group each; None if none was fitted."""
+    records = work.of_blocks("fit", level)
+    gains = [(number, record.facts["gained"]) for number, record in enumerate(records)]
+    groups = tuple(GroupReport(f"block {n}", (), *gained) for n, gained in gains if gained)
+    if not groups:
+        return None
+    before, after = (
+        float(np.mean([getattr(each, name) for each in groups]))
+        for name in ("psnr_before", "psnr_after")
+    )
+    return RefitReport(
+        parameters=asdict(fit_parameters(work.settings.parameters)),
+        original_count=work.partition.splats,
+        count=sum(map(count_of, records)),
+        fit_views=tuple(camera.name for camera in (*work.views.kept, *work.views.further)),
+        validation_views=(),  # each block has its own, out of those that show it well
+        groups=groups,
+        psnr_before=before,
+        psnr_after=after,
+        improved=any(each.psnr_after > each.psnr_before for each in groups),
+        rounds=(),
+        stop=RefitStop.ROUNDS,
+        seconds={},
+        total_seconds=0.0,
+        threads=work.threads,
+        notes=(),
+    )
+
+
+def notes_on_fits(work: "Work", level: int) -> list[str]:
+    """Return a note on the blocks that were not fitted; none if all were."""
+    records = work.of_blocks("fit", level)
+    left = sum(record.facts["gained"] is None for record in records)
+    if not left:
+        return []
+    if len(records) == 1:
+        return ["The result was not fitted, because too few views show it."]
+    were = "was" if left == 1 else "were"
+    return [
+        f"{left:,} of {len(records):,} blocks {were} not fitted, because too few views show them."
+    ]
+
+
+def fit_views(work: "Work", block: int, level: int) -> FitViews | None:
+    """Render the views that show a block, to fit to and for validation; None if too few do.
+
+    Args:
+        work: The job; the part is done.
+        block: Number of the block.
+        level: Number of the level.
+    """
+    found = work.members(block, level, reassigned=work.chosen(level).reassigned)
+    if found.visible is None:  # the scene shows nothing
+        return None
+    own, count, shown = prepare(found.splats), len(found.splats), found.visible >= SHOWN
+    del found
+    looked = looks_at(work, block)
+    kept = parts_of(own, shown, [camera for camera, _ in looked])
+    further = parts_of(own, shown, work.views.further)
+    seen = _divided(kept, further, [light for _, light in looked])
+    if not seen.fitting:
+        return None
+    others = work.surroundings(block)
+    original = concatenated(own, others).with_buffers()
+    del own
+    fitting = Fitting(
+        [make_target(original, camera, depth=False) for camera in seen.fitting],
+        original if seen.further else None,
+        seen.further,
+        others,
+    )
+    held = tuple(make_target(original, camera, depth=False) for camera in seen.deciding)
+    return FitViews(fitting, [Group("views", held)], count)
+
+
+def _divided(
+    kept: list[Camera | None], further: list[Camera | None], light: list[float]
+) -> _BlockViews:
+    """Divide the views of a block into those for validation, which must show it well, and others.
+
+    Args:
+        kept: Crop of each view to the block, None if the view does not show it.
+        further: Likewise for the further views.
+        light: Pixels of the block that each kept view shows.
+    """
+    seen = [(part, lit) for part, lit in zip(kept, light, strict=True) if part and lit >= LEAST]
+    if len(seen) < 2:
+        return _BlockViews([], [], [])
+    middle = float(np.median([lit for _, lit in seen]))
+    well = [part for part, lit in seen if lit >= middle]
+    deciding = pick_evenly(well, deciding_count(len(seen)))
+    fitting = [part for part, _ in seen if part not in deciding]
+    return _BlockViews(deciding, fitting, [part for part in further if part])

@@ -1,0 +1,100 @@
+"""Choosing the views of a scene, and computing the visibility of each block's splats in them.
+
+All other blocks are rendered with a block, so that they hide it where they should.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from nanogs.errors import ModelError, OptionError
+from nanogs.fit.views import choose_cameras
+from nanogs.method.visibility import (
+    SplatContributions,
+    light_in,
+    missed_light_of,
+    roaming_views,
+    visibility_of,
+)
+from nanogs.metrics._ssim import LEAST
+from nanogs.pipeline.scene import Scene, ViewLight
+from nanogs.pipeline.tasks.views import Views
+from nanogs.raster.lens import lens_notes
+from nanogs.raster.rendering import concatenated, prepare
+from nanogs.store.tables import Record
+
+if TYPE_CHECKING:
+    from nanogs.raster.camera import Camera
+
+
+def choose_views(scene: Scene) -> Views:
+    """Choose the views of the whole scene, or take those that the user asked for.
+
+    Args:
+        scene: The scene, with its coarse levels if it has several blocks.
+    """
+    parameters, some = scene.settings.parameters, scene.sample()
+    try:
+        given = scene.given_cameras(some)
+        kept, further = choose_cameras(
+            some, given, parameters.views, parameters.further if parameters.steps else 0,
+            parameters.view_size,
+        )  # fmt: skip
+    except ModelError as error:
+        return Views((), (), (), (f"Nothing was measured: {error}",))
+    roaming: list[Camera] = []
+    notes: tuple[str, ...] = tuple(lens_notes(given or ()))
+    if parameters.roaming and not given:
+        roaming, notes = roaming_views(scene.from_afar(), parameters.roaming)
+    return Views(tuple(kept), tuple(further), tuple(roaming), notes)
+
+
+def look_at_block(scene: Scene, name: str, number: int) -> Record:
+    """Compute the visibility of each of a block's splats, and how much of the block a view shows.
+
+    Args:
+        scene: The scene, with its views.
+        name: Name of the record to keep.
+        number: Number of the block.
+
+    Raises:
+        OptionError: A view by which results are to be chosen is too small to compare them.
+    """
+    own, views = scene.bare(number), scene.views
+    count = len(own.splats)
+    cameras = [*views.kept, *scene.closer_views(own)]
+    drawn = concatenated(prepare(own.splats), scene.occluders(number)).with_buffers()
+    looked, lights = SplatContributions(len(drawn)), []
+    pictured = scene.pictured
+    total = len(cameras) + len(pictured) + len(views.roaming)
+    for done, camera in enumerate(cameras):
+        scene.tell(done, total)
+        view = scene.draw(drawn, camera)
+        looked.add(view)
+        assert view.contributions is not None  # noqa: S101 - asked for
+        lights.append(ViewLight(camera, float(view.contributions[:count].sum())))
+        del view
+    for done, camera in enumerate(pictured, len(cameras)):
+        scene.tell(done, total)
+        scene.picture(drawn, camera)
+    scene.tell(len(cameras) + len(pictured), total)
+    anywhere = light_in(drawn, views.roaming) if views.roaming else None
+    del drawn
+    visible, missed = visibility_of(looked, anywhere)
+    # Values of the block alone: the rows after `count` belong to its surroundings.
+    own, discovery = replace(own, visible=visible[:count]), missed_light_of(looked, anywhere, count)
+    record = scene.keep_look(name, own, missed[:count], lights, discovery)
+    if scene.measures:
+        _refuse_small(scene.deciding)
+    return record
+
+
+def _refuse_small(deciding: Sequence["Camera"]) -> None:
+    """Raise, before the forest is grown, if a view is too small for scoring candidates."""
+    for camera in deciding:
+        if min(camera.width, camera.height) < LEAST:
+            raise OptionError(
+                f"The view of camera {camera.name!r} has {camera.width} x {camera.height} pixels"
+                f" here, but results are chosen by views of at least {LEAST} x {LEAST}; raise"
+                " `view_size` if it makes views smaller, or leave the camera out."
+            )

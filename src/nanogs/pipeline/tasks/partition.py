@@ -1,0 +1,122 @@
+"""Division into blocks: Morton ranges of about equal counts, from digests of sorted segments.
+
+Source: Shi and Schaeffer, "Parallel sorting by regular sampling", 1992: splitters from every d-th
+key of sorted runs divide all keys evenly, to d keys a run, for any distribution. No histogram has
+to be refined where splats are dense.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import I64, U64
+from nanogs.errors import NONE_USABLE, CrowdedError, ModelError
+from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.tasks.sorted_segments import DIGEST
+from nanogs.store.columns import CODES
+from nanogs.store.scratch import Scratch
+from nanogs.store.tables import Record, Table
+
+
+@dataclass(frozen=True, slots=True)
+class Partition:
+    """The rows of each segment that make each block.
+
+    Attributes:
+        bounds: For each segment, the first row of each block, and then its number of rows.
+    """
+
+    bounds: tuple[tuple[int, ...], ...]
+
+    @property
+    def blocks(self) -> int:
+        """The number of blocks."""
+        return len(self.bounds[0]) - 1
+
+    def pieces(self, block: int) -> list[slice]:
+        """The rows of a block in each segment."""
+        return [slice(each[block], each[block + 1]) for each in self.bounds]
+
+    def count(self, block: int) -> int:
+        """Splats of a block."""
+        return sum(piece.stop - piece.start for piece in self.pieces(block))
+
+    @property
+    def splats(self) -> int:
+        """Splats of all blocks."""
+        return sum(each[-1] for each in self.bounds)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {"bounds": self.bounds}
+
+
+def partition_of(data: Any) -> Partition:  # noqa: ANN401 - a record's facts
+    """Rebuild a partition from the data of `to_dict` after a round trip through JSON."""
+    return Partition(tuple(tuple(each) for each in data["bounds"]))
+
+
+def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) -> Partition:
+    """Divide all splats into as few blocks as the largest size allows, of about equal counts.
+
+    Args:
+        scratch: Where the segments are.
+        settings: The job.
+        segments: Their records.
+
+    Raises:
+        ModelError: No splat is usable.
+        CrowdedError: More splats than a block may have are at one position; the caller, who knows
+            what limits the block size, adds the remedy.
+    """
+    splats = sum(int(record.facts["splats"]) for record in segments)
+    if splats == 0:
+        raise ModelError(NONE_USABLE)
+    slack = 2 * settings.every * len(segments)  # a range may be off by half of it at either end
+    room = max(settings.block - slack, 1)
+    splitters = _splitters(scratch, segments, settings.every, -(-splats // room))
+    bounds = []
+    for record in segments:
+        with Table(scratch, record) as table:
+            inner = np.searchsorted(table.read(CODES), splitters)
+            bounds.append((0, *map(int, inner), len_of(record)))
+    found = _without_empty(np.array(bounds, np.int64))
+    most = max(found.count(block) for block in range(found.blocks))
+    if most > settings.block + slack:
+        raise CrowdedError(
+            f"{most:,} splats lie in one place and cannot be divided into blocks of"
+            f" {settings.block:,}"
+        )
+    return found
+
+
+def len_of(record: Record) -> int:
+    """Rows of a segment."""
+    return record.columns[CODES].shape[0]
+
+
+def _splitters(scratch: Scratch, segments: Sequence[Record], every: int, blocks: int) -> U64:
+    """Return (blocks - 1,) Morton codes: the lowest that belongs to each block after the first."""
+    codes, weights = [], []
+    for record in segments:
+        with Table(scratch, record) as table:
+            codes.append(table.read(DIGEST))
+        full, rest = divmod(len_of(record), every)
+        weights.append(np.array([every] * full + [rest] * (rest > 0), np.int64))
+    merged, heavy = np.concatenate(codes), np.concatenate(weights)
+    order = np.argsort(merged, kind="stable")
+    before = np.cumsum(heavy[order]) - heavy[order]
+    wanted = before[-1] * np.arange(1, blocks) // blocks
+    places = np.minimum(np.searchsorted(before, wanted), len(merged) - 1)
+    chosen: U64 = merged[order][places]
+    return chosen
+
+
+def _without_empty(bounds: I64) -> Partition:
+    """Remove empty ranges, which arise where many splats are at one position."""
+    full = [i for i, (a, b) in enumerate(pairwise(bounds.T)) if (b > a).any()]
+    kept = np.concatenate([bounds[:, :1], bounds[:, [i + 1 for i in full]]], axis=1)
+    return Partition(tuple(tuple(map(int, each)) for each in kept))

@@ -1,0 +1,95 @@
+"""The views of a job: chosen once for the whole scene, and cropped to where a block is visible."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import Bool
+from nanogs.kernels.blocks import TILE
+from nanogs.kernels.project import HIDDEN, unpack_box
+from nanogs.method.visibility import DECIDING
+from nanogs.pipeline.options.views import camera_of, plain_camera
+from nanogs.raster.camera import Camera, pick_evenly
+from nanogs.raster.rendering import PreparedSplats, project
+
+LEAST = 2 * TILE  # fewest pixels along a side of a part of a view
+STRAYS = 0.002  # share of a block's splats that may be outside its part of a view, on each side
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The cameras of a job.
+
+    Attributes:
+        kept: Those that visibility is measured on; some of them decide, the others are fitted to.
+        further: More to fit to.
+        roaming: Small ones, which only show what is hidden.
+        notes: Notes for the user, one sentence each.
+    """
+
+    kept: tuple[Camera, ...]
+    further: tuple[Camera, ...]
+    roaming: tuple[Camera, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def deciding(self) -> list[Camera]:
+        """The cameras by which results are chosen."""
+        return pick_evenly(self.kept, deciding_count(len(self.kept)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data; floats keep every digit in JSON."""
+        return {
+            "kept": [plain_camera(camera) for camera in self.kept],
+            "further": [plain_camera(camera) for camera in self.further],
+            "roaming": [plain_camera(camera) for camera in self.roaming],
+            "notes": list(self.notes),
+        }
+
+
+def deciding_count(views: int) -> int:
+    """Return the number of deciding views among `views` views."""
+    return min(max(1, views // DECIDING), max(1, views // 4))
+
+
+def views_of(data: Mapping[str, Any]) -> Views:
+    """Rebuild views from the data of `to_dict` after a round trip through JSON."""
+    kept, further, roaming = (
+        tuple(camera_of(each) for each in data[kind]) for kind in ("kept", "further", "roaming")
+    )
+    return Views(kept, further, roaming, tuple(data["notes"]))
+
+
+def parts_of(own: PreparedSplats, shown: Bool, cameras: Sequence[Camera]) -> list[Camera | None]:
+    """Crop each view to the part in which splats are drawn; None if there are none in it.
+
+    Args:
+        own: N splats, of a block.
+        shown: (N,) bool, the splats that count.
+        cameras: Whole views.
+    """
+    return [_part(own, shown, camera) for camera in cameras]
+
+
+def _part(own: PreparedSplats, shown: Bool, camera: Camera) -> Camera | None:
+    boxes = project(own, camera, sh_degree=0).boxes
+    boxes = boxes[shown & (boxes != HIDDEN)]
+    if len(boxes) == 0:
+        return None
+    corner_and_size: tuple[Any, ...] = unpack_box(boxes)
+    x, y, across, down = corner_and_size
+    left, right = _between(x, x + across, camera.width)
+    top, bottom = _between(y, y + down, camera.height)
+    return camera.cropped(left, top, right - left, bottom - top)
+
+
+def _between(first: Any, last: Any, size: int) -> tuple[int, int]:  # noqa: ANN401 - arrays
+    """Return the range of pixels, in whole tiles, of nearly all boxes; `LEAST` at least."""
+    low = int(np.quantile(first, STRAYS, method="lower")) * TILE
+    high = min(int(np.quantile(last, 1 - STRAYS, method="higher")) * TILE, size)
+    if high - low < LEAST:
+        low = max(min(low, (size - LEAST) // TILE * TILE), 0)
+        high = min(max(high, low + LEAST), size)
+    return low, high
