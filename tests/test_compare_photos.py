@@ -1,4 +1,4 @@
-"""`nanogs.compare` against photographs: the numbers of the command."""
+"""`nanogs.compare` with photographs gives the scores of the command."""
 
 import numpy as np
 import pytest
@@ -13,34 +13,38 @@ from test_bench import write_photographs
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A model, a smaller one, and photographs of the first."""
-    place = tmp_path_factory.mktemp("photographs")
+    path = tmp_path_factory.mktemp("photographs")
     scene = make_scene(400)
-    nanogs.save(scene, place / "scene.ply")
-    nanogs.save(scene.take(np.arange(0, 400, 2)), place / "small.ply")
-    write_photographs(place / "data", place / "scene.ply")
-    return place
+    nanogs.save(scene, path / "scene.ply")
+    nanogs.save(scene.take(np.arange(0, 400, 2)), path / "small.ply")
+    write_photographs(path / "data", path / "scene.ply")
+    return path
 
 
-def test_the_numbers_are_those_of_the_command(folder):
+def test_compare_returns_the_scores_of_the_command(folder):
     paths = [folder / "scene.ply", folder / "small.ply"]
-    found = nanogs.compare(*paths, photos=folder / "data", packed=".sog")
+    comparison = nanogs.compare(*paths, photos=folder / "data", packed=".sog")
     names = [(path.name, path) for path in paths]
     expected = compare_files(names[0], names[1:], photos=folder / "data", packed=(".sog",))
-    assert found == expected
-    assert [model.name for model in found.models] == ["scene.ply", "small.ply", "small.ply as .sog"]
-    assert found.protocol.kind == "photographs"
-    assert found.protocol.background == (1.0, 1.0, 1.0), "the data set's own"
-    assert found.models[0].psnr > 45, "photographs of the model itself, in 8 bits"
-    assert found.models[1].psnr < 40
+    assert comparison == expected
+    assert [model.name for model in comparison.models] == [
+        "scene.ply",
+        "small.ply",
+        "small.ply as .sog",
+    ]
+    assert comparison.protocol.kind == "photographs"
+    assert comparison.protocol.background == (1.0, 1.0, 1.0), "the data set's own"
+    assert comparison.models[0].psnr > 45, "photographs of the model itself, in 8 bits"
+    assert comparison.models[1].psnr < 40
 
 
-def test_the_background_is_the_callers(folder):
+def test_the_background_can_be_given(folder):
     paths = [folder / "scene.ply", folder / "small.ply"]
     over_black = nanogs.compare(*paths, photos=folder / "data", background=(0, 0, 0))
     assert over_black.protocol.background == (0.0, 0.0, 0.0)
 
 
-def test_little_memory_gives_the_same_numbers(folder, monkeypatch):
+def test_little_memory_gives_the_same_scores(folder, monkeypatch):
     paths = [folder / "scene.ply", folder / "small.ply"]
     held = nanogs.compare(*paths, photos=folder / "data")
     monkeypatch.setattr("nanogs.scoring.api.room_for_comparison", lambda *_: 10_000_000)
@@ -63,7 +67,7 @@ def test_little_memory_gives_the_same_numbers(folder, monkeypatch):
         ({"photos": None, "split": "train"}, "only with photographs"),
     ],
 )
-def test_what_has_no_effect_is_refused(folder, given, says):
+def test_options_without_effect_are_refused(folder, given, says):
     path = folder / "scene.ply"
     with pytest.raises(nanogs.NanogsError, match=says) as refused:
         nanogs.compare(path, path, **({"photos": folder / "data"} | given))

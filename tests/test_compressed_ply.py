@@ -1,4 +1,4 @@
-"""PlayCanvas' compressed PLY: decoding against a plain twin and by hand, and writing."""
+"""PlayCanvas' compressed PLY: decoding compared with a reference and by hand, and writing."""
 
 import dataclasses
 import io as streams
@@ -46,7 +46,7 @@ def load(tmp_path):
     return load
 
 
-def test_bits_of_position_and_scale(load):
+def test_position_and_scale_are_unpacked_from_11_10_and_11_bits(load):
     word = (2047 << 21) | (0 << 11) | 2047
     model = load(("chunk", chunk()), ("vertex", packed(position=word, scale=word)))
     assert model.means.tolist() == [[3, -1, 3]]
@@ -54,16 +54,16 @@ def test_bits_of_position_and_scale(load):
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply"])
-def test_layout_is_recognised_under_either_name(load, name):
+def test_the_layout_is_recognised_for_both_suffixes(load, name):
     assert len(load(("chunk", chunk()), ("vertex", packed()), name=name)) == 1
 
 
-def test_plain_ply_under_the_compressed_name(load):
+def test_a_plain_ply_with_the_compressed_suffix_is_read(load):
     assert load(("vertex", vertex())).means[0].tolist() == [1, 2, 3]
 
 
 @pytest.mark.parametrize("largest", range(4))
-def test_largest_part_of_the_rotation_is_put_back(load, largest):
+def test_the_largest_component_of_the_rotation_is_restored(load, largest):
     word = (largest << 30) | (512 << 20) | (1023 << 10) | 512
     quat = load(("chunk", chunk()), ("vertex", packed(rotation=word))).quats[0]
     assert np.linalg.norm(quat) == pytest.approx(1)
@@ -71,20 +71,20 @@ def test_largest_part_of_the_rotation_is_put_back(load, largest):
     assert others == pytest.approx([0, math.sqrt(0.5), 0], abs=1e-3)
 
 
-def test_colour_bounds_and_opacity(load):
+def test_colours_use_the_bounds_of_their_chunk(load):
     word = (255 << 24) | (0 << 16) | (255 << 8) | 51
     model = load(("chunk", chunk()), ("vertex", packed(color=word)))
     assert model.sh[0, 0] == pytest.approx([2.5 / C0, -1.5 / C0, 2.5 / C0])
     assert model.opacity_logits[0] == pytest.approx(math.log(0.2 / 0.8))
 
 
-def test_older_files_without_colour_bounds(load):
+def test_older_files_without_colour_bounds_are_read(load):
     word = (255 << 24) | 128
     model = load(("chunk", chunk(colours=False)), ("vertex", packed(color=word)))
     assert model.sh[0, 0] == pytest.approx([0.5 / C0, -0.5 / C0, -0.5 / C0])
 
 
-def test_alpha_0_and_255_are_infinite(load):
+def test_alphas_of_0_and_255_give_infinite_logits(load):
     model = load(("chunk", chunk()), ("vertex", packed(**{n[7:]: [0, 255] for n in PACKED})))
     assert model.opacity_logits.tolist() == [-math.inf, math.inf]
 
@@ -97,7 +97,7 @@ def test_sh_bytes_are_channel_major_and_exact_at_the_ends(load):
     assert model.sh[0, 1, 1] == (1.5 / 256 - 0.5) * 8
 
 
-def test_chunk_of_256_rows_and_unusual_order(load):
+def test_chunks_have_256_rows_and_may_follow_the_vertices(load):
     bounds = [(n, k, np.array([v[0], v[0] + 10])) for n, k, v in chunk(1)]
     words = packed(**{n[7:]: np.zeros(257) for n in PACKED})
     model = load(("vertex", words), ("chunk", bounds))
@@ -111,7 +111,7 @@ def test_extra_columns_and_elements_are_kept(load):
     assert model.elements[0].rows["id"].tolist() == [4]
 
 
-def test_further_elements_are_read_without_the_splats(load, tmp_path, monkeypatch):
+def test_extra_elements_are_read_without_decoding_the_splats(load, tmp_path, monkeypatch):
     extra = ("tag", [("id", "int", np.array([4, 5]))])
     load(("chunk", chunk()), ("vertex", packed()), extra)
     monkeypatch.setattr(compressed_read, "_decoded", None)
@@ -145,7 +145,7 @@ def test_further_elements_are_read_without_the_splats(load, tmp_path, monkeypatc
         ),
     ],
 )
-def test_inconsistent_layout_is_refused(load, elements, words):
+def test_inconsistent_layouts_are_refused(load, elements, words):
     with pytest.raises(FormatError, match=words):
         load(*elements)
 
@@ -154,7 +154,7 @@ def test_inconsistent_layout_is_refused(load, elements, words):
     ("name", "count", "opaque"),
     [("biker.compressed.ply", 152_746, 198), ("guitar.compressed.ply", 90_854, 667)],
 )
-def test_real_scene(name, count, opaque):
+def test_real_scenes_are_read_as_by_the_reference(name, count, opaque):
     path = scene_path(name)
     model, info = io.load(path), io.inspect(path)
     assert len(model) == info.splats == count
@@ -162,11 +162,11 @@ def test_real_scene(name, count, opaque):
     assert model.finite().all()
     assert info.format == "compressed.ply"
     for row in (0, 255, 256, count - 1):
-        assert model.means[row] == pytest.approx(_twin(path, row), rel=1e-6)
+        assert model.means[row] == pytest.approx(_reference_centre(path, row), rel=1e-6)
 
 
-def _twin(path, row):
-    """Centre of one splat, decoded without arrays."""
+def _reference_centre(path, row):
+    """Return the centre of one splat, decoded with plain arithmetic."""
     header = read_header(path)
     rows = {e.name: np.empty(e.count, e.dtype()) for e in header.elements}
     for block in iter_blocks(header):
@@ -187,14 +187,14 @@ FILES = settings(
 
 
 def rewritten(model, folder):
-    """The model as read back, and the rows of the original in the file's order."""
+    """Write and read a model; return it with the original row of each row of the file."""
     io.save(model, folder / "a.compressed.ply", overwrite=True)
     rows = morton_order(model.means.astype(np.float32))
     return io.load(folder / "a.compressed.ply"), rows
 
 
 def steps(values, levels):
-    """Half the quantisation step of each row and axis: that of its chunk's own extent."""
+    """Return half the quantisation step of each row and axis, from the extent of its chunk."""
     half = np.empty(values.shape)
     for start in range(0, len(values), 256):
         part = values[start : start + 256]
@@ -202,36 +202,36 @@ def steps(values, levels):
     return half + 1e-6 * np.abs(values) + 1e-30
 
 
-def assert_close(model, again, rows):
-    """Every value is within half a step of the one it stands for, +5 % for rounding."""
+def assert_close(model, loaded, rows):
+    """Check that each value is within half a step of the original, plus 5 % for rounding."""
     means, scales = model.means[rows].astype(np.float64), model.log_scales[rows].clip(-20, 20)
     levels = np.array([2047, 1023, 2047])
-    assert (np.abs(again.means - means) <= 1.05 * steps(means, levels)).all()
-    assert (np.abs(again.log_scales - scales) <= 1.05 * steps(scales, levels) + 1e-5).all()
-    assert (np.abs(again.opacities() - model.opacities()[rows]) <= 0.5 / 255 + 1e-6).all()
+    assert (np.abs(loaded.means - means) <= 1.05 * steps(means, levels)).all()
+    assert (np.abs(loaded.log_scales - scales) <= 1.05 * steps(scales, levels) + 1e-5).all()
+    assert (np.abs(loaded.opacities() - model.opacities()[rows]) <= 0.5 / 255 + 1e-6).all()
     colour = model.sh[rows, 0].astype(np.float64)
-    assert (np.abs(again.sh[:, 0] - colour) <= 1.05 * steps(colour, 255) + 1e-5).all()
-    kept = again.sh.shape[1]
-    rest = model.sh[rows, 1:kept].clip(-4, 4)
-    assert (np.abs(again.sh[:, 1:] - rest) <= 1 / 32 + 1e-6).all()  # the end steps are whole
-    dots = (again.unit_quats().astype(np.float64) * model.unit_quats()[rows]).sum(axis=1)
+    assert (np.abs(loaded.sh[:, 0] - colour) <= 1.05 * steps(colour, 255) + 1e-5).all()
+    bands = loaded.sh.shape[1]
+    rest = model.sh[rows, 1:bands].clip(-4, 4)
+    assert (np.abs(loaded.sh[:, 1:] - rest) <= 1 / 32 + 1e-6).all()  # a whole step at either end
+    dots = (loaded.unit_quats().astype(np.float64) * model.unit_quats()[rows]).sum(axis=1)
     assert (1 - np.abs(dots) <= 1e-5).all()
 
 
 @FILES
 @given(model=splats())
-def test_what_is_written_is_read_within_half_a_step(tmp_path, model):
-    again, rows = rewritten(model, tmp_path)
-    assert_close(model, again, rows)
-    assert again.render_mode is model.render_mode
-    assert again.comments == model.comments
-    assert again.sh_degree == min(model.sh_degree, 3)
+def test_written_values_are_read_back_within_half_a_quantisation_step(tmp_path, model):
+    loaded, rows = rewritten(model, tmp_path)
+    assert_close(model, loaded, rows)
+    assert loaded.render_mode is model.render_mode
+    assert loaded.comments == model.comments
+    assert loaded.sh_degree == min(model.sh_degree, 3)
 
 
-def test_many_chunks_and_blocks(tmp_path, monkeypatch):
+def test_writing_in_smaller_blocks_gives_the_same_bytes(tmp_path, monkeypatch):
     model = random_splats(3000, degree=3, seed=4)
-    again, rows = rewritten(model, tmp_path)
-    assert_close(model, again, rows)
+    loaded, rows = rewritten(model, tmp_path)
+    assert_close(model, loaded, rows)
     before = (tmp_path / "a.compressed.ply").read_bytes()
     monkeypatch.setattr(compressed_ply_write, "BLOCK_ROWS", 300)  # one chunk at a time
     rewritten(model, tmp_path)
@@ -240,26 +240,26 @@ def test_many_chunks_and_blocks(tmp_path, monkeypatch):
 
 @FILES
 @given(model=splats(), count=st.integers(1, 3000))
-def test_size_is_known_beforehand(model, count):
-    many = model.take(np.arange(count) % len(model))
+def test_the_predicted_file_size_is_exact(model, count):
+    repeated = model.take(np.arange(count) % len(model))
     stream = streams.BytesIO()
-    compressed_ply_write.write(many, stream)
+    compressed_ply_write.write(repeated, stream)
     size = compressed_ply_write.file_bytes
     assert size(model, count) == len(stream.getvalue()) < size(model, count + 1)
 
 
-def test_infinite_opacities_and_zero_scales_survive_as_far_as_the_format_goes(tmp_path):
+def test_infinite_opacities_are_kept_and_zero_scales_are_clipped(tmp_path):
     model = random_splats(3)
     model.opacity_logits[:] = [-np.inf, np.inf, 0]
     model.log_scales[0, 0] = -np.inf
-    again, rows = rewritten(model, tmp_path)
-    assert sorted(again.opacities()[np.argsort(rows)].round(2)) == [0, 0.5, 1]
-    assert again.log_scales[np.argsort(rows)][0, 0] == -20
+    loaded, rows = rewritten(model, tmp_path)
+    assert sorted(loaded.opacities()[np.argsort(rows)].round(2)) == [0, 0.5, 1]
+    assert loaded.log_scales[np.argsort(rows)][0, 0] == -20
     assert "1 splat has a log-scale beyond ±20" in io.losses(model, "a.compressed.ply")[0]
 
 
 @pytest.mark.parametrize("field", ["means", "log_scales", "quats", "opacity_logits", "sh"])
-def test_what_is_no_number_is_refused_before_a_byte_is_written(tmp_path, field):
+def test_nan_values_are_refused_before_anything_is_written(tmp_path, field):
     model = random_splats(3)
     getattr(model, field)[1] = np.nan
     words = "1 splat holds NaN or infinite values, the first in row 1"
@@ -268,52 +268,54 @@ def test_what_is_no_number_is_refused_before_a_byte_is_written(tmp_path, field):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_centres_beyond_float_are_refused(tmp_path):
+def test_centres_beyond_the_float32_range_are_refused(tmp_path):
     model = random_splats(3)
     model = dataclasses.replace(model, means=model.means.astype(np.float64) * 1e39)
     with pytest.raises(OutputError, match="cannot store"):
         io.save(model, tmp_path / "a.compressed.ply")
 
 
-def test_losses_are_stated():
+def test_losses_are_reported():
     model = random_splats(2, degree=4, extras={"label": np.zeros(2)})
     tag = ExtraElement("tag", np.zeros(1, [("id", "i4")]))
     model.sh[0, 1] = 5
     model = dataclasses.replace(model, elements=[tag], means=model.means.astype(np.float64))
-    extra, element, degree, double, range_ = io.losses(model, "a.compressed.ply")
+    extra, element, degree, precision, range_ = io.losses(model, "a.compressed.ply")
     assert "label" in extra
     assert "tag" in element
     assert "above degree 3" in degree
-    assert "double precision" in double
+    assert "double precision" in precision
     assert "3 SH coefficients are beyond ±4" in range_
     assert io.losses(random_splats(2, degree=3), "a.compressed.ply") == ()
 
 
 @pytest.mark.parametrize("mode", RenderMode)
-def test_the_render_mode_is_tagged(tmp_path, mode):
+def test_the_render_mode_is_stored(tmp_path, mode):
     model = dataclasses.replace(random_splats(2), render_mode=mode)
     assert rewritten(model, tmp_path)[0].render_mode is mode
 
 
-def test_the_order_is_that_of_interleaved_bits():
+def test_splats_are_ordered_by_interleaved_bits_of_their_cells():
     corners = [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
     assert morton_order(np.array(corners, np.float32)).tolist() == list(range(8))
     assert morton_order(np.array(corners[::-1], np.float32)).tolist() == list(range(8))[::-1]
 
 
-def test_a_crowd_far_from_one_splat_is_ordered_all_the_same():
+def test_a_dense_group_far_from_an_outlier_is_still_ordered():
     rng = np.random.default_rng(0)
     means = np.concatenate([rng.permutation(2000)[:, None] * (1e-4, 0, 0), [[1e6, 0, 0]]])
     means = means.astype(np.float32)
-    assert (np.diff(means[morton_order(means), 0]) >= -2.1e-4).all()  # a cell holds two of them
+    assert (
+        np.diff(means[morton_order(means), 0]) >= -2.1e-4
+    ).all()  # a cell may contain two of them
 
 
 def test_coincident_centres_keep_their_order():
     assert morton_order(np.zeros((600, 3), np.float32)).tolist() == list(range(600))
 
 
-def test_a_real_scene_survives_being_packed_again(tmp_path):
+def test_a_real_scene_is_written_again_within_half_a_step(tmp_path):
     path = scene_path("guitar.compressed.ply")
     model = io.load(path)
-    again, rows = rewritten(model, tmp_path)
-    assert_close(model, again, rows)
+    loaded, rows = rewritten(model, tmp_path)
+    assert_close(model, loaded, rows)

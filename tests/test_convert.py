@@ -1,4 +1,4 @@
-"""`nanogs convert` from outside, and dropping bands of spherical harmonics."""
+"""The command `nanogs convert`, and dropping bands of spherical harmonics."""
 
 import json
 import subprocess
@@ -22,7 +22,7 @@ def run(*arguments):
 
 
 def assert_refused(result, folder, *words):
-    """Exit code 2, one sentence on stderr, and nothing written."""
+    """Check for exit code 2, one sentence on stderr, and no new files."""
     assert result.returncode == 2, result
     assert result.stdout == ""
     assert result.stderr.startswith("error: ")
@@ -41,7 +41,7 @@ def scene(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", WRITTEN)
-def test_every_written_format_holds_what_the_library_writes(scene, tmp_path, suffix):
+def test_convert_writes_the_same_bytes_as_save_in_every_format(scene, tmp_path, suffix):
     result = run(scene, tmp_path / f"a{suffix}")
     assert result.returncode == 0, result.stderr
     assert result.stdout == ""
@@ -50,29 +50,29 @@ def test_every_written_format_holds_what_the_library_writes(scene, tmp_path, suf
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
-def test_a_folder_is_written_by_its_description(scene, tmp_path):
+def test_a_folder_is_written_if_the_output_is_meta_json(scene, tmp_path):
     path = tmp_path / "folder" / "meta.json"
     report = json.loads(run(scene, path, "--json").stdout)
     nanogs.save(nanogs.load(scene), tmp_path / "other" / "meta.json")
     written = {entry.name: entry.read_bytes() for entry in path.parent.iterdir()}
-    other = {entry.name: entry.read_bytes() for entry in (tmp_path / "other").iterdir()}
-    assert written == other
+    expected = {entry.name: entry.read_bytes() for entry in (tmp_path / "other").iterdir()}
+    assert written == expected
     assert report["output_bytes"] == sum(map(len, written.values()))
-    again = json.loads(run(path, path, "-w", "--sh-degree", "0", "--json").stdout)
-    assert again["input_bytes"] == report["output_bytes"]
+    second_report = json.loads(run(path, path, "-w", "--sh-degree", "0", "--json").stdout)
+    assert second_report["input_bytes"] == report["output_bytes"]
     assert nanogs.load(path).sh_degree == 0
     assert "add -w" in run(scene, path).stderr
 
 
-def test_losses_are_told(scene, tmp_path):
+def test_losses_are_printed_as_notes_unless_quiet(scene, tmp_path):
     result = run(scene, tmp_path / "a.glb")
     assert "note: Extra columns are left out, .glb has no room for them: label." in result.stderr
-    silent = run(scene, tmp_path / "b.glb", "--quiet")
-    assert (silent.returncode, silent.stdout, silent.stderr) == (0, "", "")
+    quiet = run(scene, tmp_path / "b.glb", "--quiet")
+    assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
     assert "note" not in run(scene, tmp_path / "b.ply").stderr
 
 
-def test_json_is_the_report_and_nothing_else(scene, tmp_path):
+def test_json_prints_the_report_and_nothing_else(scene, tmp_path):
     result = run(scene, tmp_path / "a.glb", "--json")
     report = json.loads(result.stdout)
     assert result.stderr == ""
@@ -85,11 +85,11 @@ def test_json_is_the_report_and_nothing_else(scene, tmp_path):
     assert set(report["seconds"]) == {"read", "write"}
 
 
-def test_higher_bands_are_dropped(scene, tmp_path):
+def test_bands_above_the_given_sh_degree_are_dropped(scene, tmp_path):
     assert run(scene, tmp_path / "a.ply", "--sh-degree", "1").returncode == 0
-    again, before = nanogs.load(tmp_path / "a.ply"), nanogs.load(scene)
-    assert np.array_equal(again.sh, before.sh[:, :4])
-    assert np.array_equal(again.extras["label"], before.extras["label"])
+    converted, original = nanogs.load(tmp_path / "a.ply"), nanogs.load(scene)
+    assert np.array_equal(converted.sh, original.sh[:, :4])
+    assert np.array_equal(converted.extras["label"], original.extras["label"])
     report = json.loads(run(scene, tmp_path / "b.ply", "--sh-degree", "3", "--json").stdout)
     assert report["sh_degree"] == 2
 
@@ -109,14 +109,14 @@ def test_bad_input_and_output_are_refused(scene, tmp_path):
     assert_refused(run(scene, tmp_path / "a.glb"), tmp_path, "cut short")
 
 
-def test_what_the_format_cannot_hold_at_all_is_refused(scene, tmp_path):
+def test_splats_that_the_format_cannot_hold_are_refused(scene, tmp_path):
     model = nanogs.load(scene)
     model.means[7] = np.nan
     nanogs.save(model, scene, overwrite=True)
     assert_refused(run(scene, tmp_path / "a.glb"), tmp_path, "row 7", "--ratio 1")
 
 
-def test_a_degree_that_is_none_is_refused(scene, tmp_path):
+def test_an_invalid_sh_degree_is_refused(scene, tmp_path):
     result = run(scene, tmp_path / "a.ply", "--sh-degree", "5")
     assert_refused(result, tmp_path, "from 0 to 4, not 5")
 
@@ -133,7 +133,7 @@ def test_convert_never_imports_numba(scene, tmp_path):
 
 
 @pytest.mark.parametrize("degree", range(5))
-def test_with_sh_degree(degree):
+def test_with_sh_degree_keeps_the_lower_bands(degree):
     model = random_splats(5, degree=3)
     small = model.with_sh_degree(degree)
     assert small.sh_degree == min(degree, 3)
@@ -143,22 +143,22 @@ def test_with_sh_degree(degree):
 
 
 @pytest.mark.parametrize("degree", [-1, 5])
-def test_with_an_impossible_sh_degree(degree):
+def test_with_sh_degree_refuses_an_invalid_degree(degree):
     with pytest.raises(OptionError, match="from 0 to 4"):
         random_splats(1).with_sh_degree(degree)
 
 
-def test_turn_is_the_half_turn(scene, tmp_path):
+def test_turn_makes_the_half_turn_to_the_frame_rub(scene, tmp_path):
     result = run(scene, tmp_path / "a.ply", "--turn", "--json")
     assert json.loads(result.stdout)["frames"] == ["rub", "rdf"]
-    turned, before = nanogs.load(tmp_path / "a.ply"), nanogs.load(scene)
-    assert np.array_equal(turned.means, before.means * np.float32([1, -1, -1]))
+    turned, original = nanogs.load(tmp_path / "a.ply"), nanogs.load(scene)
+    assert np.array_equal(turned.means, original.means * np.float32([1, -1, -1]))
     run(tmp_path / "a.ply", tmp_path / "b.ply", "--turn")
-    assert np.array_equal(nanogs.load(tmp_path / "b.ply").sh, before.sh)
+    assert np.array_equal(nanogs.load(tmp_path / "b.ply").sh, original.sh)
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])
-def test_the_version_of_spz_is_chosen(scene, tmp_path, version):
+def test_the_spz_version_can_be_chosen(scene, tmp_path, version):
     target = tmp_path / "a.spz"
     assert run(scene, target, "--spz-version", version).returncode == 0
     encoding = "zstd" if version == 4 else "gzip"
@@ -171,11 +171,11 @@ def test_the_version_of_spz_is_chosen(scene, tmp_path, version):
 
 
 @pytest.mark.parametrize("suffix", [".sog", ".spz"])
-def test_the_palette_is_chosen(scene, tmp_path, suffix):
-    target, other = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+def test_the_palette_size_can_be_chosen(scene, tmp_path, suffix):
+    target, expected = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
     assert run(scene, target, "--palette", 3).returncode == 0
-    nanogs.save(nanogs.load(scene), other, format_options={"palette": 3})
-    assert other.read_bytes() == target.read_bytes()
+    nanogs.save(nanogs.load(scene), expected, format_options={"palette": 3})
+    assert expected.read_bytes() == target.read_bytes()
     assert len(np.unique(nanogs.load(target).sh[:, 1:], axis=0)) == 3
     options = ["-r", "0.5", "--preset", "fast", "--palette", 2, "-q"]
     small = tmp_path / f"c{suffix}"
@@ -183,11 +183,11 @@ def test_the_palette_is_chosen(scene, tmp_path, suffix):
     assert len(np.unique(nanogs.load(small).sh[:, 1:], axis=0)) == 2
 
 
-def test_options_of_another_format_are_refused(scene, tmp_path):
+def test_invalid_format_options_and_those_of_other_formats_are_refused(scene, tmp_path):
     assert_refused(run(scene, tmp_path / "a.spz", "--spz-version", 1), tmp_path, "2 or 3 or 4")
     assert_refused(run(scene, tmp_path / "a.ply", "--spz-version", 4), tmp_path, "for .spz files")
-    asked = "--palette must be a whole number from 1 to 65,536, not 0"
-    assert_refused(run(scene, tmp_path / "a.sog", "--palette", 0), tmp_path, asked)
+    message = "--palette must be a whole number from 1 to 65,536, not 0"
+    assert_refused(run(scene, tmp_path / "a.sog", "--palette", 0), tmp_path, message)
     with pytest.raises(OptionError, match="no option 'quality'"):
         nanogs.save(nanogs.load(scene), tmp_path / "a.spz", format_options={"quality": 3})
     with pytest.raises(OptionError, match=r"not for \.ply"):

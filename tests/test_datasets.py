@@ -30,8 +30,8 @@ WHITE_8 = (255, 255, 255)
 
 @pytest.fixture
 def chair():
-    beside = Path(__file__).resolve().parents[2] / "shared" / "scenes"
-    folder = Path(os.environ.get("NANOGS_SCENES", beside)) / "chair_photos"
+    default = Path(__file__).resolve().parents[2] / "shared" / "scenes"
+    folder = Path(os.environ.get("NANOGS_SCENES", default)) / "chair_photos"
     if not folder.is_dir():
         pytest.skip(f"no shared scene {folder}; set NANOGS_SCENES to the scenes folder")
     return folder
@@ -58,7 +58,7 @@ def test_colmap_holds_out_one_in_eight(tmp_path, encoding):
     assert names(data.split("train")) == [f"img_{k}.png" for k in range(1, 8)]
 
 
-def test_photographs_belong_to_their_cameras(tmp_path):
+def test_each_photograph_is_matched_to_its_camera(tmp_path):
     data = open_dataset(str(write_capture(tmp_path)))
     for frame in data.split("train"):
         k = int(frame.camera.name[4])
@@ -66,7 +66,7 @@ def test_photographs_belong_to_their_cameras(tmp_path):
         assert data.load_photo(frame, BLACK)[0, 0, 0] == pytest.approx(k / 255)
 
 
-def test_intrinsics_follow_the_chosen_photographs(tmp_path):
+def test_intrinsics_are_scaled_to_the_chosen_photographs(tmp_path):
     write_capture(tmp_path)
     write_capture(tmp_path, folder="images_4", size=(20, 15))
     small = open_dataset(tmp_path, images="images_4").split("test")[0]
@@ -78,14 +78,14 @@ def test_intrinsics_follow_the_chosen_photographs(tmp_path):
     assert (large.width, large.fx) == (80, 70)
 
 
-def test_downscaled_copies_in_another_format(tmp_path):
+def test_downscaled_photographs_may_have_another_file_format(tmp_path):
     write_model(tmp_path / "sparse" / "0", images=[colmap_image(1, "sub/IMG.JPG")])
     write_photo(tmp_path / "images_2" / "sub" / "IMG.png", (40, 30))
     (frame,) = open_dataset(tmp_path, images="images_2").split("test")
     assert frame.photo_path == tmp_path / "images_2" / "sub" / "IMG.png"
 
 
-def test_cropped_photograph(tmp_path):
+def test_cropped_photographs_are_refused(tmp_path):
     write_capture(tmp_path, size=(80, 56))
     with pytest.raises(
         FormatError,
@@ -94,7 +94,7 @@ def test_cropped_photograph(tmp_path):
         open_dataset(tmp_path).split("test")
 
 
-def test_missing_photograph_is_not_skipped(tmp_path):
+def test_a_missing_photograph_is_an_error(tmp_path):
     (write_capture(tmp_path) / "images" / "img_8.png").unlink()
     data = open_dataset(tmp_path)
     with pytest.raises(FormatError, match=r"no photograph img_8\.png"):
@@ -102,7 +102,7 @@ def test_missing_photograph_is_not_skipped(tmp_path):
     assert len(data.split("train")) == 7
 
 
-def test_missing_image_folder(tmp_path):
+def test_a_missing_image_folder_is_an_error(tmp_path):
     write_capture(tmp_path, folder="images_4")
     with pytest.raises(FormatError, match=r"images: is no folder .* choose images='images_4'"):
         open_dataset(tmp_path)
@@ -110,32 +110,32 @@ def test_missing_image_folder(tmp_path):
         open_dataset(tmp_path, images="images_8")
 
 
-def test_model_without_any_photographs(tmp_path):
+def test_a_colmap_model_without_photographs_only_has_cameras(tmp_path):
     write_model(tmp_path / "sparse" / "0")
     with pytest.raises(FormatError, match="copy the photographs there"):
         open_dataset(tmp_path)
     assert len(cameras_from_file(tmp_path)) == 9
 
 
-def test_one_image_leaves_nothing_to_train_on(tmp_path):
+def test_a_single_image_leaves_no_train_split(tmp_path):
     write_model(tmp_path / "sparse" / "0", images=[colmap_image(1, "img_0.png")])
     write_photo(tmp_path / "images" / "img_0.png")
     with pytest.raises(FormatError, match="leave none for the train split"):
         open_dataset(tmp_path).split("train")
 
 
-def test_colmap_goes_before_transforms(tmp_path):
+def test_colmap_is_preferred_to_transforms_files(tmp_path):
     write_json(write_capture(tmp_path) / "transforms_test.json", transforms())
     assert open_dataset(tmp_path).kind == "colmap"
 
 
-def test_blender_keeps_the_files_order(blender):
+def test_blender_frames_keep_the_order_of_the_file(blender):
     data = open_dataset(blender)
     assert data.kind == "blender"
     assert names(data.split("test")) == ["test/r_0", "test/r_2", "test/r_10"]
 
 
-def test_blender_without_a_split(blender):
+def test_a_missing_blender_split_is_an_error(blender):
     with pytest.raises(FormatError, match="no train split"):
         open_dataset(blender).split("train")
     (blender / "transforms_test.json").rename(blender / "transforms_train.json")
@@ -144,7 +144,7 @@ def test_blender_without_a_split(blender):
         open_dataset(blender).split("test")
 
 
-def test_blender_photograph_missing(blender):
+def test_a_missing_blender_photograph_is_an_error(blender):
     write_json(blender / "transforms_test.json", transforms(w=8, h=6))
     assert open_dataset(blender).split("test")
     (blender / "test" / "r_0.png").unlink()
@@ -152,14 +152,14 @@ def test_blender_photograph_missing(blender):
         open_dataset(blender).split("test")
 
 
-def test_options_that_make_no_sense(blender):
+def test_impossible_options_are_refused(blender):
     with pytest.raises(OptionError, match="leave images out"):
         open_dataset(blender, images="images_2")
     with pytest.raises(OptionError, match="choose 'test' or 'train'"):
         open_dataset(blender).split("val")
 
 
-def test_cameras_without_photographs_are_no_dataset(tmp_path):
+def test_cameras_without_photographs_are_not_a_data_set(tmp_path):
     file = write_json(tmp_path / "cameras.json", [trained_camera()])
     with pytest.raises(FormatError, match="the photographs are needed besides the cameras"):
         open_dataset(file)
@@ -171,33 +171,37 @@ def test_cameras_without_photographs_are_no_dataset(tmp_path):
         open_dataset(tmp_path / "nowhere")
 
 
-def test_cameras_from_each_layout(tmp_path, blender):
+def test_cameras_are_read_from_each_layout(tmp_path, blender):
     model = write_model(tmp_path / "capture" / "sparse" / "0")
-    for place in (model, model.parent.parent, model.parent.parent / "sparse" / "0"):
-        assert len(cameras_from_file(place)) == 9
+    for path in (model, model.parent.parent, model.parent.parent / "sparse" / "0"):
+        assert len(cameras_from_file(path)) == 9
     assert len(cameras_from_file(blender)) == 3
     assert len(cameras_from_file(str(blender / "transforms_test.json"))) == 3
     run = write_json(tmp_path / "run" / "cameras.json", [trained_camera()]).parent
     assert len(cameras_from_file(run)) == len(cameras_from_file(run / "cameras.json")) == 1
 
 
-def test_cameras_of_all_transforms(blender):
+def test_cameras_of_all_transforms_files_are_listed(blender):
     train = [{"file_path": "./train/r_0", "transform_matrix": POSE}]
     write_json(blender / "transforms_train.json", transforms(train, w=8, h=6))
     listed = [camera.name for camera in cameras_from_file(blender)]
     assert listed == ["train/r_0", "test/r_0", "test/r_2", "test/r_10"]
 
 
-def test_cameras_of_a_file_of_all_beside_its_splits_are_there_once(tmp_path):
+def test_cameras_that_are_in_several_transforms_files_are_listed_once(tmp_path):
     frames = [{"file_path": f"images/{name}.png", "transform_matrix": POSE} for name in "abc"]
     moved = {**frames[0], "transform_matrix": [[1.0, 0, 0, 9.0], *POSE[1:]]}
-    for name, some in (("", frames), ("_train", frames[:2]), ("_test", [frames[2], moved])):
-        write_json(tmp_path / f"transforms{name}.json", transforms(some, w=8, h=6))
+    for name, listed_frames in (
+        ("", frames),
+        ("_train", frames[:2]),
+        ("_test", [frames[2], moved]),
+    ):
+        write_json(tmp_path / f"transforms{name}.json", transforms(listed_frames, w=8, h=6))
     listed = [camera.name for camera in cameras_from_file(tmp_path)]
     assert listed == [f"images/{name}.png" for name in "abca"]
 
 
-def test_cameras_from_nothing(tmp_path):
+def test_sources_without_cameras_and_superfluous_sizes_are_refused(tmp_path):
     with pytest.raises(FormatError, match="holds no cameras"):
         cameras_from_file(tmp_path)
     with pytest.raises(FormatError, match="cannot be read"):
@@ -213,7 +217,7 @@ def frame_with(blender, image):
     return data, frame
 
 
-def test_alpha_is_straight_over_the_background(blender):
+def test_straight_alpha_is_composited_over_the_background(blender):
     data, frame = frame_with(blender, Image.new("RGBA", (8, 6), (255, 102, 0, 51)))
     photo = data.load_photo(frame, (0.0, 0.5, 1.0))
     assert photo.shape == (6, 8, 3)
@@ -228,7 +232,7 @@ def test_opaque_photographs_ignore_the_background(blender):
     np.testing.assert_allclose(data.load_photo(frame, WHITE)[0, 0], [1, 0.4, 0], atol=1e-7)
 
 
-def test_rows_run_from_the_top(blender):
+def test_rows_of_a_photograph_start_at_the_top(blender):
     image = Image.new("RGB", (8, 6))
     image.putpixel((5, 1), (255, 255, 255))
     data, frame = frame_with(blender, image)
@@ -236,12 +240,12 @@ def test_rows_run_from_the_top(blender):
 
 
 @pytest.mark.parametrize("mode", ["L", "LA", "P", "1"])
-def test_other_modes_become_rgb(blender, mode):
+def test_other_image_modes_are_converted_to_rgb(blender, mode):
     data, frame = frame_with(blender, Image.new("RGB", (8, 6), WHITE_8).convert(mode))
     np.testing.assert_allclose(data.load_photo(frame, BLACK), 1)
 
 
-def test_palette_with_transparency(blender):
+def test_a_transparent_palette_entry_shows_the_background(blender):
     image = Image.new("P", (8, 6), 0)
     image.putpalette([255, 0, 0, 0, 255, 0])
     image.info["transparency"] = 0
@@ -249,19 +253,19 @@ def test_palette_with_transparency(blender):
     np.testing.assert_allclose(data.load_photo(frame, (0, 0, 1)), np.full((6, 8, 3), (0, 0, 1)))
 
 
-def test_sixteen_bits_are_not_clipped(blender):
+def test_sixteen_bit_photographs_are_refused(blender):
     data, frame = frame_with(blender, Image.new("I;16", (8, 6), 40_000))
     with pytest.raises(FormatError, match=r"convert it to 8 bits a channel"):
         data.load_photo(frame, BLACK)
 
 
-def test_photograph_replaced_after_the_split(blender):
+def test_a_photograph_whose_size_changed_is_refused(blender):
     data, frame = frame_with(blender, Image.new("RGB", (9, 6)))
     with pytest.raises(FormatError, match="is 9x6 pixels, but its camera is 8x6"):
         data.load_photo(frame, BLACK)
 
 
-def test_frame_without_photograph(blender):
+def test_loading_a_frame_without_photograph_is_an_error(blender):
     data = open_dataset(blender)
     frame = replace(data.split("test")[0], photo_path=None)
     with pytest.raises(FormatError, match="no photograph test/r_0"):
@@ -271,7 +275,7 @@ def test_frame_without_photograph(blender):
 @pytest.mark.parametrize(
     "background", [(1, 1), (0, 0, 1.1), (0, -0.1, 0), (0, 0, float("nan")), "white", 1.0]
 )
-def test_backgrounds_that_are_none(blender, background):
+def test_invalid_backgrounds_are_refused(blender, background):
     data = open_dataset(blender)
     with pytest.raises(OptionError, match="three numbers from 0 to 1"):
         data.load_photo(data.split("test")[0], background)
@@ -281,7 +285,7 @@ def test_backgrounds_that_are_none(blender, background):
     deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(where=st.floats(0, 1), value=st.integers(0, 255), keep=st.floats(0.2, 1))
-def test_damaged_photographs_give_pixels_or_our_error(blender, where, value, keep):
+def test_damaged_photographs_give_pixels_or_a_nanogs_error(blender, where, value, keep):
     file = write_photo(blender / "test" / "r_0.png", (8, 6), (1, 2, 3))
     data = bytearray(file.read_bytes())
     data[min(int(where * len(data)), len(data) - 1)] = value
@@ -294,7 +298,7 @@ def test_damaged_photographs_give_pixels_or_our_error(blender, where, value, kee
     assert np.isfinite(photo).all()
 
 
-def test_chair_cameras(chair):
+def test_the_shared_chair_has_the_expected_cameras(chair):
     data = open_dataset(chair)
     frames = data.split("test")
     assert data.kind == "blender"
@@ -303,7 +307,7 @@ def test_chair_cameras(chair):
         camera = frame.camera
         assert (camera.width, camera.height, camera.cx, camera.cy) == (800, 800, 400, 400)
         assert camera.fx == camera.fy == pytest.approx(1111.111, abs=1e-3)
-        # All stand on a sphere around the chair and look at its middle.
+        # All cameras are on a sphere around the chair and look at its centre.
         assert np.linalg.norm(camera.position) == pytest.approx(4.031, abs=1e-3)
         np.testing.assert_allclose(
             camera.world_to_camera @ [0, 0, 0, 1], [0, 0, 4.031, 1], atol=2e-3
@@ -312,7 +316,7 @@ def test_chair_cameras(chair):
         assert camera.world_to_camera[1, 2] < 0
 
 
-def test_chair_photographs(chair):
+def test_the_shared_chair_has_the_expected_photographs(chair):
     data = open_dataset(chair)
     frame = data.split("test")[0]
     white, black = data.load_photo(frame, WHITE), data.load_photo(frame, BLACK)

@@ -29,7 +29,7 @@ on_disk = settings(
 )
 
 
-def test_one_camera_by_hand(tmp_path):
+def test_a_camera_has_the_values_computed_by_hand(tmp_path):
     (camera,) = read_model(write_model(tmp_path, images=[colmap_image(7, "a.png", QUARTER)]))
     assert (camera.width, camera.height) == (80, 60)
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (70, 71, 39, 31)
@@ -39,11 +39,12 @@ def test_one_camera_by_hand(tmp_path):
     np.testing.assert_allclose(camera.position, [0, 0, -4], atol=1e-12)
 
 
-def test_encodings_agree(tmp_path):
+def test_binary_and_text_models_are_read_alike(tmp_path):
     cameras = [colmap_camera(1), colmap_camera(2, "SIMPLE_PINHOLE", (8, 6), (7.1, 4.0, 3.0))]
     images = [*nine_images(), colmap_image(10, "sub dir/ü b.png", camera_id=2, points=0)]
     binary, text = (
-        read_model(write_model(tmp_path / each, cameras, images, each)) for each in ENCODINGS
+        read_model(write_model(tmp_path / encoding, cameras, images, encoding))
+        for encoding in ENCODINGS
     )
     assert len(binary) == len(text) == 10
     for a, b in zip(binary, text, strict=True):
@@ -52,24 +53,24 @@ def test_encodings_agree(tmp_path):
         np.testing.assert_array_equal(a.world_to_camera, b.world_to_camera)
 
 
-def test_sorted_by_name_not_by_id(tmp_path):
+def test_cameras_are_sorted_by_name_not_by_id(tmp_path):
     names = [camera.name for camera in read_model(write_model(tmp_path))]
     assert names == [f"img_{k}.png" for k in range(9)]
 
 
-def test_binary_is_preferred_when_both_are_there(tmp_path):
+def test_a_binary_model_is_preferred_to_a_text_model(tmp_path):
     write_model(tmp_path, images=[colmap_image(1, "old.png")], encoding="txt")
     write_model(tmp_path, images=[colmap_image(1, "new.png")], encoding="bin")
     assert [camera.name for camera in read_model(tmp_path)] == ["new.png"]
 
 
 @pytest.mark.parametrize("inside", ["sparse/0", "sparse", "."])
-def test_model_is_found(tmp_path, inside):
+def test_a_model_is_found_in_each_usual_folder(tmp_path, inside):
     folder = write_model(tmp_path / inside)
     assert find_model(tmp_path) == folder
 
 
-def test_half_a_model_is_not_found(tmp_path):
+def test_an_incomplete_model_is_not_found(tmp_path):
     (write_model(tmp_path) / "images.bin").unlink()
     assert find_model(tmp_path) is None
     with pytest.raises(FormatError, match="lacks cameras and images"):
@@ -84,19 +85,21 @@ def test_half_a_model_is_not_found(tmp_path):
         ("OPENCV", (70.0, 71.0, 40.0, 30.0, 0.0, 0.0, 0.0, -0.0), (70, 71)),
     ],
 )
-def test_undistorted_models_are_pinholes(tmp_path, encoding, model, params, focal):
+def test_camera_models_without_distortion_are_pinhole_cameras(
+    tmp_path, encoding, model, params, focal
+):
     cameras = [colmap_camera(model=model, params=params)]
     camera = read_model(write_model(tmp_path, cameras, encoding=encoding))[0]
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (*focal, 40, 30)
 
 
-BENT = [
+DISTORTED = [
     ("SIMPLE_RADIAL", 2, (70, 40, 30, 0.01)),
     ("RADIAL", 3, (70, 40, 30, 0, 0.01)),
     ("OPENCV", 4, (70, 71, 40, 30, 0, 0, 0, 1e-9)),
     ("FULL_OPENCV", 6, (70, 71, 40, 30, 0, 0, 0, 0, 0, 0, 0, 0.1)),
     ("FOV", 7, (70, 71, 40, 30, 0.9)),
-    # Fisheyes bend lines without any distortion parameter.
+    # Fisheye lenses bend lines even if all distortion parameters are zero.
     ("OPENCV_FISHEYE", 5, (70, 71, 40, 30, 0, 0, 0, 0)),
     ("SIMPLE_RADIAL_FISHEYE", 8, (70, 40, 30, 0)),
     ("RADIAL_FISHEYE", 9, (70, 40, 30, 0, 0)),
@@ -105,8 +108,10 @@ BENT = [
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-@pytest.mark.parametrize(("model", "number", "params"), BENT)
-def test_distorted_models_are_viewpoints_with_a_lens(tmp_path, encoding, model, number, params):
+@pytest.mark.parametrize(("model", "number", "params"), DISTORTED)
+def test_distorted_camera_models_keep_their_pose_and_get_a_lens(
+    tmp_path, encoding, model, number, params
+):
     given_model = number if encoding == "bin" else model
     cameras = [colmap_camera(model=given_model, params=params)]
     camera = read_model(write_model(tmp_path, cameras, encoding=encoding))[0]
@@ -117,7 +122,7 @@ def test_distorted_models_are_viewpoints_with_a_lens(tmp_path, encoding, model, 
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_a_lens_of_no_number_is_refused(tmp_path, encoding):
+def test_nan_lens_parameters_are_refused(tmp_path, encoding):
     params = (70, 71, 40, 30, 0, 0, 0, float("nan"))
     cameras = [colmap_camera(model="OPENCV", params=params)]
     with pytest.raises(FormatError, match=r"camera 1, lens: is nan where a finite number"):
@@ -125,7 +130,7 @@ def test_a_lens_of_no_number_is_refused(tmp_path, encoding):
 
 
 @pytest.mark.parametrize(("encoding", "model"), [("bin", 11), ("bin", -1), ("txt", "MAGIC")])
-def test_unknown_models_are_refused(tmp_path, encoding, model):
+def test_unknown_camera_models_are_refused(tmp_path, encoding, model):
     with pytest.raises(FormatError, match=rf"camera model '?{model}'? is not known.*undistort"):
         read_model(write_model(tmp_path, [colmap_camera(model=model)], encoding=encoding))
 
@@ -167,7 +172,7 @@ def test_bad_intrinsics_are_refused(tmp_path, encoding, camera, message):
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_camera_listed_twice(tmp_path, encoding):
+def test_a_camera_listed_twice_is_refused(tmp_path, encoding):
     with pytest.raises(FormatError, match="camera 1 twice"):
         read_model(write_model(tmp_path, [colmap_camera(), colmap_camera()], encoding=encoding))
 
@@ -175,19 +180,19 @@ def test_camera_listed_twice(tmp_path, encoding):
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
 def test_every_truncation_is_an_error(tmp_path, name):
     file = write_model(tmp_path, images=nine_images()[:2]) / name
-    whole = file.read_bytes()
-    for length in range(len(whole)):
-        file.write_bytes(whole[:length])
+    complete = file.read_bytes()
+    for length in range(len(complete)):
+        file.write_bytes(complete[:length])
         with pytest.raises(FormatError, match=r"is empty|ends before its last entry"):
             read_model(tmp_path)
-    file.write_bytes(whole + b"\0")
+    file.write_bytes(complete + b"\0")
     with pytest.raises(FormatError, match="has more data after its last entry"):
         read_model(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
 @pytest.mark.parametrize("count", [10, 2**31, 2**63, 2**64 - 1])
-def test_huge_counts_allocate_nothing(tmp_path, name, count):
+def test_huge_counts_are_refused_without_allocating_memory(tmp_path, name, count):
     file = write_model(tmp_path) / name
     file.write_bytes(count.to_bytes(8, "little") + file.read_bytes()[8:])
     tracemalloc.start()
@@ -199,19 +204,19 @@ def test_huge_counts_allocate_nothing(tmp_path, name, count):
         tracemalloc.stop()
 
 
-def test_name_that_is_not_utf8(tmp_path):
+def test_an_image_name_that_is_not_utf8_is_refused(tmp_path):
     file = write_model(tmp_path) / "images.bin"
     file.write_bytes(file.read_bytes().replace(b"img_4", b"img_\xff"))
     with pytest.raises(FormatError, match="not UTF-8"):
         read_model(tmp_path)
 
 
-def test_nameless_image(tmp_path):
+def test_an_image_without_a_name_is_refused(tmp_path):
     with pytest.raises(FormatError, match="where a name is needed"):
         read_model(write_model(tmp_path, images=[colmap_image(1, "")]))
 
 
-def test_text_without_observation_lines_loses_no_image(tmp_path):
+def test_text_without_observation_lines_is_refused(tmp_path):
     folder = write_model(tmp_path, encoding="txt")
     lines = images_txt(nine_images()).split("\n")
     (folder / "images.txt").write_text("\n".join(lines[:1] + lines[1::2]))
@@ -239,7 +244,7 @@ def test_text_may_end_after_the_last_pose(tmp_path, ending):
             "1 1 0 0 0 0 0 4 1 a.png\n1.0 x -1",
             "line 2: must be the list of observations of an image",
         ),
-        # The next image's line, with a name that is a number.
+        # The second line is that of the next image, and the name is a number.
         (
             "images.txt",
             "1 1 0 0 0 0 0 4 1 6\n2 1 0 0 0 0 0 4 1 7",
@@ -247,14 +252,14 @@ def test_text_may_end_after_the_last_pose(tmp_path, ending):
         ),
     ],
 )
-def test_bad_text_names_the_line(tmp_path, name, content, message):
+def test_errors_in_text_models_name_the_line(tmp_path, name, content, message):
     folder = write_model(tmp_path, encoding="txt")
     (folder / name).write_text(content)
     with pytest.raises(FormatError, match=message):
         read_model(folder)
 
 
-def test_text_that_is_no_text(tmp_path):
+def test_text_that_is_not_utf8_is_refused(tmp_path):
     folder = write_model(tmp_path, encoding="txt")
     (folder / "images.txt").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FormatError, match="not UTF-8"):
@@ -264,7 +269,7 @@ def test_text_that_is_no_text(tmp_path):
 @pytest.mark.parametrize(
     "size", [(40, 30), (20, 15), (10, 8), (10, 7), (160, 120), (27, 20), (26, 20)]
 )
-def test_scaling_keeps_what_is_seen(tmp_path, size):
+def test_scaling_the_intrinsics_keeps_the_view(tmp_path, size):
     camera = read_model(write_model(tmp_path))[0]
     small = scaled(camera, size, "photo")
     assert (small.width, small.height) == size
@@ -275,13 +280,13 @@ def test_scaling_keeps_what_is_seen(tmp_path, size):
     assert small.world_to_camera is camera.world_to_camera
 
 
-def test_scaling_by_hand(tmp_path):
+def test_scaled_intrinsics_have_the_values_computed_by_hand(tmp_path):
     small = scaled(read_model(write_model(tmp_path))[0], (40, 30), "photo")
     assert (small.fx, small.fy, small.cx, small.cy) == (35, 35.5, 19.5, 15.5)
 
 
 @pytest.mark.parametrize("size", [(60, 80), (80, 63), (40, 33), (37, 30), (20, 17), (83, 60)])
-def test_another_aspect_ratio_is_refused(tmp_path, size):
+def test_photographs_of_another_aspect_ratio_are_refused(tmp_path, size):
     camera = read_model(write_model(tmp_path))[0]
     with pytest.raises(
         FormatError, match=rf"^photo: is {size[0]}x{size[1]} .* not a scaled version of the 80x60"
@@ -295,7 +300,7 @@ unit = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0
 
 @on_disk
 @given(q=unit, t=st.tuples(finite, finite, finite), encoding=st.sampled_from(ENCODINGS))
-def test_poses_survive(tmp_path, q, t, encoding):
+def test_random_poses_are_read_exactly(tmp_path, q, t, encoding):
     q = np.array(q) / np.linalg.norm(q)
     image = colmap_image(1, "a.png", q.tolist(), t)
     folder = write_model(tmp_path / encoding, images=[image], encoding=encoding)
@@ -315,7 +320,7 @@ mutations = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1
     edits=mutations,
     keep=st.floats(0, 1) | st.just(1.0),
 )
-def test_mutations_give_cameras_or_our_error(tmp_path, name, edits, keep):
+def test_damaged_models_give_cameras_or_a_format_error(tmp_path, name, edits, keep):
     encoding = name[-3:]
     folder = write_model(tmp_path / encoding, images=nine_images()[:3], encoding=encoding)
     data = bytearray((folder / name).read_bytes())
@@ -333,7 +338,7 @@ def test_mutations_give_cameras_or_our_error(tmp_path, name, edits, keep):
 
 @on_disk
 @given(content=st.binary(max_size=200), name=st.sampled_from(["cameras", "images"]))
-def test_any_bytes_give_cameras_or_our_error(tmp_path, content, name):
+def test_random_bytes_give_a_format_error(tmp_path, content, name):
     for encoding in ENCODINGS:
         folder = write_model(tmp_path / encoding, encoding=encoding)
         (folder / f"{name}.{encoding}").write_bytes(content)
@@ -341,8 +346,8 @@ def test_any_bytes_give_cameras_or_our_error(tmp_path, content, name):
             read_model(folder)
 
 
-def test_writers_of_this_file_use_the_documented_layout():
-    # Guards the tests themselves: sizes of the records as COLMAP documents them.
+def test_the_writers_of_these_tests_use_the_documented_layout():
+    # Checks the helpers of these tests: record sizes are as in COLMAP's documentation.
     assert MODEL_NUMBERS["PINHOLE"] == 1
     assert len(cameras_bin([colmap_camera()])) == 8 + 24 + 4 * 8
     assert len(images_bin([colmap_image(1, "ab", points=3)])) == 8 + 64 + 3 + 8 + 3 * 24

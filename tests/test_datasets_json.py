@@ -1,4 +1,4 @@
-"""`transforms*.json` and `cameras.json`: hand-computed cameras, and what is refused."""
+"""`transforms*.json` and `cameras.json`: cameras computed by hand, and refused files."""
 
 import json
 import math
@@ -21,8 +21,8 @@ on_disk = settings(
 NAN = float("nan")
 
 
-def frame(name="./test/r_0", pose=POSE, **more):
-    return {"file_path": name, "transform_matrix": pose, **more}
+def frame(name="./test/r_0", pose=POSE, **entries):
+    return {"file_path": name, "transform_matrix": pose, **entries}
 
 
 def moved(row, column, value):
@@ -36,7 +36,7 @@ def file(tmp_path):
     return tmp_path / "transforms_test.json"
 
 
-def test_blender_pose_and_focal_by_hand(file):
+def test_a_blender_camera_has_the_values_computed_by_hand(file):
     write_photo(file.parent / "test" / "r_0.png", (80, 60))
     (only,) = read_transforms(write_json(file, transforms()))
     camera = only.camera
@@ -46,12 +46,12 @@ def test_blender_pose_and_focal_by_hand(file):
     assert camera.name == "test/r_0"
     assert only.photo_path == file.parent / "test" / "r_0.png"
     np.testing.assert_allclose(camera.position, [1, 2, 3])
-    # One ahead (world -z), one to the right and one up: x right, y down, z forward.
+    # A point one ahead (world -z), one right and one up; camera axes: x right, y down, z forward.
     seen = camera.world_to_camera @ [2, 3, 2, 1]
     np.testing.assert_allclose(seen, [1, -1, 1, 1])
 
 
-def test_file_path_with_suffix_and_size_stated(file):
+def test_stated_sizes_and_intrinsics_are_used(file):
     shared = {"w": 80, "h": 60.0, "fl_x": 90.0, "fl_y": 91.0, "cx": 38.0, "cy": 29.5}
     (only,) = read_transforms(write_json(file, transforms([frame("a.jpg")], **shared)))
     camera = only.camera
@@ -60,7 +60,7 @@ def test_file_path_with_suffix_and_size_stated(file):
     assert only.photo_path is None
 
 
-def test_a_frame_overrides_what_is_shared(file):
+def test_values_of_a_frame_override_shared_values(file):
     frames = [frame("a"), frame("b", fl_x=50.0, w=40, h=20, cx=1.0)]
     document = transforms(frames, w=80, h=60, fl_x=90.0)
     first, second = (each.camera for each in read_transforms(write_json(file, document)))
@@ -68,25 +68,25 @@ def test_a_frame_overrides_what_is_shared(file):
     assert (second.width, second.height, second.fx, second.cx, second.cy) == (40, 20, 50, 1, 10)
 
 
-def test_angles_across_and_down_are_told_apart(file):
-    """Where pixels are not square; without the second angle they are."""
-    both = {
+def test_horizontal_and_vertical_angles_give_separate_focal_lengths(file):
+    """With both angles pixels need not be square; with one angle they are taken as square."""
+    two_angles = {
         "w": 80,
         "h": 60,
         "camera_angle_x": 2 * math.atan(0.5),
         "camera_angle_y": 2 * math.atan(1),
     }
-    focal = {**both, "fl_x": 50.0}
-    (angles,), (mixed,), (stated,) = (
+    with_fl_x = {**two_angles, "fl_x": 50.0}
+    (no_focal,), (one_focal,), (two_focals,) = (
         read_transforms(write_json(file, transforms(**shared)))
-        for shared in (both, focal, {**focal, "fl_y": 40.0})
+        for shared in (two_angles, with_fl_x, {**with_fl_x, "fl_y": 40.0})
     )
-    assert (angles.camera.fx, angles.camera.fy) == pytest.approx((80, 30))
-    assert (mixed.camera.fx, mixed.camera.fy) == pytest.approx((50, 30))
-    assert (stated.camera.fx, stated.camera.fy) == (50, 40)
+    assert (no_focal.camera.fx, no_focal.camera.fy) == pytest.approx((80, 30))
+    assert (one_focal.camera.fx, one_focal.camera.fy) == pytest.approx((50, 30))
+    assert (two_focals.camera.fx, two_focals.camera.fy) == (50, 40)
 
 
-def test_size_given_for_a_file_that_states_none(file):
+def test_a_given_size_is_used_if_the_file_states_none(file):
     write_json(file, transforms())
     (square,) = cameras_from_file(file, width=64)
     assert (square.width, square.height, square.cx, square.cy) == (64, 64, 32, 32)
@@ -95,7 +95,7 @@ def test_size_given_for_a_file_that_states_none(file):
     assert (wide.width, wide.height, wide.fy) == (64, 32, pytest.approx(64))
 
 
-def test_no_size_at_all_names_the_remedy(file):
+def test_an_unknown_image_size_is_an_error_with_a_remedy(file):
     with pytest.raises(FormatError, match=r"the image size is unknown.*; give a width"):
         cameras_from_file(write_json(file, transforms()))
 
@@ -108,12 +108,12 @@ def test_bad_sizes_are_refused(file, size):
         cameras_from_file(write_json(file, transforms()), **size)
 
 
-def test_size_given_for_a_file_that_states_one(file):
+def test_a_given_size_is_refused_if_the_file_states_one(file):
     with pytest.raises(OptionError, match="leave width and height out"):
         cameras_from_file(write_json(file, transforms(w=8, h=6)), width=4)
 
 
-def test_photograph_of_another_size_than_stated(file):
+def test_a_photograph_of_another_size_than_stated_is_refused(file):
     write_photo(file.parent / "test" / "r_0.png", (40, 30))
     with pytest.raises(FormatError, match=r"r_0\.png: is \(40, 30\) .*states \(80, 60\)"):
         read_transforms(write_json(file, transforms(w=80, h=60)))
@@ -157,7 +157,7 @@ BAD_FRAMES = [
 
 
 @pytest.mark.parametrize(("bad", "message"), BAD_FRAMES)
-def test_bad_frames_name_entry_and_reason(file, bad, message):
+def test_bad_frames_are_refused_with_file_and_reason(file, bad, message):
     write_photo(file.parent / "test" / "r_0.png", (80, 60))
     write_json(file, transforms([bad]))
     with pytest.raises(FormatError, match=message) as caught:
@@ -165,24 +165,24 @@ def test_bad_frames_name_entry_and_reason(file, bad, message):
     assert str(file) in str(caught.value)
 
 
-def test_opencv_model_without_distortion_is_a_pinhole(file):
+def test_an_opencv_model_without_distortion_is_a_pinhole_camera(file):
     zeros = {"camera_model": "OPENCV", "k1": 0.0, "k2": 0, "p1": 0.0, "p2": 0.0}
     assert read_transforms(write_json(file, transforms(w=8, h=6, **zeros)))
 
 
-def test_small_rounding_is_kept_as_it_is(file):
+def test_small_rounding_errors_of_a_pose_are_not_corrected(file):
     pose = moved(0, 0, 1.0004)
     (only,) = read_transforms(write_json(file, transforms([frame(pose=pose)], w=8, h=6)))
     np.testing.assert_allclose(only.camera.world_to_camera[0, 0], 1 / 1.0004, rtol=1e-12)
 
 
 @pytest.mark.parametrize("other", ["./test/r_0", "test/r_0", "test/../test/r_0"])
-def test_image_listed_twice(file, other):
+def test_an_image_listed_twice_is_refused(file, other):
     with pytest.raises(FormatError, match="image test/r_0 twice"):
         read_transforms(write_json(file, transforms([frame(), frame(other)], w=8, h=6)))
 
 
-def test_photograph_listed_with_and_without_suffix(file):
+def test_a_photograph_listed_with_and_without_suffix_is_refused(file):
     write_photo(file.parent / "test" / "r_0.png", (8, 6))
     with pytest.raises(FormatError, match=r"photograph .*r_0\.png twice"):
         read_transforms(write_json(file, transforms([frame(), frame("test/r_0.png")])))
@@ -205,19 +205,19 @@ DOCUMENTS = [
 
 
 @pytest.mark.parametrize(("document", "message"), DOCUMENTS)
-def test_malformed_documents(file, document, message):
+def test_malformed_documents_are_refused(file, document, message):
     with pytest.raises(FormatError, match=message):
         cameras_from_file(write_json(file, document))
 
 
-def test_document_that_is_no_text(file):
+def test_a_document_that_is_not_utf8_is_refused(file):
     file.write_bytes(b"\xff\xfe{}")
     with pytest.raises(FormatError, match="not UTF-8"):
         cameras_from_file(file)
 
 
-def test_trained_camera_by_hand(tmp_path):
-    # Camera to world by a quarter turn: camera x is world y, camera y is world -x.
+def test_a_trained_camera_has_the_values_computed_by_hand(tmp_path):
+    # Camera-to-world rotation by a quarter turn: camera x is world y, camera y is world -x.
     turn = [[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]
     file = write_json(tmp_path / "cameras.json", [trained_camera(rotation=turn)])
     (camera,) = cameras_from_file(file)
@@ -227,7 +227,7 @@ def test_trained_camera_by_hand(tmp_path):
     np.testing.assert_allclose(camera.world_to_camera @ [1, 3, 3, 1], [1, 0, 0, 1], atol=1e-12)
 
 
-def test_trained_cameras_keep_their_order_and_get_unlike_names(tmp_path):
+def test_trained_cameras_keep_their_order_and_get_unique_names(tmp_path):
     rows = [
         trained_camera(id=5, img_name="r_1"),
         trained_camera(id=3),
@@ -254,13 +254,13 @@ def test_trained_cameras_keep_their_order_and_get_unlike_names(tmp_path):
         ([trained_camera(rotation="I")], "rotation: is not a 3x3 matrix"),
     ],
 )
-def test_bad_trained_cameras(tmp_path, rows, message):
+def test_bad_trained_cameras_are_refused(tmp_path, rows, message):
     file = write_json(tmp_path / "c.json", rows)
     with pytest.raises(FormatError, match=message):
         read_cameras_json(file)
 
 
-def test_trained_cameras_state_their_sizes(tmp_path):
+def test_a_given_size_is_refused_for_trained_cameras(tmp_path):
     file = write_json(tmp_path / "cameras.json", [trained_camera()])
     with pytest.raises(OptionError, match="leave width and height out"):
         cameras_from_file(file, width=8)
@@ -295,9 +295,9 @@ json_values = st.recursive(
 
 @on_disk
 @given(key=st.sampled_from([*trained_camera()]), value=json_values)
-def test_any_value_in_a_trained_camera(tmp_path, key, value):
+def test_any_value_in_a_trained_camera_gives_cameras_or_a_nanogs_error(tmp_path, key, value):
     file = write_json(tmp_path / "c.json", json.dumps([trained_camera(**{key: value})]))
-    assert_cameras_or_our_error(file)
+    assert_cameras_or_a_nanogs_error(file)
 
 
 @on_disk
@@ -321,13 +321,15 @@ def test_any_value_in_a_trained_camera(tmp_path, key, value):
     value=json_values,
     shared=st.booleans(),
 )
-def test_any_value_in_a_transforms_file(tmp_path, key, value, shared):
+def test_any_value_in_a_transforms_file_gives_cameras_or_a_nanogs_error(
+    tmp_path, key, value, shared
+):
     document = transforms(w=8, h=6)
     (document if shared else document["frames"][0])[key] = value
-    assert_cameras_or_our_error(write_json(tmp_path / "t.json", json.dumps(document)))
+    assert_cameras_or_a_nanogs_error(write_json(tmp_path / "t.json", json.dumps(document)))
 
 
-def assert_cameras_or_our_error(file):
+def assert_cameras_or_a_nanogs_error(file):
     try:
         cameras = cameras_from_file(file)
     except NanogsError:

@@ -1,4 +1,4 @@
-"""`--device`: what is said of devices that cannot be had, and that nothing imports Warp unasked."""
+"""`--device`: errors and notes about missing devices, and when Warp is imported."""
 
 import importlib.util
 import json
@@ -26,7 +26,7 @@ def splats():
 def without_warp(patch):
     find = importlib.util.find_spec
     patch.setattr(
-        importlib.util, "find_spec", lambda name, *more: None if name == "warp" else find(name)
+        importlib.util, "find_spec", lambda name, *rest: None if name == "warp" else find(name)
     )
 
 
@@ -35,51 +35,49 @@ def no_card(monkeypatch):
     monkeypatch.setattr(device, "_driver", lambda: False)
 
 
-def refused(capsys, *arguments):
+def error_of(capsys, *arguments):
     """Run the command, which must end with exit code 2, and return its error."""
     assert run_here(*arguments) == 2
     return " ".join(capsys.readouterr().err.split())
 
 
-def test_a_card_that_is_not_there_is_refused_before_anything_is_made(
-    scene, tmp_path, capsys, no_card
-):
-    said = refused(capsys, "render", scene, tmp_path / "out", "--device", "cuda")
-    assert "no graphics card" in said
-    assert "--device auto" in said
+def test_a_missing_card_is_refused_before_any_output_is_made(scene, tmp_path, capsys, no_card):
+    error = error_of(capsys, "render", scene, tmp_path / "out", "--device", "cuda")
+    assert "no graphics card" in error
+    assert "--device auto" in error
     assert not (tmp_path / "out").exists()
 
 
-def test_without_warp_it_is_said_what_to_install(scene, tmp_path, capsys, monkeypatch):
+def test_without_warp_the_error_says_what_to_install(scene, tmp_path, capsys, monkeypatch):
     without_warp(monkeypatch)
     monkeypatch.setattr(device, "_driver", lambda: True)
-    said = refused(capsys, "render", scene, tmp_path / "out", "--device", "cuda")
-    assert "pip install 'nanogs[cuda]'" in said
+    error = error_of(capsys, "render", scene, tmp_path / "out", "--device", "cuda")
+    assert "pip install 'nanogs[cuda]'" in error
     with use_device("auto") as used:
         assert used == "cpu"
 
 
 def test_unknown_devices_are_refused_by_name(scene, tmp_path, capsys):
-    said = refused(capsys, "compare", scene, scene, "--device", "gpu")
-    assert "cpu, cuda or auto, not 'gpu'" in said
+    error = error_of(capsys, "compare", scene, scene, "--device", "gpu")
+    assert "cpu, cuda or auto, not 'gpu'" in error
     with pytest.raises(OptionError, match="not 'tpu'"):
         nanogs.render(scene, device="tpu")
 
 
-def test_auto_without_a_card_is_the_cpu_and_says_so(scene, tmp_path, capsys, no_card):
+def test_auto_without_a_card_uses_the_cpu_with_a_note(scene, tmp_path, capsys, no_card):
     arguments = ("--pixels", "24", "--json", "-w")
     assert run_here("render", scene, tmp_path / "a.png", *arguments) == 0
-    plain = json.loads(capsys.readouterr().out)
-    assert plain["device"] == "cpu"
-    assert not any("CPU" in note for note in plain["notes"])
+    default_report = json.loads(capsys.readouterr().out)
+    assert default_report["device"] == "cpu"
+    assert not any("CPU" in note for note in default_report["notes"])
     assert run_here("render", scene, tmp_path / "b.png", *arguments, "--device", "auto") == 0
-    hoped = json.loads(capsys.readouterr().out)
-    assert hoped["device"] == "cpu"
-    assert any("the CPU did its work" in note for note in hoped["notes"])
+    auto_report = json.loads(capsys.readouterr().out)
+    assert auto_report["device"] == "cpu"
+    assert any("the CPU did its work" in note for note in auto_report["notes"])
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_auto_without_a_card_is_the_cpu_for_blocks_too(splats, tmp_path, no_card):
+def test_auto_without_a_card_uses_the_cpu_for_blocks_too(splats, tmp_path, no_card):
     path, out = tmp_path / "a.ply", tmp_path / "b.ply"
     nanogs.save(splats, path)
     report = nanogs.simplify_blocks(path, out, count=9, preset="fast", block=40, device="auto")
@@ -87,7 +85,7 @@ def test_auto_without_a_card_is_the_cpu_for_blocks_too(splats, tmp_path, no_card
     assert any("the CPU did its work" in note for note in report.notes)
 
 
-def test_the_device_ends_with_its_block(no_card):
+def test_the_device_is_released_at_the_end_of_its_context(no_card):
     with use_device("cpu") as outer, use_device(None) as inner:
         assert outer == inner == "cpu"
     assert device.engine_in_use() is None
@@ -95,7 +93,7 @@ def test_the_device_ends_with_its_block(no_card):
     assert device_notes("cuda", "cuda, A Card") == ("pictures were made on cuda, A Card",)
 
 
-def test_models_that_are_not_held_are_drawn_on_the_cpu_alone(splats, monkeypatch):
+def test_models_that_do_not_fit_into_memory_cannot_use_the_card(splats, monkeypatch):
     token = device._engine.set(types.SimpleNamespace(name="a card"))
     try:
         with pytest.raises(OptionError, match="max_memory"):
@@ -104,7 +102,7 @@ def test_models_that_are_not_held_are_drawn_on_the_cpu_alone(splats, monkeypatch
         device._engine.reset(token)
 
 
-def test_warp_is_imported_when_it_is_asked_for_and_not_before():
+def test_warp_is_not_imported_unless_a_card_is_requested():
     code = (
         "import sys, numpy as np\n"
         "sys.modules['warp'] = None\n"

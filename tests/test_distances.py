@@ -1,4 +1,4 @@
-"""Coverage and blocking of splats from near and from far, and how far away that is."""
+"""Coverage and blocked light of splats from near and far, and the distances of viewers."""
 
 from dataclasses import replace
 from decimal import Decimal, localcontext
@@ -37,7 +37,7 @@ from nanogs.views.automatic import automatic_cameras
 
 
 def rms_area(sigma, directions):
-    """2 pi √det on planes across all directions: det there is |Sigma| nᵀ Sigma⁻¹ n."""
+    """Mean of 2 pi √det on planes across all directions: det there is |Sigma| nᵀ Sigma⁻¹ n."""
     squares = np.einsum("ni,ij,nj->n", directions, np.linalg.inv(sigma), directions)
     return 2 * np.pi * np.sqrt(np.linalg.det(sigma) * np.mean(squares))
 
@@ -59,7 +59,7 @@ def test_footprints_are_the_rms_area_over_directions_at_two_distances(pixel):
 def test_footprints_of_a_sphere_and_of_a_point():
     six = np.array([[4.0, 0, 0, 4, 0, 4], [0.0, 0, 0, 0, 0, 0]])
     assert footprints(six, 0.0) == pytest.approx([8 * np.pi, 0], abs=1e-6)
-    # Variances of 16 and, from four times as near, 1 are added.
+    # Variances of 16 and, for views four times as near, 1 are added.
     assert footprints(six, 4.0) == pytest.approx([(20 + 5) * np.pi, (16 + 1) * np.pi])
     assert footprints(six, np.array([0.0, 4.0])) == pytest.approx([8 * np.pi, 17 * np.pi])
 
@@ -74,78 +74,78 @@ def ball(count, radius, seed=3):
     return radius * means * np.cbrt(rng.uniform(size=(count, 1)))
 
 
-def test_a_pixel_is_that_of_a_view_of_what_surrounds_a_splat():
+def test_the_pixel_size_is_that_of_a_view_of_the_surroundings_of_a_splat():
     means = ball(4000, 7.0)
     means[0] = 0
-    found = dilation(means, np.ones(4000), RenderMode.DEFAULT, 512)
+    sizes = dilation(means, np.ones(4000), RenderMode.DEFAULT, 512)
     radius = 7 * np.cbrt(0.25)
-    assert found.radii[0] == pytest.approx(radius, rel=0.03)
-    assert found.at(means[:1])[0] == pytest.approx(np.sqrt(0.3) * 2 * radius / 512, rel=0.03)
-    assert len(found.radii) <= ANCHORS
-    assert found.least == pytest.approx(np.sqrt(0.3) * 2 * found.radii.min() / 512)
+    assert sizes.radii[0] == pytest.approx(radius, rel=0.03)
+    assert sizes.at(means[:1])[0] == pytest.approx(np.sqrt(0.3) * 2 * radius / 512, rel=0.03)
+    assert len(sizes.radii) <= ANCHORS
+    assert sizes.least == pytest.approx(np.sqrt(0.3) * 2 * sizes.radii.min() / 512)
 
 
 def test_mip_models_have_no_dilation():
-    found = dilation(ball(100, 1.0), np.ones(100), RenderMode.MIP, 512)
-    assert found.at(ball(5, 1.0)).tolist() == [0] * 5
-    assert found.least == 0
+    sizes = dilation(ball(100, 1.0), np.ones(100), RenderMode.MIP, 512)
+    assert sizes.at(ball(5, 1.0)).tolist() == [0] * 5
+    assert sizes.least == 0
 
 
-def test_the_surroundings_reach_as_the_twin_says_for_any_number_of_threads():
+def test_pixel_sizes_equal_the_reference_for_any_number_of_threads():
     rng = np.random.default_rng(0)
     points, anchors, radii = (
         rng.normal(size=(9000, 3)),
         rng.normal(size=(20, 3)),
         rng.uniform(size=20),
     )
-    around = Dilation(anchors, radii, 0.5)
+    sizes = Dilation(anchors, radii, 0.5)
     points[:100] *= 1000
     squares = ((points[:, None] - anchors) ** 2).sum(axis=2) + radii**2
     expected = np.minimum(np.sqrt(squares.min(axis=1)), FARTHEST * np.median(radii))
-    assert np.allclose(around.at(points), 0.5 * expected, rtol=1e-12)
+    assert np.allclose(sizes.at(points), 0.5 * expected, rtol=1e-12)
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
-        alone = around.at(points)
+        single_threaded = sizes.at(points)
     finally:
         numba.set_num_threads(threads)
-    assert alone.tobytes() == around.at(points).tobytes()
+    assert single_threaded.tobytes() == sizes.at(points).tobytes()
 
 
-def test_what_lies_beyond_the_scene_is_as_near_as_it_looks():
-    """Up to 2.5 radii all is 1; from there it falls as the picture of a splat does."""
+def test_nearness_falls_with_the_squared_distance_beyond_the_scene():
+    """Up to 2.5 radii it is 1; from there it falls as the size of a splat in the picture does."""
     means = ball(5000, 3.0)
-    found = dilation(means, np.ones(len(means)), RenderMode.DEFAULT, 512.0)
-    near = NEAR * np.quantile(found.radii, 0.1)
+    sizes = dilation(means, np.ones(len(means)), RenderMode.DEFAULT, 512.0)
+    near = NEAR * np.quantile(sizes.radii, 0.1)
     distances = np.array([0.0, 0.5 * near, near, 2 * near, 1e6 * near])
-    assert found.nearness_at(distances) == pytest.approx([1, 1, 1, 1 / 4, 1e-12])
-    assert (found.nearness(means) == 1).all()
+    assert sizes.nearness_at(distances) == pytest.approx([1, 1, 1, 1 / 4, 1e-12])
+    assert (sizes.nearness(means) == 1).all()
     mip = dilation(means, np.ones(len(means)), RenderMode.MIP, 512.0)
-    assert (mip.nearness_at(distances) == found.nearness_at(distances)).all()
+    assert (mip.nearness_at(distances) == sizes.nearness_at(distances)).all()
 
 
-def test_a_scene_at_one_place_has_nothing_beyond_it():
-    found = dilation(np.zeros((9, 3)), np.ones(9), RenderMode.DEFAULT, 512.0)
-    assert (found.nearness_at(np.array([0.0, 5.0])) == 1).all()
+def test_nearness_is_one_everywhere_for_a_scene_at_one_point():
+    sizes = dilation(np.zeros((9, 3)), np.ones(9), RenderMode.DEFAULT, 512.0)
+    assert (sizes.nearness_at(np.array([0.0, 5.0])) == 1).all()
 
 
 def under_a_sky(count):
-    """A scene, the same below a sky that takes as large a share of pictures, and how far it is.
+    """Return a scene, the same below a sky of an equal share of pictures, and a radius between.
 
-    In scene units the sky is ten thousand times as large.
+    In scene units the area of the sky is ten thousand times as large.
     """
     front, sky = make_scene(3 * count, sh_degree=0), make_scene(count, sh_degree=0, seed=1)
     reach = np.abs(front.means).max()
-    ways = sky.means / np.linalg.norm(sky.means, axis=1, keepdims=True)
+    directions = sky.means / np.linalg.norm(sky.means, axis=1, keepdims=True)
     sky = replace(
-        sky, means=(100 * reach * ways).astype(np.float32),
+        sky, means=(100 * reach * directions).astype(np.float32),
         log_scales=sky.log_scales + np.float32(np.log(100)),
     )  # fmt: skip
     return front, concatenate([front, sky]), 10 * reach
 
 
 def kept_within(reach, scene, folder, **options):
-    """Share of a tenth of the splats that is not of the sky."""
+    """Simplify to a tenth and return the share of splats within the radius, before the sky."""
     nanogs.save(scene, folder / "in.ply", overwrite=True)
     out = folder / "out.ply"
     nanogs.simplify_blocks(folder / "in.ply", out, ratio=0.1, overwrite=True, **options)
@@ -154,36 +154,38 @@ def kept_within(reach, scene, folder, **options):
 
 
 @pytest.mark.parametrize("options", [{"preset": "fast"}, {"block": 2500, "preset": "fast"}])
-def test_sky_does_not_take_the_splats_of_what_stands_before_it(tmp_path, options):
+def test_a_sky_does_not_take_most_splats_from_the_scene_before_it(tmp_path, options):
     _, scene, reach = under_a_sky(2000)
     assert kept_within(reach, scene, tmp_path, **options) > 0.5
 
 
 @pytest.mark.parametrize("given", [{"up": (0, -1, 0)}, {"cameras": "orbit"}, {"cameras": "roam"}])
-def test_cameras_that_are_found_tell_nothing_of_viewers(tmp_path, given):
-    """All splats count as visible ones, so that nothing else of the views is in the forest."""
+def test_automatic_cameras_are_not_taken_for_positions_of_viewers(tmp_path, given):
+    """Hidden splats get a full weight, so that the forest depends on views in no other way."""
     _, scene, _ = under_a_sky(500)
     nanogs.save(scene, tmp_path / "in.ply")
     options = {"ratio": 0.1, "hidden": 1, "steps": 0, "views": 6, "view_size": 64}
-    usual, chosen = (
-        nanogs.simplify_blocks(tmp_path / "in.ply", tmp_path / f"{place}.ply", **options, **some)
-        for place, some in enumerate([{}, given])
+    default, changed = (
+        nanogs.simplify_blocks(tmp_path / "in.ply", tmp_path / f"{name}.ply", **options, **more)
+        for name, more in enumerate([{}, given])
     )
-    forests = [[(one.candidates, one.merged) for one in each.passes] for each in (usual, chosen)]
+    forests = [
+        [(each.candidates, each.merged) for each in report.passes] for report in (default, changed)
+    ]
     assert forests[0] == forests[1]
 
 
 @pytest.mark.parametrize("blocks", [{}, {"block": 4000}])
-def test_a_users_cameras_tell_where_results_are_not_measured_too(tmp_path, blocks):
+def test_the_users_cameras_count_as_viewers_even_without_measuring(tmp_path, blocks):
     front, scene, reach = under_a_sky(1000)
-    away = replace(front, means=front.means + np.float32([5 * reach, 0, 0]))
-    cameras = automatic_cameras(away, 6, width=64, height=64)
+    front_elsewhere = replace(front, means=front.means + np.float32([5 * reach, 0, 0]))
+    cameras = automatic_cameras(front_elsewhere, 6, width=64, height=64)
     options = {"measure": False, "steps": 2, "further": 0, "view_size": 64}
     kept = kept_within(reach, scene, tmp_path, cameras=cameras, **options, **blocks)
     assert kept < 0.5
 
 
-def test_viewers_see_as_the_twin_says_for_any_number_of_threads():
+def test_nearness_to_viewers_equals_the_reference_for_any_number_of_threads():
     rng = np.random.default_rng(0)
     points, places = rng.normal(size=(9000, 3)), rng.normal(size=(20, 3))
     points[:100] *= 1000
@@ -193,21 +195,21 @@ def test_viewers_see_as_the_twin_says_for_any_number_of_threads():
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
-        alone = Viewers(places, 0.5).nearness(points)
+        single_threaded = Viewers(places, 0.5).nearness(points)
     finally:
         numba.set_num_threads(threads)
-    assert alone.tobytes() == found.tobytes()
+    assert single_threaded.tobytes() == found.tobytes()
     assert viewers(places, points).apart == pytest.approx(
         APART * np.quantile(np.sqrt(squares.min(axis=1)), 0.25), rel=0.1
     )
-    beside = viewers(np.zeros((2, 3)), np.zeros((9, 3)))
-    assert beside.apart == 0
-    assert (beside.nearness(points) == 1).all()
+    coincident = viewers(np.zeros((2, 3)), np.zeros((9, 3)))
+    assert coincident.apart == 0
+    assert (coincident.nearness(points) == 1).all()
 
 
 @pytest.mark.parametrize("blocks", [{}, {"block": 1500}])
-def test_splats_go_where_cameras_stand(tmp_path, blocks):
-    """Two scenes alike, of which the cameras are beside one and see the other far behind it."""
+def test_most_splats_are_kept_near_the_users_cameras(tmp_path, blocks):
+    """Two equal scenes: the cameras are beside the first and see the second far behind it."""
     scene = make_scene(1500, sh_degree=0)
     far = 40 * np.float32(np.abs(scene.means).max())
     nanogs.save(
@@ -221,16 +223,16 @@ def test_splats_go_where_cameras_stand(tmp_path, blocks):
     assert np.count_nonzero(small.means[:, 0] < far / 2) > 0.8 * len(small)
 
 
-def test_copies_far_away_hardly_change_a_pixel():
+def test_far_copies_of_a_scene_hardly_change_its_pixel_sizes():
     means, alphas = ball(4000, 1.0), np.ones(4000)
-    alone = dilation(means, alphas, RenderMode.DEFAULT, 512).at(means)
+    without_copies = dilation(means, alphas, RenderMode.DEFAULT, 512).at(means)
     for copies in (2, 3):
-        many = np.concatenate([means + [1e6 * c, 0, 0] for c in range(copies)])
-        found = dilation(many, np.tile(alphas, copies), RenderMode.DEFAULT, 512).at(means)
-        assert (found / alone).max() < 2
+        copied = np.concatenate([means + [1e6 * c, 0, 0] for c in range(copies)])
+        found = dilation(copied, np.tile(alphas, copies), RenderMode.DEFAULT, 512).at(means)
+        assert (found / without_copies).max() < 2
 
 
-def test_surroundings_follow_alpha_and_stand_without_any():
+def test_surroundings_are_weighted_by_alpha_unless_all_alphas_are_zero():
     means = np.array([[0.0, 0, 0]] * 50 + [[1.0, 0, 0]] * 50)
     one_side = dilation(means, np.r_[np.zeros(50), np.ones(50)], RenderMode.DEFAULT, 512)
     assert one_side.radii.tolist() == [1.0] * 25 + [0.0] * 25
@@ -242,8 +244,8 @@ def test_surroundings_follow_alpha_and_stand_without_any():
 
 
 @pytest.mark.parametrize("layers", [0.0, 1e-9, 1e-5, 0.3, 1.0, 5.0, 300.0])
-def test_what_is_blocked_is_one_less_what_gets_through_everywhere(layers):
-    """Over the plane, at radius r of a Gaussian g = exp(-r²/2) of footprint 2 pi."""
+def test_blocked_light_equals_the_integral_over_the_plane(layers):
+    """Integrate over the radius r of a Gaussian exp(-r²/2), the footprint of which is 2 pi."""
     r = np.linspace(0, 12, 200_001)
     light = -np.expm1(-layers * np.exp(-(r**2) / 2))
     expected = trapezoid(light * 2 * np.pi * r, r)
@@ -252,7 +254,7 @@ def test_what_is_blocked_is_one_less_what_gets_through_everywhere(layers):
 
 
 def test_the_integral_is_exact_to_a_few_units_in_the_last_place():
-    """Against its alternating series in as many digits as that takes."""
+    """Compared with its alternating series in sufficiently many digits."""
     rng = np.random.default_rng(0)
     u = np.concatenate([10 ** rng.uniform(-12, 1.6, 60), rng.uniform(3.9, 4.1, 60), [4.0]])
     expected = [integral_of(Decimal(value)) for value in u.tolist()]
@@ -263,7 +265,7 @@ def test_the_integral_is_exact_to_a_few_units_in_the_last_place():
 
 
 def integral_of(u: Decimal) -> Decimal:
-    """The sum of -(-u)^k / (k k!), k from 1."""
+    """Return the sum of -(-u)^k / (k k!) for k from 1."""
     with localcontext(prec=80):
         term = total = u
         for k in range(2, 300):
@@ -272,7 +274,7 @@ def integral_of(u: Decimal) -> Decimal:
         return +total
 
 
-def test_the_integral_holds_at_its_ends():
+def test_the_integral_is_right_at_zero_infinity_and_nan():
     u = np.array([0.0, 5e-324, 1e-300, 1e300, np.inf])
     assert exponential_integral(u).tolist() == [
         0.0,
@@ -284,8 +286,8 @@ def test_the_integral_holds_at_its_ends():
     assert np.isnan(exponential_integral(np.array([np.nan]))).all()
 
 
-def test_spheres_at_one_place_become_one_that_blocks_as_much():
-    """Ten of alpha 0.05 and deviation 2: u = 0.5 at any distance, alpha 0.5 - 0.5²/4 + 0.5³/18."""
+def test_coincident_spheres_become_one_that_blocks_as_much_light():
+    """Ten of alpha 0.05 and deviation 2: u is 0.5 at any distance, alpha 0.5 - 0.5²/4 + 0.5³/18."""
     splats = random_splats(1).take(np.zeros(10, np.int64))
     splats.means[:] = 0
     splats.log_scales[:] = np.log(2)
@@ -294,13 +296,13 @@ def test_spheres_at_one_place_become_one_that_blocks_as_much():
         leaves = activate_nodes(splats, np.arange(10), np.zeros(3), same_pixel(pixel))
         labels = np.zeros(10, np.int32)
         groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(pixel))
-        one = groups.grown(1.0)
-        assert one.scales()[0] == pytest.approx([2, 2, 2], rel=1e-4)
-        assert one.opacities()[0] == pytest.approx(0.44382, rel=2e-3)
+        merged = groups.grown(1.0)
+        assert merged.scales()[0] == pytest.approx([2, 2, 2], rel=1e-4)
+        assert merged.opacities()[0] == pytest.approx(0.44382, rel=2e-3)
 
 
 def test_coverage_is_conserved_between_a_near_and_a_far_view():
-    """Needles far apart hide nothing: one faint splat covers the mean of both distances."""
+    """Needles far apart do not hide each other; one faint splat has their mean coverage of both."""
     count, pixel = 20, 0.2
     rng = np.random.default_rng(0)
     splats = random_splats(1).take(np.zeros(count, np.int64))
@@ -311,7 +313,7 @@ def test_coverage_is_conserved_between_a_near_and_a_far_view():
     leaves = activate_nodes(splats, np.arange(count), np.zeros(3), same_pixel(pixel))
     labels = np.zeros(count, np.int32)
     groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(pixel))
-    one = groups.grown(1.0)
+    small = groups.grown(1.0)
     merged = gather(leaves, labels, 1)
 
     def covered(covariances, alphas, pixel):
@@ -321,7 +323,7 @@ def test_coverage_is_conserved_between_a_near_and_a_far_view():
         return (alphas * 2 * np.pi * np.sqrt(minors / 3)).sum()
 
     near, far = (
-        covered(merged.covariances, one.opacities(), p) / covered(leaves.covariances, 0.5, p)
+        covered(merged.covariances, small.opacities(), p) / covered(leaves.covariances, 0.5, p)
         for p in (pixel / NEARER, pixel)
     )
     assert near > 1 > far
@@ -329,8 +331,8 @@ def test_coverage_is_conserved_between_a_near_and_a_far_view():
     assert np.dot([near, far], sums) == pytest.approx(sum(sums), rel=0.01)
 
 
-def test_axes_grow_to_what_is_blocked_but_for_the_thinnest():
-    """Opaque ones at one place: u of 20 layers would grow to Ein(20) = 3.57 areas."""
+def test_all_axes_but_the_thinnest_grow_to_the_blocked_area():
+    """For opaque coincident splats, u of 20 layers asks for an area of Ein(20) = 3.57 times."""
     splats = random_splats(1).take(np.zeros(20, np.int64))
     splats.log_scales[:] = np.log([2, 0.1, 1])
     splats.quats[:] = [1, 0, 0, 0]
@@ -339,12 +341,12 @@ def test_axes_grow_to_what_is_blocked_but_for_the_thinnest():
     labels = np.zeros(20, np.int32)
     merged = gather(leaves, labels, 1)
     areas = footprints(merged.covariances, 0.0)
-    needed, least = area_needs(merged, leaves, labels, areas, sheets=False)
+    needed, least_area = area_needs(merged, leaves, labels, areas, sheets=False)
     assert needed == pytest.approx([3.5731], rel=1e-4)
-    assert least == [1.0]
+    assert least_area == [1.0]
     scales = np.float32([[2, 0.1, 1], [1, 1, 1]])
-    wider = widened(scales, np.array([4.0, 1.0]))
-    assert wider == pytest.approx(np.array([[4, 0.1, 2], [1, 1, 1]]))
+    grown = widened(scales, np.array([4.0, 1.0]))
+    assert grown == pytest.approx(np.array([[4, 0.1, 2], [1, 1, 1]]))
     groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(0.0))
     for growth, factor in ((3.0, 3.5731), (1.25, 1.25**2), (1.0, 1.0)):
         lengths = np.exp(groups.grown(growth).log_scales[0])
@@ -352,12 +354,12 @@ def test_axes_grow_to_what_is_blocked_but_for_the_thinnest():
 
 
 @pytest.mark.parametrize("logit", [-np.inf, -45.0, -42.0])
-def test_members_that_cover_nothing_do_not_keep_the_others_from_growing(logit):
+def test_transparent_members_do_not_reduce_the_growth_of_a_group(logit):
     splats = random_splats(1).take(np.zeros(25, np.int64))
     splats.log_scales[:] = np.log([2, 0.1, 1])
     splats.opacity_logits[:20], splats.opacity_logits[20:] = 40, logit
     leaves = activate_nodes(splats, np.arange(25), np.zeros(3), same_pixel(0.0))
-    labels = np.r_[np.zeros(21), np.ones(4)].astype(np.int32)  # and four of these by themselves
+    labels = np.r_[np.zeros(21), np.ones(4)].astype(np.int32)  # the last four are a group
     merged = gather(leaves, labels, 2)
     areas = footprints(merged.covariances, 0.0)
     needed, _ = area_needs(merged, leaves, labels, areas, sheets=False)
@@ -368,32 +370,32 @@ def test_members_that_cover_nothing_do_not_keep_the_others_from_growing(logit):
 # Scenes
 
 
-def over_black(model, cameras):
+def pictures_of(model, cameras):
     prepared = prepare(model)
     return [render(prepared, camera).shown() for camera in cameras]
 
 
 def quality(original, small, cameras):
-    shown = zip(over_black(original, cameras), over_black(small, cameras), strict=True)
+    shown = zip(pictures_of(original, cameras), pictures_of(small, cameras), strict=True)
     return np.mean([psnr(first, second) for first, second in shown])
 
 
 @pytest.mark.parametrize("options", [{"preset": "fast"}, {"steps": 0}])
-def test_a_copy_far_away_leaves_a_scene_as_it_is_alone(options):
-    """As it is merged: views of both show neither, and a fit to them gains nothing."""
+def test_a_far_copy_of_a_scene_hardly_changes_its_result(options):
+    """Only merging is compared: views of both show neither, and a fit to them gains nothing."""
     splats = make_scene(6000, sh_degree=0)
     copy = splats.take(np.arange(6000))
     copy.means[:, 0] += 1e5
     cameras = automatic_cameras(splats, 4, width=256, height=256, split="test")
-    both = concatenate([splats, copy])
-    alone, _ = nanogs.simplify(splats, ratio=0.1, **options)
-    beside, _ = nanogs.simplify(both, ratio=0.1, **options)
-    lost = quality(splats, alone, cameras) - quality(splats, beside, cameras)
+    scene_and_copy = concatenate([splats, copy])
+    small, _ = nanogs.simplify(splats, ratio=0.1, **options)
+    small_with_copy, _ = nanogs.simplify(scene_and_copy, ratio=0.1, **options)
+    lost = quality(splats, small, cameras) - quality(splats, small_with_copy, cameras)
     assert lost < 1
 
 
 def hedge(seed, count=3000):
-    """Needles in a ball, thinner than a pixel and too few to hide each other."""
+    """Return needles in a ball that are thinner than a pixel and too few to hide each other."""
     rng = np.random.default_rng(seed)
     return Splats(
         means=ball(count, 1.0).astype(np.float32),
@@ -404,23 +406,25 @@ def hedge(seed, count=3000):
     )
 
 
-def camera_of(focal, size=512):
+def camera_at_distance_four(focal, size=512):
     pose = np.eye(4)
     pose[2, 3] = 4.0
     return Camera(size, size, focal, focal, size / 2, size / 2, pose, near=0.01)
 
 
 @pytest.mark.parametrize(("pixels", "right"), [(512.0, True), (4096.0, False), (64.0, False)])
-def test_needles_are_as_bright_over_a_range_of_distances(pixels, right):
-    """Seen as a whole and from four times as near: too faint once and too bright once, by less
-    than a factor of two, and right in sum. Of eight hedges, since one differs from the next."""
+def test_needles_keep_their_mean_brightness_over_a_range_of_distances(pixels, right):
+    """From far they are too faint and from four times as near too bright, each by less than a
+    factor of two, and the sum is right. Summed over eight hedges, because single ones vary."""
     before, after = np.zeros((2, 2))
     for splats in map(hedge, range(8)):
-        whole = dilation(splats.means.astype(float), splats.opacities(), RenderMode.DEFAULT, 512)
-        focal = 4.0 * np.sqrt(0.3) / np.median(whole.at(splats.means.astype(float)))
+        pixel_sizes = dilation(
+            splats.means.astype(float), splats.opacities(), RenderMode.DEFAULT, 512
+        )
+        focal = 4.0 * np.sqrt(0.3) / np.median(pixel_sizes.at(splats.means.astype(float)))
         small, _ = nanogs.simplify(splats, ratio=0.1, preset="fast", pixels=pixels)
-        cameras = [camera_of(focal), camera_of(focal * NEARER)]
-        before += [view.mean() for view in over_black(splats, cameras)]
-        after += [view.mean() for view in over_black(small, cameras)]
+        cameras = [camera_at_distance_four(focal), camera_at_distance_four(focal * NEARER)]
+        before += [view.mean() for view in pictures_of(splats, cameras)]
+        after += [view.mean() for view in pictures_of(small, cameras)]
     far, near = after / before
     assert (0.5 < far < 1 < near < 2 and sum(after) == pytest.approx(sum(before), rel=0.1)) == right

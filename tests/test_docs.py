@@ -1,4 +1,4 @@
-"""The documentation: what it shows works, what it links to is there, and the site can be built."""
+"""The documentation: its commands work, its links have targets, and the site can be built."""
 
 import importlib
 import importlib.util
@@ -29,7 +29,7 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.rglob("*.md"
 NAMES = [page.relative_to(ROOT).as_posix() for page in PAGES]
 NOTEBOOK = ROOT / "examples" / "quickstart.ipynb"
 
-OF_OTHERS = {  # options of other programs that the text names
+OTHER_PROGRAMS = {  # options of other programs that are named in the text
     "--antialiased", "--app_opt", "--auto-scale-poses", "--center-method", "--export-every",
     "--orientation-method", "--save_ply", "--prefix",
 }  # fmt: skip
@@ -57,7 +57,7 @@ def option_names(command):
 
 
 def shown_commands(page):
-    """The arguments of every `$ nanogs ...` in the page's consoles."""
+    """Return the arguments of every `$ nanogs ...` in the console blocks of a page."""
     found = []
     for block in re.findall(r"^```console\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
         lines = block.replace("\\\n", " ").splitlines()
@@ -87,7 +87,7 @@ def check_values(name, values):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
-def test_every_command_that_is_shown_can_be_parsed(page, commands):
+def test_all_commands_shown_in_the_documentation_can_be_parsed(page, commands):
     for words in shown_commands(page):
         name, *arguments = words
         assert name in commands, words
@@ -95,7 +95,7 @@ def test_every_command_that_is_shown_can_be_parsed(page, commands):
         check_values(name, context.params)
 
 
-def test_the_table_of_parameters_says_what_the_presets_have():
+def test_the_parameter_table_has_the_values_of_the_presets():
     text = (DOCS / "guide" / "simplify.md").read_text()
     [header] = re.findall(r"^\| option \| meaning \|(.*`paper`.*)\|$", text, re.MULTILINE)
     rows = re.findall(r"^\|( `--[a-z-]+` \|[^|\n]+(?:\|[^|\n]*){4})\|$", text, re.MULTILINE)
@@ -109,21 +109,21 @@ def test_the_table_of_parameters_says_what_the_presets_have():
         parameter = option.strip("`-").replace("-", "_")
         for name, cell in zip(names, cells, strict=True):
             value = getattr(PRESETS[name], parameter, None)
-            said = "" if value is None else f"{value:g}"
+            expected = "" if value is None else f"{value:g}"
             if parameter == "balance" and getattr(PRESETS[name], "measure", False):
-                said = " or ".join(f"{balance:g}" for balance in BALANCES)
-            assert cell == said, (option, name)
+                expected = " or ".join(f"{balance:g}" for balance in BALANCES)
+            assert cell == expected, (option, name)
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/guide/simplify.md"])
-def test_pages_say_of_presets_what_the_command_says(page):
+def test_pages_have_the_preset_summaries_of_the_command(page):
     text = (ROOT / page).read_text().replace("`", "")
     for name, summary in SUMMARIES.items():
         assert f"| {name} | {summary}" in text
 
 
-def test_commands_are_found_and_wrong_ones_are_not_parsed(commands, tmp_path):
-    """The test above would pass without looking at anything."""
+def test_shown_commands_are_found_and_unknown_options_are_errors(commands, tmp_path):
+    """Checks that the test of shown commands finds them, since it passes if it finds none."""
     assert sum(len(shown_commands(page)) for page in PAGES) > 60
     page = tmp_path / "page.md"
     page.write_text("```console\n$ cat a.ply | nanogs info a.ply --jsn > b  # why\n```\n")
@@ -133,8 +133,8 @@ def test_commands_are_found_and_wrong_ones_are_not_parsed(commands, tmp_path):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
-def test_every_option_that_the_text_names_exists(page, commands):
-    known = OF_OTHERS | {"--help", "--install-completion"}
+def test_all_options_named_in_the_text_exist(page, commands):
+    known = OTHER_PROGRAMS | {"--help", "--install-completion"}
     known = known.union(*map(option_names, commands.values()))
     for code in re.findall(r"(?<!`)`([^`\n]+)`(?!`)", page.read_text()):
         words = code.split()
@@ -148,18 +148,18 @@ def test_every_option_that_the_text_names_exists(page, commands):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
-def test_every_link_between_documents_leads_somewhere(page, hooks):
-    made = {(DOCS / name).resolve() for name in hooks["pages"].MADE}
+def test_links_between_documents_have_existing_targets(page, hooks):
+    generated_pages = {(DOCS / name).resolve() for name in hooks["pages"].MADE}
     for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", page.read_text()):
         if not target.startswith(("https://", "mailto:")):
             path = (page.parent / target).resolve()
-            assert path.exists() or path in made, target
+            assert path.exists() or path in generated_pages, target
 
 
 def test_every_page_is_in_the_navigation(hooks):
     listed = re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
-    there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
-    assert sorted(listed) == sorted(there | set(hooks["pages"].PAGES))
+    existing = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+    assert sorted(listed) == sorted(existing | set(hooks["pages"].PAGES))
 
 
 def test_every_marker_is_known_and_used(hooks):
@@ -168,7 +168,7 @@ def test_every_marker_is_known_and_used(hooks):
     assert sorted(used) == sorted(pages.TEXTS)
 
 
-def test_the_reference_of_commands_names_all(hooks, commands):
+def test_the_command_reference_lists_all_commands_and_options(hooks, commands):
     text = hooks["commands"].reference()
     for name, command in commands.items():
         assert f"\n## nanogs {name}\n" in text
@@ -177,19 +177,19 @@ def test_the_reference_of_commands_names_all(hooks, commands):
 
 
 @pytest.mark.parametrize("page", sorted((DOCS / "reference").glob("*.md")), ids=lambda p: p.name)
-def test_the_reference_names_what_there_is(page):
+def test_names_in_the_api_reference_exist(page):
     """`make docs` reads names from the source, and fails on one that is not there."""
     for name in re.findall(r"^::: (\S+)$", page.read_text(), re.MULTILINE):
         owner, _, last = name.rpartition(".")
         if owner and importlib.util.find_spec(owner).submodule_search_locations is None:
-            found = getattr(importlib.import_module(owner), last)
-            home = getattr(found, "__module__", owner)  # a value knows none
-            assert home == owner, f"{name} is defined elsewhere"
+            value = getattr(importlib.import_module(owner), last)
+            defined_in = getattr(value, "__module__", owner)  # a constant has no `__module__`
+            assert defined_in == owner, f"{name} is defined elsewhere"
         elif importlib.util.find_spec(name) is None:
             assert hasattr(importlib.import_module(owner), last), name
 
 
-def test_the_page_of_formats_lists_every_one():
+def test_the_page_of_formats_lists_all_formats():
     rows = [row for row in (DOCS / "formats.md").read_text().splitlines() if row[:1] == "|"]
     for known in registry.formats():
         assert any(known.suffix in row for row in rows), known.suffix
@@ -200,20 +200,20 @@ def test_the_page_of_formats_lists_every_one():
     [known for known in registry.formats() if known.write and known.readable],
     ids=lambda known: known.suffix,
 )
-def test_formats_keep_what_the_table_says(known, hooks, tmp_path):
-    """The table asks for losses; this writes and reads."""
+def test_formats_keep_what_the_table_of_formats_says(known, hooks, tmp_path):
+    """The table is computed from reported losses; this test writes and reads files."""
     plain = replace(make_scene(60, sh_degree=4), comments=())
     kept = hooks["formats"].kept(known, plain)
     for number, (name, model) in enumerate(hooks["formats"].variants(plain).items()):
-        back = written_and_read(model, known, tmp_path / str(number))
+        loaded = written_and_read(model, known, tmp_path / str(number))
         found = {
             "columns": np.array_equal(
-                back.extras.get("label", ()), model.extras.get("label", np.zeros(1))
+                loaded.extras.get("label", ()), model.extras.get("label", np.zeros(1))
             ),
-            "elements": [element.name for element in back.elements] == ["camera"],
-            "comments": "made by hand" in back.comments,
-            "mip": back.render_mode == model.render_mode,
-            "surfel": back.render_mode == model.render_mode,
+            "elements": [element.name for element in loaded.elements] == ["camera"],
+            "comments": "made by hand" in loaded.comments,
+            "mip": loaded.render_mode == model.render_mode,
+            "surfel": loaded.render_mode == model.render_mode,
         }
         assert found[name] == getattr(kept, name), name
     assert written_and_read(plain, known, tmp_path / "plain").sh_degree == kept.sh_degree
@@ -226,7 +226,7 @@ def written_and_read(splats, known, folder):
     return nanogs.load(path)
 
 
-# Before what fits models for a notebook or pictures: fitting would take most of the time.
+# Runs before code that fits models; with the usual steps, fitting would take most of the time.
 FEW_STEPS = """
 from dataclasses import replace
 from nanogs.pipeline.options import presets
@@ -236,14 +236,14 @@ presets.PRESETS = {**presets.PRESETS, "default": few}
 """
 
 
-def test_the_notebook_runs_and_holds_no_results(tmp_path):
+def test_the_notebook_runs_and_is_stored_without_outputs(tmp_path):
     cells = json.loads(NOTEBOOK.read_text())["cells"]
     code = [cell for cell in cells if cell["cell_type"] == "code"]
     assert len(code) >= 5
     for cell in code:
         assert cell["outputs"] == []
         assert cell["execution_count"] is None
-    nanogs.save(make_scene(4000), tmp_path / "scene.ply")  # where it would make a larger one
+    nanogs.save(make_scene(4000), tmp_path / "scene.ply")  # smaller than the notebook's
     script = tmp_path / "quickstart.py"
     script.write_text("\n\n".join([FEW_STEPS, *("".join(cell["source"]) for cell in code)]))
     environment = {**os.environ, "MPLBACKEND": "agg"}
@@ -265,7 +265,7 @@ MISSING = [name for name in NEEDED if importlib.util.find_spec(name) is None]
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(MISSING), reason="mkdocs is not installed: `make docs` installs it")
-def test_the_site_can_be_built_and_asks_nothing_of_others(tmp_path):
+def test_the_site_can_be_built_and_loads_nothing_from_other_hosts(tmp_path):
     site = tmp_path / "site"
     build = f"{FEW_STEPS}\nfrom mkdocs.__main__ import cli\ncli()"
     result = subprocess.run(
@@ -288,7 +288,7 @@ def test_the_site_can_be_built_and_asks_nothing_of_others(tmp_path):
     assert all(picture.read_bytes()[:4] == b"\x89PNG" for picture in pictures)
 
 
-def test_functions_and_numbers_of_the_method_are_those_of_the_code():
+def test_the_method_page_names_functions_and_numbers_of_the_code():
     text = (DOCS / "method.md").read_text("utf-8")
     named = set(re.findall(r"`(\w+)\.(\w+)`", text)) - {("nanogs", "simplify")}
     named = {(module, name) for module, name in named if name not in ("md", "py")}

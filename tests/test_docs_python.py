@@ -1,4 +1,4 @@
-"""Python that the documentation shows runs, each page from its first line to its last."""
+"""The Python code of each page of the documentation runs from the first to the last line."""
 
 import re
 from pathlib import Path
@@ -11,16 +11,18 @@ from nanogs.datasets.synthetic import make_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
-ELSEWHERE = {"docs/scale.md"}  # a city and a cluster; tests/test_scale*.py run such calls
+TESTED_ELSEWHERE = {
+    "docs/scale.md"
+}  # needs a city and a cluster; tests/test_scale*.py run such calls
 PAGES = {
     page.relative_to(ROOT).as_posix(): BLOCK.findall(page.read_text())
     for page in sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 }
-SHOWN = sorted(name for name, blocks in PAGES.items() if blocks and name not in ELSEWHERE)
+SHOWN = sorted(name for name, blocks in PAGES.items() if blocks and name not in TESTED_ELSEWHERE)
 
 
 class Parameter:
-    """As PyTorch's, which gives no array before it is detached and on the CPU."""
+    """Like a parameter of PyTorch, which only gives an array once detached and on the CPU."""
 
     def __init__(self, array):
         self.array = array
@@ -33,7 +35,7 @@ class Parameter:
 
 
 @pytest.fixture
-def shown(tmp_path, monkeypatch, small_views):
+def page_names(tmp_path, monkeypatch, small_views):
     """Names that pages may use: a scene as a file and as a model, and gsplat's dictionary."""
     monkeypatch.chdir(tmp_path)
     scene = make_scene(600, sh_degree=1)
@@ -43,17 +45,17 @@ def shown(tmp_path, monkeypatch, small_views):
 
 
 @pytest.mark.parametrize("page", SHOWN)
-def test_python_that_is_shown_runs(page, shown, capsys):
+def test_python_code_of_each_page_runs(page, page_names, capsys):
     source = "\n".join(PAGES[page])
-    exec(compile(source, page, "exec"), shown)
+    exec(compile(source, page, "exec"), page_names)
     captured = capsys.readouterr()
     assert captured.err == ""
     if page == "docs/guide/python.md":
-        check_results(shown, captured.out)
+        check_results(page_names, captured.out)
 
 
 def check_results(names, out):
-    """Check that the page's own results are as it says."""
+    """Check that the results of the page are as the page says."""
     assert len(names["fast"]) == 50
     assert len(names["small"]) == 60
     assert len(names["first"]) == 100
@@ -71,7 +73,7 @@ def check_results(names, out):
     assert "missing.ply: no such file; check the path." in out
 
 
-def test_pages_are_found():
+def test_pages_with_python_code_are_found():
     assert {"README.md", "docs/index.md", "docs/guide/python.md"} <= set(SHOWN)
     assert len(PAGES["docs/guide/python.md"]) > 10
-    assert set(PAGES) >= ELSEWHERE
+    assert set(PAGES) >= TESTED_ELSEWHERE

@@ -1,4 +1,4 @@
-"""Cost of drawing a model: splats a pixel, tile pairs, and the share of the largest."""
+"""The draw cost of a model: splats per pixel, tile pairs, and the share of the largest splats."""
 
 import json
 from dataclasses import replace
@@ -29,8 +29,8 @@ from raster_twin import NEARLY, splat_on_screen
 from test_raster import make_camera, make_splats, one_splat
 
 
-def cover_twin(splats, camera):
-    """(H, W) splats of alpha 1/255 or more, and where no rounding can decide otherwise."""
+def cover_reference(splats, camera):
+    """Return (H, W) counts of splats of alpha 1/255 or more, and where rounding cannot matter."""
     shape = (camera.height, camera.width)
     columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
     counts, sure = np.zeros(shape, int), np.ones(shape, bool)
@@ -58,38 +58,40 @@ def covered(splats, camera):
 
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 10**6), mode=st.sampled_from(["default", "mip"]), size=st.floats(-4, 1))
-def test_every_pixel_is_covered_as_often_as_the_twin_says(seed, mode, size):
+def test_the_number_of_splats_on_each_pixel_equals_the_reference(seed, mode, size):
     splats = make_splats(n=30, seed=seed, size=size, render_mode=RenderMode(mode))
-    wanted, sure = cover_twin(splats, make_camera())
+    wanted, sure = cover_reference(splats, make_camera())
     assert sure.mean() > 0.8
     np.testing.assert_array_equal(covered(splats, make_camera())[sure], wanted[sure])
 
 
-def test_a_splat_of_known_size():
+def test_a_splat_of_known_size_covers_a_disc_of_known_radius():
     camera = make_camera(width=64, height=64, focal=30.0)
     splats = one_splat(scale=0.4, logit=0.0)  # 3 pixels, alpha 0.5
     deviation = np.sqrt((0.4 * 30 / 4) ** 2 + 0.3)
     reach = deviation * np.sqrt(2 * np.log(255 * 0.5))
-    at = np.arange(64) + 0.5 - 32
-    inside = np.hypot(*np.meshgrid(at, at)) <= reach
+    offsets = np.arange(64) + 0.5 - 32
+    inside = np.hypot(*np.meshgrid(offsets, offsets)) <= reach
     np.testing.assert_array_equal(covered(splats, camera), inside)
 
 
-def test_tile_pairs_are_those_that_the_rasteriser_lists():
+def test_tile_pairs_are_counted_as_the_rasteriser_lists_them():
     model = random_splats(500, seed=2)
     cameras = [make_camera(100, 70, 60.0), make_camera(40, 90, 20.0)]
     cost = cost_on(model, cameras, views_of(cameras, "given"))
     lists = [project(prepare(model), camera) for camera in cameras]
-    assert cost.tile_pairs == sum(len(one.entries) for one in lists) / 2
-    assert cost.drawn == sum(len(one.order) for one in lists) / 2
-    boxes = [unpack_box(box)[2:] for one in lists for box in one.boxes if box != HIDDEN]
+    assert cost.tile_pairs == sum(len(view_lists.entries) for view_lists in lists) / 2
+    assert cost.drawn == sum(len(view_lists.order) for view_lists in lists) / 2
+    boxes = [
+        unpack_box(box)[2:] for view_lists in lists for box in view_lists.boxes if box != HIDDEN
+    ]
     assert cost.tile_pairs <= sum(across * down for across, down in boxes) / 2
     counts = np.concatenate([covered(model, camera).reshape(-1) for camera in cameras])
     assert cost.splats_a_pixel == pytest.approx(counts.mean(), rel=1e-12)
     assert cost.most_a_pixel == np.percentile(counts, 99, method="inverted_cdf")
 
 
-def test_the_largest_are_a_hundredth_of_all_splats():
+def test_the_largest_share_is_that_of_a_hundredth_of_the_splats():
     camera = make_camera(640, 640, 300.0)
     small = make_splats(199, size=-6.0, spread=0.1)
     large = make_splats(2, size=1.0, seed=5, spread=0.1, opacity_logits=np.full(2, 4.0))
@@ -98,14 +100,14 @@ def test_the_largest_are_a_hundredth_of_all_splats():
         small,
         **{name: np.concatenate([getattr(small, name), getattr(large, name)]) for name in columns},
     )
-    pairs = [len(project(prepare(each), camera).entries) for each in (large, both)]
+    pairs = [len(project(prepare(model), camera).entries) for model in (large, both)]
     assert cost_on(both, [camera], views_of([camera], "given")).largest_share >= (
         pairs[0] / pairs[1]
     ), "201 splats, of which three are a hundredth or more"
     assert pairs[0] > 0.6 * pairs[1]
 
 
-def test_parts_and_threads_do_not_matter(tmp_path, monkeypatch):
+def test_the_cost_does_not_depend_on_blocks_or_threads(tmp_path, monkeypatch):
     model = random_splats(700, seed=8)
     model.means[::50] = np.nan
     nanogs.save(model, tmp_path / "a.npz")
@@ -118,16 +120,18 @@ def test_parts_and_threads_do_not_matter(tmp_path, monkeypatch):
     assert held.protocol.split == "test"
 
 
-def test_larger_splats_take_more_to_draw():
+def test_larger_splats_cost_more_to_draw():
     model = random_splats(300, seed=9)
     cameras = [make_camera(128, 128, 60.0)]
     larger = replace(model, log_scales=model.log_scales + 0.5)
-    before, after = (cost_on(each, cameras, views_of(cameras, "given")) for each in (model, larger))
+    before, after = (
+        cost_on(splats, cameras, views_of(cameras, "given")) for splats in (model, larger)
+    )
     assert after.splats_a_pixel > 1.3 * before.splats_a_pixel
     assert after.tile_pairs > before.tile_pairs
 
 
-def test_nothing_in_sight_costs_nothing():
+def test_a_model_out_of_view_costs_nothing():
     model = random_splats(30)
     away = [replace(make_camera(), world_to_camera=np.diag([1.0, 1, -1, 1]))]
     behind = replace(model, means=model.means + np.float32([0, 0, 50]))
@@ -137,7 +141,7 @@ def test_nothing_in_sight_costs_nothing():
     )  # fmt: skip
 
 
-def test_what_makes_no_sense_is_refused(tmp_path):
+def test_impossible_arguments_are_refused(tmp_path):
     model = random_splats(30)
     with pytest.raises(OptionError):
         nanogs.draw_cost(model, cameras=tmp_path / "none.json")
@@ -159,36 +163,38 @@ def pair(tmp_path_factory):
     return folder / "large.ply", folder / "small.ply"
 
 
-def test_compare_says_what_each_model_takes_on_its_views(pair, tmp_path):
+def test_compare_reports_the_draw_cost_of_each_model_on_its_views(pair, tmp_path):
     page = tmp_path / "page.html"
-    given = ["compare", *pair, "--sizes", "64,96", "--views", "3"]
-    result = run(*given, "--json", "--report", page, "--no-interactive")
+    arguments = ["compare", *pair, "--sizes", "64,96", "--views", "3"]
+    result = run(*arguments, "--json", "--report", page, "--no-interactive")
     assert result.returncode == 0, result.stderr
-    said = json.loads(result.stdout)
+    report = json.loads(result.stdout)
     cameras = automatic_cameras(nanogs.load(pair[0]), 3, width=64, height=64, split="test")
-    for place, found in enumerate([said["reference_cost"], said["models"][0]["cost"]]):
-        cost = nanogs.draw_cost(pair[place], cameras)
+    for index, found in enumerate([report["reference_cost"], report["models"][0]["cost"]]):
+        cost = nanogs.draw_cost(pair[index], cameras)
         assert found["splats_a_pixel"] == cost.splats_a_pixel
         assert found["tile_pairs"] == cost.tile_pairs
         assert found["largest_share"] == cost.largest_share
         assert found["protocol"]["split"] == "test"
-    assert said["further"][0]["models"][0]["cost"]["protocol"]["pixels"] == [96, 96]
-    share = said["models"][0]["cost"]["splats_a_pixel"] / said["reference_cost"]["splats_a_pixel"]
+    assert report["further"][0]["models"][0]["cost"]["protocol"]["pixels"] == [96, 96]
+    share = (
+        report["models"][0]["cost"]["splats_a_pixel"] / report["reference_cost"]["splats_a_pixel"]
+    )
     assert share > 0.25, "a quarter of the splats takes more than a quarter of the work"
-    text = run(*given)
+    text = run(*arguments)
     assert f"{share:.1%}" in text.stdout
     assert "a pixel: number of splats that cover a pixel" in text.stderr
     assert f'<td data-is="draws">{100 * share:.1f} %</td>' in page.read_text(encoding="utf-8")
 
 
-def test_models_that_are_read_in_parts_take_the_same(pair):
+def test_models_that_are_read_in_blocks_have_the_same_draw_cost(pair):
     held = nanogs.compare(pair[0], pair[1], pixels=64, views=2)
-    needed = compare_on_sets(
+    streamed = compare_on_sets(
         NamedModel(pair[0].name, nanogs.open(pair[0])),
         [NamedModel(pair[1].name, nanogs.open(pair[1]))],
         view_sets(nanogs.load(pair[0]), ["auto"], [(64, 64)], views=2),
         room=LEAST,
     )[0]
-    assert needed.models[0].cost == held.models[0].cost
-    assert needed.reference_cost == held.reference_cost
+    assert streamed.models[0].cost == held.models[0].cost
+    assert streamed.reference_cost == held.reference_cost
     assert held.models[0].cost.share_of(held.reference_cost) > 0.25

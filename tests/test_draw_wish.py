@@ -1,4 +1,4 @@
-"""`--draw-cost`: the largest model that takes no more to draw than a share of the original."""
+"""`--draw-cost`: the largest model whose draw cost is at most a share of the original's."""
 
 import json
 
@@ -17,7 +17,7 @@ from nanogs.report import StopReason
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
 QUICK = {"preset": "fast"}
-LOOKS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "steps": 2}
+RENDERS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "steps": 2}
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +30,11 @@ def scene(tmp_path_factory):
 
 
 def share_of(original, small):
-    """Splats a pixel as `compare` says it, as a share of the original's."""
+    """Return the splats per pixel that `compare` reports, as a share of the original's."""
     result = run("compare", original, small, "--json")
     assert result.returncode == 0, result.stderr
-    said = json.loads(result.stdout)
-    costs = said["models"][0]["cost"], said["reference_cost"]
+    report = json.loads(result.stdout)
+    costs = report["models"][0]["cost"], report["reference_cost"]
     return costs[0]["splats_a_pixel"] / costs[1]["splats_a_pixel"]
 
 
@@ -49,7 +49,7 @@ def share_of(original, small):
     guess=st.integers(0, 10**7),
     quick=st.booleans(),
 )
-def test_the_search_ends_at_or_below_what_is_asked(
+def test_the_search_ends_at_or_below_the_requested_share(
     asked, power, least, noise, available, fewest, guess, quick
 ):
     fewest, tried = min(fewest, available - 1), {}
@@ -76,7 +76,7 @@ def test_the_search_ends_at_or_below_what_is_asked(
         assert found.count == max(fitting)
 
 
-def test_steps_are_told():
+def test_a_step_in_the_cost_is_reported_as_the_stop_reason():
     def share(count):
         return 0.2 if count < 700 else 0.9
 
@@ -86,9 +86,9 @@ def test_steps_are_told():
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".sog"])
-@pytest.mark.parametrize("preset", [QUICK, LOOKS], ids=["fast", "default"])
+@pytest.mark.parametrize("preset", [QUICK, RENDERS], ids=["fast", "default"])
 @pytest.mark.parametrize("block", [None, 300])
-def test_the_file_takes_what_was_asked_for(scene, tmp_path, suffix, preset, block):
+def test_the_file_has_the_requested_draw_cost(scene, tmp_path, suffix, preset, block):
     out = tmp_path / f"a{suffix}"
     report = nanogs.simplify_blocks(scene, out, draw_cost=0.5, block=block, **preset)
     assert report.stop is StopReason.TARGET
@@ -99,11 +99,11 @@ def test_the_file_takes_what_was_asked_for(scene, tmp_path, suffix, preset, bloc
     assert share_of(scene, out) == pytest.approx(share, rel=1e-12)
     assert report.achieved_count == report.asked_count == nanogs.open(out).count
     assert (report.achieved_count, share) in [(p.count, p.share) for p in report.draw_probes]
-    assert any(probe.quick for probe in report.draw_probes) == (preset is LOOKS)
+    assert any(probe.quick for probe in report.draw_probes) == (preset is RENDERS)
     assert [*tmp_path.iterdir()] == [out]
 
 
-def test_the_command_takes_shares_and_says_them(scene, tmp_path):
+def test_the_command_accepts_shares_and_prints_the_achieved_one(scene, tmp_path):
     out = tmp_path / "a.ply"
     result = run("simplify", scene, out, "--draw-cost", "40%", "--preset", "fast")
     assert result.returncode == 0, result.stderr
@@ -116,41 +116,41 @@ def test_the_command_takes_shares_and_says_them(scene, tmp_path):
 
 
 @pytest.mark.parametrize("block", [None, 300])
-def test_filters_and_frames_do_not_matter_to_what_is_measured(scene, tmp_path, block):
-    given = {"filters": [nanogs.filters.box((-9, -9, -9), (0.6, 9, 9))], "frame": ("rdf", "rub")}
-    out, left = tmp_path / "a.ply", tmp_path / "left.ply"
-    report = nanogs.simplify_blocks(scene, out, draw_cost=0.6, block=block, **given, **QUICK)
-    kept, _ = nanogs.filters.apply(nanogs.load(scene), given["filters"])
-    nanogs.save(kept, left)
-    turned = tmp_path / "turned.ply"
-    nanogs.convert(out, turned, frame=("rub", "rdf"))
+def test_the_cost_is_measured_on_the_filtered_model_in_its_own_frame(scene, tmp_path, block):
+    edits = {"filters": [nanogs.filters.box((-9, -9, -9), (0.6, 9, 9))], "frame": ("rdf", "rub")}
+    out, filtered = tmp_path / "a.ply", tmp_path / "left.ply"
+    report = nanogs.simplify_blocks(scene, out, draw_cost=0.6, block=block, **edits, **QUICK)
+    filtered_splats, _ = nanogs.filters.apply(nanogs.load(scene), edits["filters"])
+    nanogs.save(filtered_splats, filtered)
+    turned_back = tmp_path / "turned.ply"
+    nanogs.convert(out, turned_back, frame=("rub", "rdf"))
     share = report.cost.share_of(report.original_cost)
-    assert share_of(left, turned) == pytest.approx(share, rel=1e-6)
+    assert share_of(filtered, turned_back) == pytest.approx(share, rel=1e-6)
 
 
-def test_all_of_it_is_the_whole_model(scene, tmp_path):
+def test_a_draw_cost_of_one_keeps_the_whole_model(scene, tmp_path):
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", draw_cost=1.0, **QUICK)
     assert report.achieved_count == 799
     assert report.cost.splats_a_pixel == report.original_cost.splats_a_pixel
 
 
 @pytest.mark.parametrize("block", [None, 300])
-def test_less_than_can_be_had_is_refused(scene, tmp_path, block):
+def test_a_draw_cost_below_that_of_one_splat_is_refused(scene, tmp_path, block):
     with pytest.raises(TooSmallError, match="is too small: 1 splat, the fewest"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", draw_cost=1e-5, block=block, **QUICK)
     assert not list(tmp_path.iterdir())
 
 
-def test_what_makes_no_sense_is_refused(scene, tmp_path):
+def test_impossible_requests_are_refused(scene, tmp_path):
     out = tmp_path / "a.ply"
-    for wish in ({"draw_cost": 0.0}, {"draw_cost": 1.5}, {"draw_cost": 0.5, "ratio": 0.5}):
+    for request in ({"draw_cost": 0.0}, {"draw_cost": 1.5}, {"draw_cost": 0.5, "ratio": 0.5}):
         with pytest.raises(OptionError, match="draw"):
-            nanogs.simplify_blocks(scene, out, **wish)
+            nanogs.simplify_blocks(scene, out, **request)
     with pytest.raises(OptionError, match="a draw cost"):
         nanogs.simplify(nanogs.load(scene), draw_cost=0.5, preset="paper")
-    both = run("simplify", scene, out, "--draw-cost", "0.5", "--psnr", "30")
-    assert both.returncode == 2
-    assert "--draw-cost" in both.stderr
+    result = run("simplify", scene, out, "--draw-cost", "0.5", "--psnr", "30")
+    assert result.returncode == 2
+    assert "--draw-cost" in result.stderr
     unseen = random_splats(20)
     unseen.opacity_logits[:] = -20
     with pytest.raises(ModelError, match="draw cost cannot be measured"):
@@ -158,63 +158,65 @@ def test_what_makes_no_sense_is_refused(scene, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_search_that_was_killed_goes_on_to_the_same_bytes(scene, tmp_path):
-    given = {"draw_cost": 0.5, "block": 300, **QUICK}
-    one, two = tmp_path / "one.ply", tmp_path / "two.ply"
-    nanogs.simplify_blocks(scene, one, **given)
+def test_an_interrupted_search_resumes_to_the_same_bytes(scene, tmp_path):
+    options = {"draw_cost": 0.5, "block": 300, **QUICK}
+    expected, resumed = tmp_path / "one.ply", tmp_path / "two.ply"
+    nanogs.simplify_blocks(scene, expected, **options)
     for least in (0.3, 0.6, 0.8):
 
-        def crash(step, least=least):
+        def interrupt(step, least=least):
             if step.fraction > least:
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            nanogs.simplify_blocks(scene, two, progress=crash, resume=True, **given)
+            nanogs.simplify_blocks(scene, resumed, progress=interrupt, resume=True, **options)
     with pytest.raises(OutputError, match="search"):
-        nanogs.simplify_blocks(scene, two, resume=True, **{**given, "draw_cost": 0.6})
-    nanogs.simplify_blocks(scene, two, resume=True, **given)
-    assert two.read_bytes() == one.read_bytes()
+        nanogs.simplify_blocks(scene, resumed, resume=True, **{**options, "draw_cost": 0.6})
+    nanogs.simplify_blocks(scene, resumed, resume=True, **options)
+    assert resumed.read_bytes() == expected.read_bytes()
 
 
 @pytest.mark.parametrize("block", [None, 300])
-def test_what_is_measured_says_what_it_takes(scene, tmp_path, block):
+def test_a_measured_result_reports_its_draw_cost(scene, tmp_path, block):
     out = tmp_path / "a.spz"
-    given = {"ratio": 0.2, "block": block, **QUICK}
-    plain = nanogs.simplify_blocks(scene, tmp_path / "plain.spz", **given)
-    assert plain.cost is None
-    report = nanogs.simplify_blocks(scene, out, measured=True, frame=("rdf", "rub"), **given)
+    options = {"ratio": 0.2, "block": block, **QUICK}
+    unmeasured = nanogs.simplify_blocks(scene, tmp_path / "plain.spz", **options)
+    assert unmeasured.cost is None
+    report = nanogs.simplify_blocks(scene, out, measured=True, frame=("rdf", "rub"), **options)
     cost = nanogs.draw_cost(scene)
     assert report.original_cost.splats_a_pixel == pytest.approx(cost.splats_a_pixel, rel=1e-12)
-    back = tmp_path / "back.npz"
-    nanogs.convert(out, back, frame=("rub", "rdf"))
+    turned_back = tmp_path / "back.npz"
+    nanogs.convert(out, turned_back, frame=("rub", "rdf"))
     share = report.cost.share_of(report.original_cost)
-    assert share_of(scene, back) == pytest.approx(share, rel=1e-6)
+    assert share_of(scene, turned_back) == pytest.approx(share, rel=1e-6)
     assert share > 0.2, "a fifth of the splats takes more than a fifth of the work"
 
 
 @pytest.mark.parametrize("block", [None, 300])
 @pytest.mark.parametrize("place", ["levels", "stream/lod-meta.json"])
-def test_levels_that_are_measured_say_what_they_take(scene, tmp_path, block, place):
+def test_measured_levels_report_their_draw_cost(scene, tmp_path, block, place):
     layout = "files" if place == "levels" else "streamed sog"
     folder = (tmp_path / place).parent if "." in place else tmp_path / place
     manifest, _ = nanogs.write_levels(
         scene, folder, [0.5, 0.1], layout=layout, measured=True, block=block, **QUICK
     )
     for number, level in enumerate(manifest.levels):
-        path, which = (folder / level.file, 0) if layout == "files" else (tmp_path / place, number)
-        nanogs.save(nanogs.load(path, level=which), tmp_path / f"{number}.npz")
+        path, level_in_file = (
+            (folder / level.file, 0) if layout == "files" else (tmp_path / place, number)
+        )
+        nanogs.save(nanogs.load(path, level=level_in_file), tmp_path / f"{number}.npz")
         share = share_of(scene, tmp_path / f"{number}.npz")
         assert level.draws == pytest.approx(share, rel=1e-9)
         assert level.ratio < level.draws < 1
-    plain, _ = nanogs.write_levels(scene, tmp_path / "plain", [0.1], **QUICK)
-    assert plain.levels[0].draws is None
+    unmeasured, _ = nanogs.write_levels(scene, tmp_path / "plain", [0.1], **QUICK)
+    assert unmeasured.levels[0].draws is None
 
 
-def test_the_command_shows_what_levels_take(scene, tmp_path):
-    given = ["lod", scene, tmp_path / "levels", "--levels", "0.5,0.1", "--preset", "fast"]
-    result = run(*given, "--measure")
+def test_the_command_prints_the_draw_cost_of_levels(scene, tmp_path):
+    arguments = ["lod", scene, tmp_path / "levels", "--levels", "0.5,0.1", "--preset", "fast"]
+    result = run(*arguments, "--measure")
     assert result.returncode == 0, result.stderr
     assert "draws: splats a pixel" in result.stderr
-    listed = json.loads((tmp_path / "levels" / "levels.json").read_text(encoding="utf-8"))
-    for level in listed["levels"]:
+    manifest = json.loads((tmp_path / "levels" / "levels.json").read_text(encoding="utf-8"))
+    for level in manifest["levels"]:
         assert f"{level['draws']:.1%}" in result.stderr

@@ -1,4 +1,4 @@
-"""First guesses at a command line work: names of files and folders, pipes, and silence."""
+"""Command lines that a user would try first: files and folders, pipes, and quiet runs."""
 
 import json
 import subprocess
@@ -22,22 +22,22 @@ from viewer_bundle import require_bundle
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A model, a smaller one, its levels as files, as streamed SOG and as 3D Tiles."""
-    place = tmp_path_factory.mktemp("models")
+    """A model, a smaller one, and levels of the first as files, as streamed SOG and as 3D Tiles."""
+    models = tmp_path_factory.mktemp("models")
     splats = random_splats(400)
-    nanogs.save(splats, place / "a.ply")
-    nanogs.save(splats.take(np.arange(0, 400, 4)), place / "b.ply")
-    for out in ("levels", "stream/lod-meta.json", "tiles/tileset.json"):
-        given = ("--preset", "fast", "--levels", "0.5,0.25,0.1,0.01", "-q")
-        result = run("lod", place / "a.ply", place / out, *given)
+    nanogs.save(splats, models / "a.ply")
+    nanogs.save(splats.take(np.arange(0, 400, 4)), models / "b.ply")
+    for name in ("levels", "stream/lod-meta.json", "tiles/tileset.json"):
+        options = ("--preset", "fast", "--levels", "0.5,0.25,0.1,0.01", "-q")
+        result = run("lod", models / "a.ply", models / name, *options)
         assert result.returncode == 0, result.stderr
-    return place
+    return models
 
 
 # Folders
 
 
-def test_a_folder_with_one_model_stands_for_it(folder, tmp_path):
+def test_a_folder_with_one_model_can_be_given_for_it(folder, tmp_path):
     small = tmp_path / "small.ply"
     result = run("simplify", folder / "stream", small, "-n", "9", "--preset", "fast")
     assert result.returncode == 0, result.stderr
@@ -74,35 +74,41 @@ def test_a_folder_with_one_model_stands_for_it(folder, tmp_path):
         ("convert {a} --out-dir {out} --format xyz", "nanogs does not write a format 'xyz'"),
     ],
 )
-def test_what_does_not_go_is_refused_for_what_it_is(folder, tmp_path, command, words):
-    given = [word.format(a=folder / "a.ply", out=tmp_path) for word in command.split()]
-    assert_refused(run(*given), words)
+def test_impossible_inputs_and_outputs_are_refused_with_the_reason(
+    folder, tmp_path, command, words
+):
+    arguments = [word.format(a=folder / "a.ply", out=tmp_path) for word in command.split()]
+    assert_refused(run(*arguments), words)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("command", ["info", "simplify", "compare"])
-def test_an_empty_name_is_no_folder(folder, command):
+def test_an_empty_path_is_refused(folder, command):
     rest = {"simplify": ["b.ply", "-r", "0.5"], "compare": ["b.ply"]}.get(command, [])
     assert_refused(launch.run(command, "", *rest, cwd=folder), "A path is empty; name a file.")
 
 
-def test_a_result_is_fitted_for_the_harmonics_that_its_format_holds(tmp_path):
+def test_a_result_is_fitted_with_the_sh_degree_of_its_format(tmp_path):
     nanogs.save(random_splats(500, degree=2), tmp_path / "a.ply")
-    few = ("--views", "4", "--view-size", "64", "--steps", "4")
-    kinds = {"a.splat": few, "b.splat": ("--sh-degree", "0", *few)}
-    kinds["c.splat"] = ("--preset", "fast")
-    said = {}
-    for name, given in kinds.items():
-        made = run("simplify", tmp_path / "a.ply", tmp_path / name, "-r", "0.2", *given, "--json")
-        said[name] = [n for n in json.loads(made.stdout)["notes"] if "Spherical harmonics" in n]
+    fast_fit = ("--views", "4", "--view-size", "64", "--steps", "4")
+    options_of = {"a.splat": fast_fit, "b.splat": ("--sh-degree", "0", *fast_fit)}
+    options_of["c.splat"] = ("--preset", "fast")
+    notes_of = {}
+    for name, options in options_of.items():
+        result = run(
+            "simplify", tmp_path / "a.ply", tmp_path / name, "-r", "0.2", *options, "--json"
+        )
+        notes_of[name] = [
+            n for n in json.loads(result.stdout)["notes"] if "Spherical harmonics" in n
+        ]
     assert (tmp_path / "a.splat").read_bytes() == (tmp_path / "b.splat").read_bytes()
     left_out = "Spherical harmonics above degree 0 are left out, .splat holds no more."
-    assert said == {"a.splat": [left_out], "b.splat": [], "c.splat": [left_out]}
+    assert notes_of == {"a.splat": [left_out], "b.splat": [], "c.splat": [left_out]}
 
 
-def test_a_whole_model_loses_by_packing_alone(folder, tmp_path):
-    made = run("simplify", folder / "a.ply", tmp_path / "a.sog", "-r", "1")
-    assert "views of 512 pixels, the loss is packing alone, " in made.stderr
+def test_a_model_that_keeps_all_splats_only_loses_by_packing(folder, tmp_path):
+    result = run("simplify", folder / "a.ply", tmp_path / "a.sog", "-r", "1")
+    assert "views of 512 pixels, the loss is packing alone, " in result.stderr
 
 
 # info
@@ -122,7 +128,7 @@ def test_info_takes_folders(folder):
     assert json.loads(run("info", folder / "sog", "--json").stdout)["splats"] == 10
 
 
-def test_info_tells_the_other_levels_of_a_stream(folder):
+def test_info_lists_all_levels_of_a_stream(folder):
     text = run("info", folder / "stream" / "lod-meta.json").stdout
     assert "0: 200, 1: 100, 2: 40, 3: 4 splats" in text
     assert "levels" not in run("info", folder / "a.ply").stdout
@@ -145,47 +151,49 @@ def test_info_reads_stdin(folder):
 # Names of what is written
 
 
-def test_levels_in_a_format_that_is_not_written_are_not_advised(folder, tmp_path):
-    said = run("lod", folder / "a.ply", tmp_path / "out.ksplat")
-    assert_refused(said, "name a folder", "out/.")
-    assert "--format" not in said.stderr
+def test_lod_does_not_suggest_a_format_that_is_only_read(folder, tmp_path):
+    result = run("lod", folder / "a.ply", tmp_path / "out.ksplat")
+    assert_refused(result, "name a folder", "out/.")
+    assert "--format" not in result.stderr
 
 
-def test_tiles_of_a_scene_too_large_for_packing_name_the_way_without(tmp_path):
+def test_tiles_too_large_for_packing_are_refused_with_a_hint_to_plain(tmp_path):
     model = random_splats(200)
     far = replace(model, means=model.means * np.float32(1e9))
     nanogs.save(far, tmp_path / "far.ply")
-    given = ("lod", tmp_path / "far.ply", tmp_path / "tiles/tileset.json", "--preset", "fast")
-    given += ("--levels", "0.5", "-q", "--no-measure")
-    assert_refused(run(*given), "tiles that are not packed (--plain)")
-    assert run(*given, "--plain").returncode == 0
+    arguments = ("lod", tmp_path / "far.ply", tmp_path / "tiles/tileset.json", "--preset", "fast")
+    arguments += ("--levels", "0.5", "-q", "--no-measure")
+    assert_refused(run(*arguments), "tiles that are not packed (--plain)")
+    assert run(*arguments, "--plain").returncode == 0
 
 
-def test_what_is_no_model_is_said_of_the_input(folder, tmp_path):
+def test_errors_about_unreadable_inputs_name_the_input_file(folder, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     for command in (("simplify", "-r", "0.5"), ("convert",)):
-        name, *more = command
-        given = ("notes.txt", folder / "a.ply", "--out-dir", "out", *more, "-w")
-        result = launch.run(name, *given, *(["--preset", "fast"] if more else []), cwd=tmp_path)
+        name, *options = command
+        arguments = ("notes.txt", folder / "a.ply", "--out-dir", "out", *options, "-w")
+        result = launch.run(
+            name, *arguments, *(["--preset", "fast"] if options else []), cwd=tmp_path
+        )
         assert result.returncode == 2
         assert "error: notes.txt: unknown suffix" in result.stderr
         assert (tmp_path / "out" / "a.ply").is_file()
 
 
 @pytest.mark.parametrize("name", ["out.sog", "out.ply", "out.html"])
-def test_levels_are_no_single_file(folder, tmp_path, name):
+def test_lod_refuses_a_single_file_as_output(folder, tmp_path, name):
     assert_refused(run("lod", folder / "a.ply", tmp_path / name), "name a folder", "out/")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_levels_do_not_go_to_stdout(folder, tmp_path):
+def test_lod_refuses_to_write_to_stdout(folder, tmp_path):
     for source in (folder / "a.ply", "-"):
         result = launch.run("lod", source, "-", data=(folder / "a.ply").read_bytes(), cwd=tmp_path)
         assert_refused(result, "Levels cannot be written to stdout", "name a folder")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_render_writes_one_picture(folder, tmp_path):
+def test_render_writes_one_png_file(folder, tmp_path):
     picture = tmp_path / "pic.png"
     result = run("render", folder / "a.ply", picture, "--pixels", "32x24", "--depth")
     assert result.returncode == 0, result.stderr
@@ -200,13 +208,13 @@ def test_render_writes_one_picture(folder, tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-def test_a_picture_keeps_the_name_that_it_is_given(folder, tmp_path):
+def test_a_picture_keeps_its_given_name(folder, tmp_path):
     small = ("--pixels", "32", "--depth", "--json")
     result = run("render", folder / "a.ply", tmp_path / "Pic.PNG", *small)
     assert result.returncode == 0, result.stderr
-    named = [str(tmp_path / name) for name in ("Pic.PNG", "Pic_depth.PNG")]
-    assert json.loads(result.stdout)["images"] == named
-    assert sorted(map(str, tmp_path.iterdir())) == named
+    expected = [str(tmp_path / name) for name in ("Pic.PNG", "Pic_depth.PNG")]
+    assert json.loads(result.stdout)["images"] == expected
+    assert sorted(map(str, tmp_path.iterdir())) == expected
 
 
 # view
@@ -226,7 +234,7 @@ def bytes_of(*paths):
     return sum(path.stat().st_size for path in paths)
 
 
-def test_a_converted_level_has_the_bytes_of_its_own_files(folder, tmp_path):
+def test_input_bytes_of_a_converted_level_count_only_its_own_files(folder, tmp_path):
     tiles = folder / "tiles" / "tileset.json"
     result = run("convert", tiles, tmp_path / "c.ply", "--level", "3", "--json")
     assert result.returncode == 0, result.stderr
@@ -234,7 +242,7 @@ def test_a_converted_level_has_the_bytes_of_its_own_files(folder, tmp_path):
     assert json.loads(result.stdout)["input_bytes"] == bytes_of(tiles, tile)
 
 
-def test_view_shows_a_level_that_suits_a_page(folder, tmp_path, monkeypatch):
+def test_view_shows_the_finest_level_that_fits_a_page(folder, tmp_path, monkeypatch):
     require_bundle()
     stream = folder / "stream" / "lod-meta.json"
     assert nanogs.io.open(stream).levels == (200, 100, 40, 4)
@@ -259,10 +267,10 @@ def test_view_shows_a_level_that_suits_a_page(folder, tmp_path, monkeypatch):
                    "--level")  # fmt: skip
 
 
-# Silence, and notes that name their file
+# Quiet runs, and notes that name their file
 
 
-def test_quiet_says_nothing_but_errors(folder, tmp_path):
+def test_quiet_prints_nothing_on_success(folder, tmp_path):
     small = ("--views", "1", "--pixels", "32", "-q")
     commands = [
         ("compare", folder / "a.ply", folder / "b.ply", *small),
@@ -288,7 +296,7 @@ def test_notes_of_many_files_name_the_file(tmp_path):
 # Levels
 
 
-def test_levels_are_files_of_any_format(folder, tmp_path):
+def test_levels_can_be_files_of_any_format(folder, tmp_path):
     out = tmp_path / "levels"
     fast = ("--preset", "fast", "--levels", "0.5,0.1")
     result = run("lod", folder / "a.ply", out, "--format", "sog", *fast, "--json")
@@ -296,16 +304,15 @@ def test_levels_are_files_of_any_format(folder, tmp_path):
     report = json.loads(result.stdout)
     assert [level["file"] for level in report["levels"]] == ["level_0.sog", "level_1.sog"]
     assert report["layout"] == "files"
-    alone = tmp_path / "alone.sog"
-    assert run("simplify", folder / "a.ply", alone, "-r", "0.5", "--preset", "fast").returncode == 0
-    assert (out / "level_0.sog").read_bytes() == alone.read_bytes()
+    small = tmp_path / "alone.sog"
+    assert run("simplify", folder / "a.ply", small, "-r", "0.5", "--preset", "fast").returncode == 0
+    assert (out / "level_0.sog").read_bytes() == small.read_bytes()
     assert json.loads(run("info", out, "--json").stdout)["levels"] == [200, 40]
     assert run("lod", folder / "a.ply", out, *fast, "-w", "-q").returncode == 0
     assert sorted(path.name for path in out.iterdir()) == [
         "level_0.ply", "level_1.ply", "levels.json",
     ]  # fmt: skip
     splat = run("lod", folder / "a.ply", tmp_path / "s", "--format", "splat", *fast)
-    # What the format leaves out is said.
     assert "Spherical harmonics above degree 0 are left out" in splat.stderr
 
 
@@ -316,18 +323,18 @@ def test_levels_are_files_of_any_format(folder, tmp_path):
         ("lod-meta.json", "spz", ["lod-meta.json", "name a folder"]),
     ],
 )
-def test_formats_that_levels_cannot_have_are_refused(folder, tmp_path, out, given, words):
+def test_unsupported_formats_of_levels_are_refused(folder, tmp_path, out, given, words):
     result = run("lod", folder / "a.ply", tmp_path / "x" / out, "--format", given)
     assert_refused(result, *words)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_finest_level_is_the_original(folder, tmp_path):
+def test_the_finest_default_level_is_the_original(folder, tmp_path):
     fast = ("--preset", "fast", "-w")
     text = run("lod", folder / "a.ply", tmp_path / "l", *fast).stderr
     assert "400 splats -> 4 levels" in text.replace("→", "->")
-    made = [nanogs.load(tmp_path / "l" / f"level_{number}.ply") for number in range(4)]
-    assert [len(each) for each in made] == [400, 200, 100, 50]
+    levels = [nanogs.load(tmp_path / "l" / f"level_{number}.ply") for number in range(4)]
+    assert [len(level) for level in levels] == [400, 200, 100, 50]
     assert (tmp_path / "l" / "level_0.ply").read_bytes() == (folder / "a.ply").read_bytes()
     text = run("lod", folder / "a.ply", tmp_path / "l", *fast, "--levels", "0.4,0.1").stderr
     assert f"400 splats -> 2 levels in {tmp_path / 'l'}, " in text.replace("→", "->")
@@ -337,7 +344,7 @@ def test_the_finest_level_is_the_original(folder, tmp_path):
 # The degree of spherical harmonics
 
 
-def test_simplify_drops_bands(folder, tmp_path):
+def test_simplify_drops_bands_of_spherical_harmonics(folder, tmp_path):
     small = tmp_path / "small.ply"
     arguments = ("simplify", folder / "a.ply", small, "--preset", "fast", "--sh-degree", "0")
     result = run(*arguments, "-r", "0.1")
@@ -348,8 +355,8 @@ def test_simplify_drops_bands(folder, tmp_path):
     assert nanogs.load(small).sh_degree == 0
     assert 2900 < small.stat().st_size <= 3000
     # A model of that degree has nothing to drop.
-    same = run("simplify", small, tmp_path / "same.ply", "-r", "1", *arguments[3:])
-    assert "dropped" not in same.stderr
+    unchanged = run("simplify", small, tmp_path / "same.ply", "-r", "1", *arguments[3:])
+    assert "dropped" not in unchanged.stderr
 
 
 @pytest.mark.parametrize(
@@ -359,7 +366,7 @@ def test_simplify_drops_bands(folder, tmp_path):
         (["--sh-degree", "1", "--psnr", "30", "--preset", "fast"], ["--psnr", "nanogs convert"]),
     ],
 )
-def test_degrees_that_make_no_sense_are_refused(folder, tmp_path, given, words):
+def test_impossible_sh_degrees_and_combinations_are_refused(folder, tmp_path, given, words):
     assert_refused(run("simplify", folder / "a.ply", tmp_path / "x.ply", *given), *words)
     assert list(tmp_path.iterdir()) == []
 
@@ -378,14 +385,14 @@ FAST = ("--preset", "fast", "--levels", "0.5,0.1")
         ("--frame", "rub"),
     ],
 )
-def test_each_option_of_simplify_gives_the_same_levels(folder, tmp_path, given):
+def test_each_option_has_the_same_effect_in_lod_and_simplify(folder, tmp_path, given):
     result = run("lod", folder / "a.ply", tmp_path / "l", *FAST, *given)
     assert result.returncode == 0, result.stderr
     for level, ratio in enumerate(("0.5", "0.1")):
-        alone = tmp_path / f"{level}.ply"
-        simplified = run("simplify", folder / "a.ply", alone, "-r", ratio, *FAST[:2], *given)
-        assert simplified.returncode == 0
-        assert (tmp_path / "l" / f"level_{level}.ply").read_bytes() == alone.read_bytes()
+        path = tmp_path / f"{level}.ply"
+        result_of_simplify = run("simplify", folder / "a.ply", path, "-r", ratio, *FAST[:2], *given)
+        assert result_of_simplify.returncode == 0
+        assert (tmp_path / "l" / f"level_{level}.ply").read_bytes() == path.read_bytes()
     plan = run("lod", folder / "a.ply", tmp_path / "new", *FAST, *given, "--dry-run", "--json")
     counts = [level["count"] for level in json.loads(plan.stdout)["levels"]]
     assert counts == [len(nanogs.load(tmp_path / f"{level}.ply")) for level in (0, 1)]
@@ -402,12 +409,12 @@ def test_parts_of_a_scene_are_joined_into_levels(folder, tmp_path):
     assert report["source"] == "a.ply, b.ply"
     assert report["source_count"] == 500
     assert [level["count"] for level in report["levels"]] == [250, 50]
-    alone = run("simplify", *parts, tmp_path / "s.ply", "--join", "-r", "0.5", *FAST[:2])
-    assert alone.returncode == 0
+    simplified = run("simplify", *parts, tmp_path / "s.ply", "--join", "-r", "0.5", *FAST[:2])
+    assert simplified.returncode == 0
     assert (tmp_path / "l" / "level_0.ply").read_bytes() == (tmp_path / "s.ply").read_bytes()
 
 
-def test_verbose_tells_of_each_level(folder, tmp_path):
+def test_verbose_prints_a_report_of_each_level(folder, tmp_path):
     plain = run("lod", folder / "a.ply", tmp_path / "l", *FAST).stderr
     verbose = run("lod", folder / "a.ply", tmp_path / "l", *FAST, "-v", "-w").stderr
     assert "level 1" not in plain
@@ -428,7 +435,7 @@ def test_verbose_tells_of_each_level(folder, tmp_path):
         (["a.ply", "out", "--max-memory", "240MB", "--drop-floaters"], ["--drop-floaters needs"]),
     ],
 )
-def test_what_levels_cannot_have_is_refused(folder, tmp_path, given, words, monkeypatch):
+def test_impossible_arguments_of_lod_are_refused(folder, tmp_path, given, words, monkeypatch):
     if "--max-memory" in given:
         nanogs.save(random_splats(60_000, degree=3), tmp_path / "a.ply")
         monkeypatch.chdir(tmp_path)
@@ -441,7 +448,7 @@ def test_what_levels_cannot_have_is_refused(folder, tmp_path, given, words, monk
 # A page as an output
 
 
-def test_a_page_is_a_format(folder, tmp_path):
+def test_a_web_page_is_an_output_format(folder, tmp_path):
     require_bundle()
     page = tmp_path / "page.html"
     result = run("simplify", folder / "a.ply", page, "-r", "0.5", "--preset", "fast", "--json")
@@ -451,17 +458,19 @@ def test_a_page_is_a_format(folder, tmp_path):
     assert "200 splats" in text
     assert "nanogs-program" in text
     assert "default-src &#39;none&#39;" in text
-    same = tmp_path / "same.html"
+    converted_page = tmp_path / "same.html"
     small = tmp_path / "small.ply"
     assert run("simplify", folder / "a.ply", small, "-r", "0.5", "--preset", "fast").returncode == 0
-    converted = run("convert", small, same)
+    converted = run("convert", small, converted_page)
     assert converted.returncode == 0, converted.stderr
-    assert same.read_bytes() == page.read_bytes()
-    assert_refused(run("convert", folder / "a.ply", same), "-w")
+    assert converted_page.read_bytes() == page.read_bytes()
+    assert_refused(run("convert", folder / "a.ply", converted_page), "-w")
     assert_refused(run("info", page), "writes this format but does not read it")
 
 
-def test_a_page_needs_the_viewer_and_says_so_at_once(folder, tmp_path, monkeypatch):
+def test_writing_a_page_without_the_viewer_is_refused_before_any_work(
+    folder, tmp_path, monkeypatch
+):
     monkeypatch.setattr("nanogs.view.bundle.is_built", lambda: False)
     with pytest.raises(OptionError, match="without the viewer"):
         check_writable(tmp_path / "page.html")

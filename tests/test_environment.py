@@ -1,4 +1,4 @@
-"""The environment of a stream: found in a model, given, written, read, and drawn by the viewer."""
+"""The environment of streamed SOG: detected, given, written, read, and drawn by the viewer."""
 
 import json
 import zipfile
@@ -34,37 +34,38 @@ FAST = ("--preset", "fast", "--chunk", "500", "--levels", "1,0.5,0.1")
 
 
 def shell(count, radius, *, half=True, seed=1, degree=1, width=2.0, centre=(0, 0, 0), alpha=0.98):
-    """Splats around the origin at about a distance, the sky above (-y) or all around.
+    """Return splats at about one distance from the centre: a sky above (-y) or all around.
 
     Args:
-        count: Splats.
+        count: Number of splats.
         radius: The distance.
-        half: Whether there are none below.
-        seed: Of all that is drawn.
-        degree: Of the harmonics.
-        width: Standard deviation over what each would need to fill a sphere of a layer.
-        centre: Of the shell.
-        alpha: Of each splat.
+        half: Whether there are no splats below the centre.
+        seed: Seed of all random numbers.
+        degree: Degree of spherical harmonics.
+        width: Standard deviation of a splat, relative to the one that makes the splats together
+            cover the sphere once.
+        centre: Centre of the shell.
+        alpha: Opacity of each splat.
     """
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     if half:
         directions[:, 1] = -np.abs(directions[:, 1])
-    away = radius * rng.uniform(0.97, 1.03, (count, 1))
+    distances = radius * rng.uniform(0.97, 1.03, (count, 1))
     deviation = width * radius * np.sqrt(2 / count)
     return replace(
         random_splats(count, degree=degree, seed=seed),
-        means=(directions * away + centre).astype(np.float32),
+        means=(directions * distances + centre).astype(np.float32),
         log_scales=np.full((count, 3), np.log(deviation), np.float32),
         opacity_logits=np.full(count, np.log(alpha / (1 - alpha)), np.float32),
     )
 
 
 def under_a_sky(radius=12.0, **options):
-    """A scene and the sky around it, the rows of both mixed."""
-    whole = concatenate([random_splats(SCENE), shell(SKY, radius, **options)])
-    return whole.take(np.random.default_rng(5).permutation(len(whole)))
+    """Return a scene and the sky around it, with the rows of both in random order."""
+    joined = concatenate([random_splats(SCENE), shell(SKY, radius, **options)])
+    return joined.take(np.random.default_rng(5).permutation(len(joined)))
 
 
 def found(model):
@@ -81,33 +82,33 @@ def found(model):
         shell(SKY, 12, half=False),
         shell(SKY, 100, centre=(5, 0, -3)),
         shell(150, 30),  # few and wide
-        shell(2000, 12, width=0.6),  # hardly opaque where they are thin
+        shell(2000, 12, width=0.6),  # small, nearly transparent between them
         shell(SKY, 12, alpha=0.3),
     ],
 )
-def test_a_sky_is_found_whole(sky):
+def test_all_splats_of_a_sky_are_found(sky):
     model = concatenate([random_splats(SCENE), sky])
     environment = found(model)
     assert environment.splats == len(sky)
     assert 2 < environment.radius < 100
     keep = filters.within(environment.centre, environment.radius).keep(model)
     assert np.array_equal(np.flatnonzero(~keep), SCENE + np.arange(len(sky)))
-    others = filters.beyond(environment.centre, environment.radius).keep(model)
-    assert np.array_equal(keep, ~others)
+    beyond = filters.beyond(environment.centre, environment.radius).keep(model)
+    assert np.array_equal(keep, ~beyond)
 
 
-def test_strays_before_a_sky_do_not_hide_it_and_stay_in_the_scene():
+def test_outliers_between_scene_and_sky_stay_in_the_scene():
     strays = random_splats(6, seed=8, spread=3.5)
     model = concatenate([random_splats(SCENE), strays, shell(SKY, 14)])
     assert found(model).splats == SKY
 
 
 def on_the_ground(count, reach, seed=3):
-    """Splats on a plane, denser in the middle, as far as a scene reaches."""
+    """Return splats on a plane, denser in the middle; `reach` scales the extent."""
     model = random_splats(count, seed=seed)
-    away = np.abs(model.means[:, :1]) ** 4 * reach
+    distances = np.abs(model.means[:, :1]) ** 4 * reach
     means = np.concatenate([model.means[:, 1:2], model.means[:, :1] * 0, model.means[:, 2:]], 1)
-    return replace(model, means=(means * (0.05 + away)).astype(np.float32))
+    return replace(model, means=(means * (0.05 + distances)).astype(np.float32))
 
 
 def far_house():
@@ -115,7 +116,7 @@ def far_house():
     return replace(model, means=(model.means + [40, 0, 0]).astype(np.float32))
 
 
-NONE = {
+NO_SKY = {
     "a scene": random_splats(SCENE),
     "one splat": random_splats(1),
     "the same place": replace(random_splats(500), means=np.ones((500, 3), np.float32)),
@@ -133,9 +134,9 @@ NONE = {
 }
 
 
-@pytest.mark.parametrize("name", NONE)
-def test_what_is_no_sky_stays_in_the_scene(name):
-    assert found(NONE[name]) is None
+@pytest.mark.parametrize("name", NO_SKY)
+def test_models_without_a_sky_have_no_environment(name):
+    assert found(NO_SKY[name]) is None
 
 
 @pytest.mark.parametrize(
@@ -145,27 +146,27 @@ def test_what_is_no_sky_stays_in_the_scene(name):
         "seal.splat", "skull.sog", "flowers/lod-meta.json", "playbot/lod-meta.json",
     ],
 )  # fmt: skip
-def test_real_scenes_have_none(name):
+def test_real_scenes_without_a_sky_have_no_environment(name):
     with io.open(scene_path(name)) as source:
         assert find_environment(source) is None
 
 
 @given(seed=st.integers(0, 99), power=st.integers(-20, 20), shift=st.integers(-3, 3))
-def test_neither_units_nor_order_matter(seed, power, shift):
+def test_the_environment_does_not_depend_on_units_position_or_order(seed, power, shift):
     model = under_a_sky(20)
-    here = found(model)
+    original = found(model)
     order = np.random.default_rng(seed).permutation(len(model))
     moved = replace(
         model.take(order),
         means=((model.means[order] + shift) * np.float32(2.0**power)).astype(np.float32),
         log_scales=(model.log_scales[order] + np.float32(power * np.log(2))).astype(np.float32),
     )
-    there = found(moved)
-    assert there.splats == here.splats == SKY
-    assert np.isclose(there.radius, here.radius * 2.0**power, rtol=1e-4)
+    changed = found(moved)
+    assert changed.splats == original.splats == SKY
+    assert np.isclose(changed.radius, original.radius * 2.0**power, rtol=1e-4)
 
 
-def test_what_is_not_finite_counts_nowhere():
+def test_nonfinite_splats_do_not_affect_the_environment():
     model = under_a_sky()
     means, scales = model.means.copy(), model.log_scales.copy()
     means[0], scales[1] = np.nan, np.inf
@@ -173,11 +174,11 @@ def test_what_is_not_finite_counts_nowhere():
     environment = found(damaged)
     assert environment.splats in (SKY, SKY - 1, SKY - 2)
     keep = filters.within(environment.centre, environment.radius).keep(damaged)
-    assert keep[0]  # and is dropped with the others of its kind
+    assert keep[0]  # it is dropped later, with the other nonfinite splats
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_centre_that_is_not_finite_stays_with_the_scene(value):
+def test_splats_with_a_nonfinite_centre_stay_in_the_scene(value):
     model = random_splats(3)
     model.means[1, 2] = value
     assert filters.within((0, 0, 0), 1e-6).keep(model).tolist() == [False, True, False]
@@ -195,101 +196,103 @@ def model(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def made(model):
-    """The folder and the archive that the command makes of it, and its report of the former."""
-    place = model.parent
-    result = run("lod", model, place / "web" / "lod-meta.json", *FAST, "--json")
+def written_levels(model):
+    """The folder of a streamed SOG and an archive of it, the report, and the messages."""
+    parent = model.parent
+    result = run("lod", model, parent / "web" / "lod-meta.json", *FAST, "--json")
     assert result.returncode == 0, result.stderr
-    archive = run("lod", model, place / "a.ssog", *FAST)
+    archive = run("lod", model, parent / "a.ssog", *FAST)
     assert archive.returncode == 0, archive.stderr
-    return place, json.loads(result.stdout), archive.stderr
+    return parent, json.loads(result.stdout), archive.stderr
 
 
-def test_each_splat_is_in_the_scene_or_in_its_environment(model, made):
-    place, report, _ = made
-    meta = json.loads((place / "web" / "lod-meta.json").read_text())
+def test_each_splat_is_either_in_the_levels_or_in_the_environment(model, written_levels):
+    parent, report, _ = written_levels
+    meta = json.loads((parent / "web" / "lod-meta.json").read_text())
     assert meta["environment"] == "env/meta.json"
     assert meta["counts"] == [2400, 1200, 240]
     assert sum(leaf["lods"]["0"]["count"] for leaf in leaves(meta["tree"])) == SCENE
     assert not any("env" in name for name in meta["filenames"])
-    sky, whole = io.load(place / "web" / "env" / "meta.json"), io.load(model)
+    sky, original = io.load(parent / "web" / "env" / "meta.json"), io.load(model)
     assert len(sky) == SKY
     assert np.linalg.norm(sky.means, axis=1).min() > 11
     for level, scene in enumerate((2400, 1200, 240)):
-        back = io.load(place / "web" / "lod-meta.json", level=level)
-        assert (np.linalg.norm(back.means, axis=1) > 6).sum() == SKY
-        assert len(back) == scene + SKY
+        loaded = io.load(parent / "web" / "lod-meta.json", level=level)
+        assert (np.linalg.norm(loaded.means, axis=1) > 6).sum() == SKY
+        assert len(loaded) == scene + SKY
         if level == 0:
-            assert np.allclose(np.sort(back.means, 0), np.sort(whole.means, 0), atol=0.1)
+            assert np.allclose(np.sort(loaded.means, 0), np.sort(original.means, 0), atol=0.1)
     boxes = np.array([[meta["tree"]["bound"][end] for end in ("min", "max")]])
-    assert np.abs(boxes).max() < 6  # a viewer near the scene is not near all of the sky
+    assert np.abs(boxes).max() < 6  # the sky is not in the boxes
     assert report["environment"] == {
         "source": "auto", "count": SKY,
-        "bytes": sum(file.stat().st_size for file in (place / "web" / "env").iterdir()),
-        "requests": len(list((place / "web" / "env").iterdir())),
+        "bytes": sum(file.stat().st_size for file in (parent / "web" / "env").iterdir()),
+        "requests": len(list((parent / "web" / "env").iterdir())),
     }  # fmt: skip
-    assert report["source_count"] == len(whole)
+    assert report["source_count"] == len(original)
     assert report["filters"] == []
 
 
-def test_the_first_picture_takes_the_environment_too(made):
-    place, report, said = made
-    assert f"an environment of {SKY} splats, separated from the model" in said
-    with zipfile.ZipFile(place / "a.ssog") as archive:
+def test_the_first_picture_includes_requests_for_the_environment(written_levels):
+    parent, report, messages = written_levels
+    assert f"an environment of {SKY} splats, separated from the model" in messages
+    with zipfile.ZipFile(parent / "a.ssog") as archive:
         names = archive.namelist()
         assert {name: archive.read(name) for name in names} == {
-            path.relative_to(place / "web").as_posix(): path.read_bytes()
-            for path in (place / "web").rglob("*")
+            path.relative_to(parent / "web").as_posix(): path.read_bytes()
+            for path in (parent / "web").rglob("*")
             if path.is_file()
         }
     order = [name.split("/")[0] for name in names]
     assert list(dict.fromkeys(order)) == ["lod-meta.json", "env", "2_0", "1_0", "0_0", "0_1"]
-    shown = run("lod", place / "a.ply", place / "web" / "lod-meta.json", *FAST, "-w")
-    asked = 1 + report["environment"]["requests"] + report["levels"][-1]["requests"]
-    assert f"first picture takes {asked} requests" in shown.stderr
+    result = run("lod", parent / "a.ply", parent / "web" / "lod-meta.json", *FAST, "-w")
+    requests = 1 + report["environment"]["requests"] + report["levels"][-1]["requests"]
+    assert f"first picture takes {requests} requests" in result.stderr
 
 
-def test_a_plan_says_so(model, tmp_path):
+def test_a_dry_run_reports_the_environment(model, tmp_path):
     path = tmp_path / "web" / "lod-meta.json"
     plan = json.loads(run("lod", model, path, *FAST, "--dry-run", "--json").stdout)
     assert plan["environment"] == {"source": "auto", "count": SKY}
     assert [level["count"] for level in plan["levels"]] == [2400, 1200, 240]
-    shown = run("lod", model, path, *FAST, "--dry-run", "--job", tmp_path / "job").stderr
-    assert f"an environment of {SKY} splats" in " ".join(shown.split())
+    messages = run("lod", model, path, *FAST, "--dry-run", "--job", tmp_path / "job").stderr
+    assert f"an environment of {SKY} splats" in " ".join(messages.split())
     plan = run("lod", model, path, *FAST, "--dry-run", "--json", "--environment", "none").stdout
     assert json.loads(plan)["environment"] is None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_none_leaves_all_splats_in_the_levels(model, tmp_path):
+def test_environment_none_leaves_all_splats_in_the_levels(model, tmp_path):
     path = tmp_path / "web" / "lod-meta.json"
     result = run("lod", model, path, *FAST, "--environment", "none", "--json")
     assert json.loads(result.stdout)["environment"] is None
     assert io.open(path).levels == (3100, 1550, 310)
     assert "environment" not in json.loads(path.read_text())
     plain = run("lod", model, tmp_path / "plain", "--preset", "fast", "--levels", "1", "--json")
-    assert json.loads(plain.stdout)["levels"][0]["count"] == 3100  # there is no place for one
+    assert json.loads(plain.stdout)["levels"][0]["count"] == 3100  # files have no environment
 
 
 def test_another_model_can_be_the_environment(model, tmp_path):
     other = shell(400, 40, degree=3, seed=6)
     nanogs.save(other, tmp_path / "b.sog")
     path = tmp_path / "web" / "lod-meta.json"
-    given = ["--environment", tmp_path / "b.sog", "--environment-ratio", "0.25"]
-    result = run("lod", model, path, *FAST, *given, "--json")
+    options = ["--environment", tmp_path / "b.sog", "--environment-ratio", "0.25"]
+    result = run("lod", model, path, *FAST, *options, "--json")
     assert result.returncode == 0, result.stderr
     sky = json.loads(result.stdout)["environment"]
     assert (sky["source"], sky["count"]) == ("b.sog", 100)
     assert io.open(path).levels == (3200, 1650, 410)
-    back = io.load(path)
-    assert (back.sh_degree, len(back)) == (3, 3200)
-    again = run("lod", model, path, *FAST, "-w", "--environment", "none")
-    assert again.returncode == 0, again.stderr  # the environment's files are known as ours
+    loaded = io.load(path)
+    assert (loaded.sh_degree, len(loaded)) == (3, 3200)
+    overwritten = run("lod", model, path, *FAST, "-w", "--environment", "none")
+    assert overwritten.returncode == 0, overwritten.stderr  # recognises env/ as its own
     assert not (path.parent / "env").exists()
 
 
 @pytest.mark.parametrize("sky", ["auto", "given"])
-def test_blocks_make_the_same_environment_for_any_number_of_threads(model, made, tmp_path, sky):
+def test_blocks_make_the_same_environment_for_any_number_of_threads(
+    model, written_levels, tmp_path, sky
+):
     options = {"preset": "fast", "layout": "streamed sog archive", "chunk": 500}
     if sky == "given":
         options |= {"environment": shell(300, 30), "environment_ratio": 0.5}
@@ -302,30 +305,32 @@ def test_blocks_make_the_same_environment_for_any_number_of_threads(model, made,
     assert (manifest.source_count, reports[0].filters) == (3100, ())
     write_levels(model, tmp_path / "whole.ssog", [1, 0.5, 0.1], **options)
     with (
-        zipfile.ZipFile(tmp_path / "1.ssog") as one,
-        zipfile.ZipFile(tmp_path / "whole.ssog") as two,
+        zipfile.ZipFile(tmp_path / "1.ssog") as of_blocks,
+        zipfile.ZipFile(tmp_path / "whole.ssog") as of_whole,
     ):
-        names = [name for name in one.namelist() if name.startswith("env/")]
-        assert names == [name for name in two.namelist() if name.startswith("env/")]
-        assert all(one.read(name) == two.read(name) for name in names)
-    rest = (3100, 1550, 310) if sky == "given" else (2400, 1200, 240)
-    more = 150 if sky == "given" else SKY
-    assert io.open(tmp_path / "1.ssog").levels == tuple(count + more for count in rest)
+        names = [name for name in of_blocks.namelist() if name.startswith("env/")]
+        assert names == [name for name in of_whole.namelist() if name.startswith("env/")]
+        assert all(of_blocks.read(name) == of_whole.read(name) for name in names)
+    scene_counts = (3100, 1550, 310) if sky == "given" else (2400, 1200, 240)
+    environment_count = 150 if sky == "given" else SKY
+    assert io.open(tmp_path / "1.ssog").levels == tuple(
+        count + environment_count for count in scene_counts
+    )
 
 
-def test_a_job_that_was_cut_off_gives_the_same_bytes(model, tmp_path, monkeypatch):
-    """Before the environment is written, and while it is; a job without it is another one."""
+def test_an_interrupted_job_resumes_to_the_same_bytes(model, tmp_path, monkeypatch):
+    """Interrupted before and while the environment is written; another environment is refused."""
     options = {"preset": "fast", "layout": "streamed sog archive", "chunk": 500, "block": 1000}
     write_levels(model, tmp_path / "a.ssog", [1, 0.1], **options)
-    write, fails = folder.ChunksFilling._write, ["env/sh0.webp", "env/meta.json"]
+    original, names_that_fail = folder.ChunksFilling._write, ["env/sh0.webp", "env/meta.json"]
 
-    def cut_off(self, name, data):
-        if name in fails:
-            fails.remove(name)
+    def interrupted_write(self, name, data):
+        if name in names_that_fail:
+            names_that_fail.remove(name)
             raise KeyboardInterrupt
-        write(self, name, data)
+        original(self, name, data)
 
-    monkeypatch.setattr(folder.ChunksFilling, "_write", cut_off)
+    monkeypatch.setattr(folder.ChunksFilling, "_write", interrupted_write)
     with pytest.raises(KeyboardInterrupt):
         write_levels(model, tmp_path / "b.ssog", [1, 0.1], **options)
     with pytest.raises(OutputError, match=r"differs: the filters, `environment`\)"):
@@ -340,27 +345,29 @@ def test_a_job_that_was_cut_off_gives_the_same_bytes(model, tmp_path, monkeypatc
     with pytest.raises(KeyboardInterrupt):
         write_levels(model, tmp_path / "b.ssog", [1, 0.1], resume=True, **options)
     write_levels(model, tmp_path / "b.ssog", [1, 0.1], resume=True, **options)
-    assert fails == []
+    assert names_that_fail == []
     assert (tmp_path / "b.ssog").read_bytes() == (tmp_path / "a.ssog").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ssog", "b.ssog"]
 
 
-def test_the_environment_is_turned_and_reduced_as_the_levels_are(model, made, tmp_path):
+def test_the_environment_gets_the_same_edits_as_the_levels(model, written_levels, tmp_path):
     path = tmp_path / "web" / "lod-meta.json"
     edits = ["--frame", "rdf:rub", "--sh-degree", "0", "--min-opacity", "0.05"]
     result = run("lod", model, path, *FAST, *edits, "--json")
     assert result.returncode == 0, result.stderr
-    assert [each["name"] for each in json.loads(result.stdout)["filters"]] == ["min-opacity"]
+    assert [entry["name"] for entry in json.loads(result.stdout)["filters"]] == ["min-opacity"]
     sky = io.load(path.parent / "env" / "meta.json")
-    plain = io.load(made[0] / "web" / "env" / "meta.json")
+    unedited = io.load(written_levels[0] / "web" / "env" / "meta.json")
     assert sky.sh_degree == 0
-    assert np.allclose(sky.means.mean(0), plain.means.mean(0) * [1, -1, -1], atol=0.01)
+    assert np.allclose(sky.means.mean(0), unedited.means.mean(0) * [1, -1, -1], atol=0.01)
     assert len(io.load(path)) < 3100
 
 
 @pytest.mark.parametrize("block", [None, 1000])
-def test_levels_are_measured_with_their_environment(model, tmp_path, block, small_pictures):
-    """The finest is all there is, whether the sky is part of the model or another one."""
+def test_levels_are_measured_together_with_their_environment(
+    model, tmp_path, block, small_pictures
+):
+    """The finest level has all splats, whether the sky is part of the model or another model."""
     options = {"preset": "fast", "layout": "streamed sog archive", "measured": True}
     options |= {"block": block} if block else {}
     for environment in ("auto", shell(300, 30)):
@@ -392,14 +399,14 @@ def test_levels_are_measured_with_their_environment(model, tmp_path, block, smal
         ("out.rad", ["--environment", "a.ply"], ["Only streamed SOG can have an environment"]),
     ],
 )
-def test_refused(model, tmp_path, name, options, words):
+def test_impossible_environment_options_are_refused(model, tmp_path, name, options, words):
     result = run("lod", model, tmp_path / name, "--preset", "fast", *options)
     assert result.returncode == 2
     assert all(word in " ".join(result.stderr.split()) for word in words), result.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_left_out_of_an_environment_is_said(tmp_path):
+def test_parts_left_out_of_the_environment_are_noted(tmp_path):
     options = {"layout": "streamed sog archive", "preset": "fast"}
     sky = shell(300, 30)
     means = sky.means.copy()
@@ -425,7 +432,7 @@ def test_what_is_left_out_of_an_environment_is_said(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.ssog"]
 
 
-def test_an_environment_that_cannot_be_held_is_refused_before_any_work(tmp_path):
+def test_an_environment_too_large_for_memory_is_refused_before_any_work(tmp_path):
     big = concatenate([random_splats(120_000, degree=3), shell(100_000, 12, degree=3)])
     nanogs.save(big, tmp_path / "a.ply")
     with pytest.raises(NotEnoughMemoryError, match=r'environment, 100,000 .*environment="none"'):
@@ -439,7 +446,7 @@ def test_an_environment_that_cannot_be_held_is_refused_before_any_work(tmp_path)
 # Other programs
 
 
-def test_what_splat_transform_writes_is_read(model, tmp_path, benchmark_module):
+def test_an_environment_written_by_splat_transform_is_read(model, tmp_path, benchmark_module):
     package("@playcanvas/splat-transform")
     scene, sky = random_splats(SCENE), shell(300, 30)
     for name, part in (("a", scene), ("b", sky)):
@@ -449,32 +456,32 @@ def test_what_splat_transform_writes_is_read(model, tmp_path, benchmark_module):
     benchmark_module("rivals").run_tool(*tagged, path)
     with io.open(path) as source:
         assert (source.levels, source.environment) == ((SCENE + 300,), 300)
-        back = source.load()
-    assert (np.linalg.norm(back.means, axis=1) > 20).sum() == 300
+        loaded = source.load()
+    assert (np.linalg.norm(loaded.means, axis=1) > 20).sum() == 300
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
-def test_the_viewer_draws_it_once_and_where_it_is(tmp_path):
-    """First of all; what it shows is what nanogs renders of the same camera, sky and scene."""
+@pytest.mark.filterwarnings("default")  # the browser driver emits warnings of its own
+def test_supersplat_fetches_the_environment_once_and_renders_it_in_place(tmp_path):
+    """It is fetched first, and the picture of scene and sky equals the one that nanogs renders."""
     scene, sky = lopsided(900), shell(700, 30, half=False, degree=2)
     sh, above = np.zeros_like(sky.sh), sky.means[:, 1:2] < 0
     sh[:, 0] = np.where(above, [-1, 0, 1.2], [0.2, 0.6, -1.2]) + 0.5 * (sky.means[:, :1] > 0)
     nanogs.save(concatenate([scene, replace(sky, sh=sh)]), tmp_path / "a.ply")
-    path, own = tmp_path / "web" / "lod-meta.json", tmp_path / "own"
+    path, pages = tmp_path / "web" / "lod-meta.json", tmp_path / "own"
     options = ["--preset", "fast", "--chunk", "200", "--levels", "1,0.5"]
     assert run("lod", tmp_path / "a.ply", path, *options).returncode == 0
-    own.mkdir()
+    pages.mkdir()
     focal = 160 / np.tan(np.radians(25))
     pose = look_at(np.array([-2.0, -1, 4]), np.zeros(3), np.array([0.0, -1, 0]))
     camera = Camera(320, 240, focal, focal, 160, 120, pose, near=0.01)
-    shown, asked = in_supersplat(path, own, 900 + 700, **standing_at(camera))
-    assert asked[0] == "scene/lod-meta.json"
-    assert "scene/env/meta.json" in asked[1:3]  # it may come beside the first of a level
-    assert {"scene/0_0/meta.json", "scene/1_0/meta.json"} <= set(asked)
-    assert len(asked) == len(set(asked))  # and nothing is fetched twice
+    picture, requests = in_supersplat(path, pages, 900 + 700, **standing_at(camera))
+    assert requests[0] == "scene/lod-meta.json"
+    assert "scene/env/meta.json" in requests[1:3]  # may come together with a level
+    assert {"scene/0_0/meta.json", "scene/1_0/meta.json"} <= set(requests)
+    assert len(requests) == len(set(requests))  # nothing is fetched twice
     rendered = render(io.load(path), camera).shown()
-    assert psnr(shown, rendered) > 25
-    without = render(io.load(path).take(np.arange(900)), camera).shown()
-    for other in (without, rendered[::-1], rendered[:, ::-1], rendered[..., ::-1]):
-        assert psnr(shown, other) < 20
+    assert psnr(picture, rendered) > 25
+    without_sky = render(io.load(path).take(np.arange(900)), camera).shown()
+    for other in (without_sky, rendered[::-1], rendered[:, ::-1], rendered[..., ::-1]):
+        assert psnr(picture, other) < 20

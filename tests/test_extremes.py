@@ -1,4 +1,4 @@
-"""Values at the ends of what float32 holds: finite in, finite out, and the exact count."""
+"""Values at the limits of float32: finite input gives finite output of the exact count."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from nanogs.splats import RenderMode
 
 LARGEST = float(np.finfo(np.float32).max)
 HUGE = [0.0, 1e-38, 1e-30, 1e-10, 1.0, 1e8, 1e15, 1e30, LARGEST]
-COLUMNS = {  # values that are finite as stored and as what they stand for
+COLUMNS = {  # values that are finite both as stored and when activated
     "means": HUGE,
     "log_scales": [-LARGEST, -1000.0, -100.0, -87.0, -10.0, 0.0, 10.0, 40.0, 88.7],
     "quats": HUGE,
@@ -38,9 +38,12 @@ def assert_finite(splats):
 
 @st.composite
 def extreme_splats(draw, most=24, more=()):
-    """A model of ordinary splats, some of whose numbers are as large or small as they can be.
+    """Draw a model of ordinary splats with some values at the limits of float32.
 
-    more: further values that any column may have.
+    Args:
+        draw: Hypothesis' function that draws from a strategy.
+        most: Largest number of splats.
+        more: Further values that any column may get.
     """
     count = draw(st.integers(2, most))
     splats = random_splats(count, degree=draw(st.integers(0, 1)), seed=draw(st.integers(0, 99)))
@@ -68,8 +71,8 @@ def test_finite_splats_give_finite_splats_of_the_exact_count(preset, data):
 @every_preset
 @pytest.mark.parametrize("count", [2, 3, 4, 40])
 @pytest.mark.parametrize("value", [1e30, LARGEST, -LARGEST])
-def test_one_huge_coefficient(preset, count, value):
-    """Its squared difference overflows float32, and a score that is NaN once cut too little."""
+def test_one_huge_sh_coefficient_gives_finite_splats(preset, count, value):
+    """Its squared difference overflows float32; a NaN score once made the cut merge too little."""
     splats = random_splats(count)
     splats.sh[0, 0, 0] = value
     small, _ = nanogs.simplify(splats, count=1, preset=preset)
@@ -78,39 +81,39 @@ def test_one_huge_coefficient(preset, count, value):
 
 
 @pytest.mark.parametrize("distance", [1e8, 1e15, 1e30])
-def test_pixels_and_the_origin_stay_where_most_splats_are(distance):
+def test_outliers_do_not_change_pixel_sizes_or_the_scene_origin(distance):
     splats = random_splats(2000)
     means, alphas = splats.means.astype(np.float64), splats.opacities()
     inner = means[9:].copy()
-    alone = dilation(means, alphas, RenderMode.DEFAULT, 512).at(inner)
+    without_outliers = dilation(means, alphas, RenderMode.DEFAULT, 512).at(inner)
     means[:5, 0] = distance
     means[5:9] = -distance
-    found = dilation(means, alphas, RenderMode.DEFAULT, 512).at(inner)
-    assert found == pytest.approx(alone, rel=0.05)
+    with_outliers = dilation(means, alphas, RenderMode.DEFAULT, 512).at(inner)
+    assert with_outliers == pytest.approx(without_outliers, rel=0.05)
     assert np.abs(scene_origin(means)).max() < 0.2
 
 
 @every_preset
 @pytest.mark.parametrize("distance", [1e8, 1e15])
-def test_strays_far_away_do_not_change_the_rest(preset, distance):
-    """Splats far from the strays are merged as they would be without them."""
+def test_far_outliers_do_not_change_the_rest(preset, distance):
+    """Splats far from the outliers are merged as they would be without them."""
     splats = random_splats(1500, seed=3)
-    strays = replace(random_splats(4, seed=4), render_mode=splats.render_mode)
-    strays.means[:] += np.float32([distance, 0, 0]) * np.float32([[1], [-1], [0.5], [1]])
-    joined = nanogs.splats.concatenate([splats, strays])
+    outliers = replace(random_splats(4, seed=4), render_mode=splats.render_mode)
+    outliers.means[:] += np.float32([distance, 0, 0]) * np.float32([[1], [-1], [0.5], [1]])
+    joined = nanogs.splats.concatenate([splats, outliers])
     small, _ = nanogs.simplify(joined, ratio=0.2, preset=preset)
     assert_finite(small)
     near = np.abs(small.means).max(axis=1) < 2
     assert np.count_nonzero(~near) <= 8
-    alone, _ = nanogs.simplify(splats, count=int(np.count_nonzero(near)), preset=preset)
-    covered = [np.sum(m.opacities() * np.exp(2 * m.log_scales.mean(axis=1))) for m in
-               (small.take(near), alone)]  # fmt: skip
-    assert covered[0] == pytest.approx(covered[1], rel=0.1)
+    without_outliers, _ = nanogs.simplify(splats, count=int(np.count_nonzero(near)), preset=preset)
+    areas = [np.sum(m.opacities() * np.exp(2 * m.log_scales.mean(axis=1))) for m in
+               (small.take(near), without_outliers)]  # fmt: skip
+    assert areas[0] == pytest.approx(areas[1], rel=0.1)
 
 
 @every_preset
 @pytest.mark.parametrize("place", [1.8e38, LARGEST])
-def test_a_scene_at_the_end_of_single_precision(preset, place):
+def test_a_scene_near_the_float32_maximum_gives_finite_splats(preset, place):
     """The sum of two such centres overflows float32."""
     splats = random_splats(40)
     splats.means[:, 0] = place
@@ -119,7 +122,7 @@ def test_a_scene_at_the_end_of_single_precision(preset, place):
     assert_finite(small)
 
 
-def test_centres_that_are_not_finite_are_not_searched():
+def test_the_neighbour_search_refuses_nonfinite_centres():
     """The search would read beyond its arrays."""
     means = random_splats(40).means.astype(np.float64)
     means[3, 1] = np.nan
@@ -127,7 +130,7 @@ def test_centres_that_are_not_finite_are_not_searched():
         nearest_neighbours(means, 4, 1)
 
 
-def test_a_centre_beyond_single_precision_is_not_finite():
+def test_a_centre_beyond_the_float32_range_counts_as_not_finite():
     splats = random_splats(5)
     far = replace(splats, means=splats.means.astype(np.float64))
     far.means[2, 1] = 1e39
@@ -140,7 +143,7 @@ WRITTEN = [".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb", ".npz"]
 @pytest.mark.parametrize("suffix", WRITTEN)
 @given(data=st.data())
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_file_holds_every_splat_or_is_refused(suffix, data, tmp_path):
+def test_a_saved_file_holds_every_splat_or_saving_is_refused(suffix, data, tmp_path):
     splats = data.draw(extreme_splats(more=(np.nan, np.inf, 1e18, LARGEST, 100.0)))
     path = tmp_path / f"a{suffix}"
     try:
@@ -148,21 +151,21 @@ def test_a_file_holds_every_splat_or_is_refused(suffix, data, tmp_path):
     except OutputError:
         assert not list(tmp_path.iterdir())
         return
-    back = nanogs.load(path)
+    loaded = nanogs.load(path)
     path.unlink()
-    assert len(back) == len(splats)
-    assert back.finite().sum() == splats.finite().sum()
+    assert len(loaded) == len(splats)
+    assert loaded.finite().sum() == splats.finite().sum()
 
 
 def with_bits(model, column, bits):
-    """The model with some bits for the first number of its fourth splat."""
-    own = getattr(model, column).copy()
-    own[3:4].reshape(-1).view(bits.dtype)[0] = bits
-    return replace(model, **{column: own})
+    """Return the model with the given bits as the first number of its fourth splat."""
+    changed = getattr(model, column).copy()
+    changed[3:4].reshape(-1).view(bits.dtype)[0] = bits
+    return replace(model, **{column: changed})
 
 
-def signalling(column):
-    """A model with a NaN that a processor tells of whenever it computes with it."""
+def with_signalling_nan(column):
+    """Return a model with a NaN that raises a floating-point exception in any computation."""
     if column == "doubles":
         model = random_splats(50)
         bits = np.uint64(0x7FF0_0000_0000_0001)
@@ -176,10 +179,10 @@ def signalling(column):
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("column", [*COLUMNS, "doubles", "normals"])
-def test_signalling_nans_warn_nobody(column, tmp_path):
-    """As a flipped bit makes them of an infinity, in a file that is read all the same."""
+def test_signalling_nans_cause_no_warnings(column, tmp_path):
+    """A flipped bit makes such a NaN from an infinity, in a file that can still be read."""
     path = tmp_path / "a.ply"
-    nanogs.save(signalling(column), path)
+    nanogs.save(with_signalling_nan(column), path)
     assert nanogs.info(path).nonfinite == (column != "normals")
     filters = [nanogs.filters.sphere((0, 0, 0), 9), nanogs.filters.opaque_enough(0.1)]
     nanogs.convert(path, tmp_path / "b.ply", frame=("rdf", "rfu"), filters=filters)
@@ -194,7 +197,7 @@ def test_signalling_nans_warn_nobody(column, tmp_path):
 
 
 @pytest.mark.filterwarnings("error")
-def test_doubles_beyond_single_precision_warn_nobody(tmp_path):
+def test_doubles_beyond_the_float32_range_cause_no_warnings(tmp_path):
     model = random_splats(50)
     means = model.means.astype(np.float64)
     means[3:6] = [[1e300] * 3, [-1e40] * 3, [1e200, 0, 0]]

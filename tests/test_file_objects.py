@@ -1,4 +1,4 @@
-"""Open files in place of names."""
+"""Open files in place of paths."""
 
 import io
 import tempfile
@@ -17,7 +17,7 @@ WRITTEN = [known.suffix for known in registry.formats() if known.write]
 
 @pytest.fixture(autouse=True)
 def own_temporary_folder(tmp_path, monkeypatch):
-    """Make a temporary folder of the test's own, which must be empty at the end."""
+    """Use a temporary folder for this test alone, which must be empty at the end."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
@@ -31,7 +31,7 @@ def model():
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)
-def test_bytes_are_those_of_a_file(model, suffix, tmp_path):
+def test_an_open_file_gets_the_bytes_of_a_saved_file(model, suffix, tmp_path):
     path, file = tmp_path / f"a{suffix}", io.BytesIO()
     nanogs.save(model, path)
     nanogs.save(model, file, format=suffix.removeprefix("."))
@@ -42,14 +42,14 @@ def test_bytes_are_those_of_a_file(model, suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".npz"])
-def test_the_first_bytes_say_the_format(model, suffix):
+def test_the_format_is_recognised_by_the_first_bytes(model, suffix):
     file = io.BytesIO()
     nanogs.save(model, file, format=suffix)
     file.seek(0)
     assert len(nanogs.load(file)) == 60
 
 
-def test_names_of_open_files_say_the_format(model, tmp_path):
+def test_the_format_is_recognised_by_the_name_of_an_open_file(model, tmp_path):
     path = tmp_path / "a.splat"
     with path.open("wb") as file:
         nanogs.save(model, file)
@@ -57,7 +57,7 @@ def test_names_of_open_files_say_the_format(model, tmp_path):
         assert len(nanogs.load(file)) == 60
 
 
-def test_a_file_goes_on_from_where_it_stands(model):
+def test_reading_and_writing_start_at_the_file_position(model):
     file = io.BytesIO(b"head")
     file.seek(4)
     nanogs.save(model, file, format=".splat")
@@ -66,7 +66,7 @@ def test_a_file_goes_on_from_where_it_stands(model):
     assert len(nanogs.load(file, format=".splat")) == 60
 
 
-def test_members_of_archives(model, tmp_path):
+def test_members_of_zip_archives_are_written_and_read(model, tmp_path):
     path = tmp_path / "all.zip"
     with zipfile.ZipFile(path, "w") as archive, archive.open("scene.spz", "w") as member:
         nanogs.save(model, member, format=".spz", format_options={"spz_version": 3})
@@ -74,7 +74,7 @@ def test_members_of_archives(model, tmp_path):
         assert len(nanogs.load(member)) == 60
 
 
-def test_paths_with_a_format_that_is_not_their_name(model, tmp_path):
+def test_a_given_format_replaces_the_suffix_of_a_path(model, tmp_path):
     path = tmp_path / "model.bin"
     nanogs.save(model, path, format=".splat")
     assert path.stat().st_size == 60 * 32
@@ -106,18 +106,18 @@ def test_paths_with_a_format_that_is_not_their_name(model, tmp_path):
         ),
     ],
 )
-def test_what_is_refused(model, call, error, message):
+def test_unusable_files_and_formats_are_refused(model, call, error, message):
     with pytest.raises(error, match=message):
         call(model)
 
 
-def test_a_format_of_folders_does_not_go_into_a_file(model):
+def test_a_format_that_is_a_folder_is_refused_for_an_open_file(model):
     with pytest.raises(OptionError, match="folder of files"):
         nanogs.save(model, io.BytesIO(), format="meta.json")
 
 
 class Broken(io.RawIOBase):
-    """A disk that is full, or a line that is cut."""
+    """A file on a full disk or a failing connection."""
 
     def write(self, data):
         raise OSError(28, "No space left on device")
@@ -126,14 +126,14 @@ class Broken(io.RawIOBase):
         raise OSError(5, "Input/output error")
 
 
-def test_failures_of_the_file_are_said(model):
+def test_errors_of_the_file_object_are_reported(model):
     with pytest.raises(OutputError, match=r"cannot be written \(No space left"):
         nanogs.save(model, Broken(), format=".ply")
     with pytest.raises(OutputError, match=r"cannot be copied .*\(Input/output error\)"):
         nanogs.load(Broken(), format=".ply")
 
 
-def test_nothing_half_written_where_a_format_cannot_hold_the_model(model):
+def test_nothing_is_written_if_the_format_cannot_hold_the_model(model):
     file = io.BytesIO()
     bad = random_splats(3, extras={"a\0b": model.opacity_logits[:3]})
     with pytest.raises(OutputError):
@@ -141,7 +141,7 @@ def test_nothing_half_written_where_a_format_cannot_hold_the_model(model):
     assert file.getvalue() == b""
 
 
-def test_large_files_go_to_the_disk(model, monkeypatch):
+def test_large_files_are_buffered_on_disk(model, monkeypatch):
     from nanogs.io import file_objects
 
     monkeypatch.setattr(file_objects, "_IN_MEMORY", 16)
@@ -152,7 +152,7 @@ def test_large_files_go_to_the_disk(model, monkeypatch):
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)
-def test_no_format_takes_a_model_without_splats(tmp_path, suffix):
+def test_models_without_splats_are_refused_by_every_format(tmp_path, suffix):
     nothing = random_splats(3)[:0]
     with pytest.raises(
         OutputError, match=rf"has no splats, but a \{suffix} file needs at least one"

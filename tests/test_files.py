@@ -1,4 +1,4 @@
-"""From files to a file: one call for models of any size."""
+"""`simplify_blocks` and `write_levels`, which take files of any size."""
 
 import dataclasses
 import itertools
@@ -36,7 +36,7 @@ def scene(splats, tmp_path_factory):
     return path
 
 
-def test_what_fits_into_memory_is_made_there(splats, scene, tmp_path):
+def test_a_model_that_fits_into_memory_is_simplified_as_one(splats, scene, tmp_path):
     out = tmp_path / "a.ply"
     report = nanogs.simplify_blocks(scene, out, ratio=0.1, **QUICK)
     small, _ = nanogs.simplify(splats, ratio=0.1, **QUICK)
@@ -47,61 +47,65 @@ def test_what_fits_into_memory_is_made_there(splats, scene, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "b.ply"]
 
 
-def test_what_does_not_fit_is_divided_by_whoever_asks(scene, tmp_path):
+def test_a_model_that_does_not_fit_is_divided_into_blocks(scene, tmp_path):
     tight = LIBRARIES + 400_000
     plan = plan_files(request(scene, tmp_path, max_memory=tight))
     assert plan.divided
     assert plan.memory.peak > 400_000
     assert not plan_files(request(scene, tmp_path, max_memory=LIBRARIES + 2 * 10**8)).divided
-    with pytest.raises(OptionError, match="must be at least"):  # less than any block takes
+    with pytest.raises(OptionError, match="must be at least"):  # less than one block takes
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, max_memory=tight, **QUICK)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("given", [{"block": 500}, {"job": "kept"}, {"scratch": "files"}])
-def test_jobs_are_made_in_blocks_however_small(scene, tmp_path, given):
+def test_options_of_jobs_make_blocks_of_a_small_model_too(scene, tmp_path, given):
     given = {name: tmp_path / value if isinstance(value, str) else value
              for name, value in given.items()}  # fmt: skip
     given = {name: str(value) if name == "scratch" else value for name, value in given.items()}
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, **given, **QUICK)
-    assert report.blocks.blocks == (1 if "block" not in given else report.blocks.blocks)
+    assert (report.blocks.blocks > 1) == ("block" in given)
     assert report.achieved_count == 300
 
 
-def test_blocks_report_what_memory_does(splats, scene, tmp_path):
-    """All entries that stages fill in; of one block the passes are those of the model."""
-    given = {"ratio": 0.2, "preset": "default", "views": 6, "view_size": 48, "steps": 4}
-    _, memory = nanogs.simplify(splats, **given)
-    one, many = (
-        nanogs.simplify_blocks(scene, tmp_path / f"{block}.ply", block=block, **given)
+def test_reports_of_blocks_have_the_entries_of_a_run_in_memory(splats, scene, tmp_path):
+    """All entries are filled in; the passes of one block are those of the model in memory."""
+    options = {"ratio": 0.2, "preset": "default", "views": 6, "view_size": 48, "steps": 4}
+    _, in_memory = nanogs.simplify(splats, **options)
+    of_one_block, of_several_blocks = (
+        nanogs.simplify_blocks(scene, tmp_path / f"{block}.ply", block=block, **options)
         for block in (2 * COUNT, 1000)
     )
-    fast = nanogs.simplify_blocks(scene, tmp_path / "f.ply", ratio=0.2, block=2 * COUNT, **QUICK)
-    _, whole = nanogs.simplify(splats, ratio=0.2, **QUICK)
-    assert fast.passes == tuple(dataclasses.replace(each, seconds={}) for each in whole.passes)
-    for report in (one, many):
+    fast_in_blocks = nanogs.simplify_blocks(
+        scene, tmp_path / "f.ply", ratio=0.2, block=2 * COUNT, **QUICK
+    )
+    _, fast_in_memory = nanogs.simplify(splats, ratio=0.2, **QUICK)
+    assert fast_in_blocks.passes == tuple(
+        dataclasses.replace(entry, seconds={}) for entry in fast_in_memory.passes
+    )
+    for report in (of_one_block, of_several_blocks):
         first, last = report.passes[0], report.passes[-1]
         assert (first.count_before, last.count_after) == (COUNT, report.blocks.blocks)
         for before, after in itertools.pairwise(report.passes):
             assert before.count_after == after.count_before
-        assert sum(each.merged for each in report.passes) == COUNT - report.blocks.blocks
-        assert report.shown == pytest.approx(memory.shown, abs=0.05)
-        assert [(each.balance, each.reassigned) for each in report.candidates[:3]] == [
-            (each.balance, each.reassigned) for each in memory.candidates[:3]
+        assert sum(entry.merged for entry in report.passes) == COUNT - report.blocks.blocks
+        assert report.shown == pytest.approx(in_memory.shown, abs=0.05)
+        assert [(entry.balance, entry.reassigned) for entry in report.candidates[:3]] == [
+            (entry.balance, entry.reassigned) for entry in in_memory.candidates[:3]
         ]
         assert report.refit.psnr_after >= report.refit.psnr_before
 
 
-def test_it_does_in_one_call_what_takes_several(splats, scene, tmp_path):
-    kept = [filters.opaque_enough(0.3)]
+def test_one_call_joins_filters_turns_simplifies_and_measures(splats, scene, tmp_path):
+    chosen_filters = [filters.opaque_enough(0.3)]
     out = tmp_path / "a.ply"
     report = nanogs.simplify_blocks(
-        [scene, scene], out, ratio=0.2, filters=kept, sh_degree=0, frame=("rdf", "rub"),
+        [scene, scene], out, ratio=0.2, filters=chosen_filters, sh_degree=0, frame=("rdf", "rub"),
         measured=True, **QUICK,
     )  # fmt: skip
-    left = 2 * int((splats.opacities() >= 0.3).sum())
-    assert (report.read_count, report.filters[0].left) == (2 * COUNT, left)
-    assert report.achieved_count == -(-left // 5)
+    count_left = 2 * int((splats.opacities() >= 0.3).sum())
+    assert (report.read_count, report.filters[0].left) == (2 * COUNT, count_left)
+    assert report.achieved_count == -(-count_left // 5)
     assert report.judged is not None
     assert any("above degree 0 were dropped" in note for note in report.notes)
     small = nanogs.load(out)
@@ -111,66 +115,66 @@ def test_it_does_in_one_call_what_takes_several(splats, scene, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".splat", ".npz", ".sog"])
-def test_a_size_is_met_in_memory_and_in_blocks(scene, tmp_path, suffix):
-    out, wish = tmp_path / f"a{suffix}", {"size": 20_000}
-    report = nanogs.simplify_blocks(scene, out, **wish, **QUICK)
+def test_a_file_size_is_met_in_memory_and_in_blocks(scene, tmp_path, suffix):
+    out, target = tmp_path / f"a{suffix}", {"size": 20_000}
+    report = nanogs.simplify_blocks(scene, out, **target, **QUICK)
     assert (report.asked_size, report.achieved_size) == (20_000, out.stat().st_size)
     divided = tmp_path / f"b{suffix}"
-    blocks = nanogs.simplify_blocks(scene, divided, block=500, **wish, **QUICK)
-    assert blocks.blocks.blocks > 1
-    assert (blocks.asked_size, blocks.achieved_size) == (20_000, divided.stat().st_size)
-    assert 0.97 * 20_000 < blocks.achieved_size <= 20_000
-    if suffix != ".sog":  # whose bytes depend on more than the count
-        assert blocks.achieved_count == report.achieved_count
+    block_report = nanogs.simplify_blocks(scene, divided, block=500, **target, **QUICK)
+    assert block_report.blocks.blocks > 1
+    assert (block_report.asked_size, block_report.achieved_size) == (20_000, divided.stat().st_size)
+    assert 0.97 * 20_000 < block_report.achieved_size <= 20_000
+    if suffix != ".sog":  # the size of which depends on more than the count
+        assert block_report.achieved_count == report.achieved_count
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".sog", ".spz"])
 @pytest.mark.parametrize("block", [None, 500])
-def test_a_size_is_of_the_frame_that_is_written(scene, tmp_path, suffix, block):
+def test_a_file_size_is_met_for_the_frame_that_is_written(scene, tmp_path, suffix, block):
     path = tmp_path / f"a{suffix}"
-    given = {"size": 20_000, "frame": ("rdf", "rub"), "block": block} | QUICK
-    report = nanogs.simplify_blocks(scene, path, **given)
+    options = {"size": 20_000, "frame": ("rdf", "rub"), "block": block} | QUICK
+    report = nanogs.simplify_blocks(scene, path, **options)
     assert report.achieved_size == path.stat().st_size <= 20_000
     assert path.stat().st_size > 19_000
     if block is None:  # the same splats, turned in memory or on their way to the file
-        given = {"size": 20_000, "format": suffix, "frame": ("rdf", "rub")} | QUICK
-        small, _ = nanogs.simplify(scene, **given)
+        options = {"size": 20_000, "format": suffix, "frame": ("rdf", "rub")} | QUICK
+        small, _ = nanogs.simplify(scene, **options)
         nanogs.save(small, tmp_path / f"b{suffix}", format_options=report.format_options)
         assert (tmp_path / f"b{suffix}").read_bytes() == path.read_bytes()
 
 
-def test_a_psnr_is_of_the_file_that_is_turned(scene, tmp_path):
-    wish = {"psnr": 24.0, "format": ".spz", "preset": "fast"}
-    plain, found = nanogs.simplify(scene, **wish)
-    turned, same = nanogs.simplify(scene, **wish, frame=("rdf", "rub"))
-    assert same.judged.psnr == pytest.approx(found.judged.psnr, abs=0.1)
-    back = change_frame(turned, "rub", "rdf")
-    assert len(back) == pytest.approx(len(plain), rel=0.05)
+def test_a_psnr_is_met_for_a_turned_file(scene, tmp_path):
+    options = {"psnr": 24.0, "format": ".spz", "preset": "fast"}
+    unturned, report = nanogs.simplify(scene, **options)
+    turned, turned_report = nanogs.simplify(scene, **options, frame=("rdf", "rub"))
+    assert turned_report.judged.psnr == pytest.approx(report.judged.psnr, abs=0.1)
+    turned_back = change_frame(turned, "rub", "rdf")
+    assert len(turned_back) == pytest.approx(len(unturned), rel=0.05)
     with pytest.raises(OptionError, match="frame"):
-        nanogs.simplify(scene, **wish, frame=("rdf", "up"))
+        nanogs.simplify(scene, **options, frame=("rdf", "up"))
 
 
-def test_a_size_for_everything_and_one_for_nothing(scene, tmp_path):
+def test_a_large_size_keeps_all_splats_and_a_tiny_size_is_refused(scene, tmp_path):
     out = tmp_path / "a.ply"
-    whole = nanogs.simplify_blocks(scene, out, size="1GB", block=500, **QUICK)
-    assert whole.achieved_count == COUNT
+    report = nanogs.simplify_blocks(scene, out, size="1GB", block=500, **QUICK)
+    assert report.achieved_count == COUNT
     with pytest.raises(OptionError, match="too small"):
         nanogs.simplify_blocks(scene, tmp_path / "b.ply", size=100, block=500, **QUICK)
 
 
 @pytest.mark.parametrize("changed", [{}, {"sh_degree": 0, "frame": ("rdf", "rub")}])
-def test_what_blocks_make_is_measured_as_what_memory_does(splats, scene, tmp_path, changed):
-    out, told = tmp_path / "a.ply", []
+def test_results_made_in_blocks_are_measured_as_those_in_memory(splats, scene, tmp_path, changed):
+    out, steps = tmp_path / "a.ply", []
     report = nanogs.simplify_blocks(
-        scene, out, ratio=0.2, block=1000, measured=True, progress=told.append, **changed, **QUICK
+        scene, out, ratio=0.2, block=1000, measured=True, progress=steps.append, **changed, **QUICK
     )
     assert report.blocks.blocks > 1
     original = splats.with_sh_degree(0) if changed else splats
     judge = file_judge(original, ".ply", turn=changed.get("frame"))
     assert report.judged == judge.of(out)
-    fractions = [step.fraction for step in told]
+    fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions)
-    assert (fractions[-1], told[-1].stage) == (1, "measure")
+    assert (fractions[-1], steps[-1].stage) == (1, "measure")
     assert fractions[-2] < 1
 
 
@@ -182,7 +186,7 @@ def test_packed_files_are_measured_in_blocks(splats, tmp_path, suffix):
     assert report.judged == file_judge(nanogs.load(scene), suffix).of(out)
 
 
-def test_what_is_not_read_back_is_not_measured_in_blocks(scene, tmp_path):
+def test_formats_that_are_not_read_are_not_measured_in_blocks(scene, tmp_path):
     require_bundle()
     out = tmp_path / "a.html"
     report = nanogs.simplify_blocks(scene, out, ratio=0.2, block=1000, measured=True, **QUICK)
@@ -190,37 +194,37 @@ def test_what_is_not_read_back_is_not_measured_in_blocks(scene, tmp_path):
     assert "Nothing was measured: nanogs does not read .html files." in report.notes
 
 
-def test_levels_in_blocks_are_measured_as_those_in_memory(splats, scene, tmp_path):
-    given = {"measured": True, "block": 1000} | QUICK
+def test_levels_made_in_blocks_are_measured_as_those_in_memory(splats, scene, tmp_path):
+    options = {"measured": True, "block": 1000} | QUICK
     for layout, name in (("files", "level_{}.ply"), ("streamed sog", "lod-meta.json")):
         folder = tmp_path / layout
-        made, reports = nanogs.write_levels(
-            scene, folder, [0.5, 0.1], layout=layout, frame=("rdf", "rub"), **given
+        manifest, reports = nanogs.write_levels(
+            scene, folder, [0.5, 0.1], layout=layout, frame=("rdf", "rub"), **options
         )
         judge = file_judge(splats, ".ply", turn=("rdf", "rub"))
         levels = (0, 0) if layout == "files" else (0, 1)
         for number, (entry, report, level) in enumerate(
-            zip(made.levels, reports, levels, strict=True)
+            zip(manifest.levels, reports, levels, strict=True)
         ):
             judged = judge.of(folder / name.format(number), level)
             assert (entry.psnr, entry.ssim) == (judged.psnr, judged.ssim)
             assert report.judged == judged
-        assert made.protocol == judged.protocol
-        assert made.levels[0].psnr > made.levels[1].psnr
+        assert manifest.protocol == judged.protocol
+        assert manifest.levels[0].psnr > manifest.levels[1].psnr
 
 
-def test_a_seal_without_measurements_is_not_enough_for_them(scene, tmp_path, monkeypatch):
+def test_resuming_an_unmeasured_job_with_measured_measures_it(scene, tmp_path, monkeypatch):
     out, move = tmp_path / "a.ply", OneFile.move
 
-    def ends(*_):
+    def interrupt(*_):
         raise KeyboardInterrupt
 
-    given = {"ratio": 0.2, "block": 1000} | QUICK
-    monkeypatch.setattr(OneFile, "move", ends)
+    options = {"ratio": 0.2, "block": 1000} | QUICK
+    monkeypatch.setattr(OneFile, "move", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        nanogs.simplify_blocks(scene, out, **given)
+        nanogs.simplify_blocks(scene, out, **options)
     monkeypatch.setattr(OneFile, "move", move)
-    report = nanogs.simplify_blocks(scene, out, resume=True, measured=True, **given)
+    report = nanogs.simplify_blocks(scene, out, resume=True, measured=True, **options)
     assert report.judged == file_judge(nanogs.load(scene), ".ply").of(out)
 
 

@@ -1,4 +1,4 @@
-"""Filters: which splats stay, what is said of the others, and how they combine."""
+"""Filters: which splats they keep, what they report, and how they combine."""
 
 import dataclasses
 import json
@@ -20,19 +20,19 @@ from nanogs.splats import ExtraElement
 from strategies import assert_same
 
 
-def at(points, scale=0.01, **kwargs):
-    """Splats of one size at the given places."""
+def splats_at(points, scale=0.01, **kwargs):
+    """Return splats of one size at the given points."""
     points = np.asarray(points, np.float32)
     base = random_splats(len(points), **kwargs)
     logs = np.full((len(points), 3), np.log(scale), np.float32)
     return dataclasses.replace(base, means=points, log_scales=logs)
 
 
-# Where they are
+# Crops
 
 
 @given(seed=st.integers(0, 1000), size=st.floats(0.2, 2), shift=st.floats(-0.5, 0.5))
-def test_a_box_keeps_what_is_in_it(seed, size, shift):
+def test_a_box_keeps_the_splats_inside(seed, size, shift):
     model = random_splats(200, seed=seed)
     low, high = np.full(3, shift - size / 2), np.full(3, shift + size / 2)
     inside = [all(low[a] <= float(p[a]) <= high[a] for a in range(3)) for p in model.means]
@@ -44,7 +44,7 @@ def test_a_box_keeps_what_is_in_it(seed, size, shift):
 
 
 @given(seed=st.integers(0, 1000), radius=st.floats(0.3, 2))
-def test_a_sphere_keeps_what_is_in_it(seed, radius):
+def test_a_sphere_keeps_the_splats_inside(seed, radius):
     model, centre = random_splats(200, seed=seed), (0.1, -0.2, 0.3)
     inside = np.array([np.sum((p.astype(float) - centre) ** 2) <= radius**2 for p in model.means])
     if not inside.any():
@@ -54,17 +54,17 @@ def test_a_sphere_keeps_what_is_in_it(seed, radius):
     assert_same(filters.crop_sphere(model, centre, radius), model.take(inside))
 
 
-def test_faces_belong_to_the_box_and_nothing_infinite_does():
-    model = at([[0, 0, 0], [1, 1, 1], [1, 1, 1.001], [np.nan, 0, 0], [0, np.inf, 0]])
+def test_crops_include_their_boundary_and_exclude_nonfinite_centres():
+    model = splats_at([[0, 0, 0], [1, 1, 1], [1, 1, 1.001], [np.nan, 0, 0], [0, np.inf, 0]])
     assert len(filters.crop_box(model, (0, 0, 0), (1, 1, 1))) == 2
-    assert len(filters.crop_sphere(at([[0, 0, 2], [0, 0, 2.001]]), (0, 0, 0), 2)) == 1
+    assert len(filters.crop_sphere(splats_at([[0, 0, 2], [0, 0, 2.001]]), (0, 0, 0), 2)) == 1
     assert len(filters.crop_sphere(model, (0, 0, 0), 1e200)) == 3
 
 
-# How opaque
+# Opacity
 
 
-def test_min_opacity_keeps_what_is_not_below():
+def test_min_opacity_drops_only_splats_below_it():
     model = random_splats(300)
     model.opacity_logits[:5] = 0, np.inf, -np.inf, np.nan, -1e-3
     left = filters.min_opacity(model, 0.5)
@@ -74,15 +74,15 @@ def test_min_opacity_keeps_what_is_not_below():
     assert (filters.min_opacity(model, 1).opacity_logits[:1] == np.inf).all()
 
 
-# In whose company
+# Floaters
 
 
 def cloud(count=3000, seed=0):
     return np.random.default_rng(seed).normal(size=(count, 3))
 
 
-def kept(points, **kwargs):
-    model = at(points, **kwargs)
+def rows_without_floaters(points, **kwargs):
+    model = splats_at(points, **kwargs)
     labelled = dataclasses.replace(model, extras={"row": np.arange(len(model))})
     return set(filters.drop_floaters(labelled).extras["row"].tolist())
 
@@ -90,18 +90,18 @@ def kept(points, **kwargs):
 @pytest.mark.parametrize("group", [1, 2, 8])
 def test_small_groups_far_away_are_floaters(group):
     far = np.array([60.0, 0, 0]) + np.random.default_rng(1).normal(size=(group, 3)) * 1e-3
-    rows = kept([*cloud(), *far])
+    rows = rows_without_floaters([*cloud(), *far])
     assert not rows & set(range(3000, 3000 + group))
     assert len(rows) >= 0.995 * 3000
 
 
-def test_larger_groups_are_none():
+def test_larger_groups_far_away_are_not_floaters():
     far = np.array([60.0, 0, 0]) + np.random.default_rng(1).normal(size=(9, 3)) * 1e-3
-    assert set(range(3000, 3009)) <= kept([*cloud(), *far])
+    assert set(range(3000, 3009)) <= rows_without_floaters([*cloud(), *far])
 
 
-def test_a_splat_as_large_as_the_void_around_it_is_none():
-    model = at([*cloud(), [60, 0, 0]])
+def test_a_splat_as_large_as_the_gap_around_it_is_not_a_floater():
+    model = splats_at([*cloud(), [60, 0, 0]])
     model.log_scales[-1, 1] = np.log(30)
     assert np.float32(60) in filters.drop_floaters(model).means[:, 0]
     model.log_scales[-1, 1] = np.log(1)
@@ -111,39 +111,41 @@ def test_a_splat_as_large_as_the_void_around_it_is_none():
 @pytest.mark.parametrize("scale", [1e-6, 1, 1e6])
 def test_the_scale_of_the_scene_does_not_matter(scale):
     points = np.array([*cloud(), [60, 0, 0], [0, 0, -45]])
-    assert kept(points * scale, scale=0.01 * scale) == kept(points)
+    assert rows_without_floaters(points * scale, scale=0.01 * scale) == rows_without_floaters(
+        points
+    )
 
 
-def test_even_grids_and_places_shared_by_many_lose_nothing():
+def test_regular_grids_and_coincident_splats_have_no_floaters():
     grid = np.stack(np.meshgrid(*[np.arange(8.0)] * 3), axis=-1).reshape(-1, 3)
-    assert len(kept(grid)) == 512
-    assert len(kept(np.zeros((50, 3)))) == 50
-    assert len(kept([[0, 0, 0]])) == 1
-    assert len(kept([[0, 0, 0], [5, 0, 0], [0, 7, 0]])) == 3
-    # All but a few in one place: what is usual is between the others.
-    assert len(kept([*np.zeros((500, 3)), *cloud(300)])) >= 795
+    assert len(rows_without_floaters(grid)) == 512
+    assert len(rows_without_floaters(np.zeros((50, 3)))) == 50
+    assert len(rows_without_floaters([[0, 0, 0]])) == 1
+    assert len(rows_without_floaters([[0, 0, 0], [5, 0, 0], [0, 7, 0]])) == 3
+    # Most are coincident, so that the usual distance is taken from the others.
+    assert len(rows_without_floaters([*np.zeros((500, 3)), *cloud(300)])) >= 795
 
 
-def test_rows_that_are_not_finite_stay_for_others_to_judge():
-    model = at([*cloud(), [np.nan, 0, 0], [60, 0, 0]])
+def test_drop_floaters_keeps_nonfinite_splats():
+    model = splats_at([*cloud(), [np.nan, 0, 0], [60, 0, 0]])
     left = filters.drop_floaters(model)
     assert np.isnan(left.means).any(axis=1).sum() == 1
     assert np.float32(60) not in left.means[:, 0]
 
 
-def test_floaters_are_the_same_as_by_brute_force():
+def test_floaters_equal_those_found_by_brute_force():
     points = np.array([*cloud(400), *(cloud(30, 5) * 6)])
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
-    eighth = np.sort(distances, axis=1)[:, 8]
-    logs = np.log(eighth)
-    usual = np.median(logs)
-    spread = max(1.4826 * np.median(np.abs(logs - usual)), 0.3)
-    expected = (logs > usual + 5 * spread) & (eighth > 3 * 0.01)
+    to_eighth_neighbour = np.sort(distances, axis=1)[:, 8]
+    log_distances = np.log(to_eighth_neighbour)
+    median = np.median(log_distances)
+    spread = max(1.4826 * np.median(np.abs(log_distances - median)), 0.3)
+    expected = (log_distances > median + 5 * spread) & (to_eighth_neighbour > 3 * 0.01)
     assert 0 < expected.sum() < 30
-    assert kept(points) == set(np.flatnonzero(~expected).tolist())
+    assert rows_without_floaters(points) == set(np.flatnonzero(~expected).tolist())
 
 
-def test_a_real_scene_gains_by_it():
+def test_drop_floaters_removes_some_splats_of_a_scene_with_floaters():
     model = nanogs.load(scene_path("chair.splat"))
     left = filters.drop_floaters(model)
     assert 0.01 < 1 - len(left) / len(model) < 0.05
@@ -151,10 +153,10 @@ def test_a_real_scene_gains_by_it():
     assert len(filters.drop_floaters(clean)) == len(clean)
 
 
-# Together
+# Several filters
 
 
-def test_each_looks_at_what_those_before_left():
+def test_each_filter_is_applied_to_the_result_of_the_previous_one():
     model = random_splats(500)
     chosen = [filters.opaque_enough(0.5), filters.sphere((0, 0, 0), 1)]
     left, reports = filters.apply(model, chosen)
@@ -165,7 +167,7 @@ def test_each_looks_at_what_those_before_left():
     assert filters.apply(model, [])[0] is model
 
 
-def test_an_element_with_a_row_a_splat_does_not_fit_what_is_left():
+def test_elements_with_one_row_per_splat_cannot_be_filtered():
     rows = np.zeros(20, [("a", "f4")])
     model = dataclasses.replace(random_splats(20), elements=[ExtraElement("twin", rows)])
     with pytest.raises(ModelError, match="'twin'"):
@@ -191,12 +193,12 @@ def test_an_element_with_a_row_a_splat_does_not_fit_what_is_left():
         lambda _s: parse_filters(Edits(crop=["sphere:a,b,c,d"])),
     ],
 )
-def test_what_makes_no_sense_is_refused(call):
+def test_invalid_filter_arguments_are_refused(call):
     with pytest.raises(OptionError):
         call(random_splats(5))
 
 
-# From outside
+# Commands
 
 
 @pytest.fixture(scope="module")
@@ -211,7 +213,7 @@ def scene(tmp_path_factory):
 OPTIONS = ("--drop-floaters", "--min-opacity", 0.3, "--crop", "box:-1,-1,-1,1,1,500")
 
 
-def test_simplify_counts_what_the_filters_left(scene, tmp_path):
+def test_simplify_takes_the_ratio_of_the_filtered_model(scene, tmp_path):
     small = tmp_path / "a.ply"
     options = ("-r", 0.5, "--preset", "fast", *OPTIONS)
     report = json.loads(run("simplify", scene, small, *options, "--json").stdout)
@@ -223,20 +225,20 @@ def test_simplify_counts_what_the_filters_left(scene, tmp_path):
     assert report["input_count"] == left < 400
     assert report["achieved_count"] == len(nanogs.load(small)) == -(-left // 2)
     assert "filter" in report["seconds"]
-    shown = run("simplify", scene, small, *options, "-w", "-v").stderr
-    assert "crop box:-1,-1,-1,1,1,500 removed 1 splat; 399 are left." in shown
-    assert f"input count {left}" in " ".join(shown.split())
+    messages = run("simplify", scene, small, *options, "-w", "-v").stderr
+    assert "crop box:-1,-1,-1,1,1,500 removed 1 splat; 399 are left." in messages
+    assert f"input count {left}" in " ".join(messages.split())
     plan = run("simplify", scene, tmp_path / "b.ply", *options, "--dry-run", "--json").stdout
     assert json.loads(plan)["asked_count"] == report["achieved_count"]
 
 
-def test_convert_filters_and_merges_nothing(scene, tmp_path):
+def test_convert_filters_without_merging(scene, tmp_path):
     result = run("convert", scene, tmp_path / "a.ply", *OPTIONS, "--json")
     report = json.loads(result.stdout)
     assert report["splats"] == report["filters"][-1]["left"]
-    library = filters.crop_box(nanogs.load(scene), (-1, -1, -1), (1, 1, 500))
-    library = filters.drop_floaters(filters.min_opacity(library, 0.3))
-    assert_same(nanogs.load(tmp_path / "a.ply"), library)
+    expected = filters.crop_box(nanogs.load(scene), (-1, -1, -1), (1, 1, 500))
+    expected = filters.drop_floaters(filters.min_opacity(expected, 0.3))
+    assert_same(nanogs.load(tmp_path / "a.ply"), expected)
 
 
 @pytest.mark.parametrize(
@@ -247,7 +249,7 @@ def test_convert_filters_and_merges_nothing(scene, tmp_path):
         (("--min-opacity", 2), "from 0 to 1"),
     ],
 )
-def test_bad_filters_write_nothing(scene, tmp_path, options, words):
+def test_commands_with_invalid_filters_write_nothing(scene, tmp_path, options, words):
     for command in (("simplify", "-r", 0.5), ("convert",)):
         result = run(command[0], scene, tmp_path / "a.ply", *command[1:], *options)
         assert (result.returncode, result.stdout) == (2, "")
@@ -265,17 +267,17 @@ def test_bad_filters_write_nothing(scene, tmp_path, options, words):
     ],
     ids=lambda chosen: chosen.plain[0],
 )  # fmt: skip
-def test_a_filter_is_the_same_from_its_plain_form(chosen):
+def test_a_filter_made_from_its_plain_form_is_equal(chosen):
     splats = random_splats(200)
-    again = filters.filter_of(*chosen.plain)
-    assert (again.name, again.argument, again.plain) == (
+    restored = filters.filter_of(*chosen.plain)
+    assert (restored.name, restored.argument, restored.plain) == (
         chosen.name, chosen.argument, chosen.plain,
     )  # fmt: skip
     kept = chosen.keep(splats)
     assert 0 < kept.sum() < 200
-    assert np.array_equal(again.keep(splats), kept)
+    assert np.array_equal(restored.keep(splats), kept)
 
 
-def test_a_filter_of_no_kind_is_refused():
+def test_an_unknown_filter_is_refused():
     with pytest.raises(OptionError, match="There is no filter 'cube'"):
         filters.filter_of("cube", ())

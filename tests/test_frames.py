@@ -1,4 +1,4 @@
-"""Coordinate frames: the same picture from the turned camera, and nothing lost on the way back."""
+"""Coordinate frames: a turned camera renders the same picture, and turning back loses nothing."""
 
 import dataclasses
 import json
@@ -15,7 +15,7 @@ from nanogs.io.registry import formats
 from nanogs.raster.rendering import render
 from nanogs.views.automatic import automatic_cameras
 
-# By hand: what the axes of each of these are in the frame of training.
+# Computed by hand: the axes of each of these frames in the frame of training.
 TURNS = {
     "rub": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
     "luf": [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],  # glTF, as its reader turns it
@@ -37,11 +37,11 @@ def test_centres_follow_the_axes(target):
 @pytest.mark.parametrize("degree", range(5))
 def test_a_turned_model_looks_the_same_from_a_turned_camera(degree, target):
     splats = random_splats(60, degree=degree, seed=degree)
-    there = np.eye(4)
-    there[:3, :3] = TURNS[target]
+    turn = np.eye(4)
+    turn[:3, :3] = TURNS[target]
     changed = change_frame(splats, "rdf", target)
     for camera in automatic_cameras(splats, 2, width=48, height=40):
-        turned = dataclasses.replace(camera, world_to_camera=camera.world_to_camera @ there.T)
+        turned = dataclasses.replace(camera, world_to_camera=camera.world_to_camera @ turn.T)
         expected, found = render(splats, camera).color, render(changed, turned).color
         assert expected.max() > 0.1
         assert np.abs(found - expected).max() < 1e-4
@@ -49,22 +49,22 @@ def test_a_turned_model_looks_the_same_from_a_turned_camera(degree, target):
 
 
 @pytest.mark.parametrize("target", sorted(FRAMES))
-def test_there_and_back_is_the_same(target):
+def test_turning_there_and_back_restores_the_model(target):
     normals = {
         name: np.float32([1, 2, 3, 4]) * (i + 1) for i, name in enumerate(("nx", "ny", "nz"))
     }
     splats = random_splats(4, degree=3, extras=normals)
-    there = change_frame(splats, "rdf", target)
-    again = change_frame(there, target, "rdf")
+    turned = change_frame(splats, "rdf", target)
+    restored = change_frame(turned, target, "rdf")
     for name in ("means", "quats", "log_scales", "opacity_logits"):
-        assert np.array_equal(getattr(again, name), getattr(splats, name)), name
-    assert again.sh == pytest.approx(splats.sh, abs=1e-6)
-    assert all(np.array_equal(again.extras[name], normals[name]) for name in normals)
-    assert (target == "rdf") == np.array_equal(there.means, splats.means)
-    through = change_frame(change_frame(splats, "rdf", "bul"), "bul", target)
-    assert np.array_equal(through.means, there.means)
-    assert np.array_equal(through.unit_quats(), there.unit_quats())
-    assert through.sh == pytest.approx(there.sh, abs=1e-6)
+        assert np.array_equal(getattr(restored, name), getattr(splats, name)), name
+    assert restored.sh == pytest.approx(splats.sh, abs=1e-6)
+    assert all(np.array_equal(restored.extras[name], normals[name]) for name in normals)
+    assert (target == "rdf") == np.array_equal(turned.means, splats.means)
+    in_two_steps = change_frame(change_frame(splats, "rdf", "bul"), "bul", target)
+    assert np.array_equal(in_two_steps.means, turned.means)
+    assert np.array_equal(in_two_steps.unit_quats(), turned.unit_quats())
+    assert in_two_steps.sh == pytest.approx(turned.sh, abs=1e-6)
 
 
 def half_turn(splats):
@@ -84,7 +84,7 @@ def test_normals_are_turned_and_other_columns_are_not():
 
 
 @pytest.mark.parametrize("name", ["", "rd", "rdd", "xyz", "rdfb"])
-def test_what_is_no_frame_is_refused(name):
+def test_invalid_frame_names_are_refused(name):
     assert len(FRAMES) == 48
     with pytest.raises(OptionError, match="where x, y and z point"):
         change_frame(random_splats(1), name, "rdf")
@@ -99,7 +99,7 @@ def scene(tmp_path):
     return tmp_path / "scene.ply"
 
 
-def test_convert_turns_from_the_frame_of_the_format(scene, tmp_path):
+def test_convert_turns_from_the_default_frame_of_the_format(scene, tmp_path):
     result = run_command("convert", scene, tmp_path / "a.ply", "--frame", "RUB", "--json")
     assert json.loads(result.stdout)["frames"] == ["rdf", "rub"]
     expected = half_turn(nanogs.load(scene))
@@ -108,15 +108,15 @@ def test_convert_turns_from_the_frame_of_the_format(scene, tmp_path):
     assert (tmp_path / "b.ply").read_bytes() == scene.read_bytes()
 
 
-def test_formats_with_a_frame_of_their_own_are_told_that_of_the_input(scene, tmp_path):
-    """A model whose y is up, and the same one with y down, become the same glTF file."""
+def test_the_input_frame_can_be_given_for_formats_with_a_fixed_frame(scene, tmp_path):
+    """A model with y up and the same model with y down become the same glTF file."""
     nanogs.save(half_turn(nanogs.load(scene)), tmp_path / "up.ply")
     run_command("convert", scene, tmp_path / "a.glb")
     run_command("convert", tmp_path / "up.ply", tmp_path / "b.glb", "--frame", "rub:")
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
     run_command("convert", tmp_path / "a.glb", tmp_path / "c.ply", "--frame", "rub")
-    again, expected = nanogs.load(tmp_path / "c.ply"), nanogs.load(tmp_path / "up.ply")
-    assert np.array_equal(again.means, expected.means)
+    loaded, expected = nanogs.load(tmp_path / "c.ply"), nanogs.load(tmp_path / "up.ply")
+    assert np.array_equal(loaded.means, expected.means)
 
 
 def test_simplify_turns_the_result(scene, tmp_path):
@@ -139,7 +139,7 @@ def test_simplify_turns_the_result(scene, tmp_path):
         ("a.ply", "b.ply --turn", "rub", "both turn the model"),
     ],
 )
-def test_frames_that_say_too_little_or_too_much_are_refused(tmp_path, source, target, frame, words):
+def test_incomplete_or_superfluous_frames_are_refused(tmp_path, source, target, frame, words):
     nanogs.save(random_splats(20), tmp_path / source)
     command = "simplify" if "--size" in target else "convert"
     target, *options = target.split()
@@ -149,26 +149,26 @@ def test_frames_that_say_too_little_or_too_much_are_refused(tmp_path, source, ta
     assert [path.name for path in tmp_path.iterdir()] == [source]
 
 
-def test_every_frame_that_a_format_states_is_one():
+def test_frames_stated_by_formats_are_valid():
     assert all(known.axes in {*FRAMES, None} for known in formats())
 
 
 VERSION_4 = ("--spz-version", "4")
 
 
-def test_a_file_that_states_its_frame_need_not_be_told(tmp_path):
+def test_the_frame_need_not_be_given_for_a_file_that_states_it(tmp_path):
     nanogs.save(random_splats(20, degree=1), tmp_path / "a.ply")
-    turned = ("convert", tmp_path / "a.ply", tmp_path / "a.spz", "--frame", "rub")
-    result = run_command(*turned, *VERSION_4)
+    convert_args = ("convert", tmp_path / "a.ply", tmp_path / "a.spz", "--frame", "rub")
+    result = run_command(*convert_args, *VERSION_4)
     assert result.returncode == 0, result.stderr
-    told = run_command("info", tmp_path / "a.spz").stdout
-    assert "frame            rub, as the file states" in told
+    description = run_command("info", tmp_path / "a.spz").stdout
+    assert "frame            rub, as the file states" in description
     result = run_command("convert", tmp_path / "a.spz", tmp_path / "b.ply", "--frame", "rdf")
     assert result.returncode == 0, result.stderr
-    back = nanogs.load(tmp_path / "b.ply")
-    assert np.allclose(back.means, nanogs.load(tmp_path / "a.ply").means, atol=1e-3)
-    small = ("simplify", tmp_path / "a.spz", tmp_path / "c.spz", "-r", "0.5", "--preset", "fast")
-    result = run_command(*small, "--frame", "rdf", *VERSION_4)
+    loaded = nanogs.load(tmp_path / "b.ply")
+    assert np.allclose(loaded.means, nanogs.load(tmp_path / "a.ply").means, atol=1e-3)
+    args = ("simplify", tmp_path / "a.spz", tmp_path / "c.spz", "-r", "0.5", "--preset", "fast")
+    result = run_command(*args, "--frame", "rdf", *VERSION_4)
     assert result.returncode == 0, result.stderr
     assert nanogs.open(tmp_path / "c.spz").frame == "rdf"
     refused = run_command("convert", tmp_path / "a.spz", tmp_path / "d.ply", "--frame", "rdf:rub")

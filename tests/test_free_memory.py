@@ -1,4 +1,4 @@
-"""Free memory, by made-up descriptions of a system, and what happens where it is not enough."""
+"""Free memory on simulated systems, and what happens if it is not enough."""
 
 import json
 import subprocess
@@ -26,7 +26,7 @@ LINUX = pytest.mark.skipif(sys.platform != "linux", reason="its limits are Linux
 
 @pytest.fixture
 def system(tmp_path, monkeypatch):
-    """A machine with 8 GB available, no limits, and a process that has all its libraries."""
+    """A machine with 8 GB available and no limits, and a process that has loaded all libraries."""
     psutil = pytest.importorskip("psutil")
     facts = SimpleNamespace(rss=LIBRARIES, vms=900_000_000, data=300_000_000)
     monkeypatch.setattr(psutil, "Process", lambda: SimpleNamespace(memory_info=lambda: facts))
@@ -49,16 +49,16 @@ def system(tmp_path, monkeypatch):
     )
 
 
-def test_without_limits_what_the_machine_has_available_counts(system):
+def test_without_limits_all_available_memory_of_the_machine_is_free(system):
     assert system.free() == Memory(8 * GB, "free on this machine")
 
 
-def test_libraries_that_are_still_to_be_loaded_are_allowed_for(system):
+def test_memory_of_libraries_not_loaded_yet_is_subtracted(system):
     system.facts.rss = LIBRARIES - 150_000_000
     assert system.free().bytes == 8 * GB - 150_000_000
 
 
-def second(limit, used, stat="", high="max"):
+def cgroup_v2(limit, used, stat="", high="max"):
     return {
         "memory.max": limit, "memory.current": used, "memory.stat": stat, "memory.high": high,
     }  # fmt: skip
@@ -68,30 +68,30 @@ def second(limit, used, stat="", high="max"):
 @pytest.mark.parametrize(
     ("files", "free"),
     [
-        (second(2 * GB, GB // 2), 3 * GB // 2),
-        (second("max", GB), 8 * GB),
-        (second(2 * GB, GB, "anon 5\ninactive_file 300\nactive_file 200"), GB + 500),
-        (second("max", GB, high=3 * GB), 2 * GB),
-        (second(9 * GB, 0), 8 * GB),
+        (cgroup_v2(2 * GB, GB // 2), 3 * GB // 2),
+        (cgroup_v2("max", GB), 8 * GB),
+        (cgroup_v2(2 * GB, GB, "anon 5\ninactive_file 300\nactive_file 200"), GB + 500),
+        (cgroup_v2("max", GB, high=3 * GB), 2 * GB),
+        (cgroup_v2(9 * GB, 0), 8 * GB),
         ({"memory.max": 2 * GB}, 8 * GB),
         ({}, 8 * GB),
     ],
 )
-def test_a_control_group_leaves_its_limit_less_what_is_used_but_for_files(system, files, free):
+def test_a_control_group_leaves_its_limit_less_usage_without_file_caches(system, files, free):
     system.group("0::/job\n", files, "job")
     assert system.free().bytes == free
 
 
 @LINUX
-def test_the_groups_above_count_too(system):
-    system.group("0::/slice/job\n", second(4 * GB, GB), "slice")
-    system.group("0::/slice/job\n", second(6 * GB, GB), "slice/job")
+def test_limits_of_parent_control_groups_apply_too(system):
+    system.group("0::/slice/job\n", cgroup_v2(4 * GB, GB), "slice")
+    system.group("0::/slice/job\n", cgroup_v2(6 * GB, GB), "slice/job")
     assert system.free() == Memory(3 * GB, "free in this control group")
 
 
 @LINUX
-def test_a_container_that_sees_its_group_as_the_root(system):
-    system.group("0::/docker/0123\n", second(2 * GB, GB))
+def test_in_a_container_the_limit_at_the_root_applies(system):
+    system.group("0::/docker/0123\n", cgroup_v2(2 * GB, GB))
     assert system.free().bytes == GB
 
 
@@ -104,7 +104,7 @@ def test_a_container_that_sees_its_group_as_the_root(system):
         (9223372036854771712, "", 8 * GB),
     ],
 )
-def test_control_groups_of_version_1(system, limit, stat, free):
+def test_limits_of_version_1_control_groups_apply(system, limit, stat, free):
     files = {
         "memory.limit_in_bytes": limit, "memory.usage_in_bytes": GB, "memory.stat": stat,
     }  # fmt: skip
@@ -113,13 +113,13 @@ def test_control_groups_of_version_1(system, limit, stat, free):
 
 
 @pytest.mark.parametrize("option", ["-v", "-d"])
-def test_ulimit_leaves_what_is_not_mapped(system, monkeypatch, option):
+def test_ulimit_leaves_the_limit_less_the_mapped_memory(system, monkeypatch, option):
     monkeypatch.setattr(memory, "set_ulimits", lambda: iter([(2 * GB, option)]))
     mapped = {"-v": 900_000_000, "-d": 300_000_000}[option]
     assert system.free() == Memory(int(0.8 * (2 * GB - mapped)), f"left by `ulimit {option}`")
 
 
-def test_libraries_map_more_for_each_thread(system, monkeypatch):
+def test_each_thread_adds_to_the_memory_that_libraries_map(system, monkeypatch):
     monkeypatch.setattr(memory, "set_ulimits", lambda: iter([(8 * GB, "-v")]))
     system.facts.vms = 0
     found = []
@@ -132,13 +132,13 @@ def test_libraries_map_more_for_each_thread(system, monkeypatch):
 
 @LINUX
 @pytest.mark.parametrize("threads", [1, 4])
-def test_the_libraries_map_what_is_planned_for(threads):
-    """In a process of its own, since a test's has mapped much else."""
-    few = {"ratio": 0.1, "steps": 1, "views": 2, "view_size": 64}
+def test_the_libraries_map_no_more_than_planned(threads):
+    """Run in a new process, because this one has mapped much else."""
+    options = {"ratio": 0.1, "steps": 1, "views": 2, "view_size": 64}
     code = (
         "import psutil, nanogs\n"
         "from nanogs.datasets.synthetic import make_scene\n"
-        f"nanogs.simplify(make_scene(500), **{few})\n"
+        f"nanogs.simplify(make_scene(500), **{options})\n"
         "print(psutil.Process().memory_info().vms)"
     )
     import os
@@ -146,13 +146,13 @@ def test_the_libraries_map_what_is_planned_for(threads):
     names = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     env = os.environ | dict.fromkeys(names, str(threads))
     run = [sys.executable, "-c", code]
-    nanogs.simplify(make_scene(500), **few)  # compiles what is not cached
-    found = subprocess.run(run, env=env, check=True, capture_output=True, text=True)
+    nanogs.simplify(make_scene(500), **options)  # compiles what is not cached
+    result = subprocess.run(run, env=env, check=True, capture_output=True, text=True)
     planned = memory._MAPPED + (threads - 1) * memory._MAPPED_THREAD
-    assert 0.5 * planned < int(found.stdout) < planned
+    assert 0.5 * planned < int(result.stdout) < planned
 
 
-def test_nothing_left_is_said_at_once(system, monkeypatch):
+def test_no_memory_left_is_an_error(system, monkeypatch):
     monkeypatch.setattr(
         memory, "free_memory", lambda **_: Memory(-5_000_000, "left by `ulimit -v`")
     )
@@ -160,7 +160,7 @@ def test_nothing_left_is_said_at_once(system, monkeypatch):
         allowed_memory(None)
 
 
-def test_a_tenth_is_kept_free_unless_the_memory_is_given(monkeypatch):
+def test_a_tenth_is_kept_free_unless_max_memory_is_given(monkeypatch):
     monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(10 * GB, "free on this machine"))
     assert allowed_memory(None).bytes == 9 * GB
     assert allowed_memory(GB).bytes == GB - LIBRARIES
@@ -175,11 +175,11 @@ def test_a_tenth_is_kept_free_unless_the_memory_is_given(monkeypatch):
         (4_000_000_000, 4, 1_050_000_000),
     ],
 )
-def test_each_process_gets_its_share_in_three_digits(free, processes, each):
+def test_each_process_gets_its_share_rounded_to_three_digits(free, processes, each):
     assert process_memory(Memory(free, ""), processes) == each
 
 
-# ---- what is done about it --------------------------------------------------------------------
+# ---- models that do not fit -------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -190,34 +190,38 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture
-def little(monkeypatch):
-    """Memory for half of what the scene takes."""
+def little_memory(monkeypatch):
+    """Report only half of the memory that the scene takes as free."""
     free = Memory(22_000_000, "free on this machine")
     monkeypatch.setattr(memory, "free_memory", lambda **_: free)
 
 
-def test_a_model_that_does_not_fit_goes_to_blocks_and_says_so(scene, tmp_path, little, capsys):
+def test_a_model_that_does_not_fit_is_simplified_in_blocks_with_a_note(
+    scene, tmp_path, little_memory, capsys
+):
     out = tmp_path / "small.ply"
     assert command("simplify", scene, out, "-r", "0.1", "--preset", "fast") == 0
-    said = " ".join(capsys.readouterr().err.split())
+    text = " ".join(capsys.readouterr().err.split())
     assert (
-        "19.8 MB are free on this machine: it is simplified in blocks, as with --max-memory" in said
+        "19.8 MB are free on this machine: it is simplified in blocks, as with --max-memory" in text
     )
     assert len(nanogs.load(out)) == COUNT // 10
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
-def test_a_model_of_many_files_is_not_said_by_all_their_names(scene, tmp_path, little, capsys):
+def test_notes_on_a_model_of_several_files_give_their_number(
+    scene, tmp_path, little_memory, capsys
+):
     parts = [tmp_path / f"tile_{number}.ply" for number in range(2)]
     for part in parts:
         part.write_bytes(scene.read_bytes())
-    given = (*parts, tmp_path / "small.ply", "--join", "-r", "0.1", "--preset", "fast")
-    assert command("simplify", *given, "--dry-run") == 0
-    said = " ".join(capsys.readouterr().err.split())
-    assert "note: The model of 2 files takes about" in said
+    arguments = (*parts, tmp_path / "small.ply", "--join", "-r", "0.1", "--preset", "fast")
+    assert command("simplify", *arguments, "--dry-run") == 0
+    text = " ".join(capsys.readouterr().err.split())
+    assert "note: The model of 2 files takes about" in text
 
 
-def test_levels_that_do_not_fit_go_to_blocks(scene, tmp_path, little, capsys):
+def test_levels_that_do_not_fit_are_made_in_blocks(scene, tmp_path, little_memory, capsys):
     folder = tmp_path / "levels"
     assert command("lod", scene, folder, "--levels", "0.2,0.1", "--preset", "fast") == 0
     assert "in blocks, as with --max-memory" in " ".join(capsys.readouterr().err.split())
@@ -231,7 +235,9 @@ def test_levels_that_do_not_fit_go_to_blocks(scene, tmp_path, little, capsys):
         (["-r", "0.1", "--preset", "paper"], "the preset paper needs the whole model"),
     ],
 )
-def test_what_blocks_cannot_do_is_refused_at_once(scene, tmp_path, little, capsys, wish, said):
+def test_options_that_need_the_whole_model_are_refused_if_it_does_not_fit(
+    scene, tmp_path, little_memory, capsys, wish, said
+):
     assert command("simplify", scene, tmp_path / "a.ply", *wish) == 2
     text = " ".join(capsys.readouterr().err.split())
     assert said in text
@@ -239,7 +245,7 @@ def test_what_blocks_cannot_do_is_refused_at_once(scene, tmp_path, little, capsy
     assert list(tmp_path.iterdir()) == []
 
 
-def test_in_python_a_comparison_that_would_not_fit_is_refused_before_work(tmp_path, monkeypatch):
+def test_compare_refuses_models_that_do_not_fit_before_reading_them(tmp_path, monkeypatch):
     splats, path = make_scene(2000), tmp_path / "a.ply"
     nanogs.save(splats, path)
     monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(100_000, "free on this machine"))
@@ -248,30 +254,33 @@ def test_in_python_a_comparison_that_would_not_fit_is_refused_before_work(tmp_pa
         with pytest.raises(NotEnoughMemoryError, match="fewer or smaller views"):
             nanogs.compare(*models)
     view = {"views": 1, "pixels": 16}
-    one, two = (needed_bytes(models, 256, 1, all_of_it=False) for models in ((splats,), (path,)))
-    assert two - one == 2000 * splat_bytes(3)  # the file is to be read
+    held, from_file = (
+        needed_bytes(models, 256, 1, all_of_it=False) for models in ((splats,), (path,))
+    )
+    assert from_file - held == 2000 * splat_bytes(3)  # the file must be read first
     monkeypatch.undo()
     with pytest.raises(NotEnoughMemoryError):
         nanogs.compare(splats, splats, **view, max_memory=LIBRARIES + 1000)
     assert len(nanogs.compare(splats, splats, **view, max_memory=GB).models) == 1
 
 
-def test_levels_that_are_measured_hold_the_views_of_the_original(monkeypatch):
-    splats, asked = make_scene(2000), []
+def test_memory_for_measured_levels_includes_views_of_the_original(monkeypatch):
+    splats, requested = make_scene(2000), []
     monkeypatch.setattr(
-        "nanogs.pipeline.in_memory.refuse_too_large", lambda _what, needed, *_: asked.append(needed)
+        "nanogs.pipeline.in_memory.refuse_too_large",
+        lambda _what, needed, *_: requested.append(needed),
     )
     for judged in (False, True):
         judged_levels(splats, [0.5], judged=judged)
     views = 8 * 512 * 512 * 3 * 4
-    assert asked[1] - asked[0] >= views
+    assert requested[1] - requested[0] >= views
 
 
-def test_in_python_a_model_that_would_not_fit_is_refused_before_work(monkeypatch):
+def test_simplify_and_levels_refuse_models_that_do_not_fit_before_any_work(monkeypatch):
     splats, stages = make_scene(2000), []
     monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(100_000, "free on this machine"))
     with pytest.raises(NotEnoughMemoryError, match="simplify_blocks"):
-        nanogs.simplify(splats, ratio=0.1, progress=lambda *each: stages.append(each))
+        nanogs.simplify(splats, ratio=0.1, progress=lambda *step: stages.append(step))
     with pytest.raises(NotEnoughMemoryError):
         nanogs.levels(splats, [0.5, 0.1])
     assert stages == []
@@ -279,7 +288,7 @@ def test_in_python_a_model_that_would_not_fit_is_refused_before_work(monkeypatch
     assert len(small) == 200
 
 
-def test_blocks_that_are_resumed_keep_their_size_whatever_is_free(scene, tmp_path, monkeypatch):
+def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path, monkeypatch):
     from nanogs.pipeline.in_blocks import block_memory
     from nanogs.pipeline.job.folder import read_manifest
 
@@ -292,14 +301,14 @@ def test_blocks_that_are_resumed_keep_their_size_whatever_is_free(scene, tmp_pat
         if step.stage == "cut":
             raise StoppedError
 
-    given = {"ratio": 0.1, "job": job, "threads": 1, "preset": "fast", "rounds": 2}
+    options = {"ratio": 0.1, "job": job, "threads": 1, "preset": "fast", "rounds": 2}
     with pytest.raises(StoppedError):
         nanogs.simplify_blocks(
-            scene, out, max_memory=LIBRARIES + 25_000_000, progress=stop, **given
+            scene, out, max_memory=LIBRARIES + 25_000_000, progress=stop, **options
         )
     block = read_manifest(job)[0]["block"]
     assert block_memory(None, None, job, elsewhere=False) == (None, block)
-    report = nanogs.simplify_blocks(scene, out, resume=True, **given)
+    report = nanogs.simplify_blocks(scene, out, resume=True, **options)
     assert report.blocks.allowed == block
     assert report.blocks.resumed > 0
 
@@ -311,28 +320,28 @@ def test_blocks_that_are_resumed_keep_their_size_whatever_is_free(scene, tmp_pat
         (["--workers", "2"], "lod", ["--levels", "0.1"]),
     ],
 )
-def test_options_for_blocks_that_have_no_effect_are_named(
-    scene, tmp_path, capsys, option, name, asked
-):
+def test_options_for_blocks_without_effect_are_noted(scene, tmp_path, capsys, option, name, asked):
     target = tmp_path / ("a.ply" if name == "simplify" else "a")
-    given = [name, scene, target, *asked, "--preset", "fast", *option]
-    assert command(*given, "--json") == 0
+    arguments = [name, scene, target, *asked, "--preset", "fast", *option]
+    assert command(*arguments, "--json") == 0
     (note, *_rest) = json.loads(capsys.readouterr().out)["notes"]
     assert f"{option[0]} had no effect" in note
-    assert command(*given, "--json", "-w", "--max-memory", "4GB") == 0
+    assert command(*arguments, "--json", "-w", "--max-memory", "4GB") == 0
     (note, *_rest) = json.loads(capsys.readouterr().out)["notes"]
     assert note.endswith("because the model fits into --max-memory and needs no blocks.")
 
 
 @pytest.mark.parametrize("option", [["--resume"], ["--scratch", "x"]])
-def test_a_job_of_one_block_is_no_news(scene, tmp_path, capsys, option, monkeypatch):
+def test_a_job_of_one_block_prints_no_note_about_blocks(
+    scene, tmp_path, capsys, option, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
-    given = ["simplify", scene, "a.ply", "-r", "0.1", "--preset", "fast", *option]
-    assert command(*given) == 0
+    arguments = ["simplify", scene, "a.ply", "-r", "0.1", "--preset", "fast", *option]
+    assert command(*arguments) == 0
     assert "in blocks" not in capsys.readouterr().err
 
 
-# ---- whatever still runs out ------------------------------------------------------------------
+# ---- running out of memory or of other resources ----------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -347,40 +356,40 @@ def test_a_job_of_one_block_is_no_news(scene, tmp_path, capsys, option, monkeypa
         (OSError(36, "File name too long", "aaa"), "aaa: File name too long;"),
     ],
 )
-def test_failures_of_the_system_are_said_in_one_sentence(error, said):
+def test_system_failures_are_reported_in_one_sentence(error, said):
     import re
 
     assert re.match(said, sentence_of(error))
 
 
 @pytest.mark.parametrize("error", [RuntimeError("ours"), ValueError("x"), OSError("no number")])
-def test_defects_of_ours_are_not_taken_for_the_systems(error):
+def test_errors_of_nanogs_itself_are_not_reported_as_system_failures(error):
     assert sentence_of(error) is None
 
 
-def test_memory_that_runs_out_in_blocks_names_the_job_that_is_kept(
-    scene, tmp_path, little, monkeypatch, capsys
+def test_running_out_of_memory_in_blocks_names_the_kept_job(
+    scene, tmp_path, little_memory, monkeypatch, capsys
 ):
     out = tmp_path / "small.ply"
-    given = ["simplify", scene, out, "-r", "0.1", "--preset", "fast"]
+    arguments = ["simplify", scene, out, "-r", "0.1", "--preset", "fast"]
 
     def run_out(*_args, **_options):
         raise MemoryError
 
     with monkeypatch.context() as patch:
         patch.setattr("nanogs.pipeline.work.store_groups", run_out)
-        assert command(*given) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert "error: Memory ran out; free some" in said
-    kept = tmp_path / "small.ply.job"
-    assert f"The finished part is kept in {kept}: --resume continues" in said
-    assert "another --max-memory." in said
-    assert command(*given, "--resume") == 0
+        assert command(*arguments) == 2
+    text = " ".join(capsys.readouterr().err.split())
+    assert "error: Memory ran out; free some" in text
+    job = tmp_path / "small.ply.job"
+    assert f"The finished part is kept in {job}: --resume continues" in text
+    assert "another --max-memory." in text
+    assert command(*arguments, "--resume") == 0
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
-def test_memory_that_runs_out_before_a_job_is_begun_names_none(
-    scene, tmp_path, little, monkeypatch, capsys
+def test_running_out_of_memory_before_a_job_starts_names_no_job(
+    scene, tmp_path, little_memory, monkeypatch, capsys
 ):
     def run_out(*_args):
         raise MemoryError
@@ -391,7 +400,7 @@ def test_memory_that_runs_out_before_a_job_is_begun_names_none(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_memory_that_runs_out_halfway_leaves_nothing(scene, tmp_path, monkeypatch, capsys):
+def test_running_out_of_memory_while_writing_leaves_no_files(scene, tmp_path, monkeypatch, capsys):
     import nanogs.io.ply.write
 
     def run_out(*_args, **_options):
@@ -406,40 +415,40 @@ def test_memory_that_runs_out_halfway_leaves_nothing(scene, tmp_path, monkeypatc
 
 @LINUX
 @pytest.mark.parametrize("limit", [60, 400])
-def test_too_low_a_ulimit_is_said_in_one_sentence(scene, tmp_path, limit):
+def test_too_low_a_ulimit_is_reported_in_one_sentence(scene, tmp_path, limit):
     import resource
 
     def limited():
         resource.setrlimit(resource.RLIMIT_AS, (limit * 10**6, limit * 10**6))
 
     run = [sys.executable, "-m", "nanogs", "simplify", scene, tmp_path / "a.ply", "-r", "0.1"]
-    found = subprocess.run(run, preexec_fn=limited, capture_output=True, text=True)
-    assert found.returncode == 2
-    assert found.stderr.startswith("error: ")
-    assert found.stderr.count("\n") == 1
-    assert "`ulimit -v`" in found.stderr
+    result = subprocess.run(run, preexec_fn=limited, capture_output=True, text=True)
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert "`ulimit -v`" in result.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-# ---- names without room for a suffix ----------------------------------------------------------
+# ---- file names that are too long for a suffix ------------------------------------------------
 
 
 @pytest.mark.parametrize("option", [["--job", "a" * 254 + ".ply"], []])
-def test_a_name_too_long_for_a_job_is_said(scene, tmp_path, capsys, option):
+def test_a_file_name_too_long_for_a_job_is_an_error(scene, tmp_path, capsys, option):
     out = tmp_path / ("a.ply" if option else "b" * 248 + ".ply")
-    given = ["simplify", scene, out, "-r", "0.1", "--max-memory", "250MB", *option]
-    assert command(*given) == 2
-    said = capsys.readouterr().err
-    assert "(File name too long)" in said
-    assert said.rstrip().endswith("name another one with --job.")
+    arguments = ["simplify", scene, out, "-r", "0.1", "--max-memory", "250MB", *option]
+    assert command(*arguments) == 2
+    text = capsys.readouterr().err
+    assert "(File name too long)" in text
+    assert text.rstrip().endswith("name another one with --job.")
     assert list(tmp_path.iterdir()) == []
 
 
-# ---- looking at models, and converting them -----------------------------------------------------
+# ---- commands that render, compare, describe and convert ----------------------------------------
 
 
-def asked(name, scene, folder):
-    """A command that writes into a folder, and its sentence."""
+def command_and_error(name, scene, folder):
+    """Return the arguments of a command that writes into a folder, and how its error begins."""
     return {
         "render": (["render", scene, folder / "r"], "Rendering"),
         "compare": (["compare", scene, scene], "Comparing these models"),
@@ -454,30 +463,30 @@ NAMES = ["render", "compare", "view", "refit", "convert", "info"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_takes_more_than_is_free_is_refused_at_once(
+def test_commands_that_need_more_than_the_free_memory_are_refused(
     scene, tmp_path, monkeypatch, capsys, name
 ):
     monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(500_000, "free on this machine"))
-    given, said = asked(name, scene, tmp_path)
-    assert command(*given) == 2
+    arguments, sentence = command_and_error(name, scene, tmp_path)
+    assert command(*arguments) == 2
     text = capsys.readouterr().err
-    assert text.startswith(f"error: {said}")
+    assert text.startswith(f"error: {sentence}")
     assert "450.0 kB are free on this machine; free some" in text
     assert text.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", NAMES[:-1])
-def test_the_memory_may_be_given(scene, tmp_path, capsys, name):
-    given, _said = asked(name, scene, tmp_path)
-    assert command(*given, "--max-memory", "60MB") == 2
+def test_max_memory_replaces_the_free_memory(scene, tmp_path, capsys, name):
+    arguments, _sentence = command_and_error(name, scene, tmp_path)
+    assert command(*arguments, "--max-memory", "60MB") == 2
     assert "of the memory allowed" in capsys.readouterr().err
 
 
-def test_a_picture_takes_memory_by_its_pixels(scene, tmp_path, capsys):
-    given = ["render", scene, tmp_path / "a.png", "--max-memory", "400MB", "--pixels"]
-    assert command(*given, "64") == 0
-    assert command(*given[:2], tmp_path / "b.png", *given[3:], "4096") == 2
+def test_the_memory_for_a_picture_depends_on_its_pixels(scene, tmp_path, capsys):
+    arguments = ["render", scene, tmp_path / "a.png", "--max-memory", "400MB", "--pixels"]
+    assert command(*arguments, "64") == 0
+    assert command(*arguments[:2], tmp_path / "b.png", *arguments[3:], "4096") == 2
 
 
 PEAK = """
@@ -509,7 +518,7 @@ print("took", status("VmHWM") - before)
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory):
-    """A folder of models that take memory and one that takes none to speak of."""
+    """A folder with two models that take much memory and one that takes very little."""
     folder = tmp_path_factory.mktemp("models")
     for name, count, degree in (("large", 300_000, 3), ("plain", 300_000, 1), ("small", 1000, 3)):
         nanogs.save(make_scene(count, sh_degree=degree), folder / f"{name}.ply")
@@ -543,7 +552,7 @@ def models(tmp_path_factory):
         (["convert", "large.ply", "a.glb", "-w"], "convert_bytes(file, Path('a.glb'), whole=0)"),
     ],
 )
-def test_the_need_is_about_what_is_taken(models, given, need):
+def test_estimated_memory_is_close_to_the_memory_used(models, given, need):
     from pathlib import Path
 
     from nanogs import memory_estimates
@@ -553,13 +562,13 @@ def test_the_need_is_about_what_is_taken(models, given, need):
     names["file"] = nanogs.open(models / given[1])
     planned = eval(f"needs.{need}", {"needs": memory_estimates, "Path": Path, **names})
     run = [sys.executable, "-c", PEAK, "small.ply", *given]
-    found = subprocess.run(run, cwd=models, capture_output=True, text=True, check=True)
-    # The first run may leave the heap some of what the second takes.
+    result = subprocess.run(run, cwd=models, capture_output=True, text=True, check=True)
+    # The first run may leave memory on the heap that the second run uses again.
     streamed = any(f"a{end}" in need for end in (".ply", ".spz", ".glb"))  # a few blocks at most
-    assert (0 if streamed else 0.4) < int(found.stdout.split()[-1]) / planned < 1.1
+    assert (0 if streamed else 0.4) < int(result.stdout.split()[-1]) / planned < 1.1
 
 
-# ---- what is said of blocks, and of what does not need them --------------------------------------
+# ---- reports of runs in blocks and of other runs -------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -571,7 +580,7 @@ def test_the_need_is_about_what_is_taken(models, given, need):
         ({"preset": "fast"}, False, False),
     ],
 )
-def test_the_report_of_blocks_says_what_was_done(tmp_path, given, looked, fitted):
+def test_the_report_of_blocks_has_results_of_the_stages_that_ran(tmp_path, given, looked, fitted):
     scene = tmp_path / "in.ply"
     nanogs.save(make_scene(6000), scene)
     if looked:
@@ -584,7 +593,7 @@ def test_the_report_of_blocks_says_what_was_done(tmp_path, given, looked, fitted
     assert (report.refit is not None) == fitted
 
 
-def test_presets_that_render_nothing_fit_nothing(capsys):
+def test_the_preset_that_renders_nothing_has_no_fitting_steps(capsys):
     assert command("presets", "--json") == 0
     assert json.loads(capsys.readouterr().out)["fast"]["steps"] == 0
 
@@ -597,18 +606,18 @@ def test_presets_that_render_nothing_fit_nothing(capsys):
         ({"measure": True}, {"hidden", "steps", "views", "view_size"}, set()),
     ],
 )
-def test_parameters_without_an_effect_are_not_named(more, named, unnamed):
+def test_parameters_without_effect_are_not_reported(more, named, unnamed):
     shown = effective(parameters("fast", more)).keys()
     assert named <= shown
     assert not unnamed & shown
 
 
 @pytest.mark.parametrize("more", [[], ["--dry-run"]])
-def test_joined_parts_are_all_named_and_counted(scene, tmp_path, capsys, more):
+def test_reports_name_and_count_all_joined_files(scene, tmp_path, capsys, more):
     other = tmp_path / "other.ply"
     nanogs.save(make_scene(1000), other)
-    given = ["simplify", scene, other, tmp_path / "a.ply", "--join", "-r", "0.1", "--json"]
-    assert command(*given, "--preset", "fast", *more) == 0
+    arguments = ["simplify", scene, other, tmp_path / "a.ply", "--join", "-r", "0.1", "--json"]
+    assert command(*arguments, "--preset", "fast", *more) == 0
     run = json.loads(capsys.readouterr().out)
     assert run["input"] == f"{scene}, {other}"
     assert run["input_count"] == COUNT + 1000
@@ -616,7 +625,7 @@ def test_joined_parts_are_all_named_and_counted(scene, tmp_path, capsys, more):
         assert run["input_bytes"] == scene.stat().st_size + other.stat().st_size
 
 
-def test_too_little_for_chunks_is_refused_before_anything_is_read(
+def test_too_little_memory_for_chunks_is_refused_before_reading(
     scene, tmp_path, monkeypatch, capsys
 ):
     def read(*_args, **_options):
@@ -624,7 +633,7 @@ def test_too_little_for_chunks_is_refused_before_anything_is_read(
 
     monkeypatch.setattr("nanogs.pipeline.stages.do", read)
     monkeypatch.setattr("nanogs.pipeline.run.do", read)
-    given = ["lod", scene, tmp_path / "web" / "lod-meta.json", "--max-memory", "260MB"]
+    arguments = ["lod", scene, tmp_path / "web" / "lod-meta.json", "--max-memory", "260MB"]
     (tmp_path / "web").mkdir()
-    assert command(*given) == 2
+    assert command(*arguments) == 2
     assert "for chunks; a smaller --chunk takes less" in capsys.readouterr().err

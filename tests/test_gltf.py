@@ -41,13 +41,13 @@ def glb(document, body=b"", *, version=2, length=None):
 
 
 def parsed(data):
-    """The JSON and the buffer of a file."""
+    """Return the JSON and the buffer of a file."""
     (length,) = struct.unpack_from("<I", data, 12)
     return json.loads(data[20 : 20 + length]), data[28 + length :]
 
 
 def columns(model):
-    """The attributes of a model by name, float32, linear, as the specification has them."""
+    """Return the float32 attributes of a model by name, activated as the specification requires."""
     out = {
         "POSITION": model.means,
         PREFIX + "ROTATION": model.unit_quats()[:, [1, 2, 3, 0]],
@@ -63,7 +63,7 @@ def columns(model):
 
 
 def document(*tables, nodes=None, normalized=True, **primitive):
-    """(JSON, buffer) of one mesh with a primitive for each table of columns."""
+    """Return (JSON, buffer) of one mesh with a primitive for each table of columns."""
     accessors, views, primitives, body = [], [], [], b""
     for table in tables:
         attributes = {}
@@ -112,15 +112,15 @@ def covariances(model):
     return axes @ axes.transpose(0, 2, 1)
 
 
-def assert_same_splats(model, again):
-    """Bit by bit where the format holds the stored value, within float32 where it is activated."""
-    assert np.array_equal(again.means, model.means.astype(np.float32))
-    assert np.array_equal(again.sh, model.sh[:, : (min(model.sh_degree, 3) + 1) ** 2])
+def assert_same_splats(model, loaded):
+    """Compare bit by bit what is stored unchanged, and within float32 what is stored activated."""
+    assert np.array_equal(loaded.means, model.means.astype(np.float32))
+    assert np.array_equal(loaded.sh, model.sh[:, : (min(model.sh_degree, 3) + 1) ** 2])
     zero = np.isneginf(model.log_scales)
-    assert np.array_equal(np.isneginf(again.log_scales), zero)
-    assert again.log_scales[~zero] == pytest.approx(model.log_scales[~zero], abs=2e-6)
-    assert again.opacities() == pytest.approx(model.opacities(), abs=1e-7)
-    assert np.abs(again.quats - model.unit_quats()).max() < 1e-6
+    assert np.array_equal(np.isneginf(loaded.log_scales), zero)
+    assert loaded.log_scales[~zero] == pytest.approx(model.log_scales[~zero], abs=2e-6)
+    assert loaded.opacities() == pytest.approx(model.opacities(), abs=1e-7)
+    assert np.abs(loaded.quats - model.unit_quats()).max() < 1e-6
 
 
 # Writing
@@ -128,34 +128,34 @@ def assert_same_splats(model, again):
 
 @FILES
 @given(model=splats())
-def test_what_is_written_is_read(tmp_path, model):
+def test_a_written_file_reads_back_as_the_same_model(tmp_path, model):
     io.save(model, tmp_path / "a.glb", overwrite=True)
-    again = io.load(tmp_path / "a.glb")
-    assert_same_splats(model, again)
-    assert again.render_mode is model.render_mode
-    assert again.comments == model.comments
-    assert again.notes == ()
-    io.save(again, tmp_path / "b.glb", overwrite=True)
-    assert_same_splats(again, io.load(tmp_path / "b.glb"))
+    loaded = io.load(tmp_path / "a.glb")
+    assert_same_splats(model, loaded)
+    assert loaded.render_mode is model.render_mode
+    assert loaded.comments == model.comments
+    assert loaded.notes == ()
+    io.save(loaded, tmp_path / "b.glb", overwrite=True)
+    assert_same_splats(loaded, io.load(tmp_path / "b.glb"))
 
 
 @FILES
 @given(model=splats())
-def test_text_is_the_same_model(tmp_path, model):
-    """One file, which holds its buffer; a comment cannot be taken for that."""
+def test_a_gltf_text_file_holds_the_same_model_as_a_glb(tmp_path, model):
+    """The file contains its buffer, and a comment that looks like one is not taken for it."""
     comments = ["data:application/octet-stream;base64,", '"'] + list(model.comments)
     model = dataclasses.replace(model, comments=comments)
     for name in ("a.glb", "a.gltf"):
         io.save(model, tmp_path / name, overwrite=True)
-    again = io.load(tmp_path / "a.gltf")
-    assert_same(again, io.load(tmp_path / "a.glb"))
-    assert again.comments == tuple(comments)
+    loaded = io.load(tmp_path / "a.gltf")
+    assert_same(loaded, io.load(tmp_path / "a.glb"))
+    assert loaded.comments == tuple(comments)
     content = json.loads((tmp_path / "a.gltf").read_bytes())
     assert len(content["buffers"]) == 1
     assert content["extensionsUsed"] == ["KHR_gaussian_splatting"]
 
 
-def test_text_appears_whole_or_not_at_all(tmp_path):
+def test_a_gltf_file_appears_complete_or_not_at_all(tmp_path):
     model = random_splats(500, degree=1)
     io.save(model, tmp_path / "a.ply")
     done = run("convert", tmp_path / "a.ply", tmp_path / "a.gltf")
@@ -163,10 +163,10 @@ def test_text_appears_whole_or_not_at_all(tmp_path):
     before = (tmp_path / "a.gltf").read_bytes()
     model.means[7] = np.nan
     io.save(model, tmp_path / "b.ply")
-    for more in ((), ("-w",)):
-        refused = run("convert", tmp_path / "b.ply", tmp_path / "a.gltf", *more)
+    for options in ((), ("-w",)):
+        refused = run("convert", tmp_path / "b.ply", tmp_path / "a.gltf", *options)
         assert refused.returncode == 2
-        assert ("row 7" in refused.stderr) == bool(more)
+        assert ("row 7" in refused.stderr) == bool(options)
     assert (tmp_path / "a.gltf").read_bytes() == before
     assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "b.ply", "a.gltf"}
     result = nanogs.convert(tmp_path / "a.gltf", tmp_path / "c.gltf")
@@ -179,14 +179,14 @@ def test_text_appears_whole_or_not_at_all(tmp_path):
 )
 @FILES
 @given(model=splats(), count=st.integers(1, 3000))
-def test_size_is_known_beforehand(write, size, model, count):
-    many = model.take(np.arange(count) % len(model))
+def test_the_predicted_file_size_is_exact(write, size, model, count):
+    repeated = model.take(np.arange(count) % len(model))
     stream = streams.BytesIO()
-    write(many, stream)
+    write(repeated, stream)
     assert size(model, count) == len(stream.getvalue()) < size(model, count + 1)
 
 
-def test_the_document_says_what_the_specification_asks_for(tmp_path):
+def test_the_document_follows_the_specification(tmp_path):
     model = random_splats(300, degree=1)
     io.save(model, tmp_path / "a.glb")
     data = (tmp_path / "a.glb").read_bytes()
@@ -227,7 +227,7 @@ def test_the_fallback_colour_is_linear(tmp_path):
     assert content["accessors"][index]["normalized"] is True
 
 
-def test_blocks_agree(tmp_path, monkeypatch):
+def test_writing_in_smaller_blocks_gives_the_same_bytes(tmp_path, monkeypatch):
     model = random_splats(100, degree=2)
     io.save(model, tmp_path / "a.glb")
     monkeypatch.setattr("nanogs.source.base.BLOCK_ROWS", 7)
@@ -238,7 +238,7 @@ def test_blocks_agree(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("field", ["means", "log_scales", "quats", "opacity_logits", "sh"])
-def test_what_is_no_number_is_refused_before_a_byte_is_written(tmp_path, field):
+def test_nan_values_are_refused_before_anything_is_written(tmp_path, field):
     model = random_splats(3)
     getattr(model, field)[2] = np.nan
     with pytest.raises(OutputError, match="the first in row 2"):
@@ -246,7 +246,7 @@ def test_what_is_no_number_is_refused_before_a_byte_is_written(tmp_path, field):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_four_gigabytes_are_the_limit():
+def test_files_of_more_than_four_gigabytes_are_refused():
     model = random_splats(1, degree=3)
     assert gltf_write.file_bytes(model, 17_000_000) < 1 << 32
     with pytest.raises(OutputError, match="cannot have more than 4294967295"):
@@ -255,13 +255,13 @@ def test_four_gigabytes_are_the_limit():
         gltf_write.text_bytes(model, 17_000_000)
 
 
-def test_comments_that_could_not_be_read_back_are_refused():
+def test_comments_too_long_to_be_read_back_are_refused():
     model = dataclasses.replace(random_splats(1), comments=["x" * (5 << 20)])
     with pytest.raises(OutputError, match="shorten the comments"):
         gltf_write.file_bytes(model, 1)
 
 
-def test_losses_are_stated():
+def test_losses_are_reported():
     model = random_splats(2, degree=4, extras={"label": np.zeros(2)})
     tag = ExtraElement("tag", np.zeros(1, [("id", "i4")]))
     model = dataclasses.replace(model, elements=[tag], means=model.means.astype(np.float64))
@@ -273,8 +273,8 @@ def test_losses_are_stated():
 
 
 @pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
-def test_the_khronos_validator_finds_no_fault(tmp_path, name):
-    """It does not know the extension yet, and so neither the names of its attributes."""
+def test_the_khronos_validator_finds_no_errors(tmp_path, name):
+    """It does not know the extension yet, and therefore not the names of its attributes either."""
     package("gltf-validator")
     model = dataclasses.replace(
         random_splats(300, degree=3), render_mode=RenderMode.MIP, comments=["é"]
@@ -296,16 +296,16 @@ def test_the_khronos_validator_finds_no_fault(tmp_path, name):
 # Reading
 
 
-def test_a_file_built_by_hand(load, tmp_path):
-    """Without a node transform the scene is y-up: x and y change sign, all else stays."""
+def test_a_file_without_node_transforms_is_read_as_y_up(load, tmp_path):
+    """Without a node transform the scene is y-up: only x and y change sign."""
     model = random_splats(20, degree=3, seed=1)
-    again = load(document(columns(model)))
-    assert np.array_equal(again.means, model.means * np.float32([-1, -1, 1]))
+    loaded = load(document(columns(model)))
+    assert np.array_equal(loaded.means, model.means * np.float32([-1, -1, 1]))
     turn = np.diag([-1.0, -1, 1])
-    assert np.allclose(covariances(again), turn @ covariances(model) @ turn, rtol=1e-5)
+    assert np.allclose(covariances(loaded), turn @ covariances(model) @ turn, rtol=1e-5)
     orders = np.concatenate([np.arange(-degree, degree + 1) for degree in range(4)])
     signs = np.where(orders % 2, -1, 1).astype(np.float32)
-    assert np.array_equal(again.sh, model.sh * signs[:, None])
+    assert np.array_equal(loaded.sh, model.sh * signs[:, None])
     info = io.inspect(tmp_path / "a.glb")
     assert (info.splats, info.sh_degree, info.format) == (20, 3, "glb")
 
@@ -314,86 +314,88 @@ def unit(vector):
     return np.array(vector) / np.linalg.norm(vector)
 
 
-def test_transforms_of_nodes_add_up_and_colours_turn_with_them(load):
-    """Seen from the turned side, every colour is what it was."""
+def test_node_transforms_are_composed_and_rotate_the_colours(load):
+    """From a direction that turns with the model, every colour is unchanged."""
     model = random_splats(20, degree=3, seed=2)
     x, y, z, w = rotation = unit([0.3, -0.2, 0.5, 0.7]).tolist()
     nodes = [
         {"children": [1], "translation": [1, 2, 3], "scale": [2, 2, 2]},
         {"mesh": 0, "rotation": rotation},
     ]
-    again = load(document(columns(model), nodes=nodes))
-    turn = np.array([
+    loaded = load(document(columns(model), nodes=nodes))
+    rotation_matrix = np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ])  # fmt: skip
     flip = np.diag([-1.0, -1, 1])
-    assert np.allclose(again.means, (2 * model.means @ turn.T + [1, 2, 3]) @ flip, atol=1e-5)
-    total = flip @ turn
-    assert np.allclose(covariances(again), 4 * total @ covariances(model) @ total.T, rtol=1e-4)
+    assert np.allclose(
+        loaded.means, (2 * model.means @ rotation_matrix.T + [1, 2, 3]) @ flip, atol=1e-5
+    )
+    total = flip @ rotation_matrix
+    assert np.allclose(covariances(loaded), 4 * total @ covariances(model) @ total.T, rtol=1e-4)
     directions = np.random.default_rng(0).normal(size=(50, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     before = np.einsum("dk,nkc->ndc", basis(directions, 3), model.sh)
-    after = np.einsum("dk,nkc->ndc", basis(directions @ total.T, 3), again.sh)
+    after = np.einsum("dk,nkc->ndc", basis(directions @ total.T, 3), loaded.sh)
     assert np.allclose(before, after, atol=1e-5)
 
 
-def test_scales_of_nodes_may_differ_along_the_axes(load):
-    """The specification's covariance is M C C^T M^T; colours turn with the rotation alone."""
+def test_node_scales_may_differ_between_axes(load):
+    """The specification's covariance is M C C^T M^T; only the rotation turns the colours."""
     model = random_splats(20, degree=1, seed=2)
     model.log_scales[3, 1] = -np.inf
     stretch, (x, y, z, w) = np.array([2.0, 0.5, 3.0]), unit([0.3, -0.2, 0.5, 0.7])
     node = {"mesh": 0, "scale": stretch.tolist(), "translation": [1, 2, 3]}
-    plain = load(document(columns(model), nodes=[{"mesh": 0, "rotation": [x, y, z, w]}]))
-    again = load(document(columns(model), nodes=[node | {"rotation": [x, y, z, w]}]))
-    turn = np.array([
+    unscaled = load(document(columns(model), nodes=[{"mesh": 0, "rotation": [x, y, z, w]}]))
+    scaled = load(document(columns(model), nodes=[node | {"rotation": [x, y, z, w]}]))
+    rotation_matrix = np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ])  # fmt: skip
-    total = np.diag([-1.0, -1, 1]) @ turn @ np.diag(stretch)
-    assert np.allclose(again.means, model.means @ total.T + [-1, -2, 3], atol=1e-5)
-    wanted = total @ covariances(model) @ total.T
-    assert np.allclose(covariances(again), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
-    assert np.isneginf(again.log_scales[3]).sum() == 1
-    assert np.array_equal(again.sh, plain.sh)
-    assert np.allclose(np.linalg.norm(again.quats, axis=1), 1, atol=1e-6)
+    total = np.diag([-1.0, -1, 1]) @ rotation_matrix @ np.diag(stretch)
+    assert np.allclose(scaled.means, model.means @ total.T + [-1, -2, 3], atol=1e-5)
+    expected = total @ covariances(model) @ total.T
+    assert np.allclose(covariances(scaled), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+    assert np.isneginf(scaled.log_scales[3]).sum() == 1
+    assert np.array_equal(scaled.sh, unscaled.sh)
+    assert np.allclose(np.linalg.norm(scaled.quats, axis=1), 1, atol=1e-6)
 
 
 @pytest.mark.parametrize("space", ["BT.709-sRGB", "BT.709-linear", None])
-def test_colour_spaces_of_drafts_are_known(load, space):
+def test_colour_space_names_of_drafts_are_accepted(load, space):
     model = random_splats(4, seed=7)
     content, body = document(columns(model), nodes=[{"mesh": 0, "rotation": [0, 0, 1, 0]}])
     extension = {"kernel": "ellipse"} | ({"colorSpace": space} if space else {})
     content["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"] = extension
-    again = load((content, body))
-    assert np.array_equal(again.sh, model.sh) == (space != "BT.709-linear")
-    assert any("BT.709-linear" in note for note in again.notes) == (space == "BT.709-linear")
-    assert len(again.notes) == (space == "BT.709-linear")
+    loaded = load((content, body))
+    assert np.array_equal(loaded.sh, model.sh) == (space != "BT.709-linear")
+    assert any("BT.709-linear" in note for note in loaded.notes) == (space == "BT.709-linear")
+    assert len(loaded.notes) == (space == "BT.709-linear")
 
 
-def test_a_matrix_is_a_transform_too(load):
+def test_a_node_transform_may_be_a_matrix(load):
     model = random_splats(5, seed=3)
     matrix = np.diag([-1.0, -1, 1, 1])
     matrix[:3, 3] = [1, 2, 3]
     nodes = [{"mesh": 0, "matrix": matrix.T.ravel().tolist()}]
-    again = load(document(columns(model), nodes=nodes))
-    assert np.allclose(again.means, model.means + np.float32([-1, -2, 3]))
-    assert np.array_equal(again.sh, model.sh)
+    loaded = load(document(columns(model), nodes=nodes))
+    assert np.allclose(loaded.means, model.means + np.float32([-1, -2, 3]))
+    assert np.array_equal(loaded.sh, model.sh)
 
 
-def test_primitives_follow_each_other_with_the_highest_degree(load):
+def test_primitives_are_concatenated_with_the_highest_sh_degree(load):
     parts = [random_splats(n, degree=degree, seed=n) for n, degree in ((9, 0), (4, 2))]
-    half = [{"mesh": 0, "rotation": [0, 0, 1, 0]}]
-    again = load(document(*map(columns, parts), nodes=half))
-    assert (len(again), again.sh_degree) == (13, 2)
-    assert np.array_equal(again.means[9:], parts[1].means)
-    assert np.array_equal(again.sh[9:], parts[1].sh)
-    assert not again.sh[:9, 1:].any()
+    half_turn = [{"mesh": 0, "rotation": [0, 0, 1, 0]}]
+    loaded = load(document(*map(columns, parts), nodes=half_turn))
+    assert (len(loaded), loaded.sh_degree) == (13, 2)
+    assert np.array_equal(loaded.means[9:], parts[1].means)
+    assert np.array_equal(loaded.sh[9:], parts[1].sh)
+    assert not loaded.sh[:9, 1:].any()
 
 
-def test_integers_and_strides(load):
+def test_normalized_integers_and_strided_buffers_are_read(load):
     model = random_splats(8, degree=0, seed=5)
     table = columns(model)
     table[PREFIX + "ROTATION"] = np.rint(table[PREFIX + "ROTATION"] * 32767).astype("i2")
@@ -406,21 +408,21 @@ def test_integers_and_strides(load):
     }  # fmt: skip
     content["accessors"][2]["byteOffset"] = 4
     content["buffers"][0]["byteLength"] = len(body) + 160
-    again = load((content, body + wide.tobytes()))
-    assert again.log_scales == pytest.approx(model.log_scales, abs=1e-6)
-    assert np.abs(again.quats - model.unit_quats()).max() < 1e-4
-    assert again.opacities() == pytest.approx(model.opacities(), abs=0.51 / 255)
+    loaded = load((content, body + wide.tobytes()))
+    assert loaded.log_scales == pytest.approx(model.log_scales, abs=1e-6)
+    assert np.abs(loaded.quats - model.unit_quats()).max() < 1e-4
+    assert loaded.opacities() == pytest.approx(model.opacities(), abs=0.51 / 255)
 
 
 def test_scales_of_early_drafts_are_logarithms(load):
     model = random_splats(8, seed=6)
     table = columns(model) | {PREFIX + "SCALE": model.log_scales}
-    again = load(document(table))
-    assert np.array_equal(again.log_scales, model.log_scales)
-    assert "logarithms" in again.notes[0]
+    loaded = load(document(table))
+    assert np.array_equal(loaded.log_scales, model.log_scales)
+    assert "logarithms" in loaded.notes[0]
 
 
-def test_what_is_not_carried_is_noted(load):
+def test_unsupported_content_is_noted(load):
     model = random_splats(4, seed=7)
     table = columns(model) | {"_LABEL": np.zeros((4, 1), "f4")}
     content, body = document(table, extras={"SplatRenderMode": "new", "comments": ["a", 3, "b\n"]})
@@ -429,8 +431,8 @@ def test_what_is_not_carried_is_noted(load):
         "kernel": "box", "colorSpace": "lin_rec709_display", "projection": "fish",
         "sortingMethod": "zDepth", "extensions": {"EXT_box": {}},
     }  # fmt: skip
-    again = load((content, body))
-    text = " ".join(again.notes)
+    loaded = load((content, body))
+    text = " ".join(loaded.notes)
     for word in (
         "_LABEL",
         "'new'",
@@ -442,8 +444,8 @@ def test_what_is_not_carried_is_noted(load):
         "1 primitive of a mesh was left out.",
     ):
         assert word in text
-    assert again.comments == ("a",)
-    assert again.render_mode is RenderMode.DEFAULT
+    assert loaded.comments == ("a",)
+    assert loaded.render_mode is RenderMode.DEFAULT
 
 
 @pytest.mark.parametrize(
@@ -453,7 +455,7 @@ def test_what_is_not_carried_is_noted(load):
         (2, "2 primitives of meshes were left out."),
     ],
 )
-def test_primitives_of_meshes_are_counted(load, count, note):
+def test_mesh_primitives_that_are_left_out_are_counted(load, count, note):
     content, body = document(columns(random_splats(4, seed=7)))
     content["meshes"][0]["primitives"] += [{"attributes": {"POSITION": 0}}] * count
     assert load((content, body)).notes == (note,)
@@ -466,17 +468,17 @@ def test_opacities_out_of_range_are_noted(load):
 
 
 def broken(path, value):
-    """A small file with one entry of its JSON replaced, or removed where the value is None."""
+    """Return a function that makes a small file with a JSON entry replaced, or removed if None."""
 
     def make():
         content, body = document(columns(random_splats(3, degree=1)))
-        place = content
+        entry = content
         for key in path[:-1]:
-            place = place[key]
+            entry = entry[key]
         if value is None:
-            del place[path[-1]]
+            del entry[path[-1]]
         else:
-            place[path[-1]] = value
+            entry[path[-1]] = value
         return glb(content, body)
 
     return make
@@ -558,15 +560,15 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_read_is_refused(load, name):
+def test_invalid_files_are_refused_with_a_reason_and_a_remedy(load, name):
     make, words = REFUSED[name]
     with pytest.raises(FormatError, match=words) as caught:
         load(make())
     assert "; " in str(caught.value)
 
 
-def test_shared_bytes_cannot_blow_a_file_up(load):
-    """Every attribute may be the same bytes, and every node the same mesh."""
+def test_small_files_that_share_data_cannot_expand_without_limit(load):
+    """All attributes may refer to the same bytes, and all nodes to the same mesh."""
     content, body = document(columns(random_splats(200, degree=1)))
     content["nodes"] = [{"mesh": 0} for _ in range(30)]
     content["scenes"][0]["nodes"] = list(range(30))
@@ -578,7 +580,7 @@ def test_shared_bytes_cannot_blow_a_file_up(load):
         load(small)
 
 
-def test_a_file_without_a_body_is_refused(load):
+def test_a_file_without_a_binary_chunk_is_refused(load):
     data = glb(document(columns(random_splats(3)))[0])
     cut = data[:-8]
     with pytest.raises(FormatError, match="does not fit into its buffer"):
@@ -595,19 +597,19 @@ def test_damaged_files_give_a_format_error_or_a_model(tmp_path, seed):
     outcomes = {"model": 0, "refused": 0}
     tracemalloc.start()
     for _ in range(400):
-        changed, rest = bytearray(text), bytearray(body)
+        changed, changed_body = bytearray(text), bytearray(body)
         for _ in range(rng.integers(1, 4)):
-            at = int(rng.integers(len(changed)))
+            index = int(rng.integers(len(changed)))
             if rng.random() < 0.2:
-                rest[rng.integers(len(rest))] = rng.integers(256)
+                changed_body[rng.integers(len(changed_body))] = rng.integers(256)
             elif rng.random() < 0.5:
-                changed[at : at + 1] = rng.choice(
+                changed[index : index + 1] = rng.choice(
                     [b"9", b"-", b"0", b"]", b"null", b"\xff", b'"a"']
                 )
             else:
                 digits = [i for i, byte in enumerate(changed) if chr(byte).isdigit()]
                 changed[rng.choice(digits)] = rng.choice(list(b"0123456789"))
-        out = glb(bytes(changed), bytes(rest))
+        out = glb(bytes(changed), bytes(changed_body))
         path.write_bytes(out[: None if rng.random() < 0.9 else rng.integers(1, len(out))])
         outcomes[outcome(path)] += 1
     _, peak = tracemalloc.get_traced_memory()

@@ -1,4 +1,4 @@
-"""glTF as text, beside its buffer, and packed as SPZ; and colours in linear light."""
+"""glTF as text, with a buffer in another file, packed as SPZ, and with colours in linear light."""
 
 import base64
 import json
@@ -22,7 +22,7 @@ NO_TURN = [{"mesh": 0, "rotation": [0, 0, 1, 0]}]
 
 
 def as_text(content, body, uri=None):
-    """The document as a text file has it, its buffer as a `data:` URI where no other is given."""
+    """Return the text of a `.gltf` file, with its buffer as a `data:` URI unless one is given."""
     data = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
     content = json.loads(json.dumps(content))
     content["buffers"][0]["uri"] = uri or data
@@ -30,39 +30,41 @@ def as_text(content, body, uri=None):
 
 
 @pytest.fixture
-def made():
+def content_and_buffer():
     return document(columns(random_splats(300, degree=2, seed=3)), nodes=NO_TURN)
 
 
 @pytest.fixture
-def expected(made, tmp_path):
-    (tmp_path / "whole.glb").write_bytes(glb(*made))
+def expected(content_and_buffer, tmp_path):
+    (tmp_path / "whole.glb").write_bytes(glb(*content_and_buffer))
     return io.load(tmp_path / "whole.glb")
 
 
-def test_text_with_a_data_uri_is_the_same_model(made, expected, tmp_path):
-    (tmp_path / "a.gltf").write_text(as_text(*made))
+def test_a_text_file_with_a_data_uri_is_the_same_model(content_and_buffer, expected, tmp_path):
+    (tmp_path / "a.gltf").write_text(as_text(*content_and_buffer))
     assert_same(io.load(tmp_path / "a.gltf"), expected)
     info = io.inspect(tmp_path / "a.gltf")
     assert (info.format, info.splats, info.sh_degree) == ("gltf", 300, 2)
     assert info.file_bytes == (tmp_path / "a.gltf").stat().st_size
 
 
-def test_a_long_comment_is_no_data_uri(tmp_path):
+def test_a_comment_that_looks_like_a_data_uri_is_kept(tmp_path):
     comments = ["data:" + "x" * 400, '"uri":"data:' + "y" * 400]
     model = replace(random_splats(5), comments=comments)
     io.save(model, tmp_path / "a.gltf")
     assert io.load(tmp_path / "a.gltf").comments == tuple(comments)
 
 
-def test_text_whose_slashes_are_escaped(made, expected, tmp_path):
-    (tmp_path / "a.gltf").write_text(as_text(*made).replace("/", "\\/"))
+def test_a_text_file_may_escape_its_slashes(content_and_buffer, expected, tmp_path):
+    (tmp_path / "a.gltf").write_text(as_text(*content_and_buffer).replace("/", "\\/"))
     assert_same(io.load(tmp_path / "a.gltf"), expected)
 
 
 @pytest.mark.parametrize("piece", [1, 2, 5, 6, 7, 100, 257, 1000])
-def test_text_is_read_in_pieces_of_any_size(made, expected, tmp_path, monkeypatch, piece):
-    content, body = made
+def test_a_text_file_is_read_in_pieces_of_any_size(
+    content_and_buffer, expected, tmp_path, monkeypatch, piece
+):
+    content, body = content_and_buffer
     content["extras"] = ["data:", '"data:a', 'x"data:', "data:" + "y" * 250, "data:" + "z" * 300]
     (tmp_path / "a.gltf").write_text(as_text(content, body))
     monkeypatch.setattr("nanogs.io.gltf.glb._PIECE", piece)
@@ -71,7 +73,7 @@ def test_text_is_read_in_pieces_of_any_size(made, expected, tmp_path, monkeypatc
         assert np.array_equal(source.read(7, 200).sh, expected.sh[7:200])
 
 
-def test_a_data_uri_is_decoded_where_it_is_read(tmp_path):
+def test_only_the_requested_part_of_a_data_uri_is_decoded(tmp_path):
     model = random_splats(40_000, degree=3)
     io.save(model, tmp_path / "a.gltf")
     size = (tmp_path / "a.gltf").stat().st_size
@@ -86,20 +88,22 @@ def test_a_data_uri_is_decoded_where_it_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("wrong", ["!", "=", "é"])
-def test_a_data_uri_that_is_damaged_is_refused(made, tmp_path, wrong):
-    text = as_text(*made)
-    at = text.index("base64,") + 4001
-    (tmp_path / "a.gltf").write_text(text[:at] + wrong + text[at + 1 :], encoding="utf-8")
+def test_a_damaged_data_uri_is_refused(content_and_buffer, tmp_path, wrong):
+    text = as_text(*content_and_buffer)
+    index = text.index("base64,") + 4001
+    (tmp_path / "a.gltf").write_text(text[:index] + wrong + text[index + 1 :], encoding="utf-8")
     with pytest.raises(FormatError, match="damaged"):
         io.load(tmp_path / "a.gltf")
 
 
 @pytest.mark.parametrize("uri", ["b.bin", "./sub/b%20c.bin", "b.bin?v=1"])
-def test_text_with_a_buffer_beside_it(made, expected, tmp_path, uri):
+def test_a_text_file_may_have_its_buffer_in_another_file(
+    content_and_buffer, expected, tmp_path, uri
+):
     name = uri.replace("%20", " ").partition("?")[0]
     (tmp_path / "sub").mkdir()
-    (tmp_path / name).write_bytes(made[1])
-    (tmp_path / "a.gltf").write_text(as_text(*made, uri))
+    (tmp_path / name).write_bytes(content_and_buffer[1])
+    (tmp_path / "a.gltf").write_text(as_text(*content_and_buffer, uri))
     assert_same(io.load(tmp_path / "a.gltf"), expected)
     assert io.inspect(tmp_path / "a.gltf").file_bytes == sum(
         (tmp_path / each).stat().st_size for each in ("a.gltf", name)
@@ -109,21 +113,23 @@ def test_text_with_a_buffer_beside_it(made, expected, tmp_path, uri):
     assert np.array_equal(part.sh, expected.sh[7:200])
 
 
-def test_the_first_bytes_tell_text_from_binary(made, expected, tmp_path):
-    (tmp_path / "a.gltf").write_bytes(glb(*made))
-    (tmp_path / "a.glb").write_text(as_text(*made))
+def test_text_and_binary_files_are_recognised_by_their_first_bytes(
+    content_and_buffer, expected, tmp_path
+):
+    (tmp_path / "a.gltf").write_bytes(glb(*content_and_buffer))
+    (tmp_path / "a.glb").write_text(as_text(*content_and_buffer))
     assert_same(io.load(tmp_path / "a.gltf"), expected)
     assert_same(io.load(tmp_path / "a.glb"), expected)
 
 
-def test_a_short_buffer_is_refused(made, tmp_path):
-    (tmp_path / "b.bin").write_bytes(made[1][:-1])
-    (tmp_path / "a.gltf").write_text(as_text(*made, "b.bin"))
+def test_a_buffer_file_that_is_too_short_is_refused(content_and_buffer, tmp_path):
+    (tmp_path / "b.bin").write_bytes(content_and_buffer[1][:-1])
+    (tmp_path / "a.gltf").write_text(as_text(*content_and_buffer, "b.bin"))
     with pytest.raises(FormatError, match="does not fit into its buffer"):
         io.load(tmp_path / "a.gltf")
 
 
-def test_many_small_data_uris_take_no_room(tmp_path):
+def test_many_small_data_uris_take_little_memory(tmp_path):
     (tmp_path / "a.gltf").write_bytes(b'{"a":[' + b'"data:",' * 600_000 + b"1]}")
     tracemalloc.start()
     with pytest.raises(FormatError, match="reads up to 4194304"):
@@ -133,8 +139,8 @@ def test_many_small_data_uris_take_no_room(tmp_path):
     assert peak < 5 * 4_800_000
 
 
-def test_materials_are_of_no_matter(made, expected, tmp_path):
-    content, body = made
+def test_required_material_extensions_are_ignored(content_and_buffer, expected, tmp_path):
+    content, body = content_and_buffer
     content["extensionsRequired"] = ["KHR_gaussian_splatting", "KHR_materials_unlit"]
     (tmp_path / "a.glb").write_bytes(glb(content, body))
     assert_same(io.load(tmp_path / "a.glb"), expected)
@@ -150,21 +156,21 @@ def packed(path, model):
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_what_was_packed_is_what_spz_holds(tmp_path, degree):
+def test_packed_splats_are_those_of_an_spz_file(tmp_path, degree):
     model = replace(random_splats(500, degree=degree, seed=4), render_mode=RenderMode.MIP)
     path = packed(tmp_path / "a.glb", model)
     io.save(model, tmp_path / "a.spz")
-    again = io.load(path)
-    assert_same(again, io.load(tmp_path / "a.spz"))
+    loaded = io.load(path)
+    assert_same(loaded, io.load(tmp_path / "a.spz"))
     info = io.inspect(path)
     assert (info.splats, info.sh_degree, info.format) == (500, degree, "glb")
     assert (info.encoding, info.render_mode) == ("gzip", RenderMode.MIP)
     assert dict(info.properties)["positions"] == "int24"
-    assert isinstance(io.open(path), Whole)  # a stream that is unpacked as a whole
+    assert isinstance(io.open(path), Whole)  # unpacked as a whole
     assert sum(map(len, io.open(path).blocks())) == 500
 
 
-def test_the_name_of_the_draft_before_is_read(tmp_path):
+def test_the_extension_name_of_the_earlier_draft_is_accepted(tmp_path):
     data = packed(tmp_path / "a.glb", random_splats(40, degree=1)).read_bytes()
     length = int.from_bytes(data[12:16], "little")
     text = data[20 : 20 + length].replace(b"compression_spz_2", b"compression_spz")
@@ -172,8 +178,8 @@ def test_the_name_of_the_draft_before_is_read(tmp_path):
     assert_same(io.load(tmp_path / "b.glb"), io.load(tmp_path / "a.glb"))
 
 
-def test_records_of_packed_splats_are_left_out_with_a_note(tmp_path):
-    """Ours are of version 3 whatever the model holds; others may pack version 4."""
+def test_extension_records_of_packed_splats_are_left_out_with_a_note(tmp_path):
+    """nanogs packs version 3 for all models; other programs may pack version 4."""
     rows = np.frombuffer(b"hello", [("byte", "u1")])
     element = ExtraElement("spz_record_12340001", rows)
     model = replace(random_splats(40, degree=1), elements=[element])
@@ -185,31 +191,31 @@ def test_records_of_packed_splats_are_left_out_with_a_note(tmp_path):
     content, body = json.loads(data[20 : 20 + length]), (tmp_path / "a.spz").read_bytes()
     content["bufferViews"][0]["byteLength"] = content["buffers"][0]["byteLength"] = len(body)
     (tmp_path / "b.glb").write_bytes(glb(content, body + bytes(-len(body) % 4)))
-    again = io.load(tmp_path / "b.glb")
-    assert again.notes == (
+    loaded = io.load(tmp_path / "b.glb")
+    assert loaded.notes == (
         "Extension records of the packed splats were left out: spz_record_12340001.",
     )
-    assert again.elements == ()
-    assert np.array_equal(again.sh, io.load(tmp_path / "a.spz").sh)
+    assert loaded.elements == ()
+    assert np.array_equal(loaded.sh, io.load(tmp_path / "a.spz").sh)
 
 
-def test_packed_splats_are_placed_by_their_nodes(tmp_path):
+def test_node_transforms_apply_to_packed_splats(tmp_path):
     model = random_splats(40, degree=2, seed=5)
     data = packed(tmp_path / "a.glb", model).read_bytes()
     length = int.from_bytes(data[12:16], "little")
     content, body = json.loads(data[20 : 20 + length]), data[28 + length :]
-    whole = io.load(tmp_path / "a.glb")
+    original = io.load(tmp_path / "a.glb")
     content["nodes"] = [{"mesh": 0, "rotation": [0, 0, 1, 0], "translation": [1, 2, 3]}]
     content["nodes"].append({"children": [0], "scale": [2, 2, 2]})
     content["scenes"] = [{"nodes": [1]}]
     (tmp_path / "b.glb").write_bytes(glb(content, body))
-    again = io.load(tmp_path / "b.glb")
-    assert again.means == pytest.approx(2 * whole.means + [-2, -4, 6], abs=1e-5)
-    assert again.log_scales == pytest.approx(whole.log_scales + np.log(2), abs=1e-6)
-    assert np.array_equal(again.sh, whole.sh)
+    transformed = io.load(tmp_path / "b.glb")
+    assert transformed.means == pytest.approx(2 * original.means + [-2, -4, 6], abs=1e-5)
+    assert transformed.log_scales == pytest.approx(original.log_scales + np.log(2), abs=1e-6)
+    assert np.array_equal(transformed.sh, original.sh)
 
 
-def test_many_nodes_cannot_blow_packed_splats_up(tmp_path):
+def test_many_nodes_cannot_multiply_packed_splats_without_limit(tmp_path):
     model = random_splats(1).take(np.zeros(100_000, np.int64))
     data = packed(tmp_path / "a.glb", model).read_bytes()
     length = int.from_bytes(data[12:16], "little")
@@ -229,7 +235,7 @@ def test_many_nodes_cannot_blow_packed_splats_up(tmp_path):
 
 
 def linear(model):
-    """A file whose colours are linear light."""
+    """Return a file whose colours are in linear light."""
     extension = {"colorSpace": "lin_rec709_display"}
     content, body = document(columns(model), nodes=NO_TURN)
     content["meshes"][0]["primitives"][0]["extensions"] = {PREFIX[:-1]: extension}
@@ -241,25 +247,25 @@ def encode(light):
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-def test_base_colours_in_linear_light_are_encoded(tmp_path):
+def test_linear_base_colours_are_converted_to_srgb(tmp_path):
     model = random_splats(50, degree=0, seed=6)
     (tmp_path / "a.glb").write_bytes(linear(model))
-    again = io.load(tmp_path / "a.glb")
+    loaded = io.load(tmp_path / "a.glb")
     c0 = 0.5 / np.pi**0.5
     wanted = encode(model.sh[:, 0].astype(np.float64) * c0 + 0.5)
-    assert again.sh[:, 0] * c0 + 0.5 == pytest.approx(wanted, abs=1e-6)
-    assert any("lin_rec709_display" in note for note in again.notes)
+    assert loaded.sh[:, 0] * c0 + 0.5 == pytest.approx(wanted, abs=1e-6)
+    assert any("lin_rec709_display" in note for note in loaded.notes)
 
 
-def test_harmonics_in_linear_light_are_encoded_as_seen(tmp_path):
-    """Of mild harmonics the encoding is nearly linear."""
+def test_linear_harmonics_are_converted_to_srgb_as_rendered(tmp_path):
+    """The conversion of weak harmonics is nearly linear."""
     model = random_splats(50, degree=2, seed=7)
     model.sh[:, 0] = np.clip(model.sh[:, 0], -0.8, 0.8)
     model.sh[:, 1:] *= 0.05 / np.abs(model.sh[:, 1:]).max()
     (tmp_path / "a.glb").write_bytes(linear(model))
-    again = io.load(tmp_path / "a.glb")
-    sides = np.random.default_rng(0).normal(size=(200, 3))
-    values = basis(sides / np.linalg.norm(sides, axis=1, keepdims=True), 2)
-    wanted = encode(np.einsum("dk,nkc->ndc", values, model.sh.astype(np.float64)) + 0.5)
-    seen = np.einsum("dk,nkc->ndc", values, again.sh.astype(np.float64)) + 0.5
-    assert np.abs(seen - wanted).max() < 0.002
+    loaded = io.load(tmp_path / "a.glb")
+    directions = np.random.default_rng(0).normal(size=(200, 3))
+    values = basis(directions / np.linalg.norm(directions, axis=1, keepdims=True), 2)
+    encoded = encode(np.einsum("dk,nkc->ndc", values, model.sh.astype(np.float64)) + 0.5)
+    found = np.einsum("dk,nkc->ndc", values, loaded.sh.astype(np.float64)) + 0.5
+    assert np.abs(found - encoded).max() < 0.002

@@ -1,4 +1,4 @@
-"""`nanogs.grow`: results of any count of one forest are those that `simplify` makes."""
+"""`nanogs.grow`: for any count, one forest gives the results of `simplify`."""
 
 from dataclasses import replace
 
@@ -25,27 +25,27 @@ def grown(model):
     return nanogs.grow(model, **QUICK)
 
 
-def test_results_are_those_of_simplify_in_any_order_and_after_drafts(model, grown):
+def test_results_equal_those_of_simplify_in_any_order_and_after_drafts(model, grown):
     for count in (40, 7, 250, 40):
         grown.draft(count // 2)
         small, report = grown.simplify(count)
-        expected, told = nanogs.simplify(model, count=count, **QUICK)
+        expected, expected_report = nanogs.simplify(model, count=count, **QUICK)
         assert_same(small, expected)
         assert (report.asked_count, report.achieved_count) == (count, count)
-        assert report.parameters == told.parameters
-        assert [each.quality for each in report.candidates] == [
-            each.quality for each in told.candidates
+        assert report.parameters == expected_report.parameters
+        assert [candidate.quality for candidate in report.candidates] == [
+            candidate.quality for candidate in expected_report.candidates
         ]
 
 
-def test_the_fast_preset_looks_at_nothing(model):
+def test_the_fast_preset_renders_nothing(model):
     grown = nanogs.grow(model, preset="fast")
     assert_same(grown.simplify(60)[0], nanogs.simplify(model, count=60, preset="fast")[0])
     assert "look" not in grown.seconds
 
 
 @pytest.mark.parametrize("preset", ["fast", "default"])
-def test_the_degree_of_harmonics_is_that_of_simplify(model, preset):
+def test_the_sh_degree_is_reduced_as_in_simplify(model, preset):
     quick = QUICK if preset == "default" else {}
     grown = nanogs.grow(model, preset=preset, sh_degree=1, **quick)
     small, _ = grown.simplify(50)
@@ -55,20 +55,20 @@ def test_the_degree_of_harmonics_is_that_of_simplify(model, preset):
 
 @given(count=st.integers(1, 400))
 @settings(max_examples=15, deadline=None)
-def test_a_draft_has_the_count(grown, count):
+def test_a_draft_has_exactly_the_requested_count(grown, count):
     draft = grown.draft(count)
     assert len(draft) == count
     assert draft.finite().all()
 
 
-def test_a_draft_is_one_cut_without_looking(model):
+def test_a_draft_is_one_cut_without_rendering(model):
     plain = {"measure": False, "steps": 0, "rounds": 0}
     grown = nanogs.grow(model, preset="fast")
     expected, _ = nanogs.simplify(model, count=90, preset="fast", **plain)
     assert_same(grown.draft(90), expected)
 
 
-def test_all_splats_are_the_model_without_those_that_are_not_finite(model):
+def test_the_highest_count_is_the_model_without_nonfinite_splats(model):
     broken = replace(model, means=model.means.copy())
     broken.means[3, 1] = np.nan
     grown = nanogs.grow(broken, preset="fast")
@@ -78,7 +78,7 @@ def test_all_splats_are_the_model_without_those_that_are_not_finite(model):
     assert_same(grown.simplify(grown.available)[0], rest)
 
 
-def test_what_is_measured_is_what_compare_says_of_the_saved_file(model, grown, tmp_path):
+def test_measure_returns_the_scores_of_compare_for_the_saved_file(model, grown, tmp_path):
     small, _ = grown.simplify(80)
     for suffix in (".ply", ".spz"):
         measured = grown.measure(small, format=suffix)
@@ -90,15 +90,15 @@ def test_what_is_measured_is_what_compare_says_of_the_saved_file(model, grown, t
         assert measured.judged.ssim == pytest.approx(score.ssim, abs=1e-9)
 
 
-def test_options_of_the_format_count(grown):
+def test_format_options_affect_the_measured_size(grown):
     small = random_splats(300, degree=2)
-    rich = grown.measure(small, format=".spz").bytes
-    poor = grown.measure(small, format=".spz", format_options={"sh_bits": 3}).bytes
-    assert poor < rich
+    default_bytes = grown.measure(small, format=".spz").bytes
+    reduced_bytes = grown.measure(small, format=".spz", format_options={"sh_bits": 3}).bytes
+    assert reduced_bytes < default_bytes
 
 
 @pytest.mark.parametrize("count", [0, -1, 401])
-def test_counts_that_there_are_not_are_refused(grown, count):
+def test_counts_out_of_range_are_refused(grown, count):
     with pytest.raises(OptionError):
         grown.draft(count)
     with pytest.raises(OptionError):
@@ -116,11 +116,11 @@ def test_paper_and_unknown_options_are_refused(model):
         nanogs.grow(replace(random_splats(4), means=np.full((4, 3), np.nan, np.float32)))
 
 
-def test_progress_ends_with_one(model):
+def test_progress_of_each_call_ends_at_one(model):
     steps = []
     grown = nanogs.grow(model, progress=steps.append, **QUICK)
     assert steps[-1].fraction == 1
-    more = []
-    small, _ = grown.simplify(30, progress=more.append)
-    grown.measure(small, progress=more.append)
-    assert [each.fraction for each in more].count(1) == 2
+    later_steps = []
+    small, _ = grown.simplify(30, progress=later_steps.append)
+    grown.measure(small, progress=later_steps.append)
+    assert [step.fraction for step in later_steps].count(1) == 2

@@ -1,4 +1,4 @@
-"""`nanogs info`: what is counted block by block is what the whole model has."""
+"""`nanogs info`: results computed block by block equal those of the whole model."""
 
 import copy
 import dataclasses
@@ -42,7 +42,7 @@ def small_blocks(monkeypatch):
 
 @SHARED
 @given(model=splats())
-def test_a_stream_is_the_model_in_parts(tmp_path, small_blocks, model):
+def test_the_blocks_of_a_source_make_up_the_model(tmp_path, small_blocks, model):
     io.save(model, tmp_path / "a.ply", overwrite=True)
     blocks = list(io.open(tmp_path / "a.ply").blocks())
     assert max(map(len, blocks)) <= 3
@@ -58,38 +58,38 @@ def test_a_stream_is_the_model_in_parts(tmp_path, small_blocks, model):
 
 @SHARED
 @given(model=splats(max_n=12))
-def test_what_would_be_lost_is_what_losses_say_of_the_whole(tmp_path, small_blocks, model):
+def test_losses_found_in_blocks_are_those_of_the_whole_model(tmp_path, small_blocks, model):
     wide = np.where(np.arange(len(model))[:, None, None] % 2, 5, 1).astype(np.float32)
     model = dataclasses.replace(
         model, sh=model.sh * wide, log_scales=model.log_scales * 3, means=model.means * 3000
     )
     found = described(tmp_path, model).losses
-    whole = io.load(tmp_path / "a.ply")
+    loaded = io.load(tmp_path / "a.ply")
     assert set(found) == {known.suffix for known in registry.formats() if known.writable}
     for suffix, sentences in found.items():
-        # Names of columns may come in another order where the first rows' normals are zero.
+        # The names of columns may be in another order if the normals of the first rows are zero.
         assert sorted(map(sorted, sentences)) == sorted(
-            map(sorted, io.losses(whole, f"a{suffix}"))
+            map(sorted, io.losses(loaded, f"a{suffix}"))
         ), suffix
 
 
-def test_statistics_are_those_of_numpy(tmp_path):
+def test_statistics_equal_those_of_numpy(tmp_path):
     model = random_splats(20_000, degree=1)
     model.opacity_logits[:5] = np.inf
     model.means[7] = np.nan
     info = described(tmp_path, model)
-    good = np.delete(np.arange(len(model)), 7)
-    alphas, scales = model.opacities()[good], model.scales()[good]
+    finite = np.delete(np.arange(len(model)), 7)
+    alphas, scales = model.opacities()[finite], model.scales()[finite]
     assert info.alpha.median == pytest.approx(np.median(alphas))
     assert (info.alpha.p5, info.alpha.p99) == pytest.approx(np.percentile(alphas, [5, 99]))
     assert (info.scale.min, info.scale.max) == (scales.min(), scales.max())
     assert info.scale.p25 == pytest.approx(np.percentile(scales, 25))
     assert (info.nonfinite, info.opaque, info.transparent) == (1, 5, 0)
-    low, high = model.means[good].min(axis=0), model.means[good].max(axis=0)
+    low, high = model.means[finite].min(axis=0), model.means[finite].max(axis=0)
     assert np.array_equal(info.bounds, [low, high])
 
 
-def test_nothing_finite_has_no_statistics(tmp_path):
+def test_a_model_without_finite_splats_has_no_statistics(tmp_path):
     model = random_splats(3)
     model.means[:] = np.nan
     info = described(tmp_path, model)
@@ -97,7 +97,7 @@ def test_nothing_finite_has_no_statistics(tmp_path):
     assert run("info", tmp_path / "a.ply").returncode == 0
 
 
-def test_values_beyond_float_are_counted_over_all_blocks(tmp_path, small_blocks):
+def test_values_beyond_the_float32_range_are_counted_over_all_blocks(tmp_path, small_blocks):
     names = [p for p, _ in io.inspect(_saved(tmp_path, 8)).properties]
     rows = np.zeros(8, [(name, "f8") for name in names])
     rows["opacity"] = 1e300
@@ -115,10 +115,10 @@ def _saved(tmp_path, count):
     return tmp_path / "a.ply"
 
 
-BOTH_WAYS = [known.suffix for known in registry.formats() if known.write and known.readable]
+READ_AND_WRITTEN = [known.suffix for known in registry.formats() if known.write and known.readable]
 
 
-@pytest.mark.parametrize("suffix", BOTH_WAYS)
+@pytest.mark.parametrize("suffix", READ_AND_WRITTEN)
 def test_every_format_is_described(tmp_path, suffix):
     model = dataclasses.replace(random_splats(70, degree=1), render_mode=RenderMode.MIP)
     info = described(tmp_path, model, f"a{suffix}")
@@ -129,7 +129,7 @@ def test_every_format_is_described(tmp_path, suffix):
     assert any("render mode" in text for text in info.losses[".splat"]) is kept
 
 
-def test_json_has_it_all(tmp_path):
+def test_json_has_all_entries(tmp_path):
     report = json.loads(run("info", _saved(tmp_path, 9), "--json").stdout)
     assert set(report["alpha"]) == {
         "min", "p1", "p5", "p25", "median", "p75", "p95", "p99", "max"
@@ -139,7 +139,7 @@ def test_json_has_it_all(tmp_path):
     assert report["properties"][0] == ["x", "float"]
 
 
-def test_findings_of_parts_add_up():
+def test_findings_of_parts_are_joined():
     parts = [
         ("plain", Finding("{:,} splats", 700)),
         (Finding("{:,} splats", 500), Finding("1/{}", 4, min)),
@@ -152,13 +152,13 @@ def test_findings_of_parts_add_up():
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "skull.sog", "chair.splat", "guitar.compressed.ply"])
-def test_real_scenes(name):
+def test_real_scenes_have_plausible_statistics(name):
     info = describe(scene_path(name))
     assert info.file.splats == len(nanogs.load(scene_path(name)))
     assert info.scale.min < info.scale.median < info.scale.max
 
 
-def test_every_family_of_formats_is_known():
+def test_every_family_of_formats_is_registered():
     folder = Path(io.__file__).parent
     files = [*folder.glob("*.py"), *folder.glob("*/__init__.py")]
     found = {
@@ -172,16 +172,16 @@ def test_every_family_of_formats_is_known():
 @given(
     st.lists(st.floats(0, 2.0**90, width=32), max_size=300), st.integers(1, 300), st.booleans()
 )  # fmt: skip
-def test_percentiles_are_exact_whether_values_are_held_or_counted(values, size, few):
+def test_percentiles_are_exact_for_held_and_for_counted_values(values, size, few):
     values = np.array(values, np.float32)
     if few:
-        values = np.round(values % 4)  # many alike
+        values = np.round(values % 4)  # many equal values
     shares = (0, 1, 25, 50, 99, 100)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(percentiles, "HELD", 0)
         counted = percentiles.Percentiles(300, shares)
         assert counted.again
-        blocks = [values[at : at + size] for at in range(0, len(values), size)]
+        blocks = [values[start : start + size] for start in range(0, len(values), size)]
         for add in (counted.add, counted.add_second_pass):
             for block in blocks:
                 add(block)
@@ -197,19 +197,19 @@ def test_percentiles_are_exact_whether_values_are_held_or_counted(values, size, 
     assert held.values() == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_description_is_plain_data(tmp_path):
+def test_a_description_is_plain_json_data(tmp_path):
     nanogs.save(random_splats(10), tmp_path / "a.ply")
     plain = nanogs.info(tmp_path / "a.ply").to_dict()
     assert json.loads(json.dumps(plain))["path"] == str(tmp_path / "a.ply")
 
 
-def test_a_large_model_is_described_as_a_small_one(tmp_path, monkeypatch):
+def test_a_large_model_gets_the_same_description_as_a_small_one(tmp_path, monkeypatch):
     splats = random_splats(3000, degree=1)
     splats.means[5] = np.nan
     nanogs.save(splats, tmp_path / "a.ply")
     expected = nanogs.info(tmp_path / "a.ply").to_dict()
-    monkeypatch.setattr(percentiles, "HELD", 4000)  # all of the alphas, and not all of the scales
-    found = nanogs.info(tmp_path / "a.ply").to_dict()
+    monkeypatch.setattr(percentiles, "HELD", 4000)  # enough for all alphas, but not for all scales
+    description = nanogs.info(tmp_path / "a.ply").to_dict()
     for name in ("alpha", "scale"):
-        assert found.pop(name) == pytest.approx(expected.pop(name), rel=1e-6)
-    assert found == expected
+        assert description.pop(name) == pytest.approx(expected.pop(name), rel=1e-6)
+    assert description == expected

@@ -1,4 +1,4 @@
-"""Round trips and damaged files, at random."""
+"""Random round trips and randomly damaged files."""
 
 import numpy as np
 import pytest
@@ -19,18 +19,18 @@ SHARED = settings(
 
 @SHARED
 @given(model=splats())
-def test_saving_and_loading_changes_no_bit(tmp_path, model):
+def test_saving_and_loading_keeps_every_bit(tmp_path, model):
     first, second = tmp_path / "a.ply", tmp_path / "b.ply"
     io.save(model, first, overwrite=True)
-    again = io.load(first)
-    assert_same(model, again)
-    io.save(again, second, overwrite=True)
+    loaded = io.load(first)
+    assert_same(model, loaded)
+    io.save(loaded, second, overwrite=True)
     assert first.read_bytes() == second.read_bytes()
 
 
 @SHARED
 @given(data=st.data(), encoding=st.sampled_from(ENCODINGS))
-def test_encodings_hold_the_same_values(tmp_path, data, encoding):
+def test_all_encodings_give_the_same_values(tmp_path, data, encoding):
     floats = st.floats(width=32, allow_nan=False)
     columns = [
         (name, kind, np.array(data.draw(st.lists(floats, min_size=3, max_size=3)), np.float32))

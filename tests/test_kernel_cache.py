@@ -1,4 +1,4 @@
-"""Kernels on disk: what changes any source of theirs makes all of them anew."""
+"""The cache of compiled kernels: a change of any source file recompiles all of them."""
 
 import os
 import shutil
@@ -37,14 +37,14 @@ print(round(float(found[0]), 3), "compiled" if told else "loaded")
 
 @pytest.fixture
 def package(tmp_path):
-    """A copy of the package, whose kernels may be changed."""
+    """A copy of the package, the kernels of which tests may change."""
     ignored = shutil.ignore_patterns("*.nbc", "*.nbi", "viewer.js")
     shutil.copytree(Path(nanogs.__file__).parent, tmp_path / "nanogs", ignore=ignored)
     return tmp_path / "nanogs"
 
 
 def environment(package):
-    """That of a process which takes kernels of the package, and does not try vectors first."""
+    """Environment variables of a process that uses the kernels of this package, without SIMD."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
     return kept | {"PYTHONPATH": str(package.parent), "NANOGS_SIMD": "0"}
 
@@ -60,28 +60,28 @@ def run(package, *arguments, **variables):
     return result.stdout.strip()
 
 
-def test_a_changed_helper_changes_the_kernels_that_inline_it(package):
+def test_changing_a_helper_recompiles_the_kernels_that_inline_it(package):
     assert [run(package), run(package)] == ["0.693 compiled", "0.693 loaded"]
     helper = package / "kernels/symmetric3.py"
-    right = "math.log(determinant(s))"
-    assert right in helper.read_text()
-    helper.write_text(helper.read_text().replace(right, right.replace("log", "exp")))
+    formula = "math.log(determinant(s))"
+    assert formula in helper.read_text()
+    helper.write_text(helper.read_text().replace(formula, formula.replace("log", "exp")))
     assert [run(package), run(package)] == ["7.389 compiled", "7.389 loaded"]
 
 
-def test_a_cache_that_cannot_be_written_is_read(package):
+def test_a_read_only_cache_is_still_read(package):
     assert run(package, "locked") == "0.693 compiled"
     assert run(package) == "0.693 compiled"
     assert run(package, "locked") == "0.693 loaded"
 
 
-def test_a_named_cache_that_cannot_be_written_is_read(package, tmp_path):
-    named = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    assert run(package, **named) == "0.693 compiled"
-    assert run(package, "locked", **named) == "0.693 loaded"
+def test_a_read_only_cache_in_a_given_folder_is_still_read(package, tmp_path):
+    folder = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    assert run(package, **folder) == "0.693 compiled"
+    assert run(package, "locked", **folder) == "0.693 loaded"
 
 
-def test_kernels_with_checks_of_bounds_are_kept_apart(package):
+def test_kernels_with_bounds_checks_are_cached_separately(package):
     checked = {"NUMBA_BOUNDSCHECK": "1"}
     assert [run(package), run(package, **checked)] == ["0.693 compiled"] * 2
     assert [run(package), run(package, **checked)] == ["0.693 loaded"] * 2
@@ -100,8 +100,8 @@ print(len(compiled.buffer))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no process waits for another's kernels there")
-def test_processes_that_start_at_once_compile_nothing_twice(package):
-    together = [
+def test_processes_that_start_together_compile_each_kernel_once(package):
+    processes = [
         subprocess.Popen(
             [sys.executable, "-c", COUNTED],
             env=environment(package),
@@ -110,6 +110,6 @@ def test_processes_that_start_at_once_compile_nothing_twice(package):
         )
         for _ in range(3)
     ]
-    compiled = sorted(int(child.communicate(timeout=100)[0]) for child in together)
+    compiled = sorted(int(child.communicate(timeout=100)[0]) for child in processes)
     assert compiled[:2] == [0, 0]
     assert compiled[2] > 0

@@ -1,4 +1,4 @@
-"""Each kernel against its plain float64 twin."""
+"""Each kernel compared with its float64 reference implementation in `twins`."""
 
 import dataclasses
 import itertools
@@ -36,7 +36,7 @@ from nanogs.kernels.pairs import collect_free, count_pairs, fill_firsts, fill_se
 from nanogs.kernels.quaternion import rotation_matrix, unit_quaternion
 from nanogs.kernels.radix import radix_sort
 from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix
-from nanogs.method import match as stage_four
+from nanogs.method import match as matching
 from nanogs.method.graph import neighbour_pairs
 from nanogs.method.match import MergePlan, match
 from nanogs.method.order import morton_codes
@@ -56,22 +56,22 @@ def random_quats(count, seed=0):
     return (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
 
 
-def test_rotation_matrix_turns_as_the_quaternion_product_does():
+def test_rotation_matrix_equals_the_quaternion_product():
     for quat in random_quats(50):
-        # float32 quaternions are unit to 1e-7 only, and both formulas notice differently.
+        # float32 quaternions have unit length to 1e-7 only, which affects the formulas differently.
         assert np.allclose(rotation_matrix(quat), twins.rotation_matrix(quat), atol=1e-6)
 
 
 @pytest.mark.parametrize("quat", [*np.eye(4), *random_quats(50, seed=1)])
 def test_unit_quaternion_inverts_rotation_matrix_on_every_branch(quat):
     quat = np.asarray(quat, dtype=np.float64)
-    back = np.array(unit_quaternion(rotation_matrix(quat)))
-    assert np.linalg.norm(back) == pytest.approx(1)
-    assert back[0] >= 0
-    assert abs(back @ quat) == pytest.approx(1, abs=1e-6)
+    restored = np.array(unit_quaternion(rotation_matrix(quat)))
+    assert np.linalg.norm(restored) == pytest.approx(1)
+    assert restored[0] >= 0
+    assert abs(restored @ quat) == pytest.approx(1, abs=1e-6)
 
 
-def test_covariance_and_mix_are_the_second_moment():
+def test_mixed_covariance_is_the_second_moment_of_the_mixture():
     g = gaussians_of(random_splats(2, seed=3))
     a, b = row(g, 0), row(g, 1)
     sigmas = [
@@ -84,7 +84,7 @@ def test_covariance_and_mix_are_the_second_moment():
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1e-2, 1e-4, 1e-6])
-def test_eigen_takes_thin_splats_apart(ratio):
+def test_eigen_is_accurate_for_thin_splats(ratio):
     for quat in random_quats(20, seed=4):
         sigma = covariance(rotation_matrix(quat), 1.0, 0.5, ratio**2)
         values, axes = eigen(sigma)
@@ -96,7 +96,7 @@ def test_eigen_takes_thin_splats_apart(ratio):
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=6, max_size=6), st.sampled_from([1e-30, 1, 1e30]))
-def test_eigen_holds_for_any_symmetric_matrix_in_any_unit(entries, unit):
+def test_eigen_reconstructs_any_symmetric_matrix_in_any_unit(entries, unit):
     sigma = tuple(entry * unit for entry in entries)
     values, axes = eigen(sigma)
     axes = np.array(axes)
@@ -104,8 +104,8 @@ def test_eigen_holds_for_any_symmetric_matrix_in_any_unit(entries, unit):
     assert np.allclose(axes @ np.diag(values) @ axes.T, twins.unpack(sigma), atol=1e-13 * largest)
 
 
-def test_eigen_of_equal_diagonals_turns_by_45_degrees():
-    """An eigen-solver in which sign(0) = 0 leaves this matrix as it is."""
+def test_eigen_rotates_a_matrix_with_equal_diagonals_by_45_degrees():
+    """An eigen-solver in which sign(0) = 0 returns this matrix unchanged."""
     values, _ = eigen((0.26, 0.25, 0.0, 0.26, 0.0, 0.01))
     assert np.sort(values) == pytest.approx([0.01, 0.01, 0.51])
 
@@ -118,7 +118,7 @@ def test_log_det_equals_the_determinant():
         )
 
 
-def test_log_det_of_a_singular_matrix_stops_at_its_floor():
+def test_log_det_of_a_singular_matrix_is_computed_with_the_floor():
     assert log_det((1.0, 1.0, 0.0, 1.0, 0.0, 1.0), 1e-8) == pytest.approx(math.log(1e-8))
     assert log_det((1.0, 0.0, 1.0, 1.0, 0.0, 1.0), 1e-8) == pytest.approx(math.log(1e-8))
     assert log_det((0.0,) * 6, 1e-8) == pytest.approx(3 * math.log(1e-8))
@@ -142,7 +142,7 @@ def test_mass_fraction(first, second, expected):
 
 @pytest.mark.parametrize("samples", [1, 4])
 @pytest.mark.parametrize("degree", [0, 3])
-def test_costs_equal_the_twin(samples, degree):
+def test_costs_equal_the_reference(samples, degree):
     g = gaussians_of(random_splats(40, degree=degree, seed=6))
     pairs = neighbour_pairs(g.means, 5, threads=1)
     parameters = PaperParameters(samples=samples, seed=7, lambda_geo=0.7, lambda_app=1.3)
@@ -152,44 +152,46 @@ def test_costs_equal_the_twin(samples, degree):
     assert np.allclose(costs, expected, rtol=1e-5, atol=1e-5)
 
 
-def test_costs_and_merges_of_pairs_are_those_of_splats_with_their_features():
-    """The first merge keeps the model's features and mixes them; the second stores its own."""
+def test_merged_splats_have_the_same_costs_with_mixed_and_stored_features():
+    """The first merge refers to rows of the model's features; the second stores the mixtures."""
     g = gaussians_of(random_splats(40, degree=2, seed=33))
     first = np.arange(0, 24, dtype=np.int32).reshape(-1, 2)
     pairs = merge(g, MergePlan(first, np.zeros(12, np.float32), 0), log_masses(g))
     assert pairs.features is g.features
-    for at, (i, j) in zip(range(12), first, strict=True):
+    for index, (i, j) in zip(range(12), first, strict=True):
         expected = twins.merged(row(g, i), row(g, j))["features"]
-        assert np.allclose(pairs.colours()[at], expected, atol=1e-6)
-    own = dataclasses.replace(
+        assert np.allclose(pairs.colours()[index], expected, atol=1e-6)
+    stored = dataclasses.replace(
         pairs,
         features=pairs.colours(),
         rows=np.arange(28, dtype=np.int32),
         seconds=np.empty(0, np.int32),
         shares=np.empty((0, 2)),
     )
-    every = neighbour_pairs(pairs.means, 5, threads=1)
+    candidates = neighbour_pairs(pairs.means, 5, threads=1)
     masses, parameters = log_masses(pairs), PaperParameters()
-    costs = [pair_costs(x, every, masses, parameters) for x in (pairs, own)]
+    costs = [pair_costs(x, candidates, masses, parameters) for x in (pairs, stored)]
     assert np.array_equal(*costs)
     second = np.array([[0, 3], [5, 20], [22, 27]], dtype=np.int32)
     plan = MergePlan(second, np.zeros(3, np.float32), 0)
-    again, too = (merge(x, plan, masses) for x in (pairs, own))
-    assert len(again.features) == len(again) == 25
-    assert np.array_equal(again.colours(), too.colours())
-    assert np.array_equal(again.take(np.array([4, 9])).colours(), again.colours()[[4, 9]])
+    merged_pairs, merged_stored = (merge(x, plan, masses) for x in (pairs, stored))
+    assert len(merged_pairs.features) == len(merged_pairs) == 25
+    assert np.array_equal(merged_pairs.colours(), merged_stored.colours())
+    assert np.array_equal(
+        merged_pairs.take(np.array([4, 9])).colours(), merged_pairs.colours()[[4, 9]]
+    )
 
 
-def test_cost_of_equal_splats_is_near_zero_and_of_colours_is_their_distance():
+def test_cost_is_near_zero_for_equal_splats_and_adds_the_colour_distance():
     g = gaussians_of(random_splats(1, degree=0, seed=8).take(np.array([0, 0])))
     g.features[1, 0] += 2
     pairs = np.array([[0, 1]], dtype=np.int32)
     normals = np.random.default_rng(0).standard_normal((1, 3))
-    alone = pair_costs(g, pairs, log_masses(g), PaperParameters(lambda_app=0))
-    both = pair_costs(g, pairs, log_masses(g), PaperParameters())
-    # KL of equal normals is 0; its estimate is the draw's own deviation from the entropy.
-    assert alone[0] == pytest.approx(1.5 - 0.5 * np.sum(normals**2), abs=1e-4)
-    assert both[0] - alone[0] == pytest.approx(4, rel=1e-5)
+    geometry_only = pair_costs(g, pairs, log_masses(g), PaperParameters(lambda_app=0))
+    with_colour = pair_costs(g, pairs, log_masses(g), PaperParameters())
+    # The KL divergence of equal normals is 0; its estimate is the sampling error of the entropy.
+    assert geometry_only[0] == pytest.approx(1.5 - 0.5 * np.sum(normals**2), abs=1e-4)
+    assert with_colour[0] - geometry_only[0] == pytest.approx(4, rel=1e-5)
 
 
 def test_costs_of_splats_without_volume_or_opacity_are_finite():
@@ -203,7 +205,7 @@ def test_costs_of_splats_without_volume_or_opacity_are_finite():
     assert np.isfinite(pair_costs(g, pairs, log_masses(g), PaperParameters())).all()
 
 
-def test_merge_equals_the_twin():
+def test_merge_equals_the_reference():
     g = gaussians_of(random_splats(30, degree=2, seed=10))
     plan = MergePlan(
         np.array([[3, 7], [0, 29], [5, 6]], dtype=np.int32), np.zeros(3, np.float32), 0
@@ -211,32 +213,32 @@ def test_merge_equals_the_twin():
     result = merge(g, plan, log_masses(g))
     assert len(result) == 27
     for i, j in plan.pairs:
-        at = int(np.flatnonzero(np.isin(result.sources, (i, j)))[0])
-        expected, got = twins.merged(row(g, i), row(g, j)), row(result, at)
-        assert result.merged[at]
-        assert np.allclose(got["mean"], expected["mean"], rtol=1e-12)
+        index = int(np.flatnonzero(np.isin(result.sources, (i, j)))[0])
+        expected, found = twins.merged(row(g, i), row(g, j)), row(result, index)
+        assert result.merged[index]
+        assert np.allclose(found["mean"], expected["mean"], rtol=1e-12)
         assert np.allclose(
-            twins.covariance(got["scales"], got["quat"]), expected["covariance"], atol=1e-7
+            twins.covariance(found["scales"], found["quat"]), expected["covariance"], atol=1e-7
         )
-        assert got["opacity"] == pytest.approx(expected["opacity"], rel=1e-12)
-        assert np.allclose(got["features"], expected["features"], atol=1e-6)
+        assert found["opacity"] == pytest.approx(expected["opacity"], rel=1e-12)
+        assert np.allclose(found["features"], expected["features"], atol=1e-6)
 
 
-def test_merge_leaves_other_rows_and_their_order_alone():
+def test_merge_keeps_the_other_rows_and_their_order():
     g = gaussians_of(random_splats(10, seed=11))
     plan = MergePlan(np.array([[2, 8]], dtype=np.int32), np.zeros(1, np.float32), 0)
     result = merge(g, plan, log_masses(g))
-    others = [0, 1, 3, 4, 5, 6, 7, 9]
-    places = [0, 1, 3, 4, 5, 6, 7, 8]
+    rows_before = [0, 1, 3, 4, 5, 6, 7, 9]
+    rows_after = [0, 1, 3, 4, 5, 6, 7, 8]
     for name in ("means", "scales", "quats", "opacities", "sources"):
-        assert np.array_equal(getattr(result, name)[places], getattr(g, name)[others])
-    assert np.array_equal(result.colours()[places], g.colours()[others])
-    assert not result.merged[places].any()
+        assert np.array_equal(getattr(result, name)[rows_after], getattr(g, name)[rows_before])
+    assert np.array_equal(result.colours()[rows_after], g.colours()[rows_before])
+    assert not result.merged[rows_after].any()
     assert result.merged[2]
 
 
 def test_two_equal_splats_on_a_diagonal_become_one_long_splat():
-    """Equal diagonals in the covariance: another tool gives .51 .51 .10 here."""
+    """The covariance has equal diagonals, for which another tool gives .51 .51 .10."""
     g = gaussians_of(random_splats(1, seed=12).take(np.array([0, 0])))
     g.means[:] = [(0, 0, 0), (1, 1, 0)]
     g.scales[:] = 0.1
@@ -262,10 +264,10 @@ def test_neighbours_are_the_nearest(k):
     st.integers(1, 4),
     st.integers(0, 2**32 - 1),
 )
-def test_neighbours_are_the_nearest_among_coincident_centres(n, k, places, seed):
-    """Fewer places than splats: groups of every size, larger than k and smaller."""
+def test_neighbours_are_the_nearest_among_coincident_centres(n, k, positions, seed):
+    """Fewer positions than splats: groups of coincident splats are larger or smaller than k."""
     rng = np.random.default_rng(seed)
-    means = rng.normal(size=(places, 3))[rng.integers(0, places, n)]
+    means = rng.normal(size=(positions, 3))[rng.integers(0, positions, n)]
     found = nearest_neighbours(means, k, threads=1)
     assert found.shape == (n, min(k, n - 1))
     distances = np.linalg.norm(means[found] - means[:, None], axis=2)
@@ -281,21 +283,21 @@ def test_centres_so_close_that_squares_underflow_are_not_their_own_neighbours():
     assert all(len(set(row)) == 4 for row in found.tolist())
 
 
-def test_coincident_groups_are_found_among_near_ones():
+def test_coincident_groups_exclude_centres_that_are_only_close():
     means = np.repeat(np.array([[0.0, 0, 0], [0, 0, 1e-12], [5, 5, 5]]), (9, 3, 8), axis=0)
     order, bounds = coincident_groups(means)
     assert order.tolist() == list(range(20))
     assert bounds.tolist() == [0, 9, 12, 20]
 
 
-def test_pairs_are_the_union_of_both_directions_once_each():
+def test_each_pair_is_listed_once_for_both_directions():
     means = np.random.default_rng(14).normal(size=(200, 3))
     pairs = neighbour_pairs(means, 6, threads=1)
     assert list(map(tuple, pairs.tolist())) == twins.pairs_of(nearest_neighbours(means, 6, 1))
 
 
-def test_pairs_of_a_row_that_all_others_have_as_their_neighbour():
-    """Its list of pairs is long, and most of it comes from the others."""
+def test_pairs_of_a_row_that_is_a_neighbour_of_all_others():
+    """Its list of pairs is long, and most of its pairs come from the lists of the others."""
     neighbours = np.stack([(np.arange(400) + 1) % 400, np.full(400, 200)], axis=1).astype(np.int32)
     neighbours[199:201, 1] = [5, 7]
     expected, starts = twins.pairs_of(neighbours), np.empty(401, dtype=np.int64)
@@ -306,10 +308,10 @@ def test_pairs_of_a_row_that_all_others_have_as_their_neighbour():
     assert list(zip(firsts.tolist(), seconds.tolist(), strict=True)) == expected
 
 
-@compiled_only  # a minute without
+@compiled_only  # uncompiled, it takes a minute
 @pytest.mark.parametrize("threads", [1, 2])
-def test_pairs_across_stretches(threads):
-    """Rows in no order in space: most pairs lead from one stretch of rows to another."""
+def test_pairs_between_different_stretches_of_rows(threads):
+    """The rows have no spatial order, so that most pairs connect two stretches of rows."""
     means = np.random.default_rng(41).normal(size=(20_000, 3))
     neighbours = nearest_neighbours(means, 4, threads)
     pairs = neighbour_pairs(means, 4, threads)
@@ -317,27 +319,27 @@ def test_pairs_across_stretches(threads):
 
 
 def collected(firsts, seconds, costs, taken, end, keys):
-    """Keys of three stretches of pairs, counted first; how many, and how many have no cost."""
+    """Collect the keys of three stretches of pairs; return the counts of keys and of NaN costs."""
     bounds = np.array([0, len(costs) // 3, len(costs) // 2, len(costs)])
     counts, without = np.zeros((2, 3), np.int64)
     none = np.empty(0, np.uint64)
     collect_free(firsts, seconds, costs, taken, bounds, end, counts, without, none)
-    places = np.cumsum(counts) - counts
-    collect_free(firsts, seconds, costs, taken, bounds, end, places, without, keys)
-    assert places.tolist() == np.cumsum(counts).tolist()
+    offsets = np.cumsum(counts) - counts
+    collect_free(firsts, seconds, costs, taken, bounds, end, offsets, without, keys)
+    assert offsets.tolist() == np.cumsum(counts).tolist()
     return int(counts.sum()), int(without.sum())
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-3, 15.0])
-def test_cost_keys_sort_like_costs_and_pairs(spread):
+def test_keys_sort_by_cost_and_then_by_pair(spread):
     rng = np.random.default_rng(19)
     costs = (rng.choice([-1, 1], 3000) * np.exp(spread * rng.normal(size=3000))).astype(np.float32)
-    rows, free = np.arange(6000, dtype=np.int32).reshape(2, 3000), np.zeros(6000, dtype=bool)
+    rows, none_taken = np.arange(6000, dtype=np.int32).reshape(2, 3000), np.zeros(6000, dtype=bool)
     counts, keys = np.zeros(1 << 16, dtype=np.int64), np.empty(3000, dtype=np.uint64)
-    tally_free(*rows, costs, free, counts)
-    assert counts.sum() == collected(*rows, costs, free, 1 << 16, keys)[0] == 3000
-    other = np.empty_like(keys)
-    found = radix_sort(keys, other)
+    tally_free(*rows, costs, none_taken, counts)
+    assert counts.sum() == collected(*rows, costs, none_taken, 1 << 16, keys)[0] == 3000
+    buffer = np.empty_like(keys)
+    found = radix_sort(keys, buffer)
     assert (found & np.uint64(0xFFFFFFFF)).tolist() == np.argsort(costs, kind="stable").tolist()
     upper = found >> np.uint64(48)
     assert counts.tolist() == np.bincount(upper.astype(np.int64), minlength=1 << 16).tolist()
@@ -347,7 +349,7 @@ def test_cost_keys_sort_like_costs_and_pairs(spread):
 @pytest.mark.parametrize("threads", [1, None])
 def test_keys_are_sorted_by_their_upper_halves_for_any_number_of_threads(count, threads):
     upper = np.random.default_rng(count).integers(0, 1 << 32, count, dtype=np.uint64)
-    upper[::3] = 1 << 20  # ties, which the lower halves break
+    upper[::3] = 1 << 20  # ties, which are broken by the lower halves
     keys = upper << np.uint64(32) | np.arange(count, dtype=np.uint64)
     with use_threads(threads):
         found = radix_sort(keys.copy(), np.empty_like(keys))
@@ -357,7 +359,7 @@ def test_keys_are_sorted_by_their_upper_halves_for_any_number_of_threads(count, 
 @pytest.mark.parametrize(
     ("end", "bound"), [(0, -math.inf), (0x8000, 0), (0xBF80, 1), (1 << 16, math.inf)]
 )
-def test_collected_are_the_free_pairs_below_a_bound(end, bound):
+def test_only_free_pairs_below_the_cost_bound_are_collected(end, bound):
     rng = np.random.default_rng(29)
     costs = rng.normal(size=500).astype(np.float32)
     costs[::7], costs[1::7] = np.nan, -0.0
@@ -373,18 +375,18 @@ def test_collected_are_the_free_pairs_below_a_bound(end, bound):
     assert counts[:end].sum() == count
 
 
-def test_matching_in_batches_changes_nothing(monkeypatch):
+def test_matching_in_batches_gives_the_same_pairs(monkeypatch):
     rng = np.random.default_rng(34)
     pairs = neighbour_pairs(rng.normal(size=(400, 3)), 8, threads=1)
     costs = rng.choice([*rng.normal(size=90), math.nan, 0.0, -0.0], len(pairs)).astype(np.float32)
-    plans, batches, whole = [], [], stage_four._sorted_keys
+    plans, batches, original = [], [], matching._sorted_keys
     monkeypatch.setattr(
-        stage_four, "_sorted_keys", lambda *given: batches.append(1) or whole(*given)
+        matching, "_sorted_keys", lambda *args: batches.append(1) or original(*args)
     )
-    monkeypatch.setattr(stage_four, "FEW", 1.0)  # all is left to the batches
-    monkeypatch.setattr(stage_four, "BATCH", 0.0)
+    monkeypatch.setattr(matching, "FEW", 1.0)  # leave all pairs to the batches
+    monkeypatch.setattr(matching, "BATCH", 0.0)
     for smallest in (1 << 16, 50, 1):
-        monkeypatch.setattr(stage_four, "SMALLEST_BATCH", smallest)
+        monkeypatch.setattr(matching, "SMALLEST_BATCH", smallest)
         plans.append(match(pairs, costs, 400, 195))
     expected = twins.greedy(pairs, costs.tolist(), 195)
     for plan in plans:
@@ -394,37 +396,39 @@ def test_matching_in_batches_changes_nothing(monkeypatch):
 
 
 @pytest.mark.parametrize("stretch", [7, 100, 1 << 16])
-def test_matching_in_rounds_changes_nothing(monkeypatch, stretch):
+def test_matching_in_rounds_gives_the_same_pairs(monkeypatch, stretch):
     rng = np.random.default_rng(36)
     pairs = neighbour_pairs(rng.normal(size=(400, 3)), 8, threads=1)
     costs = rng.choice([*rng.normal(size=90), math.nan, 0.0, -0.0], len(pairs)).astype(np.float32)
-    left = []
-    whole = stage_four._match_sorted
+    unmatched = []
+    original = matching._match_sorted
     monkeypatch.setattr(
-        stage_four, "_match_sorted", lambda *given: left.append((~given[-1]).sum()) or whole(*given)
+        matching,
+        "_match_sorted",
+        lambda *args: unmatched.append((~args[-1]).sum()) or original(*args),
     )
-    monkeypatch.setattr(stage_four, "STRETCH", stretch)
+    monkeypatch.setattr(matching, "STRETCH", stretch)
     for threads in (1, 2):
         with use_threads(threads):
             plan = match(pairs, costs, 400, 195)
         assert list(map(tuple, plan.pairs.tolist())) == twins.greedy(pairs, costs.tolist(), 195)
         assert (np.diff(plan.costs) >= 0).all()
-    assert max(left) < 100  # most are taken in rounds
+    assert max(unmatched) < 100  # most pairs are matched in rounds
 
 
-def test_more_pairs_than_there_are_numbers_for_are_refused(monkeypatch):
-    monkeypatch.setattr(stage_four, "MOST_PAIRS", 2)
+def test_more_pairs_than_the_maximum_are_refused(monkeypatch):
+    monkeypatch.setattr(matching, "MOST_PAIRS", 2)
     pairs = np.array([[0, 1], [0, 2], [1, 2]], np.int32)
     with pytest.raises(ModelError, match="3 pairs, but at most 2 can be matched"):
         match(pairs, np.zeros(3, np.float32), 3, 1)
 
 
-def test_a_chain_of_ascending_costs_takes_no_round_for_each_pair(monkeypatch):
+def test_a_chain_of_ascending_costs_is_matched_in_one_round(monkeypatch):
     rows = np.arange(5000, dtype=np.int32)
     pairs = np.stack((rows[:-1], rows[1:]), axis=1)
     costs = rows[1:].astype(np.float32)
-    rounds, whole = [], stage_four.join_pairs
-    monkeypatch.setattr(stage_four, "join_pairs", lambda *given: rounds.append(1) or whole(*given))
+    rounds, original = [], matching.join_pairs
+    monkeypatch.setattr(matching, "join_pairs", lambda *args: rounds.append(1) or original(*args))
     plan = match(pairs, costs, 5000, 2500)
     assert plan.pairs.tolist() == pairs[::2].tolist()
     assert len(rounds) == 1
@@ -437,17 +441,17 @@ def test_a_chain_of_ascending_costs_takes_no_round_for_each_pair(monkeypatch):
     st.integers(1, 12),
     st.integers(0, 2**32 - 1),
 )
-def test_matching_is_greedy_with_ties_by_pair(costs, limit, seed):
+def test_matching_is_greedy_and_breaks_ties_by_pair(costs, limit, seed):
     rng = np.random.default_rng(seed)
-    every = np.array([(i, j) for i in range(12) for j in range(i + 1, 12)], dtype=np.int32)
-    pairs = every[np.sort(rng.choice(len(every), len(costs), replace=False))]
+    all_pairs = np.array([(i, j) for i in range(12) for j in range(i + 1, 12)], dtype=np.int32)
+    pairs = all_pairs[np.sort(rng.choice(len(all_pairs), len(costs), replace=False))]
     costs = np.array(costs, dtype=np.float32)
     plan = match(pairs, costs, 12, limit)
     assert list(map(tuple, plan.pairs.tolist())) == twins.greedy(pairs, costs.tolist(), limit)
     assert plan.without_cost == np.isnan(costs).sum()
 
 
-def test_morton_codes_interleave_the_cells():
+def test_morton_codes_interleave_the_bits_of_the_cells():
     means = np.random.default_rng(15).uniform(size=(100, 3))
     low, high = np.quantile(means, (0.01, 0.99), axis=0)
     width = (high - low).max()
@@ -455,7 +459,7 @@ def test_morton_codes_interleave_the_cells():
     assert morton_codes(means).tolist() == [twins.morton_code(cell) for cell in cells]
 
 
-def test_flyaways_do_not_put_all_others_into_one_cell():
+def test_outliers_do_not_put_all_other_splats_into_one_cell():
     means = np.random.default_rng(16).uniform(size=(1000, 3))
     means[:5] *= 1e6
     assert len(np.unique(morton_codes(means))) > 950
@@ -465,7 +469,7 @@ def test_flyaways_do_not_put_all_others_into_one_cell():
 
 
 def random_covariances(count, seed=0):
-    """(count, 6) of splats a hundred times as long as they are thin, and a rounder few."""
+    """(count, 6) covariances of splats that are up to about a hundred times as long as thin."""
     rng = np.random.default_rng(seed)
     scales = np.exp(rng.uniform(-4, 0.5, (count, 3)))
     quats = random_quats(count, seed)
@@ -487,7 +491,7 @@ def random_moments(count, channels=12, seed=0):
 
 
 def random_forest(count, seed=0):
-    """(M, 2) children of a tree in which any two roots were merged, down to two roots."""
+    """(M, 2) children of a forest in which random pairs of roots are merged until two are left."""
     rng = np.random.default_rng(seed)
     roots, children = list(range(count)), []
     while len(roots) > 2:
@@ -498,16 +502,16 @@ def random_forest(count, seed=0):
 
 
 @pytest.mark.parametrize(("flattest", "least"), [(1e-3, 1e-9), (0.2, 1e-9), (1e-3, 0.15)])
-def test_covariances_have_the_axes_of_the_splats_and_a_floor(flattest, least):
+def test_covariances_have_the_axes_of_the_splats_and_a_minimum_thickness(flattest, least):
     g = gaussians_of(random_splats(50, seed=20))
     g.scales[0] = 0
     g.scales[1, 2] = 0
     out = np.empty((50, 6))
     covariances_of(g.scales, g.quats, flattest, least, out)
-    for row_of, scales, quat in zip(out, g.scales, g.quats, strict=True):
+    for six, scales, quat in zip(out, g.scales, g.quats, strict=True):
         expected = twins.floored_covariance(scales, quat, flattest, least)
-        assert np.allclose(twins.unpack(row_of), expected, rtol=1e-5, atol=1e-6 * expected.max())
-        assert np.linalg.eigvalsh(twins.unpack(row_of))[0] >= 0.999 * least**2
+        assert np.allclose(twins.unpack(six), expected, rtol=1e-5, atol=1e-6 * expected.max())
+        assert np.linalg.eigvalsh(twins.unpack(six))[0] >= 0.999 * least**2
 
 
 def test_group_members_and_heaviest_members():
@@ -525,7 +529,7 @@ def test_group_members_and_heaviest_members():
 
 
 @pytest.mark.parametrize("count", [1, 2, 9, 500])
-def test_pairs_are_joined_as_their_labels_say(count):
+def test_joined_pairs_form_the_groups_given_by_their_labels(count):
     rng = np.random.default_rng(count)
     rows = rng.permutation(count)[: 2 * rng.integers(0, count // 2 + 1)]
     pairs = np.sort(rows.reshape(-1, 2), axis=1).astype(np.int32)
@@ -534,29 +538,29 @@ def test_pairs_are_joined_as_their_labels_say(count):
     starts, members = np.empty(left + 1, np.int64), np.empty(count, np.int32)
     before, merges = ids.copy(), np.full(count, -1, np.int32)
     join_pairs_of_nodes(pairs, 20_000, ids, merges, children, starts, members)
-    stays = np.ones(count, bool)
-    stays[pairs[:, 1]] = False
-    labels = (np.cumsum(stays) - 1).astype(np.int32)
+    kept = np.ones(count, bool)
+    kept[pairs[:, 1]] = False
+    labels = (np.cumsum(kept) - 1).astype(np.int32)
     labels[pairs[:, 1]] = labels[pairs[:, 0]]
     expected = [np.flatnonzero(labels == group).tolist() for group in range(left)]
     assert [members[a:b].tolist() for a, b in itertools.pairwise(starts)] == expected
     assert np.array_equal(children, before[pairs])
     before[pairs[:, 0]] = 20_000 + np.arange(len(pairs))
-    assert np.array_equal(ids[:left], before[stays])
+    assert np.array_equal(ids[:left], before[kept])
 
 
 @pytest.mark.parametrize("own", [True, False])
-def test_gathered_moments_equal_the_twin(own):
+def test_gathered_moments_equal_the_reference(own):
     nodes = random_moments(40, seed=22)
-    held = (*shuffled(nodes[-1]), *ALONE)
+    feature_arguments = (*shuffled(nodes[-1]), *UNMIXED)
     if not own:
-        held, features = mixed(40, 12, seed=31)
+        feature_arguments, features = mixed(40, 12, seed=31)
         nodes = (*nodes[:-1], features)
     labels = np.r_[np.arange(9), np.random.default_rng(22).integers(0, 9, 31)].astype(np.int32)
     starts, members = np.zeros(10, np.int64), np.empty(40, np.int32)
     group_members(labels, starts, members)
     new = (np.empty(9), np.empty(9), np.empty((9, 3)), np.empty((9, 6)), np.empty((9, 12), "f4"))
-    gather_moments(starts, members, *nodes[:-1], *held, *new)
+    gather_moments(starts, members, *nodes[:-1], *feature_arguments, *new)
     weights, coverages, means, covariances, features = nodes
     sigmas = np.array([twins.unpack(six) for six in covariances])
     for group in range(9):
@@ -571,9 +575,9 @@ def test_gathered_moments_equal_the_twin(own):
         assert np.allclose(new[4][group], colour, rtol=1e-5, atol=1e-6)
 
 
-def test_principal_axes_make_the_covariance_again():
+def test_principal_axes_reproduce_the_covariance():
     covariances = random_covariances(40, seed=23)
-    covariances[0] = (1, 0, 0, 1, 0, -1e-18)  # flat, and rounding took it below zero
+    covariances[0] = (1, 0, 0, 1, 0, -1e-18)  # flat, with an eigenvalue that rounding made negative
     scales, quats = np.empty((40, 3), np.float32), np.empty((40, 4), np.float32)
     principal_axes(covariances, scales, quats)
     for six, s, q in zip(covariances, scales, quats, strict=True):
@@ -581,31 +585,32 @@ def test_principal_axes_make_the_covariance_again():
         assert np.allclose(twins.covariance(s, q), twins.unpack(six), atol=2e-6 * six.max())
 
 
-def test_log_determinants_and_inverses_equal_the_twin():
+def test_log_determinants_and_inverses_equal_the_reference():
     covariances = random_covariances(40, seed=24)
-    dets, inverses, dets_too = np.empty(40), np.empty((40, 6)), np.empty(40)
+    dets, inverses, second_dets = np.empty(40), np.empty((40, 6)), np.empty(40)
     log_determinants(covariances, dets)
-    invert_covariances(covariances, inverses, dets_too)
-    for six, inverse, det, det_too in zip(covariances, inverses, dets, dets_too, strict=True):
+    invert_covariances(covariances, inverses, second_dets)
+    for six, inverse, det, second_det in zip(covariances, inverses, dets, second_dets, strict=True):
         sigma = twins.unpack(six)
         assert det == pytest.approx(np.linalg.slogdet(sigma)[1], abs=1e-8)
-        assert det_too == pytest.approx(det, abs=1e-8)
+        assert second_det == pytest.approx(det, abs=1e-8)
         assert np.allclose(twins.unpack(inverse) @ sigma, np.eye(3), atol=1e-8)
 
 
 def shuffled(features):
-    """Features in another order, and where those of each node are."""
+    """Return the features in a random order, and for each node the row of its features."""
     rows = np.random.default_rng(1).permutation(len(features)).astype(np.int32)
     moved = np.empty_like(features)
     moved[rows] = features
     return moved, rows
 
 
-ALONE = np.empty(0, np.int32), np.empty((0, 2))  # of nodes that have one row of features each
+# `seconds` and `shares` of nodes that have one row of features each.
+UNMIXED = np.empty(0, np.int32), np.empty((0, 2))
 
 
 def mixed(count, channels, seed):
-    """Features of which each node's are the mean of two, as the kernels take them, and these."""
+    """Return kernel arguments that make each node's features a mean of two rows, and the means."""
     rng = np.random.default_rng(seed)
     table = rng.normal(size=(count + 5, channels)).astype(np.float32)
     rows, seconds = rng.integers(0, count + 5, (2, count)).astype(np.int32)
@@ -615,21 +620,21 @@ def mixed(count, channels, seed):
     return (table, rows, seconds, shares), features.astype(np.float32)
 
 
-def increments_of(pairs, weights, means, covariances, held):
+def increments_of(pairs, weights, means, covariances, feature_arguments):
     dets, out = np.empty(len(means)), np.empty((len(pairs), 2), np.float32)
     log_determinants(covariances, dets)
-    merge_increments(pairs, weights, means, covariances, dets, *held, out)
+    merge_increments(pairs, weights, means, covariances, dets, *feature_arguments, out)
     return out
 
 
 @pytest.mark.parametrize("own", [True, False])
-def test_merge_increments_equal_the_twin(own):
+def test_merge_increments_equal_the_reference(own):
     weights, _, means, covariances, features = random_moments(20, seed=25)
-    held = (*shuffled(features), *ALONE)
+    feature_arguments = (*shuffled(features), *UNMIXED)
     if not own:
-        held, features = mixed(20, 12, seed=30)
+        feature_arguments, features = mixed(20, 12, seed=30)
     pairs = np.array([(i, j) for i in range(20) for j in range(i + 1, 20)], dtype=np.int32)
-    found = increments_of(pairs, weights, means, covariances, held)
+    found = increments_of(pairs, weights, means, covariances, feature_arguments)
     sigmas = np.array([twins.unpack(six) for six in covariances])
     for pair, increment in zip(pairs, found, strict=True):
         expected = twins.merge_increment(weights[pair], means[pair], sigmas[pair], features[pair])
@@ -637,8 +642,8 @@ def test_merge_increments_equal_the_twin(own):
 
 
 @pytest.mark.parametrize("apart", [0.0, 0.3, 1.0, 4.0])
-def test_the_increment_of_geometry_bounds_the_divergence(apart):
-    """Runnalls' bound: above the true KL, and weights times it; 0 for two equal nodes."""
+def test_geometry_increment_is_an_upper_bound_of_the_kl_divergence(apart):
+    """Runnalls' bound times the weights: above the true KL divergence, and 0 for equal nodes."""
     weights = np.array([2.0, 0.5])
     means = np.array([[0, 0, 0], [apart, 0, 0]])
     covariances = random_covariances(1, seed=26)[[0, 0]] * np.array([[1.0], [1 + apart]])
@@ -648,7 +653,7 @@ def test_the_increment_of_geometry_bounds_the_divergence(apart):
         weights,
         means,
         covariances,
-        (*shuffled(np.zeros((2, 3), np.float32)), *ALONE),
+        (*shuffled(np.zeros((2, 3), np.float32)), *UNMIXED),
     )
     divergence = twins.divergence_from_merged(weights, means, sigmas, 20_000, seed=26)
     assert found[0, 1] / weights.sum() >= divergence - 0.02
@@ -656,7 +661,7 @@ def test_the_increment_of_geometry_bounds_the_divergence(apart):
     assert (abs(found[0, 1]) < 1e-6) == (apart == 0)
 
 
-def test_sums_and_raised_scores_of_subtrees():
+def test_subtree_sums_and_scores_that_no_child_exceeds():
     children, rng = random_forest(30, seed=27), np.random.default_rng(27)
     increments = rng.uniform(size=len(children))
     sums, scores = np.zeros(30 + len(children)), np.full(30 + len(children), -np.inf)
@@ -671,7 +676,7 @@ def test_sums_and_raised_scores_of_subtrees():
 
 
 @pytest.mark.parametrize("merged", [0, 1, 13, 28])
-def test_root_of_each_is_the_highest_node_by_chosen_merges(merged):
+def test_root_of_each_is_the_highest_node_reached_by_chosen_merges(merged):
     children = random_forest(30, seed=28)
     done = np.arange(len(children)) < merged  # children come first, so any prefix is a cut
     roots = np.arange(30 + len(children), dtype=np.int32)
@@ -683,7 +688,7 @@ def test_root_of_each_is_the_highest_node_by_chosen_merges(merged):
 
 
 @pytest.mark.parametrize("lambda_app", [0.0, 0.2, 5.0])
-def test_assignment_equals_the_twin(lambda_app):
+def test_assignment_equals_the_reference(lambda_app):
     _, _, means, covariances, features = random_moments(60, channels=3, seed=29)
     rng = np.random.default_rng(29)
     clusters = rng.choice(60, 8, replace=False)
@@ -709,7 +714,7 @@ def test_assignment_equals_the_twin(lambda_app):
         assert least[i] == pytest.approx(min(misfits), rel=1e-6, abs=1e-6)
 
 
-def test_equal_clusters_keep_their_own():
+def test_splats_keep_their_cluster_if_others_fit_equally_well():
     same = np.tile(np.array([1.0, 0, 0, 1, 0, 1]), (3, 1))
     origin, grey = np.zeros((3, 3)), np.zeros((3, 1), np.float32)
     labels, moved, least = np.array([2, 0, 1], np.int32), np.empty(3, np.int32), np.empty(3)
@@ -724,8 +729,8 @@ def test_equal_clusters_keep_their_own():
 
 @compiled_only
 @pytest.mark.slow
-def test_kernels_run_uncompiled_too():
-    """As plain Python, where a debugger reaches them: all of this file again."""
+def test_kernels_work_uncompiled():
+    """Run this file again as plain Python, which a debugger can step through."""
     result = subprocess.run(
         [
             sys.executable,
@@ -758,8 +763,8 @@ print(len(told))
 
 
 @compiled_only
-def test_compiling_is_told_once_and_only_where_the_cache_is_empty(tmp_path):
-    def told():
+def test_compiling_is_reported_once_and_only_if_the_cache_is_empty(tmp_path):
+    def reports():
         command = [sys.executable, "-c", COMPILE]
         cache = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DISABLE_JIT": "0", "NANOGS_SIMD": "0"}
         run = subprocess.run(
@@ -767,12 +772,12 @@ def test_compiling_is_told_once_and_only_where_the_cache_is_empty(tmp_path):
         )
         return run.stdout.strip()
 
-    assert [told(), told()] == ["1", "0"]
+    assert [reports(), reports()] == ["1", "0"]
 
 
 @compiled_only
 def test_every_kernel_is_compiled_for_one_layout_of_its_arguments():
-    """A second one costs each user seconds on the first run, for no gain."""
+    """A second layout would cost each user seconds on the first run, for no gain."""
     code = """
 import importlib, pkgutil
 import nanogs, nanogs.kernels
@@ -820,7 +825,7 @@ print(all((getattr(first, n) == getattr(again, n)).all() for n in ("means", "qua
 
 
 @compiled_only
-def test_kernels_on_disk_are_loaded_without_what_numba_needs_to_compile():
+def test_cached_kernels_are_loaded_without_the_compiler_modules_of_numba():
     for _ in ("the first may have to compile", "the second finds all on disk"):
         run = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True)
         assert run.returncode == 0, run.stderr
