@@ -4,15 +4,17 @@ python -m pytest benchmarks/bench_stages.py --benchmark-json build/stages.json
 python benchmarks/account.py build/stages.json
 """
 
+import argparse
 import json
-import sys
 from pathlib import Path
 from statistics import median
 
 
 def main() -> None:
     """Print a Markdown table with a row for each stage."""
-    entries = json.loads(Path(sys.argv[1]).read_text())["benchmarks"]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("times", type=Path, help="JSON file of pytest-benchmark")
+    entries = json.loads(parser.parse_args().times.read_text())["benchmarks"]
     rows = {
         entry["name"].removeprefix("test_"): (
             entry["extra_info"]["MB"],

@@ -8,12 +8,16 @@ and write; divided by the seconds, it is a rate to compare with `copy`, which on
 """
 
 import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import nanogs
-from nanogs import neighbours
+from nanogs import Splats, neighbours
+from nanogs._types import F32
 from nanogs.datasets.synthetic import make_scene
 from nanogs.fit import targets
 from nanogs.kernels.blocks import ALL_BLOCKS
@@ -35,20 +39,25 @@ from nanogs.views.automatic import automatic_cameras
 THREADS = os.cpu_count() or 1
 RATIO = 10  # number of input splats per output splat
 
+Timed = Callable[..., Any]
+"""Times a call, and records the bytes of the arrays given after it."""
+Scene = dict[str, Any]
+"""Inputs of the stages, by name."""
 
-def nothing(*_):
+
+def nothing(*_: object) -> None:
     """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
-def splats():
+def splats() -> Splats:
     """Load or generate the model."""
     path = os.environ.get("NANOGS_BENCH_MODEL")
     return nanogs.load(path) if path else make_scene(100_000)
 
 
 @pytest.fixture(scope="module")
-def scene(splats):
+def scene(splats: Splats) -> Scene:
     """Compute the inputs of all stages, each the output of an earlier one."""
     rows = np.flatnonzero(splats.finite())
     origin = gaussians.scene_origin(splats.means[rows])
@@ -78,10 +87,10 @@ def scene(splats):
 
 
 @pytest.fixture
-def timed(benchmark):
+def timed(benchmark: Any) -> Timed:
     """Return a function that times a call and records the bytes that it must move."""
 
-    def run(work, *arrays):
+    def run(work: Callable[[], Any], *arrays: Any) -> Any:
         result = benchmark.pedantic(work, rounds=7, iterations=1, warmup_rounds=1)
         total = sum(array.nbytes for array in arrays)
         median = benchmark.stats.stats.median if benchmark.stats else 0
@@ -92,34 +101,34 @@ def timed(benchmark):
     return run
 
 
-def columns(splats):
+def columns(splats: Splats) -> tuple[F32, ...]:
     """Return the model's float32 columns."""
     return splats.means, splats.log_scales, splats.quats, splats.opacity_logits, splats.sh
 
 
-def test_copy(timed, splats):
+def test_copy(timed: Timed, splats: Splats) -> None:
     source = np.concatenate([column.reshape(-1) for column in columns(splats)])
     target = np.empty_like(source)
     timed(lambda: np.copyto(target, source), source, target)
 
 
-def test_write_ply(timed, splats, tmp_path):
+def test_write_ply(timed: Timed, splats: Splats, tmp_path: Path) -> None:
     path = tmp_path / "model.ply"
     timed(lambda: nanogs.save(splats, path, overwrite=True), *columns(splats))
 
 
-def test_read_ply(timed, splats, tmp_path):
+def test_read_ply(timed: Timed, splats: Splats, tmp_path: Path) -> None:
     path = tmp_path / "model.ply"
     nanogs.save(splats, path)
     timed(lambda: nanogs.load(path), *columns(splats))
 
 
-def test_morton_order(timed, scene):
+def test_morton_order(timed: Timed, scene: Scene) -> None:
     means = scene["splats"].means.astype(np.float64)
     timed(lambda: order.morton_order(means), means)
 
 
-def test_activate(timed, scene):
+def test_activate(timed: Timed, scene: Scene) -> None:
     moved = (*columns(scene["splats"])[:-1], scene["leaves"].covariances)
     timed(
         lambda: nodes.activate_nodes(
@@ -130,17 +139,17 @@ def test_activate(timed, scene):
 
 
 @pytest.mark.parametrize("k", [8, 16])
-def test_neighbours(timed, scene, k):
+def test_neighbours(timed: Timed, scene: Scene, k: int) -> None:
     means = scene["leaves"].means
     found = neighbours.nearest_neighbours(means, k, THREADS)
     timed(lambda: neighbours.nearest_neighbours(means, k, THREADS), means, found)
 
 
-def test_pairs(timed, scene):
+def test_pairs(timed: Timed, scene: Scene) -> None:
     timed(lambda: graph.neighbour_pairs(scene["leaves"].means, 8, THREADS), scene["pairs"])
 
 
-def test_increments(timed, scene):
+def test_increments(timed: Timed, scene: Scene) -> None:
     leaves, out = scene["leaves"], np.empty_like(scene["costs"])
     pairs = np.ascontiguousarray(scene["pairs"])
     timed(
@@ -160,13 +169,13 @@ def test_increments(timed, scene):
     )  # fmt: skip
 
 
-def test_match(timed, scene):
+def test_match(timed: Timed, scene: Scene) -> None:
     costs = np.ascontiguousarray(scene["costs"].sum(axis=1))
     n = len(scene["leaves"])
     timed(lambda: match.match(scene["pairs"], costs, n, n // 2), scene["pairs"], costs)
 
 
-def test_gather(timed, scene):
+def test_gather(timed: Timed, scene: Scene) -> None:
     leaves = scene["leaves"]
     timed(
         lambda: nodes.gather(leaves, scene["labels"], scene["target"]),
@@ -174,19 +183,19 @@ def test_gather(timed, scene):
     )  # fmt: skip
 
 
-def test_grow_forest(timed, scene):
+def test_grow_forest(timed: Timed, scene: Scene) -> None:
     timed(
         lambda: grow_forest(scene["leaves"], ForestParameters(), THREADS, nothing), scene["pairs"]
     )
 
 
-def test_cut(timed, scene):
+def test_cut(timed: Timed, scene: Scene) -> None:
     forest = scene["forest"]
     moved = (forest.children, forest.levels, forest.increments, scene["labels"])
     timed(lambda: cut.cut(forest, scene["target"], 0.8), *moved)
 
 
-def test_reassign(timed, scene):
+def test_reassign(timed: Timed, scene: Scene) -> None:
     leaves = scene["leaves"]
     timed(
         lambda: reassign(leaves, scene["labels"], scene["target"], 1, THREADS),
@@ -194,7 +203,7 @@ def test_reassign(timed, scene):
     )  # fmt: skip
 
 
-def test_store(timed, scene):
+def test_store(timed: Timed, scene: Scene) -> None:
     timed(
         lambda: store_groups(
             scene["leaves"],
@@ -208,14 +217,14 @@ def test_store(timed, scene):
     )
 
 
-def test_published_costs(timed, scene):
+def test_published_costs(timed: Timed, scene: Scene) -> None:
     active = gaussians.activate(scene["splats"], scene["rows"], scene["origin"])
     masses = cost.log_masses(active)
     parameters = PaperParameters()
     timed(lambda: cost.pair_costs(active, scene["pairs"], masses, parameters), scene["pairs"])
 
 
-def test_published_merge(timed, scene):
+def test_published_merge(timed: Timed, scene: Scene) -> None:
     active = gaussians.activate(scene["splats"], scene["rows"], scene["origin"])
     masses = cost.log_masses(active)
     costs = cost.pair_costs(active, scene["pairs"], masses, PaperParameters())
@@ -223,18 +232,18 @@ def test_published_merge(timed, scene):
     timed(lambda: merge.merge(active, plan, masses), active.means, active.features)
 
 
-def test_project(timed, scene):
+def test_project(timed: Timed, scene: Scene) -> None:
     view = rendering.project(scene["prepared"], scene["camera"])
     moved = (scene["prepared"].factors, scene["prepared"].sh, view.geometry, view.features)
     timed(lambda: rendering.project(scene["prepared"], scene["camera"]), *moved)
 
 
-def test_list_tiles(timed, scene):
+def test_list_tiles(timed: Timed, scene: Scene) -> None:
     view = rendering.project(scene["prepared"], scene["camera"])
     timed(lambda: list_tiles(view.geometry, view.boxes, view.order, 512, 512), view.entries)
 
 
-def test_blend(timed, scene):
+def test_blend(timed: Timed, scene: Scene) -> None:
     view = rendering.project(scene["prepared"], scene["camera"])
     image, left = np.empty((512, 512, 3), np.float32), np.empty((512, 512), np.float32)
     behind, probes = np.zeros(4, np.float32), np.empty((0, 512, 512), np.float32)
@@ -248,20 +257,20 @@ def test_blend(timed, scene):
     )  # fmt: skip
 
 
-def test_render_with_contributions(timed, scene):
+def test_render_with_contributions(timed: Timed, scene: Scene) -> None:
     timed(
         lambda: rendering.render(scene["prepared"], scene["camera"], contributions=True),
         scene["prepared"].sh,
     )
 
 
-def test_compute_gradients(timed, scene):
+def test_compute_gradients(timed: Timed, scene: Scene) -> None:
     target = targets.make_target(scene["prepared"], scene["camera"])
     small, _ = nanogs.simplify(scene["splats"], ratio=1 / RATIO, preset="fast")
     prepared = rendering.prepare(small)
     timed(lambda: targets.compute_gradients(prepared, target), prepared.sh)
 
 
-def test_ssim(timed):
+def test_ssim(timed: Timed) -> None:
     images = np.random.default_rng(0).random((2, 512, 512, 3))
     timed(lambda: ssim(images[0], images[1]), images)

@@ -7,6 +7,7 @@ The scene of `nanogs demo` at 100, 10 and 1 %, each saved as .sog and read again
 test views.
 """
 
+import argparse
 import tempfile
 from pathlib import Path
 
@@ -26,6 +27,7 @@ SIDE = 560  # pixels
 
 def main() -> None:
     """Simplify, save, read, compare and draw."""
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     original = load_plant()
     cameras = automatic_cameras(original, 8, width=SIDE, height=SIDE, split="test")
     TARGET.mkdir(exist_ok=True)

@@ -84,7 +84,8 @@ def compare(means: F64, k: int, threads: int, repeats: int) -> tuple[float, floa
     """Return the median seconds of the k-d tree and of ours, and the median of their ratios."""
 
     def theirs() -> I32:
-        return cKDTree(means, leafsize=16).query(means, k + 1, workers=threads)[1]
+        found: I32 = cKDTree(means, leafsize=16).query(means, k + 1, workers=threads)[1]
+        return found
 
     def ours() -> I32:
         return nearest_neighbours(means, k, threads)

@@ -121,8 +121,8 @@ def gsply_reads(path: Path) -> Splats:
     """Read a file with gsply."""
     import gsply
 
-    reads = {".spz": gsply.read_spz, ".sog": getattr(gsply, "sogread", None)}
-    read = reads.get(path.suffix, gsply.plyread)
+    names = {".spz": "read_spz", ".sog": "sogread"}  # its old versions have not both
+    read = getattr(gsply, names.get(path.suffix, "plyread"))
     data = read(str(path))
     higher = [] if data.shN is None or not data.shN.size else [data.shN]
     sh = np.concatenate([data.sh0[:, None], *higher], axis=1)
@@ -342,7 +342,8 @@ def _chunks(_kind: str, file: Splats, model: Splats, rows: np.ndarray) -> Steps:
         starts = np.arange(0, len(own), 256)
         extent = np.maximum.reduceat(own, starts) - np.minimum.reduceat(own, starts)
         extent = np.maximum(extent.astype(np.float64), 1e-6 * np.abs(own).max() + 1e-30)
-        return values.astype(np.float64) / (extent / levels)[rows // 256]
+        scaled: np.ndarray = values.astype(np.float64) / (extent / levels)[rows // 256]
+        return scaled
 
     wide = (2047, 1023, 2047)
     higher = model.sh[:, 1:].reshape(len(model), -1)

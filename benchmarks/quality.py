@@ -30,7 +30,7 @@ from pathlib import Path
 from leads import report
 from measured import KINDS, SCENES, Bench, Key
 from nanogs.bench.methods import ABLATIONS, all_methods
-from nanogs.bench.settings import RATIOS
+from nanogs.defaults import BENCH_RATIOS
 from rivals import BUILD, RIVALS, ROOT, install
 
 PEERS = ("nanogs-ref",)  # files that were made beforehand
@@ -72,7 +72,7 @@ def arguments() -> argparse.Namespace:
     folder = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", default=",".join(SCENES), help="names of scenes")
-    parser.add_argument("--ratios", default=",".join(map(str, RATIOS)))
+    parser.add_argument("--ratios", default=",".join(map(str, BENCH_RATIOS)))
     parser.add_argument("--methods", help="default: all, the other tool too")
     parser.add_argument("--ablations", action="store_true", help="in place of all methods")
     parser.add_argument("--kinds", default=",".join(KINDS), help="of views")

@@ -238,8 +238,7 @@ def tree(args: argparse.Namespace) -> None:
         with tempfile.TemporaryDirectory() as folder:
             for name, block in ("memory", None), ("blocks", len(model) // args.blocks):
                 out = Path(folder) / f"{name}.rad"
-                given = {"layout": "spark tree", "preset": "fast", "block": block}
-                nanogs.write_levels(path, out, **given)
+                nanogs.write_levels(path, out, layout="spark tree", preset="fast", block=block)
                 marks = {}
                 for level, count in enumerate(nanogs.open(out).levels[1:7], 1):
                     small = nanogs.load(out, level=level)

@@ -32,9 +32,11 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
         source, folder = Path(name) / "in.ply", FolderScratch(Path(name) / "scratch")
         folder.prepare()
         nanogs.save(replace(splats, elements=()), source)
-        asked = {"preset": "fast", "overrides": {"rounds": rounds}, "output": Path("a.ply")}
         size = int(len(splats) / blocks * 1.08) + 1
-        request = Request(goal=Goal(ratio=ratio), inputs=(source,), **asked)
+        request = Request(
+            goal=Goal(ratio=ratio), inputs=(source,), output=Path("a.ply"), preset="fast",
+            overrides={"rounds": rounds},
+        )  # fmt: skip
         settings, _ = plan_job(request, None, size)
         units = survey(settings)
         done = run_tasks(
@@ -51,7 +53,8 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
 def beside_borders(means: np.ndarray, of_block: np.ndarray, reach: int) -> np.ndarray:
     """Return (N,) bool: splats with one of another block among their `reach` neighbours."""
     near = nearest_neighbours(means.astype(np.float64), reach, 2)
-    return (of_block[near] != of_block[:, None]).any(axis=1)
+    beside: np.ndarray = (of_block[near] != of_block[:, None]).any(axis=1)
+    return beside
 
 
 def compare(path: Path, ratio: float, blocks: int, rounds: int) -> dict[str, float]:

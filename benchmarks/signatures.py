@@ -100,7 +100,7 @@ def write_cameras(scene: nanogs.Splats, path: Path) -> None:
 
 def run(folder: Path, command: str, mark: str) -> None:
     """Run a command in a subprocess that records its kernels."""
-    words = [sys.executable, __file__, "--run", folder / f"{mark}.txt", *command.split()]
+    words = [sys.executable, __file__, "--run", str(folder / f"{mark}.txt"), *command.split()]
     environment = os.environ | {"NUMBA_NUM_THREADS": "1"}
     done = subprocess.run(
         words, cwd=folder, env=environment, capture_output=True, text=True, check=False
@@ -115,14 +115,14 @@ def take_note(notes: Path, words: list[str]) -> None:
     load = _Cache.load_overload
 
     def noted(self: _Cache, asked: Any, context: Any) -> Any:  # noqa: ANN401
-        function, (given, _) = self._function, sigutils.normalize_signature(asked)
+        function, (given, _) = self._function, sigutils.normalize_signature(asked)  # type: ignore[no-untyped-call]
         module = function.__module__.removeprefix("nanogs.kernels.")
         with notes.open("a", encoding="utf-8") as file:
             file.write(f"{module}.{function.__qualname__}({', '.join(map(text_of, given))})\n")
         return load(self, asked, context)
 
     nanogs.ahead.compile_ahead = lambda *_: None  # type: ignore[assignment]
-    _Cache.load_overload = noted  # type: ignore[method-assign]
+    _Cache.load_overload = noted  # type: ignore[method-assign,assignment]
     sys.argv = ["nanogs", *words]
     runpy.run_module("nanogs", run_name="__main__", alter_sys=True)
 

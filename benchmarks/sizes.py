@@ -21,8 +21,8 @@ import shlex
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 from measured import SCENES, UP, Bench
 from nanogs.bench.rows import size_name
@@ -36,7 +36,8 @@ CLOSE = 0.005  # relative difference of a count that fits and one that does not,
 FIRST = 14  # bytes per splat, the initial guess
 
 
-class Found(NamedTuple):
+@dataclass(frozen=True)
+class Found:
     """The largest count that fits, the number of counts tried, and the seconds to make its file."""
 
     count: int
@@ -100,7 +101,7 @@ def make(model: Path, mode: str, size: int, target: Path, each: float) -> float:
         target.unlink()
         print(f"{target.name}: the whole scene fits", file=sys.stderr, flush=True)
         return each
-    note.write_text(json.dumps(found._asdict()) + "\n")
+    note.write_text(json.dumps(asdict(found)) + "\n")
     took = f"{target.stat().st_size:,} B, {found.count:,} splats, {found.tried} tried"
     print(f"{target.name}: {took}, {found.seconds:.1f} s", file=sys.stderr, flush=True)
     return target.stat().st_size / found.count
@@ -136,7 +137,7 @@ def largest(
         count = min(count, available)
     if not fits.count:
         sys.exit(f"Not even one splat fits into {size:,} B.")
-    return fits._replace(tried=tried)
+    return replace(fits, tried=tried)
 
 
 def _next(fits: int, fits_bytes: int, over: int, over_bytes: int, size: int, tried: int) -> int:

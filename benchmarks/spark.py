@@ -13,6 +13,7 @@ import os
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SCENES = "biker.spz,plant.splat,kitchen.spz"
 RATIOS = (1, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
 PIXELS = 240
-OWN = {"quick": {"lod": True}, "quality": {"lod": "quality"}}
+OWN: dict[str, dict[str, Any]] = {"quick": {"lod": True}, "quality": {"lod": "quality"}}
 
 
 def main() -> None:
@@ -62,7 +63,8 @@ def _compare(path: Path, made: Path, shares: list[float], views: int, preset: st
     targets = [render(model, camera).shown() for camera in cameras]
     for share in shares:
         count = int(len(model) * share)
-        ways = {"nanogs": (made / "a.rad", {})} | {n: (made / "a.spz", m) for n, m in OWN.items()}
+        ways: dict[str, tuple[Path, dict[str, Any]]] = {"nanogs": (made / "a.rad", {})}
+        ways |= {name: (made / "a.spz", mesh) for name, mesh in OWN.items()}
         cells = []
         for file, mesh in ways.values():
             found = []

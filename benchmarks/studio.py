@@ -172,7 +172,7 @@ def _peak(pid: int) -> int:
 def _opened(model: Path, folder: Path, preset: str) -> Iterator[Any]:
     """Start a studio and open its page with `WATCH` inserted; yield both."""
     import studiopage
-    from studio import running
+    from studio import running  # type: ignore[attr-defined]  # the one of the tests
 
     with (
         studiopage.browser() as chromium,

@@ -6,6 +6,7 @@ The scene of `nanogs demo`, simplified to a twentieth, in Chromium: a page 1280 
 docs/images/studio.jpg, and one of 390 pixels as docs/images/studio_phone.jpg.
 """
 
+import argparse
 import io
 import json
 import shutil
@@ -31,6 +32,7 @@ COARSE = 6  # number of coarse points that the studio adds to the plot while it 
 
 def main() -> None:
     """Start a studio, open its page in two sizes, and save screenshots."""
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     browser = shutil.which("chromium") or sys.exit("This needs Chromium.")
     with _address() as address, sync_playwright() as driver:
         chromium = driver.chromium.launch(executable_path=browser, args=SOFTWARE)

@@ -207,7 +207,10 @@ def splats_of(
 ) -> Splats:
     """Build splats in float32 from columns, with the axes as columns of rotations (N, 3, 3)."""
     columns = (means, log_scales, quaternions(axes), logits, sh)
-    return Splats(*(np.ascontiguousarray(column, np.float32) for column in columns))
+    centres, scales, quats, opacities, harmonics = (
+        np.ascontiguousarray(column, np.float32) for column in columns
+    )
+    return Splats(centres, scales, quats, opacities, harmonics)
 
 
 def waves(points: F64, sizes: Sequence[tuple[float, float]], seed: int) -> F64:

@@ -1,0 +1,45 @@
+"""Programs of benchmarks/ start: they import names that exist, and take options."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
+pytestmark = pytest.mark.skipif(not FOLDER.exists(), reason="only in the repository")
+
+# One process for all, since each would take a second for its imports.
+RUN = """
+import contextlib, io, json, runpy, sys, traceback
+found = {}
+for program in sys.argv[1:]:
+    sys.argv, printed = [program, "--help"], io.StringIO()
+    try:
+        with contextlib.redirect_stdout(printed):
+            runpy.run_path(program, run_name="__main__")
+        found[program] = "it ran without options"
+    except SystemExit as end:
+        found[program] = "" if not end.code and "usage:" in printed.getvalue() else str(end.code)
+    except Exception:
+        found[program] = traceback.format_exc()
+print(json.dumps(found))
+"""
+
+
+def test_all_benchmarks_show_their_help(tmp_path):
+    programs = [
+        str(path)
+        for path in sorted(FOLDER.glob("*.py"))
+        if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
+    ]
+    assert len(programs) > 20
+    code = f"import sys; sys.path.insert(0, {str(FOLDER)!r})\n{RUN}"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *programs],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    failed = {name: text for name, text in json.loads(done.stdout).items() if text}
+    assert not failed, "\n".join(f"{name}: {text}" for name, text in failed.items())
+    assert not any(tmp_path.iterdir())
