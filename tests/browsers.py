@@ -1,4 +1,4 @@
-"""Chromium for tests that look at a page: drawn by the processor, and watched for errors."""
+"""Chromium for tests that open a page: it renders on the CPU, and page errors fail the test."""
 
 import contextlib
 import io
@@ -13,41 +13,48 @@ from PIL import Image
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
-# WebGL by the processor: machines without a graphics card draw the same.
+# WebGL in software, so that machines without a graphics card render the same pictures.
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-PATIENCE = 60_000  # milliseconds
+PATIENCE = 60_000  # timeout, milliseconds
 
 
 @contextlib.contextmanager
 def page_at(address, width, height):
-    """The page of an address; an error in it fails the test, which is skipped without Chromium."""
+    """Open an address in Chromium, and yield the page.
+
+    An error on the page fails the test; without Chromium, the test is skipped.
+    """
     if not CHROMIUM:
         pytest.skip("Chromium is not installed")
     from playwright.sync_api import sync_playwright
 
-    faults = []
+    errors = []
     with sync_playwright() as driver:
         browser = driver.chromium.launch(
             executable_path=CHROMIUM, args=[*SOFTWARE, "--ignore-gpu-blocklist"]
         )
         page = browser.new_page(viewport={"width": width, "height": height})
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on(
+            "console",
+            lambda message: errors.append(message.text) if message.type == "error" else None,
+        )
         page.goto(address)
         yield page
         browser.close()
-    assert faults == []
+    assert errors == []
 
 
-def pixels_of(seen, name, **options):
-    """Picture of a page or a part of it, (H, W, 3) float32 in [0, 1]; kept where one asks for it.
+def pixels_of(element, name, **options):
+    """Take a picture of a page or a part of it, (H, W, 3) float32 in [0, 1].
 
     Args:
-        seen: The page, or what a locator of it finds.
-        name: Of the picture in the folder that the environment's NANOGS_SCREENSHOTS names.
-        **options: As the driver takes them.
+        seen: The page, or a locator of one of its elements.
+        name: Name of the picture in the folder of the environment variable NANOGS_SCREENSHOTS;
+            without this variable, no picture is kept.
+        **options: Options of Playwright's `screenshot`.
     """
-    picture = seen.screenshot(**options)
-    if kept := os.environ.get("NANOGS_SCREENSHOTS"):
-        Path(kept, f"{name}.png").write_bytes(picture)
+    picture = element.screenshot(**options)
+    if folder := os.environ.get("NANOGS_SCREENSHOTS"):
+        Path(folder, f"{name}.png").write_bytes(picture)
     return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=np.float32) / 255

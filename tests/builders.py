@@ -10,7 +10,7 @@ from nanogs.splats import Splats
 
 
 def random_splats(count, *, degree=1, seed=0, spread=1.0, extras=None):
-    """Splats of mixed sizes, shapes and opacities in a cube."""
+    """Make random splats of mixed sizes, shapes and opacities in a cube."""
     rng = np.random.default_rng(seed)
     return Splats(
         means=(rng.uniform(-1, 1, (count, 3)) * spread).astype(np.float32),
@@ -23,7 +23,7 @@ def random_splats(count, *, degree=1, seed=0, spread=1.0, extras=None):
 
 
 def solid(color, *, count=300):
-    """An egg of one colour, longer than high and wide: sides can be told, and turns."""
+    """Make an ellipsoid of one colour with three different axes, so that rotations are visible."""
     splats = random_splats(count, degree=0)
     ball = splats.means / np.maximum(1, np.linalg.norm(splats.means, axis=1, keepdims=True))
     sh = np.tile(((np.array(color) - 0.5) / 0.2820948).astype(np.float32), (count, 1, 1))
@@ -37,7 +37,7 @@ def solid(color, *, count=300):
 
 
 def gaussians_of(splats):
-    """The working set of all rows, in their own order and with centres as they are."""
+    """Make the working set of all rows, in their order and with unchanged centres."""
     count = len(splats)
     return Gaussians(
         means=splats.means.astype(np.float64),
@@ -52,13 +52,13 @@ def gaussians_of(splats):
 
 
 def same_pixel(deviation):
-    """The same dilation everywhere within some units of the origin."""
+    """Make a dilation that is the same everywhere within 1e9 units of the origin."""
     far = 1e9
     return Dilation(np.zeros((1, 3)), np.array([far]), deviation / far)
 
 
 def row(gaussians, index):
-    """One splat as the twins take it."""
+    """Return one splat in the form that the twins (plain reimplementations) take."""
     return {
         "mean": gaussians.means[index],
         "scales": gaussians.scales[index],
@@ -69,13 +69,13 @@ def row(gaussians, index):
 
 
 def model_bytes(splats):
-    """Every column's bytes, for comparing results bit by bit."""
+    """Return the bytes of all columns, for comparing results bit by bit."""
     columns = (splats.means, splats.log_scales, splats.quats, splats.opacity_logits, splats.sh)
     return b"".join(column.tobytes() for column in (*columns, *splats.extras.values()))
 
 
 def cloud_pair(n=400, seed=1, scale=1.0, degree=1):
-    """A cloud of coloured splats as an original, and every fourth one swollen as a small model."""
+    """Make a cloud of coloured splats, and a small model: every fourth of these, enlarged."""
     rng = np.random.default_rng(seed)
     means = rng.normal(0, 0.4, (n, 3))
     sh = np.zeros((n, (degree + 1) ** 2, 3))

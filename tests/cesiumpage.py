@@ -1,4 +1,4 @@
-"""A page in which CesiumJS, as its npm package has it, draws a tileset from one camera."""
+"""A page in which CesiumJS, from its npm package, draws a tileset from one camera."""
 
 import json
 
@@ -48,25 +48,25 @@ scene.postRender.addEventListener(() => {
   Object.assign(state, { splats, still });
 });
 </script><div id="credits" style="display: none"></div>"""
-# From the model's frame to that of its tileset: half a turn about z, then y up becomes z up.
+# From the model's frame to that of its tileset: 180 degrees about z, then from y up to z up.
 TURN = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
 
 
 def in_cesium(path, camera, folder, *, error=0.01, calm=30):
-    """Picture of a tileset by CesiumJS, (H, W, 3) float32 in [0, 1], and what it says of itself.
+    """Render a tileset with CesiumJS; return (H, W, 3) float32 in [0, 1], and the page's state.
 
     Args:
-        path: Its `tileset.json`, in a place of its own, so without a place on Earth.
-        camera: From where, in the model's frame.
-        folder: For the page.
-        error: Pixels of error at which a tile is drawn and not its children.
-        calm: Frames in a row that draw the same splats, before a picture is taken.
+        path: Its `tileset.json`, in a folder of its own; it has no place on Earth.
+        camera: The camera, in the model's frame.
+        folder: Folder in which the page is written.
+        error: Error in pixels up to which a tile is drawn instead of its children.
+        calm: Number of consecutive frames with the same splats, before a picture is taken.
     """
-    built = package("cesium") / "Build" / "Cesium"
+    cesium_files = package("cesium") / "Build" / "Cesium"
     _, down, forward = camera.world_to_camera[:3, :3]
-    # Its field of view is of the longer side.
+    # CesiumJS measures the field of view along the longer side.
     longer = max(camera.width / camera.fx, camera.height / camera.fy) / 2
-    told = {
+    settings = {
         "url": f"/scene/{path.name}",
         "position": (TURN @ camera.position).tolist(),
         "direction": (TURN @ forward).tolist(),
@@ -75,14 +75,14 @@ def in_cesium(path, camera, folder, *, error=0.01, calm=30):
         "near": camera.near,
         "error": error,
     }
-    page = PAGE.replace("TOLD", json.dumps(told), 1)
+    page = PAGE.replace("TOLD", json.dumps(settings), 1)
     page = page.replace("WIDTH", str(camera.width)).replace("HEIGHT", str(camera.height))
     (folder / "cesium.html").write_text(page)
-    with served(cesium=built, scene=path.parent, own=folder) as (address, asked):
+    with served(cesium=cesium_files, scene=path.parent, own=folder) as (address, requests):
         size = camera.width, camera.height
-        with page_at(f"{address}/own/cesium.html", *size) as opened:
+        with page_at(f"{address}/own/cesium.html", *size) as page_in_browser:
             done = f"window.state && (window.state.error || window.state.still > {calm})"
-            opened.wait_for_function(done, timeout=PATIENCE)
-            state = opened.evaluate("window.state")
-            pixels = pixels_of(opened.locator("canvas"), f"cesium-{path.parent.name}")
-    return pixels, state | {"asked": [name for name in asked if name.endswith(".glb")]}
+            page_in_browser.wait_for_function(done, timeout=PATIENCE)
+            state = page_in_browser.evaluate("window.state")
+            pixels = pixels_of(page_in_browser.locator("canvas"), f"cesium-{path.parent.name}")
+    return pixels, state | {"asked": [name for name in requests if name.endswith(".glb")]}

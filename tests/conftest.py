@@ -13,11 +13,12 @@ import pytest
 
 import nanogs
 
-# No deadline: the first example of a test compiles kernels. The same examples on every machine.
+# No deadline, because the first example of a test compiles kernels. `derandomize` gives the same
+# examples on every machine.
 hypothesis.settings.register_profile("nanogs", deadline=None, derandomize=True, max_examples=60)
 hypothesis.settings.load_profile("nanogs")
 
-# A shell has what it starts in the background ignore Ctrl-C, and commands under test inherit that.
+# Processes that a shell starts in the background ignore Ctrl-C, and commands under test inherit it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -25,13 +26,13 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
 def pytest_collection_modifyitems(items):
-    """Files with slow tests go first: what is left when others have ended is soon done."""
+    """Run files with slow tests first, so that at the end no worker waits long for another."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
 
 
 def scene_path(name: str) -> Path:
-    """A file or folder of the real scenes; skips the test where they are absent."""
+    """Return the path of a file or folder of the real scenes; skip the test if it is absent."""
     path = Path(os.environ.get("NANOGS_SCENES", SHARED / "scenes")) / name
     if not path.exists():
         pytest.skip(f"the real scene {name} is absent: set NANOGS_SCENES to the folder of scenes")
@@ -39,7 +40,7 @@ def scene_path(name: str) -> Path:
 
 
 def peer_path(name: str) -> Path:
-    """A file that another tool made of a real scene; skips the test where they are absent."""
+    """Return a file that another tool made of a real scene; skip the test if it is absent."""
     path = Path(os.environ.get("NANOGS_PEERS", SHARED / "peers")) / name
     if not path.exists():
         pytest.skip(f"the file {name} is absent: set NANOGS_PEERS to the folder of peers' results")
@@ -48,7 +49,7 @@ def peer_path(name: str) -> Path:
 
 @pytest.fixture(scope="module")
 def scene(splats, tmp_path_factory):
-    """A file of the splats of a module's own fixture."""
+    """A file with the splats of the module's own fixture `splats`."""
     import nanogs
 
     path = tmp_path_factory.mktemp("scene") / "scene.ply"
@@ -58,7 +59,7 @@ def scene(splats, tmp_path_factory):
 
 @pytest.fixture
 def small_pictures(monkeypatch):
-    """Results are judged on pictures of a quarter of the edge: searches make hundreds of them."""
+    """Score results on pictures of 128 instead of 512 pixels: searches render hundreds of them."""
     from nanogs.protocol import Judged, Protocol
 
     def usual(psnr, ssim, views):
@@ -70,7 +71,7 @@ def small_pictures(monkeypatch):
 
 @pytest.fixture(scope="module")
 def benchmark_module():
-    """Imports a module of the benchmarks by its name; skips the test where they are absent."""
+    """A function that imports a benchmark by its name; the test is skipped if these are absent."""
     folder = Path(__file__).resolve().parents[1] / "benchmarks"
     if not folder.exists():
         pytest.skip("benchmarks are only in the repository")
@@ -81,31 +82,32 @@ def benchmark_module():
 
 @pytest.fixture(scope="module")
 def small_views():
-    """Presets that render and fit do so with few and small views."""
+    """Let all presets that render use few and small views and few steps."""
     from nanogs.pipeline.options import presets
 
-    few = {
+    small_presets = {
         name: replace(
-            chosen,
+            preset,
             views=2,
             further=2,
-            roaming=min(chosen.roaming, 1),
+            roaming=min(preset.roaming, 1),
             view_size=32,
-            steps=min(chosen.steps, 2),
+            steps=min(preset.steps, 2),
         )
-        if isinstance(chosen, presets.ForestParameters)
-        else chosen
-        for name, chosen in presets.PRESETS.items()
+        if isinstance(preset, presets.ForestParameters)
+        else preset
+        for name, preset in presets.PRESETS.items()
     }
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nanogs, "presets", few)  # first: it keeps what it was when first asked for
-        patch.setattr(presets, "PRESETS", few)
+        # First, because monkeypatch imports the lazy attribute now and restores it at the end.
+        patch.setattr(nanogs, "presets", small_presets)
+        patch.setattr(presets, "PRESETS", small_presets)
         yield
 
 
 @pytest.fixture
 def temporary(tmp_path, monkeypatch):
-    """The folder of temporary files, which is empty after every test."""
+    """An own folder for temporary files, which must be empty at the end of the test."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setenv("TMPDIR", str(folder))
@@ -116,5 +118,5 @@ def temporary(tmp_path, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def no_width_of_a_terminal(monkeypatch):
-    """Tables are as wide as they need: something in a whole run sets the width of a terminal."""
+    """Let tables be as wide as necessary: some test of a whole run sets COLUMNS."""
     monkeypatch.delenv("COLUMNS", raising=False)

@@ -1,20 +1,20 @@
-"""Runs that are cut off, as if the machine had been switched off."""
+"""Simulated crashes: runs that end in the middle, as if the machine had been switched off."""
 
 import itertools
 
 
 class CrashError(Exception):
-    """The end of a run, without a word."""
+    """The simulated crash of a run."""
 
 
 def crash_at(function, done, *places):
-    """The function, which fails at its calls of these numbers and notes that in `done`."""
+    """Wrap a function: its calls number `places` raise CrashError and append "crash" to `done`."""
     calls = itertools.count(1)
 
-    def call(*given, **options):
+    def call(*arguments, **options):
         if next(calls) in places:
             done.append("crash")
             raise CrashError
-        return function(*given, **options)
+        return function(*arguments, **options)
 
     return call

@@ -1,4 +1,4 @@
-"""Files damaged on purpose, and what reading one must come to."""
+"""Random damage to files, and the check that a damaged file is read or refused."""
 
 import copy
 import struct
@@ -17,14 +17,17 @@ TEXT = (b"\n", b" ", b"-", b"9", b"\r", b"list ", b"\xff", b"\0")
 
 
 def mutate(rng, data, *, header=None, anywhere=1.0, text=()):
-    """Change, delete, repeat, or overwrite with a number, a few bytes; flip a bit, or insert text.
+    """Return a copy of some bytes with one to three random changes.
+
+    A change replaces a byte, deletes or repeats a few, cuts off the end, overwrites some with a
+    number, flips a bit or inserts text.
 
     Args:
-        rng: Draws places and kinds.
+        rng: Random generator.
         data: The bytes.
-        header: Length of what is hit more often, all by default.
-        anywhere: Share of the hits that may be beyond it.
-        text: What to insert in place of flipping bits.
+        header: Length of the start that is changed more often; all by default.
+        anywhere: Fraction of the changes that may be beyond the header too.
+        text: Texts of which one is inserted where otherwise a bit would be flipped.
     """
     out = bytearray(data)
     for _ in range(rng.integers(1, 4)):
@@ -54,7 +57,7 @@ def mutate(rng, data, *, header=None, anywhere=1.0, text=()):
 
 
 def _number(rng):
-    """A number at the edge of its type, little-endian."""
+    """Return the bytes of a number at the limits of its type, little-endian."""
     if rng.random() < 0.3:
         return struct.pack("<f", FLOATS[rng.integers(len(FLOATS))])
     width = int(rng.choice([2, 4, 4, 8]))
@@ -63,11 +66,11 @@ def _number(rng):
 
 
 def change_json(rng, value):
-    """A copy of parsed JSON with one to three of its values replaced, repeated or taken out."""
+    """Return a copy of parsed JSON with one to three values replaced, repeated or removed."""
     out = [copy.deepcopy(value)]
     for _ in range(rng.integers(1, 4)):
-        places = list(_places(out))
-        holder, key = places[rng.integers(len(places))]
+        entries = list(_places(out))
+        holder, key = entries[rng.integers(len(entries))]
         if rng.random() < 0.15 and holder is not out:
             del holder[key]
         elif rng.random() < 0.1 and isinstance(holder, list):
@@ -78,7 +81,7 @@ def change_json(rng, value):
 
 
 def _places(holder):
-    """Every (list or dictionary, key) below a value."""
+    """Yield (list or dictionary, key) of every value inside another."""
     for key in list(holder) if isinstance(holder, dict) else range(len(holder)):
         yield holder, key
         if isinstance(holder[key], dict | list):
@@ -86,7 +89,7 @@ def _places(holder):
 
 
 def _value(rng, old):
-    """Something else, often of the same kind."""
+    """Return another value: for numbers, often a nearby number of the same type."""
     number = isinstance(old, int | float) and not isinstance(old, bool)
     if number and rng.random() < 0.5:
         return old + type(old)(rng.integers(-2, 3))
@@ -94,7 +97,7 @@ def _value(rng, old):
 
 
 def outcome(path):
-    """`model` or `refused`, for what is read or refused with a sentence; all else is a failure."""
+    """Read a file; return "model", or "refused" on a FormatError. Other errors fail the test."""
     try:
         model = io.load(path)
         assert isinstance(model, Splats)

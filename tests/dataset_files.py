@@ -1,4 +1,4 @@
-"""Writes tiny data sets as other tools would, straight from their format descriptions."""
+"""Write tiny data sets as other tools would, following the descriptions of their formats."""
 
 import json
 import struct
@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 MODEL_NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "OPENCV": 4}
-# A quarter turn about z: camera x is world -y, camera y is world x.
+# A rotation by 90 degrees about z: camera x is world -y, camera y is world x.
 QUARTER = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))
 
 
@@ -86,7 +86,7 @@ def write_capture(root, encoding="bin", folder="images", size=(80, 60), **model)
     return root
 
 
-# OpenGL camera to world: at (1, 2, 3), axes along the world's, so it looks along world -z.
+# OpenGL camera-to-world: at (1, 2, 3), with the world's axes, so that it looks along world -z.
 POSE = [[1.0, 0, 0, 1.0], [0, 1.0, 0, 2.0], [0, 0, 1.0, 3.0], [0, 0, 0, 1.0]]
 
 

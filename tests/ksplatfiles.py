@@ -12,7 +12,7 @@ WIDTH, RANGE = 5.0, 32767
 
 
 def section(n, mode, degree, *, capacity=4, seed=0, spare=0, **changes):
-    """(header, body, model) of a section of full buckets and partial ones of up to three."""
+    """Make (header, body, model) of a section with full buckets, and partial ones of 1 to 3."""
     rng = np.random.default_rng(seed)
     full, lengths = divmod(n, capacity)[0] if mode else 0, []
     left = n - full * capacity if mode else 0

@@ -1,9 +1,10 @@
-"""The command, in a process of its own, for which its libraries are there already.
+"""Run the command in a process of its own, forked from one with its libraries already imported.
 
-To import them and to load kernels takes most of the time of a small run, and there are hundreds.
-So on Linux one process does that (`launch_server.py`), and forks for each run. Elsewhere, and
-where the environment is another, each is started as usual. Tests of how the command starts and
-ends, of signals and of memory start it themselves.
+Importing the libraries and loading the kernels takes most of the time of a small run, and the
+tests have hundreds of runs. On Linux, therefore, one process does this once (`launch_server.py`)
+and forks for each run. On other systems, and for runs with other early variables of the
+environment (`read_early`), each run is started as usual. Tests of how the command starts and ends,
+of signals and of memory start it themselves.
 """
 
 import atexit
@@ -23,26 +24,26 @@ SERVER = Path(__file__).with_name("launch_server.py")
 
 
 def run(*arguments, text=True, data=b"", cwd=None, env=None, timeout=120):
-    """Run it to its end; as `subprocess.run`, with what it wrote and its exit code.
+    """Run the command to its end, and return a CompletedProcess, as `subprocess.run` does.
 
     Args:
-        arguments: Of the command; anything that `str` makes text of.
-        text: Whether what it wrote is wanted as text.
-        data: For its stdin, bytes; nothing is there without.
-        cwd: Its folder; None for this one.
-        env: Its environment; None for this one.
-        timeout: Seconds after which it is ended, and the test fails.
+        arguments: Arguments of the command; `str` is called on each.
+        text: Whether stdout and stderr are returned as text instead of bytes.
+        data: Bytes for its stdin, which is empty by default.
+        cwd: Its working folder; None for the current one.
+        env: Its environment; None for the current one.
+        timeout: Seconds after which the process is killed, and the test fails.
     """
     words, env = list(map(str, arguments)), dict(os.environ if env is None else env)
     start = _forked if sys.platform == "linux" and read_early(env) == read_early() else _started
-    code, *said = start(words, cwd or Path.cwd(), env, data, timeout)
+    code, *outputs = start(words, cwd or Path.cwd(), env, data, timeout)
     if text:
-        said = [part.decode().replace("\r\n", "\n") for part in said]
-    return subprocess.CompletedProcess(words, code, *said)
+        outputs = [part.decode().replace("\r\n", "\n") for part in outputs]
+    return subprocess.CompletedProcess(words, code, *outputs)
 
 
 def run_here(*arguments):
-    """Run it in this process, where what it calls can be patched; its exit code."""
+    """Run the command in this process, where functions can be patched; return its exit code."""
     import nanogs.cli
 
     with pytest.MonkeyPatch.context() as patch:
@@ -53,13 +54,13 @@ def run_here(*arguments):
 
 
 def read_early(env=os.environ):
-    """The variables that what is imported reads at once."""
+    """Return the variables of the environment that libraries read when they are imported."""
     names = ("NUMBA_", "PYTHON", "OMP_", "OPENBLAS_", "COLUMNS", "TERM", "NO_COLOR", "FORCE_COLOR")
     return {name: value for name, value in env.items() if name.startswith(names)}
 
 
 def _started(words, cwd, env, data, timeout):
-    """The exit code, stdout and stderr of a process as any."""
+    """Start an ordinary process; return its exit code, stdout and stderr."""
     command = [sys.executable, "-m", "nanogs", *words]
     done = subprocess.run(
         command, input=data, capture_output=True, cwd=cwd, env=env, timeout=timeout
@@ -68,18 +69,18 @@ def _started(words, cwd, env, data, timeout):
 
 
 def _forked(words, cwd, env, data, timeout):
-    """The same of one that the server forks."""
+    """Let the server fork a process; return its exit code, stdout and stderr."""
     server = _server(os.getpid(), tuple(sorted(read_early().items())))
     (stdin, feed), (out, stdout), (err, stderr) = (os.pipe() for _ in range(3))
-    asked = json.dumps({"words": words, "cwd": str(cwd), "env": env})
-    socket.send_fds(server, [asked.encode()], [stdin, stdout, stderr])
-    for theirs in (stdin, stdout, stderr):
-        os.close(theirs)
+    request = json.dumps({"words": words, "cwd": str(cwd), "env": env})
+    socket.send_fds(server, [request.encode()], [stdin, stdout, stderr])
+    for fd in (stdin, stdout, stderr):
+        os.close(fd)
     with ThreadPoolExecutor(3) as pool:
         pool.submit(_feed, feed, data)
-        said = [pool.submit(_drain, end) for end in (out, err)]
+        outputs = [pool.submit(_drain, end) for end in (out, err)]
         code = _code(server, words, timeout)
-        return code, *(part.result() for part in said)
+        return code, *(part.result() for part in outputs)
 
 
 def _feed(fd, data):
@@ -98,19 +99,19 @@ def _code(server, words, timeout):
         return int(server.recv(64) or pytest.fail("the server of runs has ended"))
     except TimeoutError:
         _server.cache_clear()
-        server.close()  # whereupon it ends what it runs
+        server.close()  # the server then kills the run
         raise subprocess.TimeoutExpired(words, timeout) from None
 
 
 @cache
 def _server(_process, _early):
-    """The line to a server of this process with the environment as it is."""
+    """Start the server and return a socket to it; cached by process and early variables."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with theirs:
         child = subprocess.Popen(
             [sys.executable, SERVER, str(theirs.fileno())], pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
-            env=dict(os.environ),  # without what C libraries of this process have set
+            env=dict(os.environ),  # without variables that C libraries of this process have set
         )  # fmt: skip
 
     def end():

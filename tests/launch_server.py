@@ -1,4 +1,4 @@
-"""Imports the command and its libraries, then forks for each run that it is asked for."""
+"""Import the command and its libraries, then fork for each requested run; see `launch.py`."""
 
 import atexit
 import gc
@@ -20,7 +20,7 @@ import nanogs.kernels
 from nanogs.kernels.cached import _Cache
 from nanogs.parallel import ParallelKernel
 
-# What runs need of these and of libraries is imported with them, or by the run itself.
+# Their modules, and libraries that these import, are imported in advance; a run imports the rest.
 PACKAGES = (nanogs.cli, nanogs.io)
 OTHERS = (
     "nanogs.scoring.run",
@@ -31,13 +31,17 @@ OTHERS = (
 
 
 def serve(line):
-    """Answer with the exit code of each run until whoever asks is gone; True in a fork."""
-    kernels, seen = compiled_functions(), {}
+    """Answer each request with the exit code of its run, until the client is gone.
+
+    Returns:
+        True in a forked process, which has to do a run; False in the server, at its end.
+    """
+    kernels, folder_times = compiled_functions(), {}
     while True:
         message, fds, _, _ = socket.recv_fds(line, 1 << 20, 3)
         if not message:
             return False
-        seen = load(kernels, seen)
+        folder_times = load(kernels, folder_times)
         child = os.fork()
         if child == 0:
             line.close()
@@ -52,13 +56,13 @@ def serve(line):
 
 
 def every_module(package):
-    """The modules of a package."""
+    """Import and return the modules of a package."""
     names = [name for _, name, _ in pkgutil.iter_modules(package.__path__)]
     return [import_module(f"{package.__name__}.{name}") for name in names]
 
 
 def compiled_functions():
-    """All kernels; none where Numba compiles nothing."""
+    """Return all kernels, none if Numba's compilation is switched off."""
     found = {}
     for module in every_module(nanogs.kernels):
         for value in vars(module).values():
@@ -68,11 +72,11 @@ def compiled_functions():
     return list(found.values())
 
 
-def load(kernels, seen):
-    """Load the kernels that are on the disk, if there are new ones; returns what was seen."""
+def load(kernels, folder_times):
+    """Load the kernels on the disk if their folders have changed; return the folders' times."""
     folders = {Path(kernel._cache.cache_path) for kernel in kernels}
     now = {folder: folder.stat().st_mtime_ns for folder in folders if folder.exists()}
-    if now != seen:
+    if now != folder_times:
         for kernel in kernels:
             for signature, *_ in kernel._cache._cache_file._load_index():
                 kernel.compile(signature)
@@ -80,7 +84,7 @@ def load(kernels, seen):
 
 
 def end_of(child, line):
-    """The exit code of a run; None if nobody waits for it any more, and it was ended."""
+    """Wait for a run and return its exit code, or kill it and return None if the client is gone."""
     ended = os.pidfd_open(child)
     ready, _, _ = select.select([ended, line], [], [])
     os.close(ended)
@@ -90,16 +94,16 @@ def end_of(child, line):
     return code if ended in ready else None
 
 
-def become(asked, fds):
-    """Take on the streams, the folder, the environment and the words of a run."""
-    for own, fd in enumerate(fds):
-        os.dup2(fd, own)
+def become(request, fds):
+    """Take the streams, the working folder, the environment and the arguments of a run."""
+    for number, fd in enumerate(fds):
+        os.dup2(fd, number)
         os.close(fd)
-    os.chdir(asked["cwd"])
+    os.chdir(request["cwd"])
     os.environ.clear()
-    os.environ.update(asked["env"])
-    sys.argv = ["nanogs", *asked["words"]]
-    sys.path[0] = asked["cwd"]  # as with `python -m`
+    os.environ.update(request["env"])
+    sys.argv = ["nanogs", *request["words"]]
+    sys.path[0] = request["cwd"]  # as with `python -m`
 
 
 def run():
@@ -121,8 +125,8 @@ if __name__ == "__main__":
     for package in PACKAGES:
         every_module(package)
     for name in OTHERS:
-        with suppress(ImportError):  # as libraries of other versions have it
+        with suppress(ImportError):  # with other versions of the libraries
             import_module(name)
-    gc.freeze()  # so that forks share it
+    gc.freeze()  # so that forks share the memory of all objects
     if serve(socket.socket(fileno=int(sys.argv[1]))):
         run()

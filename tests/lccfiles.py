@@ -9,13 +9,13 @@ SH, ENV_SH = ((-1.0, -0.5, -2.0), (1.0, 0.75, 1.5)), ((-0.25,) * 3, (0.5,) * 3)
 
 
 def rotation(xyzw):
-    """Three parts of 10 bits; the largest is left out, its place in the top bits."""
+    """Pack a unit quaternion: the index of its largest component, the others in 10 bits each."""
     largest = max(range(4), key=lambda i: abs(xyzw[i]))
     sign = -1 if xyzw[largest] < 0 else 1
     parts = [sign * part for i, part in enumerate(xyzw) if i != largest]
     word = largest << 30
-    for place, part in enumerate(parts):
-        word |= round((part + math.sqrt(0.5)) / math.sqrt(2) * 1023) << 10 * place
+    for index, part in enumerate(parts):
+        word |= round((part + math.sqrt(0.5)) / math.sqrt(2) * 1023) << 10 * index
     return word
 
 
@@ -25,13 +25,13 @@ def row(mean=(1.5, -2.25, 0.0625), rgba=(255, 0, 128, 51), scale=(0, 65535, 777)
 
 
 def harmonics(codes):
-    """Of 15 coefficients, each three codes of 11, 10 and 11 bits."""
+    """Pack 15 coefficients, each as three codes of 11, 10 and 11 bits."""
     words = [r | g << 11 | b << 21 for r, g, b in codes]
     return struct.pack("<16I", *words, 0)
 
 
 def many(rng, count):
-    """Rows and harmonics of random splats."""
+    """Make the rows and the harmonics of random splats."""
     rows, coefficients = [], []
     for _ in range(count):
         quat = rng.normal(size=4)
@@ -45,15 +45,15 @@ def many(rng, count):
 
 
 def model(cells, *, depth, quality=False, environment=(), changes=None, name="scene.lcc"):
-    """The files of a model.
+    """Return the files of a model by name.
 
     Args:
-        cells: (x, y, by level (rows, harmonics)) of each cell.
-        depth: Levels.
+        cells: (x, y, list of (rows, harmonics) by level) of each cell.
+        depth: Number of levels.
         quality: Whether there are harmonics.
         environment: (rows, harmonics) of the sky, or nothing.
-        changes: Of the description.
-        name: Of the description.
+        changes: Entries of the description to replace; None removes an entry.
+        name: File name of the description.
     """
     data, coefficients, index = b"", b"", b""
     counts = [0] * depth
@@ -65,8 +65,8 @@ def model(cells, *, depth, quality=False, environment=(), changes=None, name="sc
             coefficients += b"".join(sh)
             counts[level] += len(rows)
 
-    def attribute(what, edges):
-        return {"name": what, "min": list(edges[0]), "max": list(edges[1])}
+    def attribute(attribute_name, bounds):
+        return {"name": attribute_name, "min": list(bounds[0]), "max": list(bounds[1])}
 
     description = {
         "version": "4.0", "totalSplats": sum(counts), "totalLevel": depth, "splats": counts,
@@ -88,7 +88,7 @@ def model(cells, *, depth, quality=False, environment=(), changes=None, name="sc
 
 
 def usual(rng, *, quality=False, environment=0):
-    """A model of three cells and two levels, one of its cells without a finer one."""
+    """Return the files of a model of three cells and two levels; one cell lacks the finer level."""
     cells = [
         (0, 0, [many(rng, 20), many(rng, 6)]),
         (1, 0, [([], []), many(rng, 3)]),

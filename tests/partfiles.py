@@ -1,4 +1,4 @@
-"""Files opened to be read in parts, whatever their format, for tests."""
+"""Reading files of any format in parts, for tests."""
 
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,7 +14,7 @@ from nanogs.store.tables import write_table
 
 @contextmanager
 def in_parts(path):
-    """Yield a reader of a file's rows; its columns are unpacked first, where they must be."""
+    """Yield a function that reads a range of rows; packed formats are unpacked to files first."""
     with io.open(path) as source:
         assert not isinstance(source, Whole), f"{path} is not read in parts"
         if not isinstance(source, Packed):
@@ -25,9 +25,9 @@ def in_parts(path):
             record = write_table(scratch, "u", streamed(source, notes), {NOTES: notes})
             Unpacked(scratch, {0: record}).give(0, source)
             yield lambda start, stop: replace(source.read(start, stop), elements=())
-            source.close()  # before its columns are gone
+            source.close()  # before the files of its columns are deleted
 
 
 def whole(path):
-    """The splats of a file, without what is no row of theirs."""
+    """Read all splats of a file, without its extra elements."""
     return replace(io.load(path), elements=())

@@ -9,7 +9,7 @@ CODES = {"float": "f4", "double": "f8", "int": "i4", "uint": "u4", "uchar": "u1"
 
 
 def vertex(n=3, names=BASE, kinds=None):
-    """(name, PLY type, values) of each column; the values are small, distinct and exact."""
+    """Make (name, PLY type, values) of each column; the values are small, distinct and exact."""
     kinds = kinds or {}
     return [
         (name, kinds.get(name, "float"), (np.arange(n) + 1) * (1 + i % 40))
@@ -18,7 +18,7 @@ def vertex(n=3, names=BASE, kinds=None):
 
 
 def ply(*elements, encoding="binary_little_endian", comments=(), eol="\n"):
-    """The bytes of a file of (name, columns) elements."""
+    """Return the bytes of a file of (name, columns) elements."""
     lines = ["ply", f"format {encoding} 1.0", *(f"comment {text}" for text in comments)]
     body = b""
     for name, columns in elements:

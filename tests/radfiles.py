@@ -1,4 +1,4 @@
-"""Files of `.rad` built by hand, in every encoding, and taken apart again."""
+"""Build `.rad` files by hand, in every encoding, and take them apart again."""
 
 import json
 import struct
@@ -26,17 +26,17 @@ def inflated(data):
 
 
 def column(name, encoding, data, **more):
-    """A property, and its bytes before they are packed."""
+    """Return the description of a property, and its bytes before compression."""
     return {"property": name, "encoding": encoding, "compression": "gz"} | more, data
 
 
 def chunk(columns, /, count, base=0, **more):
-    """A chunk of such columns; what is given replaces what its description says."""
+    """Return the bytes of a chunk of columns; `more` replaces entries of its description."""
     entries, payload = [], b""
-    for entry, plain in columns:
-        data = deflated(plain) if entry.get("compression") == "gz" else plain
-        kept = {key: value for key, value in entry.items() if value is not None}
-        entries.append({"offset": len(payload), "bytes": len(data)} | kept)
+    for entry, uncompressed in columns:
+        data = deflated(uncompressed) if entry.get("compression") == "gz" else uncompressed
+        present = {key: value for key, value in entry.items() if value is not None}
+        entries.append({"offset": len(payload), "bytes": len(data)} | present)
         payload += padded(data)
     content = {"version": 1, "base": base, "count": count, "payloadBytes": len(payload)}
     content |= {"properties": entries} | more
@@ -44,13 +44,13 @@ def chunk(columns, /, count, base=0, **more):
 
 
 def rad(chunks, count, /, **more):
-    """A file of chunks; what is given replaces what its description says."""
-    places, at = [], 0
+    """Return the bytes of a file of chunks; `more` replaces entries of its description."""
+    entries, offset = [], 0
     for data in chunks:
-        places.append({"offset": at, "bytes": len(data)})
-        at += len(data)
+        entries.append({"offset": offset, "bytes": len(data)})
+        offset += len(data)
     content = {"version": 1, "type": "gsplat", "count": count, "maxSh": 0, "chunkSize": 65_536,
-               "allChunkBytes": at, "chunks": places} | more  # fmt: skip
+               "allChunkBytes": offset, "chunks": entries} | more  # fmt: skip
     return described(b"RAD0", content) + b"".join(chunks)
 
 
@@ -59,7 +59,7 @@ def by_component(values, kind="<f4"):
 
 
 def usual(count, seed=0):
-    """Columns of a model without harmonics, and its values."""
+    """Return the columns of a random model without harmonics, and its values by name."""
     rng = np.random.default_rng(seed)
     values = {
         "center": rng.normal(size=(count, 3)).astype(np.float32),
@@ -79,7 +79,11 @@ def tree_columns(counts, starts):
 
 
 def small_tree(seed=0):
-    """A root over two nodes over five leaves, of which one hangs on the root, in two chunks."""
+    """Make a tree in two chunks: a root with two nodes and a leaf, and two leaves for each node.
+
+    Returns:
+        The chunks, the values of all nodes by name, and the rows of the leaves.
+    """
     counts, starts = [3, 2, 2, 0, 0, 0, 0, 0], [1, 4, 6, 0, 0, 0, 0, 0]
     _, values = usual(8, seed)
     parts = []
@@ -91,7 +95,7 @@ def small_tree(seed=0):
 
 
 def with_palette(count=6, entries=4, seed=0):
-    """A file of degree 2 whose harmonics are entries of a palette; and labels and entries."""
+    """Make a file of degree 2 with a palette of harmonics; return it, its labels and palette."""
     rng = np.random.default_rng(seed)
     bands = [rng.normal(size=(entries, 3 * n)).astype(np.float32) for n in (3, 5)]
     labels = rng.integers(0, entries, count)
@@ -106,14 +110,14 @@ def with_palette(count=6, entries=4, seed=0):
 
 
 def parts_of(data):
-    """The description of a file, and of each chunk its description and packed payload."""
+    """Return the description of a file, and for each chunk its description and packed payload."""
     (length,) = struct.unpack_from("<I", data, 4)
     head, end = json.loads(data[8 : 8 + length]), 8 + length + -length % 8
     chunks = []
-    for place in head["chunks"]:
-        at = end + place["offset"]
+    for entry in head["chunks"]:
+        at = end + entry["offset"]
         (size,) = struct.unpack_from("<I", data, at + 4)
         start = at + 8 + size + -size % 8
-        payload = data[start + 8 : at + place["bytes"]]
+        payload = data[start + 8 : at + entry["bytes"]]
         chunks.append((json.loads(data[at + 8 : at + 8 + size]), payload))
     return head, chunks

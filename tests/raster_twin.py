@@ -1,4 +1,4 @@
-"""The rasteriser once more: float64, pixel by pixel, no tiles, no tricks."""
+"""A plain reimplementation of the rasteriser: float64, pixel by pixel, without tiles or tricks."""
 
 import math
 
@@ -11,7 +11,7 @@ NEARLY = 1e-4  # relative distance to a threshold at which float32 may decide ot
 
 
 def sh_basis(direction, degree):
-    """Real harmonics from Legendre functions, whose Condon-Shortley phase is that of 3DGS."""
+    """Compute real harmonics from Legendre functions, whose Condon-Shortley phase is 3DGS's."""
     x, y, z = direction
     phi, values = math.atan2(y, x), []
     for band in range(degree + 1):
@@ -25,7 +25,7 @@ def sh_basis(direction, degree):
 
 
 def splat_on_screen(splats, camera, i):
-    """(depth, centre, covariance, opacity, colour) of one splat, or None where it is culled."""
+    """Compute (depth, centre, covariance, opacity, colour) of a splat; None if it is culled."""
     rotation = camera.world_to_camera[:3, :3]
     offset = splats.means[i].astype(np.float64) - camera.position
     x, y, z = rotation @ offset
@@ -33,8 +33,12 @@ def splat_on_screen(splats, camera, i):
         return None
     qw, qx, qy, qz = splats.quats[i].astype(np.float64) / np.linalg.norm(splats.quats[i])
     cross = np.array([[0, -qz, qy], [qz, 0, -qx], [-qy, qx, 0]])
-    turn = np.eye(3) + 2 * qw * cross + 2 * cross @ cross
-    sigma = turn @ np.diag(np.exp(2 * splats.log_scales[i].astype(np.float64))) @ turn.T
+    rotation_of_splat = np.eye(3) + 2 * qw * cross + 2 * cross @ cross
+    sigma = (
+        rotation_of_splat
+        @ np.diag(np.exp(2 * splats.log_scales[i].astype(np.float64)))
+        @ rotation_of_splat.T
+    )
     guard_x, guard_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
     tx = np.clip(
         x / z, -camera.cx / camera.fx - guard_x, (camera.width - camera.cx) / camera.fx + guard_x
@@ -57,16 +61,16 @@ def splat_on_screen(splats, camera, i):
 
 
 def render_twin(splats, camera, background=(0.0, 0.0, 0.0), probes=None):
-    """Returns color, alpha, depth, contributions and the mask of pixels that are near no threshold.
+    """Render; return color, alpha, depth, contributions, and the mask of pixels near no threshold.
 
-    With probes (P, H, W) the contributions are (N, P): weights times these, summed.
+    With probes (P, H, W) the contributions are (N, P): sums over pixels of weight times probe.
 
-    Beside a threshold (alpha 1/255, transmittance 1e-4) one rounding decides whether a splat is
-    blended: no tolerance is right there, so `sure` is false for the pixel.
+    Near a threshold (alpha 1/255, transmittance 1e-4) rounding decides whether a splat is blended.
+    No tolerance is right there, so the mask `sure` is false for such a pixel.
     """
     shape = (camera.height, camera.width)
     columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
-    left, full, sure = np.ones(shape), np.zeros(shape, bool), np.ones(shape, bool)
+    transmittance, saturated, sure = np.ones(shape), np.zeros(shape, bool), np.ones(shape, bool)
     color, depth = np.zeros((*shape, 3)), np.zeros(shape)
     probes = np.ones((1, *shape)) if probes is None else probes
     contributions = np.zeros((len(splats), len(probes)))
@@ -76,15 +80,15 @@ def render_twin(splats, camera, background=(0.0, 0.0, 0.0), probes=None):
         offsets = np.stack([columns - centre[0], rows - centre[1]], axis=-1)
         power = -0.5 * np.einsum("...i,ij,...j", offsets, np.linalg.inv(covariance), offsets)
         alpha = np.minimum(0.99, opacity * np.exp(np.minimum(power, 0)))
-        sure &= full | (np.abs(alpha * 255 - 1) > NEARLY)
+        sure &= saturated | (np.abs(alpha * 255 - 1) > NEARLY)
         alpha[alpha < 1 / 255] = 0
-        after = left * (1 - alpha)
-        sure &= full | (np.abs(after / 1e-4 - 1) > NEARLY) | (alpha == 0)
-        full |= after < 1e-4
-        weights = np.where(full, 0, left * alpha)
+        after = transmittance * (1 - alpha)
+        sure &= saturated | (np.abs(after / 1e-4 - 1) > NEARLY) | (alpha == 0)
+        saturated |= after < 1e-4
+        weights = np.where(saturated, 0, transmittance * alpha)
         color += weights[..., None] * colour
         depth += weights * z
         contributions[i] = np.einsum("hw,phw->p", weights, probes)
-        left = np.where(full, left, after)
-    color += left[..., None] * np.array(background)
-    return color, 1 - left, depth, contributions, sure
+        transmittance = np.where(saturated, transmittance, after)
+    color += transmittance[..., None] * np.array(background)
+    return color, 1 - transmittance, depth, contributions, sure

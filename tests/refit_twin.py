@@ -1,4 +1,4 @@
-"""The kernels of a refit once more: float64, pixel by pixel, from the renderer's twin."""
+"""Plain reimplementations of a refit's kernels: float64, pixel by pixel, with `raster_twin`."""
 
 import dataclasses
 import math
@@ -15,12 +15,17 @@ from raster_twin import sh_basis, splat_on_screen
 
 
 def pixel_weights(splats, camera, cutoff=1 / 255):
-    """(M,) rows nearest first, (M, H, W) weights T alpha and (M, H, W) T after each."""
+    """Compute the blending weights of each visible splat at each pixel.
+
+    Returns:
+        (M,) rows, nearest first; (M, H, W) weights, transmittance times alpha; and (M, H, W)
+        transmittance behind each splat.
+    """
     shape = (camera.height, camera.width)
     columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
     seen = {i: splat_on_screen(splats, camera, i) for i in range(len(splats))}
     order = sorted((i for i in seen if seen[i] is not None), key=lambda i: (seen[i][0], i))
-    left, full = np.ones(shape), np.zeros(shape, bool)
+    transmittance, saturated = np.ones(shape), np.zeros(shape, bool)
     weights, after = [], []
     for i in order:
         _, centre, covariance, opacity, _ = seen[i]
@@ -28,46 +33,46 @@ def pixel_weights(splats, camera, cutoff=1 / 255):
         power = -0.5 * np.einsum("...i,ij,...j", offsets, np.linalg.inv(covariance), offsets)
         alpha = np.minimum(0.99, opacity * np.exp(power))
         alpha[alpha < cutoff] = 0
-        full |= left * (1 - alpha) < 1e-4
-        weights.append(np.where(full, 0, left * alpha))
-        left = np.where(full, left, left * (1 - alpha))
-        after.append(left)
+        saturated |= transmittance * (1 - alpha) < 1e-4
+        weights.append(np.where(saturated, 0, transmittance * alpha))
+        transmittance = np.where(saturated, transmittance, transmittance * (1 - alpha))
+        after.append(transmittance)
     return np.array(order), np.array(weights), np.array(after)
 
 
 def blend_twin(splats, camera, features, cutoff=1 / 255):
-    """(H, W, C) image of features (N, C)."""
+    """Blend features (N, C) to an image (H, W, C)."""
     order, weights, _ = pixel_weights(splats, camera, cutoff)
     return np.einsum("khw,kc->hwc", weights, features[order])
 
 
 def pull_twin(splats, camera, features, residual, precision, cutoff=1 / 255):
-    """(N, 25) sums of each splat over all pixels, see `nanogs.kernels.backward.gradient_tiles`."""
+    """Sum 25 terms of each splat over all pixels; see `nanogs.kernels.backward.gradient_tiles`."""
     order, weights, after = pixel_weights(splats, camera, cutoff)
     totals = np.zeros((len(splats), 25))
     image = np.einsum("khw,kc->hwc", weights, features[order])
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    for i, w, t in zip(order, weights, after, strict=True):
+    for i, weight, after_splat in zip(order, weights, after, strict=True):
         _, (u, v), covariance, _, _ = splat_on_screen(splats, camera, i)
-        image -= w[..., None] * features[i]
-        behind = image / t[..., None]
+        image -= weight[..., None] * features[i]
+        behind = image / after_splat[..., None]
         change = features[i] - behind
         q = (rows - v) / math.sqrt(covariance[1, 1])
         slope = covariance[0, 1] / covariance[1, 1]
-        given = math.sqrt(covariance[0, 0] - covariance[0, 1] * slope)
-        p = (columns - u - slope * (rows - v)) / given
-        free = w < 98.9 * t
-        gradient = free * w * (change * residual).sum(axis=-1)
-        bend = free * w * precision * (change**2).sum(axis=-1)
-        sums = [(w * residual[..., c]).sum() for c in range(3)] + [(w * precision).sum()]
+        deviation_of_x = math.sqrt(covariance[0, 0] - covariance[0, 1] * slope)
+        p = (columns - u - slope * (rows - v)) / deviation_of_x
+        unclipped = weight < 98.9 * after_splat
+        gradient = unclipped * weight * (change * residual).sum(axis=-1)
+        curvature = unclipped * weight * precision * (change**2).sum(axis=-1)
+        sums = [(weight * residual[..., c]).sum() for c in range(3)] + [(weight * precision).sum()]
         sums += [(gradient * m).sum() for m in (1, p, q, p * p, p * q, q * q)]
-        sums += [(bend * p**a * q**b).sum() for a in range(5) for b in range(5 - a)]
+        sums += [(curvature * p**a * q**b).sum() for a in range(5) for b in range(5 - a)]
         totals[i] = sums
     return totals
 
 
 def moved(splats, i, parameter, amount):
-    """Splats in float64 with one parameter of shape of splat i changed."""
+    """Return the splats in float64 with one of the 10 parameters of shape of splat i changed."""
     columns = {
         name: getattr(splats, name).astype(np.float64)
         for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
@@ -91,7 +96,7 @@ def moved(splats, i, parameter, amount):
 
 @dataclasses.dataclass
 class Wide:
-    """A model as the twins read it, in float64: differences need the digits."""
+    """A model in float64, for the twins: finite differences need the precision."""
 
     means: np.ndarray
     log_scales: np.ndarray
@@ -106,20 +111,20 @@ class Wide:
 
 
 def product(a, b):
-    """Hamilton's product of two quaternions, wxyz."""
+    """Compute the Hamilton product of two quaternions, wxyz."""
     vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
     return np.array([a[0] * b[0] - a[1:] @ b[1:], *vector])
 
 
 def turn_matrix(quat):
-    """(3, 3) rotation matrix of a unit quaternion, by turning the three axes."""
+    """Compute the rotation matrix (3, 3) of a unit quaternion by rotating the three axes."""
     conjugate = quat * (1, -1, -1, -1)
     axes = [product(product(quat, np.array([0, *axis])), conjugate)[1:] for axis in np.eye(3)]
     return np.array(axes).T
 
 
 def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
-    """How a view pulls at one splat's parameters of shape (10,), and their curvatures (55,)."""
+    """Compute gradient (10,) and Hessian (55,) by a splat's parameters of shape, for one view."""
     jacobians, lanes, products = chain.new_chains(chain.SHAPE, chain.SCREEN, 1)
     rotation = np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64)
     lens = camera.intrinsics
@@ -134,16 +139,21 @@ def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
 
 
 def resolved_share(row):
-    """The mean square of the eigenvalues of a splat's own covariance, its dilated one being 1."""
+    """Compute how much of a splat's size on screen is its own rather than dilation, 0 to 1.
+
+    This is the mean square of the eigenvalues of its own covariance relative to the dilated one.
+    """
     width, slope, height = 1 / row[2], row[3], 1 / np.sqrt(row[4])
-    frame = np.array([[width, slope * height], [0, height]])  # columns: to (x, y) on screen
+    frame = np.array(
+        [[width, slope * height], [0, height]]
+    )  # its columns are axes in (x, y) on screen
     dilated = frame @ frame.T
     own = np.linalg.eigvals(np.linalg.solve(dilated, dilated - 0.3 * np.eye(2)))
     return (own.real**2).mean()
 
 
 class AdvanceTwin:
-    """A state that follows views as `nanogs.kernels.advance` does, splat by splat in float64."""
+    """A state of a fit that takes steps as `nanogs.kernels.advance` does, in float64."""
 
     def __init__(self, splats, parameters, views):
         self.parameters, self.views, self.mode = parameters, views, splats.render_mode
@@ -171,13 +181,15 @@ class AdvanceTwin:
             excess = max(1.0, sums[3] / self.weights[i])
             share = resolved_share(view.view.geometry[i])
             self.most_resolved[i] = max(self.most_resolved[i], share)
-            pace, back = rate * share, rate * 0.2 * (1 - self.most_resolved[i]) ** 2
+            step_rate, return_rate = rate * share, rate * 0.2 * (1 - self.most_resolved[i]) ** 2
             old = self.sh[i].copy()
-            self._recolour(i, sums, view.view.features[i], camera, excess * self.weights[i], pace)
-            self.sh[i] -= back * (old - self.given[i])
-            if self._reshape(i, step, excess * self.blocks[i], pace):
+            self._recolour(
+                i, sums, view.view.features[i], camera, excess * self.weights[i], step_rate
+            )
+            self.sh[i] -= return_rate * (old - self.given[i])
+            if self._reshape(i, step, excess * self.blocks[i], step_rate):
                 for now, begun in zip(self._state(), self.begun, strict=True):
-                    now[i] += back * (begun[i] - now[i])
+                    now[i] += return_rate * (begun[i] - now[i])
                 self.quats[i] /= np.linalg.norm(self.quats[i])
 
     def _state(self):
@@ -190,7 +202,7 @@ class AdvanceTwin:
             camera, self.mode,
         )  # fmt: skip
 
-    def _recolour(self, i, sums, shown, camera, bend, rate):
+    def _recolour(self, i, sums, shown, camera, curvature_scale, rate):
         degree = round(math.sqrt(len(self.sh[i]))) - 1
         direction = self.means[i] - camera.position
         basis = sh_basis(direction / np.linalg.norm(direction), degree)
@@ -201,8 +213,8 @@ class AdvanceTwin:
             curvature = (2 * band + 1) / share / (4 * math.pi)
             for _ in range(2 * band + 1):
                 gradient = basis[k] * sums[:3] * ((shown[:3] > 0) | (sums[:3] > 0))
-                gradient = gradient - ridge * bend * (self.sh[i, k] - self.given[i, k])
-                self.sh[i, k] += rate * gradient / ((curvature + ridge) * bend)
+                gradient = gradient - ridge * curvature_scale * (self.sh[i, k] - self.given[i, k])
+                self.sh[i, k] += rate * gradient / ((curvature + ridge) * curvature_scale)
                 k += 1
 
     def _reshape(self, i, gradient, block, rate):
@@ -224,6 +236,6 @@ class AdvanceTwin:
 
 
 def quat_of(matrix, like):
-    """(4,) wxyz of a rotation matrix, on the same side as another."""
+    """Return the quaternion (4,), wxyz, of a rotation matrix, with the sign nearest to `like`."""
     quat = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
     return quat if quat @ like >= 0 else -quat

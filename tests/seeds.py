@@ -1,8 +1,9 @@
-"""Whole files of every format that is read, in small, and every way to damage one.
+"""Small complete files of every format that is read, and functions that damage them.
 
-A seed is the files of a folder by name, the first of them the model's. A way is what is damaged:
-the bytes as they lie on the disk, or what is packed in them, with the checksums and lengths around
-it made right again, so that the damage reaches the code behind these.
+A seed is the files of a folder by name, the first of them the model's. A way is a function that
+damages a seed: either the bytes on the disk or the content packed in them. In the second case
+checksums and lengths around the content are corrected, so that the damage reaches the code that
+comes after their checks.
 """
 
 import base64
@@ -40,13 +41,13 @@ Way = Callable[[np.random.Generator, Files], Files]
 
 @dataclass(frozen=True)
 class Format:
-    """A format to damage: its seeds, and the ways, each as likely as it is listed."""
+    """A format to damage: its seeds, and its ways; one that is listed twice is twice as likely."""
 
     seeds: list[Files]
     ways: list[Way]
 
     def damaged(self, rng):
-        """The files of a damaged model."""
+        """Return the files of a damaged model."""
         files = self.seeds[rng.integers(len(self.seeds))]
         return self.ways[rng.integers(len(self.ways))](rng, files)
 
@@ -55,19 +56,19 @@ class Format:
 
 
 def plain(rng, files):
-    """Bytes of any one of the files."""
+    """Damage bytes of any one of the files."""
     name = list(files)[rng.integers(len(files))]
     return files | {name: mutate(rng, files[name], header=400, anywhere=0.5) or b"\0"}
 
 
 def text(rng, files):
-    """Bytes and words of the first file, mostly in its header."""
+    """Damage bytes and words of the first file, mostly in its header."""
     name = next(iter(files))
     return files | {name: mutate(rng, files[name], header=400, anywhere=0.3, text=TEXT) or b"\0"}
 
 
 def whole_json(rng, files):
-    """Values of the first JSON file."""
+    """Damage values of the first JSON file."""
     name = next(name for name in files if name.endswith((".json", ".lcc")))
     return files | {name: changed_json(rng, files[name])}
 
@@ -83,28 +84,28 @@ def inside_gzip(rng, files):
 
 
 def inside_zstd(rng, files):
-    """A stream of `.spz` version 4, the table right again or telling the truth about it."""
+    """Damage a stream of `.spz` version 4, whose stated length is then corrected or not."""
     ((name, data),) = files.items()
     streams, (toc,) = data[15], struct.unpack_from("<I", data, 16)
     sizes = list(struct.iter_unpack("<QQ", data[toc : toc + 16 * streams]))
-    at, packed, chosen = toc + 16 * streams, b"", int(rng.integers(streams))
+    offset, packed, chosen = toc + 16 * streams, b"", int(rng.integers(streams))
     table = b""
     for i, (size, expanded) in enumerate(sizes):
-        told = expanded
-        stream = data[at : at + size]
-        at += size
+        stated = expanded
+        stream = data[offset : offset + size]
+        offset += size
         if i == chosen:
             inner = mutate(rng, zstandard.decompress(stream)) or b"\0"
             stream = zstandard.compress(inner)
             if rng.random() < 0.5:
-                told = len(inner)
-        table += struct.pack("<QQ", len(stream), told)
+                stated = len(inner)
+        table += struct.pack("<QQ", len(stream), stated)
         packed += stream
     return {name: data[:toc] + table + packed}
 
 
 def inside_zip(rng, files, deflate=0.5):
-    """A member of an archive, packed again."""
+    """Damage a member of an archive, and pack it again."""
     ((name, data),) = files.items()
     out = bytes_io.BytesIO()
     method = zipfile.ZIP_DEFLATED if rng.random() < deflate else zipfile.ZIP_STORED
@@ -130,7 +131,7 @@ def _member(rng, name, content):
 
 
 def texels(rng, data):
-    """Another picture: other texels, another size, lossy, or moving."""
+    """Make another picture: other texels, another size, lossy, or an animation."""
     with Image.open(bytes_io.BytesIO(data)) as image:
         pixels = np.array(image.convert("RGBA"))
     pixels[rng.random(pixels.shape) < 0.1] = rng.integers(256)
@@ -145,21 +146,21 @@ def texels(rng, data):
 
 
 def one_texture(rng, files):
-    """Another picture in place of a file of a folder."""
+    """Replace one texture of a folder by another picture."""
     names = [name for name in files if name.endswith(".webp")]
     name = names[rng.integers(len(names))]
     return files | {name: texels(rng, files[name])}
 
 
 def one_description(rng, files):
-    """Values of any one JSON file of a folder."""
+    """Damage values of any one JSON file of a folder."""
     names = [name for name in files if name.endswith(".json")]
     name = names[rng.integers(len(names))]
     return files | {name: changed_json(rng, files[name])}
 
 
 def one_missing(rng, files):
-    """A file of a folder that is not there, or another in its place."""
+    """Remove a file of a folder, or replace it by another."""
     names = [name for i, name in enumerate(files) if i]
     if not names:
         return plain(rng, files)
@@ -171,7 +172,7 @@ def one_missing(rng, files):
 
 
 def inside_glb(rng, files):
-    """Values of the JSON of a `.glb` file, its lengths right again."""
+    """Damage values of the JSON of a `.glb` file, and correct its lengths."""
     ((name, data),) = files.items()
     (length,) = struct.unpack_from("<I", data, 12)
     content = changed_json(rng, data[20 : 20 + length])
@@ -182,7 +183,7 @@ def inside_glb(rng, files):
 
 
 def inside_gltf(rng, files):
-    """Values of the JSON of a text file, without its `data:` URIs; or a byte of one of these."""
+    """Damage values of the JSON of a `.gltf` file, except its `data:` URIs, or bytes in these."""
     name = next(iter(files))
     content = json.loads(files[name])
     uri = content["buffers"][0]["uri"]
@@ -196,7 +197,7 @@ def inside_gltf(rng, files):
 
 
 def inside_packed_glb(rng, files):
-    """Damage the packed content of a `.glb` file, and set its lengths right again."""
+    """Damage the packed content of a `.glb` file, and correct its lengths."""
     ((name, data),) = files.items()
     (length,) = struct.unpack_from("<I", data, 12)
     content = json.loads(data[20 : 20 + length])
@@ -208,28 +209,28 @@ def inside_packed_glb(rng, files):
 
 
 def inside_rad(rng, files):
-    """Values of a description, of the file or of a chunk, or what is packed in a column."""
+    """Damage the description of the file or of a chunk, or the packed content of a column."""
     name = next(iter(files))
     head, chunks = radfiles.parts_of(files[name])
-    which, kind = int(rng.integers(len(chunks))), rng.random()
-    told, payload = chunks[which]
+    chosen, kind = int(rng.integers(len(chunks))), rng.random()
+    description, payload = chunks[chosen]
     if kind < 0.4:
-        entry = told["properties"][rng.integers(len(told["properties"]))]
+        entry = description["properties"][rng.integers(len(description["properties"]))]
         columns = []
-        for each in told["properties"]:
+        for each in description["properties"]:
             data = radfiles.inflated(payload[each["offset"] : each["offset"] + each["bytes"]])
             data = mutate(rng, data, header=400, anywhere=0.5) if each is entry else data
-            kept = {k: v for k, v in each.items() if k not in ("offset", "bytes")}
-            columns.append((kept, data))
-        others = {k: v for k, v in told.items() if k not in ("properties", "payloadBytes")}
+            kept_entries = {k: v for k, v in each.items() if k not in ("offset", "bytes")}
+            columns.append((kept_entries, data))
+        others = {k: v for k, v in description.items() if k not in ("properties", "payloadBytes")}
         others = {k: others.pop(k) for k in ("count", "base")} | others
         changed = radfiles.chunk(columns, **others)
     else:
-        told = change_json(rng, told) if kind < 0.7 else told
-        start = radfiles.described(b"RADC", json.dumps(told).encode())
+        description = change_json(rng, description) if kind < 0.7 else description
+        start = radfiles.described(b"RADC", json.dumps(description).encode())
         changed = start + struct.pack("<Q", len(payload)) + payload
     parts = [
-        changed if i == which else radfiles.described(b"RADC", t) + struct.pack("<Q", len(p)) + p
+        changed if i == chosen else radfiles.described(b"RADC", t) + struct.pack("<Q", len(p)) + p
         for i, (t, p) in enumerate(chunks)
     ]
     if kind >= 0.7:
@@ -251,7 +252,7 @@ def glb(text, body):
 
 
 def saved(model, name, version=None):
-    """The files that nanogs writes of a model; those beside a `meta.json` too."""
+    """Return the files that nanogs writes of a model, with those beside a `meta.json`."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "model", name)
         target.parent.mkdir()
@@ -262,14 +263,14 @@ def saved(model, name, version=None):
 
 
 def files_of(target):
-    """A file, and all others of its folder, by their place in it."""
+    """Read a file, and all others of its folder; return them by their relative paths."""
     others = sorted(path for path in target.parent.rglob("*") if path.is_file())
     ordered = [target, *(path for path in others if path != target)]
     return {path.relative_to(target.parent).as_posix(): path.read_bytes() for path in ordered}
 
 
 def models(degrees, counts=(3, 300)):
-    """Models of some degrees, with what files may hold beside splats; one is larger."""
+    """Yield models of some degrees, with infinite opacities and a render mode; one is larger."""
     for degree in degrees:
         for count in counts:
             model = random_splats(count, degree=degree, seed=degree)
@@ -304,7 +305,7 @@ def _spzs(version):
 
 
 def inflated(files):
-    """Without its gzip."""
+    """Return the files without their gzip compression."""
     return {name: gzip.decompress(data) for name, data in files.items()}
 
 
@@ -326,7 +327,7 @@ def _sogs_1():
 
 
 def _first(contents):
-    """The same files, `meta.json` first."""
+    """Return the same files with `meta.json` first."""
     return {"meta.json": contents["meta.json"]} | contents
 
 
@@ -346,7 +347,7 @@ def _checkpoints(suffix, content, **options):
 
 
 def _streamed():
-    """Two levels in three models, one of them made by nanogs and larger."""
+    """Make streams of two levels in four models, one of them written by nanogs and larger."""
     out: Files = {}
     for name, colour in (("0_0", 1), ("0_1", 2), ("1_0", 3)):
         own = {"sh0.webp": sogfiles.webp([[colour, row, 0, 255] for row in range(3)])}
@@ -379,7 +380,7 @@ def _streamed():
 
 
 def _archived():
-    """The same, each in one zip."""
+    """Pack each of the same streams in one zip."""
     found = []
     for files in _streamed():
         out = bytes_io.BytesIO()
@@ -402,7 +403,7 @@ def _packed_glbs():
 
 
 def _gltfs():
-    """Binary files as text, their buffer in a `data:` URI or beside it."""
+    """Convert `.glb` files to text, with their buffer in a `data:` URI or in a file beside it."""
     out = []
     for number, files in enumerate(_usual("a.glb")()):
         data = files["a.glb"]
@@ -416,7 +417,7 @@ def _gltfs():
 
 
 def _tilesets():
-    """Two levels, one tile of a tileset within, one turned, one of text."""
+    """Make tilesets of two levels: one tile is a nested tileset, one is rotated, one is text."""
     contents = {f"{n}.glb": saved(random_splats(n, degree=1), "a.glb")["a.glb"] for n in (3, 40)}
     contents["7.glb"] = _packed_glbs()[2]["a.glb"]
     contents |= {"b/" + name: data for name, data in _gltfs()[0].items()}
@@ -437,14 +438,14 @@ def _tilesets():
 
 
 def _rads():
-    """As nanogs writes them, with a tree, and with a palette."""
+    """Make `.rad` files as nanogs writes them, with a tree, and with a palette."""
     tree = radfiles.rad(radfiles.small_tree()[0], 8, lodTree=True)
     others = [tree, radfiles.with_palette()[0], radfiles.with_palette(300, 200)[0]]
     return _usual("a.rad")() + [{"a.rad": data} for data in others]
 
 
 def _chunked_rads():
-    """Each chunk in a file of its own."""
+    """Make a `.rad` file with each chunk in a file of its own."""
     names = ["a-0.radc", "a-1.radc"]
     places = [{"offset": 0, "bytes": 1, "filename": name} for name in names]
     head = radfiles.rad([], 8, chunks=places, lodTree=True)
@@ -452,7 +453,7 @@ def _chunked_rads():
 
 
 def _lccs():
-    """With and without harmonics and sky; the description first, as it is opened."""
+    """Make models with and without harmonics and sky; the description comes first."""
     rng = np.random.default_rng(11)
     return [
         lccfiles.usual(rng, quality=quality, environment=environment)
@@ -461,7 +462,7 @@ def _lccs():
 
 
 def index_of_lcc(rng, files):
-    """A count, a place or a size of the cells."""
+    """Damage a byte of the cells' counts, offsets or sizes."""
     damaged = bytearray(files["index.bin"])
     at = int(rng.integers(len(damaged)))
     damaged[at] = rng.choice([0, 1, 2, 32, 127, 128, 255])
@@ -504,6 +505,6 @@ FORMATS = {
 
 @functools.cache
 def made(name):
-    """The format of a name of `FORMATS`, its seeds made."""
+    """Make the seeds of a format of `FORMATS`."""
     seeds, ways = FORMATS[name]
     return Format(seeds(), ways)

@@ -1,4 +1,4 @@
-"""SOG files made by hand, independently of nanogs' own writer."""
+"""SOG files built by hand, independently of nanogs' own writer."""
 
 import io
 import json
@@ -11,7 +11,7 @@ RAMP = [i / 128 - 1 for i in range(256)]  # a codebook whose entries are easy to
 
 
 def webp(rows, width=4, **options):
-    """(N, C) bytes as a lossless WebP file, filled up with zeros."""
+    """Encode bytes (N, C) as the texels of a lossless WebP file, padded with zeros."""
     rows = np.array(rows, np.uint8)
     height = max(4, -(-len(rows) // width))
     texels = np.zeros((height * width, 4), np.uint8)
@@ -25,7 +25,7 @@ def webp(rows, width=4, **options):
 
 
 def textures():
-    """Three splats."""
+    """Return the textures of three splats."""
     return {
         "means_l.webp": webp([[0, 0, 0], [255, 255, 255], [1, 2, 3]]),
         "means_u.webp": webp([[0, 0, 0], [255, 255, 255], [128, 128, 128]]),
@@ -58,7 +58,7 @@ def meta_1(**more):
 
 
 def palette(degree, entries):
-    """Centroid file with each entry's own number in all its texels, and what refers to it."""
+    """Make a texture of centroids, whose texels hold their entry's number, and one of labels."""
     coefficients = (degree + 1) ** 2 - 1
     rows = np.repeat(np.arange(entries), coefficients)[:, None].repeat(3, axis=1)
     rows[:, 1] += 1  # green
@@ -68,7 +68,7 @@ def palette(degree, entries):
 
 
 def files(described=None, **replaced):
-    """All files of a model by name."""
+    """Return all files of a model by name."""
     described = meta() if described is None else described
     text = described if isinstance(described, bytes) else json.dumps(described).encode()
     return textures() | {"meta.json": text} | replaced

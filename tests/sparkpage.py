@@ -1,4 +1,4 @@
-"""A page in which Spark, as its npm package has it, opens a file and draws it from one camera."""
+"""A page in which Spark, from its npm package, opens a file and draws it from one camera."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ from browsers import PATIENCE, page_at, pixels_of
 from npm_packages import served
 
 PACKAGES = Path(__file__).resolve().parents[1] / "viewer" / "node_modules"
-# As nanogs.render has it: a splat reaches to alpha 1/255, the variance on screen grows by 0.3.
+# As in nanogs.render, splats are cut off at alpha 1/255, and 0.3 is added to variances on screen.
 PAGE = """<!doctype html><meta charset="utf-8">
 <link rel="icon" href="data:,"><style>body { margin: 0 }</style>
 <script type="importmap">{"imports": {
@@ -60,21 +60,21 @@ draw();
 
 
 def in_spark(path, camera, folder, *, mesh=None, calm=8, **options):
-    """Picture of a file by Spark, (H, W, 3) float32 in [0, 1], and what it says of itself.
+    """Render a file with Spark; return (H, W, 3) float32 in [0, 1], and the page's state.
 
     Args:
         path: The file.
-        camera: From where; its principal point is in the middle.
-        folder: For the page.
+        camera: The camera, whose principal point must be in the middle.
+        folder: Folder in which the page is written.
         mesh: Options of the mesh: `paged`, so that chunks are fetched one at a time as they are
             needed, or `lod`, with which Spark makes a tree of its own.
-        calm: Frames in a row that draw the same splats, before a picture is taken.
-        **options: Of Spark's renderer, such as `lodSplatCount`.
+        calm: Number of consecutive frames with the same splats, before a picture is taken.
+        **options: Options of Spark's renderer, such as `lodSplatCount`.
     """
     if not (PACKAGES / "@sparkjsdev" / "spark").exists():
         pytest.skip("the npm package Spark is absent: run python viewer/bundle.py")
     pose = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
-    told = {
+    settings = {
         "url": f"/scene/{path.name}",
         "mesh": mesh or {},
         "paged": bool(mesh and mesh.get("paged")),
@@ -85,13 +85,13 @@ def in_spark(path, camera, folder, *, mesh=None, calm=8, **options):
         "pose": pose.T.ravel().tolist(),
         "options": options,
     }
-    (folder / "spark.html").write_text(PAGE.replace("TOLD", json.dumps(told), 1))
+    (folder / "spark.html").write_text(PAGE.replace("TOLD", json.dumps(settings), 1))
     with (
-        served(packages=PACKAGES, scene=path.parent, own=folder) as (address, asked),
+        served(packages=PACKAGES, scene=path.parent, own=folder) as (address, requests),
         page_at(f"{address}/own/spark.html", camera.width, camera.height) as page,
     ):
         done = f"window.state && (window.state.error || window.state.still > {calm})"
         page.wait_for_function(done, timeout=PATIENCE)
         state = page.evaluate("window.state")
         pixels = pixels_of(page.locator("canvas"), f"spark-{path.name}")
-    return pixels, state | {"asked": [name for name in asked if name.startswith("scene/")]}
+    return pixels, state | {"asked": [name for name in requests if name.startswith("scene/")]}

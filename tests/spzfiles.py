@@ -23,7 +23,7 @@ def smallest_three(xyzw):
 
 
 def encode_columns(rows, version, bits):
-    """Columns of (mean, alpha byte, colour bytes, scale bytes, unit xyzw, SH bytes) rows."""
+    """Encode rows of (mean, alpha byte, colour bytes, scale bytes, unit xyzw, SH bytes)."""
     columns = [b""] * 6
     for mean, alpha, colour, scale, xyzw, sh in rows:
         if version == 1:
@@ -42,20 +42,20 @@ def encode_columns(rows, version, bits):
 
 
 def encode(rows, version, *, degree=0, bits=12, flags=0, records=b"", **changes):
-    """A whole file; `changes` put wrong values into the header."""
+    """Encode a whole file; `changes` put wrong values into the header."""
     columns = encode_columns(rows, version, bits)
-    at = {"magic": b"NGSP", "version": version, "count": len(rows), "degree": degree}
-    at |= {"bits": bits, "flags": flags} | changes
-    at["version"] = at.pop("stated", version)
+    header = {"magic": b"NGSP", "version": version, "count": len(rows), "degree": degree}
+    header |= {"bits": bits, "flags": flags} | changes
+    header["version"] = header.pop("stated", version)
     keys = ("magic", "version", "count", "degree", "bits", "flags")
-    start = struct.pack("<4sIIBBB", *(at[key] for key in keys))
+    start = struct.pack("<4sIIBBB", *(header[key] for key in keys))
     if version < 4:
         return gzip.compress(start + b"\0" + b"".join(columns) + records, mtime=0)
     streams = [zstandard.compress(column) for column in columns]
-    toc = at.get("toc", 32 + len(records))
-    out = start + struct.pack("<BI12x", at.get("streams", len(streams)), toc) + records
+    toc = header.get("toc", 32 + len(records))
+    out = start + struct.pack("<BI12x", header.get("streams", len(streams)), toc) + records
     for column, stream in zip(columns, streams, strict=True):
-        out += struct.pack("<QQ", len(stream), len(column) + at.get("promise", 0))
+        out += struct.pack("<QQ", len(stream), len(column) + header.get("promise", 0))
     return out + b"".join(streams)
 
 

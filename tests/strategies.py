@@ -1,4 +1,4 @@
-"""Hypothesis strategies for models, and comparison of models bit by bit."""
+"""Hypothesis strategies that draw models, and comparison of models bit by bit."""
 
 import numpy as np
 from hypothesis import strategies as st
@@ -33,7 +33,7 @@ def elements(draw):
 
 @st.composite
 def splats(draw, max_n=8, max_degree=4, extras=True, wild=True):
-    """A random model; `wild` adds infinite opacities, zero scales and zero quaternions."""
+    """Draw a random model; `wild` adds infinite opacities, zero scales and zero quaternions."""
     n = draw(st.integers(1, max_n))
     degree = draw(st.integers(0, max_degree))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -65,7 +65,7 @@ def splats(draw, max_n=8, max_degree=4, extras=True, wild=True):
 
 
 def table(model):
-    """Every array of a model by name."""
+    """Return all arrays of a model by name."""
     fields = ("means", "log_scales", "quats", "opacity_logits", "sh")
     out = {name: getattr(model, name) for name in fields}
     out |= {f"extra {name}": column for name, column in model.extras.items()}
@@ -73,7 +73,7 @@ def table(model):
 
 
 def assert_same(a, b):
-    """Every bit of two models is the same, NaN included; the notes aside."""
+    """Check that two models are the same bit by bit, NaN included, except for their notes."""
     left, right = table(a), table(b)
     assert set(left) == set(right)
     for name, column in left.items():
@@ -85,13 +85,13 @@ def assert_same(a, b):
 
 
 def assert_written_alike(model, name, most):
-    """A file that is given the spare bits that follow from its model, 1 to `most`, is the same."""
+    """Check that passing the derived spare bits gives the same file, and 0 of them a larger one."""
     for options in ({}, {"bits": 5}):
-        settled = io.derived_options(model, name, options)
-        assert settled["spare_bits"] in range(1, most + 1)
-        plain, given = (
-            io.round_trip_with_size(model, name, o) for o in (options, options | settled)
+        derived = io.derived_options(model, name, options)
+        assert derived["spare_bits"] in range(1, most + 1)
+        by_default, explicit = (
+            io.round_trip_with_size(model, name, o) for o in (options, options | derived)
         )
-        assert_same(plain[0], given[0])
+        assert_same(by_default[0], explicit[0])
         finer = io.round_trip_with_size(model, name, {**options, "spare_bits": 0})
-        assert finer[1] > plain[1] == given[1]
+        assert finer[1] > by_default[1] == explicit[1]

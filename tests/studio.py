@@ -1,4 +1,4 @@
-"""A studio that runs, and a page of it without a browser."""
+"""A running `nanogs studio`, and a client of it without a browser."""
 
 import http.client
 import json
@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 @contextmanager
 def running(scene, *options, cwd, env=None):
-    """The command in a process of its own, as users have it; its address."""
+    """Start the command in a process of its own, and yield it once it has printed its address."""
     words = ["studio", scene, "--no-open", "--json", *options]
     process = subprocess.Popen(
         [sys.executable, "-m", "nanogs", *map(str, words)], cwd=cwd, text=True,
@@ -30,44 +30,47 @@ def running(scene, *options, cwd, env=None):
 
 
 class Started:
-    """A command that has said its address."""
+    """The process of the command; `told` is what it printed, and `url` the studio's address."""
 
     def __init__(self, process):
         self.process = process
         text = ""
         while not text.endswith("}\n"):
-            line = process.stdout.readline()
-            assert line, process.stderr.read()
-            text += line
+            connection = process.stdout.readline()
+            assert connection, process.stderr.read()
+            text += connection
         self.told = json.loads(text)
         self.url = self.told["url"]
 
     def request(self, method, path="", body=None, headers=None, whole=False):
-        """Status, headers and bytes; with `whole` the path begins at the root."""
+        """Send a request; return status, headers and bytes.
+
+        With `whole`, `path` is the whole path; otherwise it is appended to that of the address.
+        """
         parts = urlsplit(self.url)
-        line = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60)
+        connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60)
         usual = {"Host": parts.netloc}
         if method == "POST":
             usual |= {"Origin": f"http://{parts.netloc}", "Content-Type": "application/json"}
         given = {k: v for k, v in (usual | (headers or {})).items() if v is not None}
-        line.putrequest(method, path if whole else parts.path + path, skip_host=True)
+        connection.putrequest(method, path if whole else parts.path + path, skip_host=True)
         data = json.dumps(body).encode() if isinstance(body, dict) else body or b""
         if method == "POST" and "Content-Length" not in given:
             given["Content-Length"] = str(len(data))
         for name, value in given.items():
-            line.putheader(name, value)
-        line.endheaders(data)
-        answer = line.getresponse()
-        with closing(line):
+            connection.putheader(name, value)
+        connection.endheaders(data)
+        answer = connection.getresponse()
+        with closing(connection):
             return answer.status, dict(answer.getheaders()), answer.read()
 
     def page(self):
-        """A page that listens."""
+        """Open a page that listens for events."""
         return Page(self)
 
 
 class Page:
-    """A page without a browser: it asks, and takes events."""
+    """A page without a browser: it sends requests and receives events."""
 
     def __init__(self, studio, name=None):
         self.studio, self.name, self.number = studio, name or token_hex(8), 0
@@ -86,14 +89,14 @@ class Page:
             for line in self.answer:
                 if line.startswith(b"data: "):
                     self.events.put(event := json.loads(line[6:]))
-                    if event["type"] in ("draft", "made"):  # it draws in no time
+                    if event["type"] in ("draft", "made"):  # as if drawn at once
                         self.post("seen", model=event["model"]["id"])
         except (OSError, ValueError, AttributeError, http.client.HTTPException):
             pass
         self.events.put(None)
 
     def close(self):
-        """Close the line of events."""
+        """Close the connection that events come from."""
         with suppress(OSError):
             self.socket.shutdown(socket.SHUT_RDWR)
         self.reader.join()
@@ -102,7 +105,7 @@ class Page:
         self.socket.close()
 
     def wait(self, *kinds, number=None, seconds=60):
-        """The next event of one of these kinds, and of a number; others are kept in `seen`."""
+        """Wait for the next event of some kinds and, if given, a number; keep all in `seen`."""
         until = time.monotonic() + seconds
         while True:
             event = self.events.get(timeout=max(until - time.monotonic(), 0.01))
@@ -113,19 +116,19 @@ class Page:
             assert event["type"] != "failed" or "failed" in kinds, event
 
     def post(self, where, /, **body):
-        """The status and the answer."""
+        """Post a request; return the status and the answer."""
         status, _, data = self.studio.request("POST", where, {"page": self.name} | body)
         return status, json.loads(data) if data else None
 
     def ask(self, **choice):
-        """Ask; the number, and the command."""
+        """Ask for a model; return the number of the request and the equivalent command."""
         self.number += 1
         status, answer = self.post("ask", number=self.number, choice=choice)
         assert status == 200, answer
         return self.number, answer["command"]
 
     def save(self, path, overwrite=False, **choice):
-        """Save; the number, and the command."""
+        """Save a model; return the number of the request and the equivalent command."""
         self.number += 1
         status, answer = self.post(
             "save", number=self.number, choice=choice, path=path, overwrite=overwrite
@@ -134,7 +137,7 @@ class Page:
         return self.number, answer["command"]
 
     def model(self, name):
-        """The bytes of a model."""
+        """Fetch the bytes of a model."""
         status, _, data = self.studio.request("GET", f"models/{name}.spz")
         assert status == 200
         return data

@@ -1,4 +1,4 @@
-"""A server as the page of the studio knows it, without a studio: a test says what it answers."""
+"""A fake server for the page of the studio, whose answers and events a test determines."""
 
 import contextlib
 import http.server
@@ -17,7 +17,7 @@ from nanogs.views.opening import opening_for
 
 PACKAGE = files("nanogs")
 TYPES = {"js": "text/javascript", "css": "text/css", "spz": "application/octet-stream"}
-PATIENCE = 10  # seconds
+PATIENCE = 10  # timeout, seconds
 ENTRIES = [
     {"name": "old", "kind": "folder", "bytes": None},
     {"name": "scene-small.sog", "kind": "model", "bytes": 1234},
@@ -29,17 +29,17 @@ LAYOUT = {"name": "3D Tiles", "suffix": "tileset.json", "example": "scene/tilese
 
 
 class Fake:
-    """A server that keeps the requests of a page, and tells it things.
+    """A server that records the requests of a page, and sends it events.
 
     Attributes:
         asked: Path and JSON of each request, in order.
-        seen: What the page said of what it has drawn, in order.
+        seen: The page's reports of what it has drawn, in order.
         fetched: Names of models, in the order in which they were fetched.
-        refused: Status and sentence that the next request of a path is answered with.
+        refused: By path, the status and the sentence with which its next request is answered.
     """
 
     def __init__(self, models):
-        """Pack models by name; `original` is the scene."""
+        """Pack the models, given by name; `original` is the scene."""
         original = models["original"]
         start = opening_for(original)
         self.models = {name: pack(model, start).data for name, model in models.items()}
@@ -62,7 +62,7 @@ class Fake:
         }  # fmt: skip
 
     def model(self, name, splats=1):
-        """A model as events describe it."""
+        """Return the description of a model in events."""
         return {"id": name, "splats": splats, "mip": False, "note": None}
 
     def tell(self, **event):
@@ -70,22 +70,22 @@ class Fake:
         self._events.put(event)
 
     def answer(self, kind, number, model, drawn=None, **more):
-        """A draft, or what is measured; with fewer splats drawn than it has, if named."""
+        """Send an event about a result, whose model may have fewer splats than the result has."""
         usual = {"splats": 30, "bytes": 600, "psnr": 31.0, "ssim": 0.9, "seconds": 1, "stop": ""}
         event = usual | more
         entry = self.model(model, event["splats"] if drawn is None else drawn)
         self.tell(type=kind, number=number, model=entry, **event)
 
     def wait(self, path, count=1):
-        """The JSON of the request of that path that is the so many-th."""
+        """Wait for the request of a path whose number is `count`, from 1; return its JSON."""
         end = time.monotonic() + PATIENCE
-        while len(found := [body for each, body in self.asked if each == path]) < count:
+        while len(bodies := [body for each, body in self.asked if each == path]) < count:
             assert time.monotonic() < end, f"{path} was not asked {count} times: {self.asked}"
             time.sleep(0.01)
-        return found[count - 1]
+        return bodies[count - 1]
 
     def stream(self, file):
-        """Events as they come, until the server ends."""
+        """Write the scene and then each event to `file`, until `end` is called."""
         self._events = queue.Queue()
         self.tell(**self.scene)
         with contextlib.suppress(OSError):
@@ -94,13 +94,13 @@ class Fake:
                 file.flush()
 
     def end(self):
-        """Let go of the page."""
+        """End the stream of events."""
         self._events.put(None)
 
 
 @contextlib.contextmanager
 def faked(models):
-    """A fake, and the address of its page."""
+    """Start a fake server; yield it, and the address of its page."""
     fake = Fake(models)
 
     class Handler(http.server.BaseHTTPRequestHandler):

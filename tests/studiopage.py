@@ -1,17 +1,17 @@
-"""The page of `nanogs studio` in a browser: what a user does with it, and what is waited for."""
+"""The page of `nanogs studio` in a browser: a user's actions, and waiting for their results."""
 
 import contextlib
 
 from browsers import CHROMIUM, SOFTWARE
 
-PATIENCE = 60_000  # milliseconds; machines of tests are busy
+PATIENCE = 60_000  # timeout, milliseconds; test machines are busy
 SETTLED = "() => ['measured', 'failed'].includes(document.body.dataset.state)"
 NUMBER = "Number(document.body.dataset.number || 0)"
 
 
 @contextlib.contextmanager
 def browser():
-    """Chromium, drawn by the processor."""
+    """Start Chromium, which renders on the CPU."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
@@ -23,7 +23,7 @@ def browser():
 
 
 class StudioPage:
-    """One page that is open, with the errors that its console had."""
+    """An open page, with the errors on its console."""
 
     def __init__(self, chromium, url, width=1280, height=800, **options):
         size = {"width": width, "height": height}
@@ -31,69 +31,69 @@ class StudioPage:
         self.page = self.context.new_page()
         self.page.set_default_timeout(PATIENCE)
         self.errors, self.foreign = [], []
-        self.expected = ()  # words of errors that a test brings about
+        self.expected = ()  # words of errors that a test causes on purpose
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("console", self._said)
         self.page.on("request", lambda request: self._requested(request.url, url))
         self.page.goto(url)
 
-    def _said(self, said):
-        if said.type == "error":
-            self.errors.append(f"{said.text} {said.location.get('url', '')}")
+    def _said(self, message):
+        if message.type == "error":
+            self.errors.append(f"{message.text} {message.location.get('url', '')}")
 
     def _requested(self, address, own):
         if not address.startswith((own, "data:", "blob:")):
             self.foreign.append(address)
 
     def close(self):
-        """Close it; the console had no errors, and nothing came from elsewhere."""
+        """Close the page, and check that it had no errors and requested nothing from elsewhere."""
         self.context.close()
         assert self.unexpected == [], self.unexpected
         assert self.foreign == [], self.foreign
 
     @property
     def unexpected(self):
-        """Errors on the console, but for those that a test brings about."""
+        """Errors on the console except for those that a test causes on purpose."""
         return [text for text in self.errors if not any(word in text for word in self.expected)]
 
     def at(self, name):
-        """The element of an ID."""
+        """Return a locator of the element with an ID."""
         return self.page.locator(f"#{name}")
 
     def text(self, name):
-        """The text of a part of the page."""
+        """Return the text of an element."""
         return self.at(name).text_content().strip()
 
     def value(self, name):
-        """The content of a field, as a number."""
+        """Return the content of a field as a number."""
         return float(self.at(name).input_value().replace(",", "") or "nan")
 
     @property
     def state(self):
-        """The page's own."""
+        """The state of the page, such as "measured"."""
         return self.page.evaluate("document.body.dataset.state")
 
     @property
     def number(self):
-        """That of its latest request."""
+        """The number of the page's latest request."""
         return self.page.evaluate(NUMBER)
 
     @property
     def alert(self):
-        """The sentence about what went wrong, or nothing."""
+        """The error message that is shown, or an empty string."""
         alert = self.at("alert")
         return alert.locator("p").text_content() if alert.is_visible() else ""
 
     def until(self, condition, argument=None):
-        """Wait for what a line of JavaScript says."""
+        """Wait until a JavaScript expression or function is true."""
         from playwright.sync_api import TimeoutError as TooLong
 
         try:
             self.page.wait_for_function(condition, arg=argument, timeout=PATIENCE)
         except TooLong:
-            said = {name: self.text(name) for name in ("said", "save-said", "takes", "command")}
+            texts = {name: self.text(name) for name in ("said", "save-said", "takes", "command")}
             data = self.page.evaluate("({...document.body.dataset})")
-            raise AssertionError((condition, data, said, self.alert, self.errors)) from None
+            raise AssertionError((condition, data, texts, self.alert, self.errors)) from None
 
     def settle(self, after=0):
         """Wait until a request later than `after` is measured, and its picture stands still."""
@@ -105,7 +105,7 @@ class StudioPage:
         self.page.wait_for_selector("#view[data-state=still]", timeout=PATIENCE)
 
     def measured(self, action):
-        """Do what changes the choice, and wait until that is measured."""
+        """Call a function that changes the choice, and wait until the result is measured."""
         before = self.number
         action()
         self.settle(before)
@@ -116,11 +116,11 @@ class StudioPage:
         self.at(f"{name}-range").fill(str(place))
 
     def type(self, name, words):
-        """Type into a field, and Enter."""
+        """Type into a field, and press Enter."""
         self.at(name).fill(str(words))
         self.at(name).press("Enter")
 
     def unfold(self, name):
-        """Open what is folded up."""
+        """Unfold a `details` element if it is folded."""
         if not self.at(name).evaluate("element => element.open"):
             self.at(name).locator("summary").click()

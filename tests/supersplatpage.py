@@ -1,4 +1,4 @@
-"""PlayCanvas's viewer, supersplat-viewer as its npm package has it, with a model that we wrote."""
+"""PlayCanvas's viewer, supersplat-viewer from its npm package, opening a model that we wrote."""
 
 import json
 
@@ -9,12 +9,12 @@ from npm_packages import package, served
 
 SETTINGS = {"background": {"color": [0, 0, 0]}, "animTracks": []}
 LENS = {"fov": 50}  # degrees, of the longer side
-# It turns what it opens by half a turn about z, from y down to y up.
+# It rotates models by 180 degrees about z, from y down to y up.
 TURN = np.array([-1.0, -1.0, 1.0])
 
 
 def standing_at(camera):
-    """The viewer's words for a camera whose up is its own, that of the model's -y."""
+    """Return the viewer's options for a camera whose up direction is the model's -y."""
     forward, centre = camera.world_to_camera[2, :3], camera.position
     longer = max(camera.width / camera.fx, camera.height / camera.fy) / 2
     return {
@@ -25,21 +25,21 @@ def standing_at(camera):
 
 
 def in_supersplat(path, folder, count, width=320, height=240, **camera):
-    """Picture of a model by SuperSplat once it draws so many splats, and the files it asked for.
+    """Render a model with SuperSplat once it draws `count` splats.
 
     Args:
         path: The model.
-        folder: For its settings.
-        count: Splats that it draws in the end; it begins with the coarsest level.
+        folder: Folder in which its settings are written.
+        count: Number of splats that it draws in the end; it begins with the coarsest level.
         width, height: Pixels.
-        **camera: Where it begins, as `standing_at` says it; it chooses if nothing is given.
+        **camera: The first camera, from `standing_at`; the viewer chooses one if none is given.
 
     Returns:
-        (H, W, 3) float32 in [0, 1], and names of descriptions and bundles in the order of requests.
+        (H, W, 3) float32 in [0, 1], and names of descriptions and bundles in order of request.
     """
     viewer = package("@playcanvas/supersplat-viewer") / "public"
     (folder / "settings.json").write_text(json.dumps(SETTINGS | {"camera": LENS | camera}))
-    with served(viewer=viewer, scene=path.parent, own=folder) as (address, asked):
+    with served(viewer=viewer, scene=path.parent, own=folder) as (address, requests):
         options = "webgl&noanim&nofx&noui&settings=/own/settings.json"
         options += f"&content=/scene/{path.name}"
         with page_at(f"{address}/viewer/index.html?{options}", width, height) as page:
@@ -47,4 +47,4 @@ def in_supersplat(path, folder, count, width=320, height=240, **camera):
             page.wait_for_function(f"{drawn} === {count}", timeout=PATIENCE)
             page.wait_for_timeout(500)  # a few frames
             pixels = pixels_of(page, f"{path.parent.name}-{path.name}")
-    return pixels, [name for name in asked if name.endswith(("meta.json", "sog"))]
+    return pixels, [name for name in requests if name.endswith(("meta.json", "sog"))]

@@ -1,4 +1,4 @@
-"""The other processes of a first run: they compile what the first needs last."""
+"""The helper processes of a first run: they compile the kernels that the run needs last."""
 
 import subprocess
 import sys
@@ -17,7 +17,7 @@ def forgotten():
 
 
 @pytest.mark.parametrize(("processors", "others"), [(1, 0), (2, 1), (16, 3)])
-def test_they_are_started_once_and_only_where_there_are_processors(monkeypatch, processors, others):
+def test_helpers_are_started_once_and_for_spare_processors_only(monkeypatch, processors, others):
     started, stopped = [], []
 
     class Process:
@@ -37,24 +37,24 @@ def test_they_are_started_once_and_only_where_there_are_processors(monkeypatch, 
     assert all(command[1:] == ["-m", "nanogs.ahead", "fast"] for command in started)
 
 
-def test_they_begin_at_the_end_and_wait_for_nobody(monkeypatch):
-    asked = []
+def test_helpers_compile_from_the_last_kernel_and_skip_failures(monkeypatch):
+    compiled = []
 
     class One:
         def __init__(self, name):
             self.name = name
 
         def compile(self, *, wait):
-            asked.append((self.name, wait))
+            compiled.append((self.name, wait))
             if self.name == "second":
                 raise TypeError("of a kernel that was changed")
 
     monkeypatch.setattr(needed, "needed", lambda preset: [One("first"), One("second"), One(preset)])
     ahead.compile_from_the_end("fast")
-    assert asked == [("fast", False), ("second", False), ("first", False)]
+    assert compiled == [("fast", False), ("second", False), ("first", False)]
 
 
-def test_an_empty_place_of_kernels_is_known_without_numba(monkeypatch, tmp_path):
+def test_an_empty_kernel_cache_is_detected_without_importing_numba(monkeypatch, tmp_path):
     monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert ahead.nothing_compiled()
@@ -65,8 +65,10 @@ def test_an_empty_place_of_kernels_is_known_without_numba(monkeypatch, tmp_path)
     (tmp_path / "kernels_1" / "one.nbi").touch()
     assert not ahead.nothing_compiled()
     code = "import sys, nanogs.ahead as a; a.nothing_compiled(); print('numba' in sys.modules)"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == "False"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "False"
 
 
 HOLD = """
@@ -80,17 +82,17 @@ with log_determinants._compiled._cache.alone():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no process knows what others compile there")
-def test_what_another_process_compiles_is_left_to_it(monkeypatch, tmp_path):
+def test_a_kernel_that_another_process_compiles_is_skipped(monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
-    ask = (
+    program = (
         "from nanogs.kernels.needed import needed\n"
         "[one] = [one for one in needed() if one.name == 'forest.log_determinants']\n"
         "print(one.held(), one.compile(wait=False), one.held())"
     )
 
-    def asked():
-        command = [sys.executable, "-c", ask]
+    def held_compiled_held():
+        command = [sys.executable, "-c", program]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
 
     holder = subprocess.Popen(
@@ -98,7 +100,7 @@ def test_what_another_process_compiles_is_left_to_it(monkeypatch, tmp_path):
     )
     with holder:
         holder.stdout.readline()
-        assert asked() == ["False", "False", "False"]
+        assert held_compiled_held() == ["False", "False", "False"]
         holder.communicate("")
-    assert asked() == ["False", "True", "True"]
-    assert asked() == ["True", "False", "True"]
+    assert held_compiled_held() == ["False", "True", "True"]
+    assert held_compiled_held() == ["True", "False", "True"]

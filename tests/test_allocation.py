@@ -1,4 +1,4 @@
-"""Memory that is freed and taken again is not cleared by the system each time."""
+"""`keep_freed_memory`: memory that is freed and allocated again causes no new page faults."""
 
 import platform
 import subprocess
@@ -30,13 +30,14 @@ for size in (40 << 20, 100 << 20):
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other libraries do as they do")
-def test_arrays_of_a_view_are_taken_again_and_larger_ones_given_back():
-    found = {}
-    for manner in ("usual", "kept"):
-        done = subprocess.run(
-            [sys.executable, "-c", FAULTS, manner], capture_output=True, check=True, text=True
+def test_memory_of_40_mb_is_kept_and_memory_of_100_mb_is_returned():
+    page_faults = {}
+    for mode in ("usual", "kept"):
+        result = subprocess.run(
+            [sys.executable, "-c", FAULTS, mode], capture_output=True, check=True, text=True
         )
-        found[manner] = list(map(int, done.stdout.split()))
-    assert found["usual"][0] >= 20  # at least one a time, of a huge page or a small one
-    assert found["kept"][0] < 20
-    assert found["kept"][1] >= 20
+        page_faults[mode] = list(map(int, result.stdout.split()))
+    # At least one page fault for each array, whether pages are huge or small.
+    assert page_faults["usual"][0] >= 20
+    assert page_faults["kept"][0] < 20
+    assert page_faults["kept"][1] >= 20

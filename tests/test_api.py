@@ -1,4 +1,4 @@
-"""Python's side of the library: names, paths in place of models, scores and pictures."""
+"""The Python interface: public names, paths in place of models, scores and pictures."""
 
 import dataclasses
 import inspect
@@ -43,16 +43,16 @@ def files(pair, tmp_path_factory):
     return paths
 
 
-def python(code, *, code_of_exit=0):
+def python(code, *, exit_code=0):
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert result.returncode == code_of_exit, result.stderr
+    assert result.returncode == exit_code, result.stderr
     return result.stdout
 
 
 # ---- names ----------------------------------------------------------------------------------
 
 
-def test_importing_is_light():
+def test_importing_nanogs_imports_no_heavy_modules():
     python(
         "import sys, nanogs\n"
         "heavy = {'numpy', 'numba', 'scipy', 'PIL', 'rich', 'typer', 'jinja2', 'nanogs.splats'}\n"
@@ -66,7 +66,7 @@ def test_importing_is_light():
     "first", ["", "nanogs.simplify, nanogs.refit, nanogs.render, nanogs.compare"]
 )
 def test_every_module_can_be_imported_by_its_name(first):
-    # Those of a card import Warp, which not everybody has; `tests/test_layers.py` has them alone.
+    # Modules of `nanogs.card` import Warp, which is optional; `tests/test_layers.py` checks these.
     left_out = "('__main__',)" if find_spec("warp") else "('__main__', *card)"
     python(
         "import importlib, pkgutil\n"
@@ -89,7 +89,7 @@ def test_no_function_has_the_name_of_a_module():
     assert not own & modules
 
 
-def test_functions_are_ordinary_functions():
+def test_functions_have_the_usual_attributes_and_can_be_pickled():
     for name in ("compare", "refit", "render", "simplify"):
         function = getattr(nanogs, name)
         assert function.__name__ == function.__qualname__ == name
@@ -110,14 +110,14 @@ def test_presets_can_be_read_and_not_changed():
         nanogs.presets["fast"].k = 3
 
 
-def test_every_name_is_documented_in_the_reference():
+def test_every_public_name_is_documented_in_the_reference():
     reference = Path(__file__).resolve().parents[1] / "docs" / "reference"
     text = "".join(page.read_text() for page in reference.glob("*.md"))
     for name in set(nanogs.__all__) - {"__version__"}:
         assert f"nanogs.{name}\n" in text or f"`nanogs.{name}`" in text, name
 
 
-def test_info_is_that_of_the_command(files):
+def test_info_takes_a_path_and_describes_the_file(files):
     found = nanogs.info(str(files[0]))
     assert (found.file.splats, found.file.sh_degree, found.nonfinite) == (400, 1, 0)
     with pytest.raises(FormatError, match="no such file"):
@@ -127,7 +127,7 @@ def test_info_is_that_of_the_command(files):
 # ---- paths in place of models ---------------------------------------------------------------
 
 
-def test_paths_stand_for_models(files, pair):
+def test_paths_are_accepted_in_place_of_models(files, pair):
     large, small = files
     for path in (large, str(large)):
         from_path, _ = nanogs.simplify(path, ratio=0.25, preset="fast")
@@ -139,7 +139,7 @@ def test_paths_stand_for_models(files, pair):
     assert_same(fitted, nanogs.refit(nanogs.load(large), nanogs.load(small), **options)[0])
 
 
-def test_a_size_is_a_number_or_text(pair):
+def test_a_file_size_may_be_a_number_or_text(pair):
     options = {"format": ".splat", "preset": "fast"}
     small, report = nanogs.simplify(pair[0], size="3.2kB", **options)
     assert (len(small), report.asked_size) == (100, 3200)
@@ -148,20 +148,20 @@ def test_a_size_is_a_number_or_text(pair):
         nanogs.simplify(pair[0], size="a lot")
 
 
-def test_memory_is_a_number_or_text(files, tmp_path):
-    texts = []
-    for place, limit in enumerate((2_000_000_000, "2GB")):
+def test_a_memory_limit_may_be_a_number_or_text(files, tmp_path):
+    contents = []
+    for index, limit in enumerate((2_000_000_000, "2GB")):
         report = nanogs.simplify_blocks(
-            files[0], tmp_path / f"{place}.ply", ratio=0.5, preset="fast", max_memory=limit
+            files[0], tmp_path / f"{index}.ply", ratio=0.5, preset="fast", max_memory=limit
         )
-        texts.append((tmp_path / f"{place}.ply").read_bytes())
-    assert texts[0] == texts[1]
+        contents.append((tmp_path / f"{index}.ply").read_bytes())
+    assert contents[0] == contents[1]
     assert report.achieved_count == 200
     with pytest.raises(OptionError, match="not 'much'"):
         nanogs.simplify_blocks(files[0], tmp_path / "c.ply", ratio=0.5, max_memory="much")
 
 
-def test_options_are_refused_before_a_file_is_read():
+def test_invalid_options_are_refused_before_a_file_is_read():
     with pytest.raises(OptionError, match="ratio"):
         nanogs.simplify("missing.ply", ratio=2)
     with pytest.raises(OptionError, match="There is no preset"):
@@ -178,14 +178,14 @@ def test_options_are_refused_before_a_file_is_read():
         lambda given: nanogs.compare(given, given),
     ],
 )
-def test_what_is_no_model_is_named(call):
+def test_an_argument_that_is_no_model_is_refused_with_its_type(call):
     with pytest.raises(ModelError, match=r"must be Splats, a Source or a path, not ndarray"):
         call(np.zeros((3, 3)))
     with pytest.raises(FormatError, match=r"missing\.ply: no such file"):
         call("missing.ply")
 
 
-def test_models_and_paths_the_wrong_way_round(tmp_path):
+def test_a_path_where_a_model_is_needed_is_refused(tmp_path):
     path = tmp_path / "a.ply"
     with pytest.raises(ModelError, match=r"A model is needed, not the path '.*nanogs.load"):
         nanogs.save(str(path), random_splats(3))
@@ -211,18 +211,18 @@ def test_models_and_paths_the_wrong_way_round(tmp_path):
         ({"psnr": "30"}, "`psnr` must be a number"),
     ],
 )
-def test_a_goal_is_a_number(pair, goal, message):
+def test_a_target_that_is_no_number_is_refused(pair, goal, message):
     with pytest.raises(OptionError, match=message):
         nanogs.simplify(pair[0], preset="fast", **goal)
 
 
 @pytest.mark.parametrize("goal", [{"count": np.int64(9)}, {"ratio": np.float32(0.25)}])
-def test_numbers_of_numpy_reach_no_report(pair, goal):
+def test_a_report_with_a_numpy_target_can_be_written_as_json(pair, goal):
     _, report = nanogs.simplify(pair[0], preset="fast", **goal)
     assert json.loads(json.dumps(report.to_dict()))["achieved_count"] == report.achieved_count
 
 
-def test_views_are_named_or_given_and_not_ignored(pair, files, tmp_path):
+def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, tmp_path):
     quick = {"view_size": 64, "views": 4, "further": 0, "steps": 1}
     named, _ = nanogs.simplify(pair[0], count=9, cameras="orbit", **quick)
     cameras = cameras_for(pair[0], "orbit", count=4, width=64, height=64, split="fit")
@@ -276,41 +276,41 @@ def test_views_are_named_or_given_and_not_ignored(pair, files, tmp_path):
         ),
     ],
 )
-def test_what_python_is_given_is_refused_in_a_sentence(pair, call, message):
+def test_an_invalid_argument_is_refused_in_one_sentence(pair, call, message):
     with pytest.raises(OptionError, match=message):
         call(pair[0])
 
 
 @pytest.mark.parametrize("several", [np.array, iter, tuple])
-def test_ratios_may_be_in_whatever_holds_numbers(pair, files, tmp_path, several):
-    given = [0.5, 0.1]
-    made = [len(small) for small, _ in nanogs.levels(pair[0], several(given), preset="fast")]
+def test_ratios_may_be_an_array_an_iterator_or_a_tuple(pair, files, tmp_path, several):
+    ratios = [0.5, 0.1]
+    made = [len(small) for small, _ in nanogs.levels(pair[0], several(ratios), preset="fast")]
     assert made == [200, 40]
     folder = tmp_path / "levels"
-    manifest, _ = nanogs.write_levels(files[0], folder, several(given), preset="fast")
-    assert [level.ratio for level in manifest.levels] == given
+    manifest, _ = nanogs.write_levels(files[0], folder, several(ratios), preset="fast")
+    assert [level.ratio for level in manifest.levels] == ratios
 
 
-def test_paths_of_a_scene_may_come_one_at_a_time(files, tmp_path):
+def test_paths_of_a_scene_may_be_an_iterator(files, tmp_path):
     manifest, _ = nanogs.write_levels(iter([files[0]]), tmp_path / "levels", preset="fast")
     assert manifest.levels[0].count == len(nanogs.load(files[0]))
 
 
 @pytest.mark.parametrize("block", [None, 300])
-def test_filters_may_come_one_at_a_time(files, tmp_path, block):
+def test_filters_may_be_an_iterator(files, tmp_path, block):
     low, high = (-1, -1, -1), (0.2, 1, 1)
     left = len(nanogs.filters.crop_box(nanogs.load(files[0]), low, high))
-    some = iter([nanogs.filters.box(low, high)])
+    filters = iter([nanogs.filters.box(low, high)])
     out = tmp_path / "out.ply"
     report = nanogs.simplify_blocks(
-        files[0], out, ratio=0.5, preset="fast", filters=some, block=block
+        files[0], out, ratio=0.5, preset="fast", filters=filters, block=block
     )
     assert report.filters[0].left == left
-    some = iter([nanogs.filters.box(low, high)])
-    assert nanogs.convert(files[0], out, filters=some, overwrite=True).splats == left
+    filters = iter([nanogs.filters.box(low, high)])
+    assert nanogs.convert(files[0], out, filters=filters, overwrite=True).splats == left
 
 
-def test_a_job_takes_numbers_of_numpy_and_a_path_for_its_files(files, tmp_path):
+def test_a_job_takes_numpy_numbers_and_a_scratch_folder(files, tmp_path):
     fast = {"preset": "fast", "block": np.int64(300)}
     out, scratch = tmp_path / "out.ply", tmp_path / "scratch"
     report = nanogs.simplify_blocks(files[0], out, count=9, scratch=scratch, **fast)
@@ -327,8 +327,8 @@ def test_a_job_takes_numbers_of_numpy_and_a_path_for_its_files(files, tmp_path):
             nanogs.write_levels(files[0], tmp_path / "no", [0.5], **fast, **many | {"chunk": wrong})
 
 
-def test_parameters_may_be_numbers_of_numpy(pair, files, tmp_path):
-    """JSON has none of these: neither reports nor the files of a job."""
+def test_parameters_may_be_numpy_numbers(pair, files, tmp_path):
+    """JSON cannot hold numpy numbers, so reports and the files of a job have to convert them."""
     quick = {"steps": np.int64(1), "views": np.int32(4), "further": np.int64(0)}
     quick |= {"view_size": np.int64(64), "lambda_app": np.float32(0.5)}
     _, report = nanogs.simplify(pair[0], count=9, **quick)
@@ -343,27 +343,27 @@ def test_parameters_may_be_numbers_of_numpy(pair, files, tmp_path):
     assert json.loads(json.dumps(report.to_dict()))["parameters"]["k"] == 4
 
 
-def test_threads_may_be_a_number_of_numpy(pair, files, tmp_path):
-    one = {"count": 9, "preset": "fast", "threads": np.int64(1)}
-    _, report = nanogs.simplify(pair[0], **one)
+def test_threads_may_be_a_numpy_number(pair, files, tmp_path):
+    options = {"count": 9, "preset": "fast", "threads": np.int64(1)}
+    _, report = nanogs.simplify(pair[0], **options)
     assert json.loads(json.dumps(report.to_dict()))["threads"] == 1
-    report = nanogs.simplify_blocks(files[0], tmp_path / "out.ply", block=300, **one)
+    report = nanogs.simplify_blocks(files[0], tmp_path / "out.ply", block=300, **options)
     assert json.loads(json.dumps(report.to_dict()))["threads"] == 1
 
 
-def test_cameras_and_a_preset_that_are_none_are_refused_in_a_sentence(pair):
+def test_invalid_cameras_and_presets_are_refused_in_one_sentence(pair):
     with pytest.raises(OptionError, match=r"or at least one nanogs\.Camera"):
         nanogs.simplify(pair[0], count=9, cameras=5)
     with pytest.raises(OptionError, match="There is no preset None; choose one of"):
         nanogs.simplify(pair[0], count=9, preset=None)
 
 
-def test_levels_are_in_a_format_with_or_without_its_dot(files, tmp_path):
+def test_the_suffix_of_levels_may_lack_its_dot(files, tmp_path):
     nanogs.write_levels(files[0], tmp_path / "levels", [0.5], preset="fast", suffix="spz")
     assert (tmp_path / "levels" / "level_0.spz").exists()
 
 
-def test_one_filter_is_no_list_of_them(files, tmp_path):
+def test_filters_that_are_no_list_are_refused(files, tmp_path):
     one, out = nanogs.filters.box((0, 0, 0), (1, 1, 1)), tmp_path / "out.ply"
     for wrong in (one, [nanogs.filters.box], "box", 5):
         with pytest.raises(OptionError, match="must be a list of filters, such as"):
@@ -372,7 +372,7 @@ def test_one_filter_is_no_list_of_them(files, tmp_path):
             nanogs.convert(files[0], out, filters=wrong)
 
 
-def test_one_format_and_one_metric_are_several_of_one(pair):
+def test_one_format_or_one_metric_needs_no_list(pair):
     found = nanogs.compare(pair[0], pair[1], packed=".splat", **SMALL)
     listed = nanogs.compare(pair[0], pair[1], packed=[".splat"], **SMALL)
     assert found == listed
@@ -389,7 +389,7 @@ def test_one_format_and_one_metric_are_several_of_one(pair):
         lambda m, **o: nanogs.compare(m, m, **o),
     ],
 )
-def test_views_and_pixels_are_numbers_of_any_kind_and_nothing_else(pair, call):
+def test_views_and_pixels_may_be_numpy_numbers_and_nothing_but_numbers(pair, call):
     small = pair[0].take(np.arange(60))
     plain, numpys = call(small, views=1, pixels=(32, 16)), {"views": np.int64(1)}
     for pixels in (np.array([32, 16]), (np.int32(32), np.uint8(16))):
@@ -405,15 +405,15 @@ def test_views_and_pixels_are_numbers_of_any_kind_and_nothing_else(pair, call):
             call(small, views=views, pixels=32)
 
 
-def test_one_array_of_views_is_enough(pair):
-    """Among options that are left as they are, which `compare` looks at for photographs."""
+def test_compare_takes_arrays_for_up_and_pixels(pair):
+    """Arrays too can be among the options that `compare` checks against its defaults."""
     small = pair[0].take(np.arange(60))
-    for given in ({"up": (0, 0, 1)}, {"pixels": (32, 16)}):
-        arrays = {name: np.array(value) for name, value in given.items()}
-        assert nanogs.compare(small, small, **arrays) == nanogs.compare(small, small, **given)
+    for options in ({"up": (0, 0, 1)}, {"pixels": (32, 16)}):
+        arrays = {name: np.array(value) for name, value in options.items()}
+        assert nanogs.compare(small, small, **arrays) == nanogs.compare(small, small, **options)
 
 
-def test_cameras_of_a_refit_may_come_one_at_a_time(pair):
+def test_cameras_of_a_refit_may_be_an_iterator(pair):
     views = automatic_cameras(pair[0], count=4, width=32, height=32)
     few = nanogs.RefitParameters(rounds=1, steps=2)
     _, report = nanogs.refit(*pair, cameras=iter(views), parameters=few)
@@ -427,7 +427,7 @@ def test_cameras_of_a_refit_may_come_one_at_a_time(pair):
         nanogs.refit(*pair, cameras=views[0], parameters=few)
 
 
-def test_a_background_is_three_numbers_in_whatever_holds_them(pair):
+def test_a_background_may_be_an_array_of_three_numbers(pair):
     white = {"views": 1, "pixels": 32, "background": np.ones(3)}
     found = nanogs.compare(pair[0], pair[1], **white)
     assert found.protocol.background == (1.0, 1.0, 1.0)
@@ -443,7 +443,7 @@ def test_a_background_is_three_numbers_in_whatever_holds_them(pair):
 @pytest.mark.parametrize(
     "frame", ["rub", "rdf:rub", ("rub",), ("rdf", None), ("rdf", "rub", "luf"), 5]
 )
-def test_a_frame_from_and_to_which_are_two(pair, files, tmp_path, frame):
+def test_a_change_of_frames_needs_two_names(pair, files, tmp_path, frame):
     out = tmp_path / "out.ply"
     for call in (
         lambda: nanogs.simplify(pair[0], count=9, preset="fast", frame=frame),
@@ -471,7 +471,9 @@ def test_a_frame_from_and_to_which_are_two(pair, files, tmp_path, frame):
         ({"progress": "yes"}, "`progress`, .* function or None, must be True or False, not 'yes'"),
     ],
 )
-def test_options_of_all_calls_are_refused_in_a_sentence(pair, files, tmp_path, options, message):
+def test_invalid_options_of_all_calls_are_refused_in_one_sentence(
+    pair, files, tmp_path, options, message
+):
     model, given = pair[0], {"preset": "fast", **options}
     for call in (
         lambda: nanogs.simplify(model, count=9, **given),
@@ -503,14 +505,16 @@ def test_options_of_all_calls_are_refused_in_a_sentence(pair, files, tmp_path, o
         ({"up": "z", "block": 20}, "three finite numbers, not all zero, not 'z'"),
     ],
 )
-def test_options_of_jobs_are_refused_before_anything_is_written(files, tmp_path, options, message):
+def test_invalid_options_of_jobs_are_refused_before_anything_is_written(
+    files, tmp_path, options, message
+):
     given = {"view_size": 64, "views": 2, "steps": 1, **options}
     with pytest.raises(OptionError, match=message):
         nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **given)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_switch_is_no_text_and_replaces_nothing(pair, files, tmp_path):
+def test_a_text_as_a_switch_is_refused_and_nothing_is_replaced(pair, files, tmp_path):
     target = tmp_path / "a.ply"
     target.write_text("mine")
     given = {"overwrite": "no"}
@@ -533,7 +537,7 @@ def test_a_switch_is_no_text_and_replaces_nothing(pair, files, tmp_path):
     assert len(nanogs.load(target)) == len(pair[0])
 
 
-def test_progress_is_a_function_or_a_switch(pair, tmp_path):
+def test_progress_that_is_no_function_or_switch_is_refused(pair, tmp_path):
     for progress in ("yes", True):
         with pytest.raises(OptionError, match="`progress` must be a function or None"):
             nanogs.save(pair[0], tmp_path / "a.ply", progress=progress)
@@ -544,7 +548,7 @@ def test_progress_is_a_function_or_a_switch(pair, tmp_path):
     assert nanogs.render(pair[0], views=1, pixels=16, progress=np.bool_(False))
 
 
-def test_switches_of_numpy_are_taken():
+def test_numpy_booleans_are_accepted_as_switches():
     chosen = nanogs.presets["best"]
     assert dataclasses.replace(chosen, measure=np.bool_(False), halves=1) == dataclasses.replace(
         chosen, measure=False, halves=True
@@ -552,18 +556,18 @@ def test_switches_of_numpy_are_taken():
     assert type(dataclasses.replace(chosen, measure=np.bool_(False)).measure) is bool
 
 
-def test_one_format_needs_no_list(pair):
+def test_packing_cost_takes_one_format_without_a_list(pair):
     cost = nanogs.packing_cost(pair[0], ".spz")
     assert [file.format for file in cost.files] == [".spz"]
 
 
-def test_a_model_without_splats_is_called_that(pair):
+def test_a_model_without_splats_is_refused(pair):
     with pytest.raises(ModelError, match="has no splats"):
         nanogs.simplify(pair[0].take(np.zeros(0, np.int64)), count=1, preset="fast")
 
 
-def test_seconds_of_a_stage_add_up():
-    """The method and what is around it may both measure."""
+def test_the_seconds_of_a_stage_are_added_up():
+    """The method and the code that calls it may both time a stage of the same name."""
     around = StageClock({"read": 1.0, "measure": 0.25, "write": 2.0})
     found = _around(around, {"fit": 4.0, "measure": 8.0})
     assert found == {"read": 1.0, "fit": 4.0, "measure": 8.25, "write": 2.0}
@@ -573,10 +577,10 @@ def test_seconds_of_a_stage_add_up():
 # ---- compare --------------------------------------------------------------------------------
 
 
-def test_compare_has_the_numbers_of_the_command(files):
-    said = json.loads(run("compare", *files, "--views", "3", "--pixels", "96", "--json").stdout)
+def test_compare_gives_the_numbers_of_the_command(files):
+    printed = json.loads(run("compare", *files, "--views", "3", "--pixels", "96", "--json").stdout)
     found = nanogs.compare(*files, views=3, pixels=96)
-    assert json.loads(json.dumps(found.to_dict())) == said
+    assert json.loads(json.dumps(found.to_dict())) == printed
     assert found.models[0].name == "small.spz"
     assert found.models[0].file_bytes == files[1].stat().st_size
     [model] = nanogs.compare(*map(nanogs.load, files), views=3, pixels=96).models
@@ -584,7 +588,7 @@ def test_compare_has_the_numbers_of_the_command(files):
     assert (model.name, model.file_bytes) == ("model 1", None)
 
 
-def test_compare_tells_several_models_in_a_line_each(pair):
+def test_compare_describes_each_model_in_one_line(pair):
     large, small = pair
     found = nanogs.compare(large, small, large, names=["small", "same"], **SMALL)
     assert [model.name for model in found.models] == ["small", "same"]
@@ -596,7 +600,7 @@ def test_compare_tells_several_models_in_a_line_each(pair):
     assert found.protocol.pixels == (48, 32)
 
 
-def test_compare_from_cameras_that_are_given(pair):
+def test_compare_takes_given_cameras(pair):
     large, small = pair
     cameras = automatic_cameras(large, 2, width=48, height=32, split="test")
     given = nanogs.compare(large, small, cameras=cameras)
@@ -620,7 +624,7 @@ def test_compare_from_cameras_that_are_given(pair):
         ({"threads": 0}, "thread"),
     ],
 )
-def test_compare_refuses_what_makes_no_sense(pair, options, message):
+def test_compare_refuses_invalid_options(pair, options, message):
     with pytest.raises(OptionError, match=message):
         nanogs.compare(*pair, **SMALL | options)
 
@@ -647,21 +651,22 @@ def test_render_gives_the_pictures_of_the_command(files, tmp_path):
         np.testing.assert_array_equal(to_bytes(image), np.asarray(Image.open(path)))
 
 
-def test_render_over_colours_and_over_nothing(pair):
+def test_render_blends_over_a_background_or_leaves_it_transparent(pair):
     cameras = automatic_cameras(pair[0], 2, width=48, height=32, split="test")
     [black], [white] = (
-        nanogs.render(pair[0], cameras[0], background=behind) for behind in ((0, 0, 0), (1, 1, 1))
+        nanogs.render(pair[0], cameras[0], background=background)
+        for background in ((0, 0, 0), (1, 1, 1))
     )
     [straight] = nanogs.render(pair[0], cameras[:1], transparent=True, background=(1, 0, 0))
     assert straight.shape == (32, 48, 4)
     color, alpha = straight[..., :3], straight[..., 3:]
     assert 0 < alpha.mean() < 1
-    shown = (color < 1).all(axis=2)  # a colour above 1 is cut off before alpha is taken out of it
+    shown = (color < 1).all(axis=2)  # a colour above 1 is clipped before it is divided by alpha
     np.testing.assert_allclose((color * alpha)[shown], black[shown], atol=1e-5)
     np.testing.assert_allclose((color * alpha + 1 - alpha)[shown], white[shown], atol=1e-5)
 
 
-def test_render_shows_what_is_there(pair):
+def test_render_gives_pictures_of_the_requested_number_and_size(pair):
     square, wide = nanogs.render(pair[0], views=1, pixels=24), nanogs.render(pair[0], **SMALL)
     assert square[0].shape == (24, 24, 3)
     assert len(wide) == 2

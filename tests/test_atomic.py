@@ -1,4 +1,4 @@
-"""Outputs appear whole or not at all."""
+"""Output files appear complete or not at all."""
 
 import errno
 import os
@@ -17,12 +17,12 @@ def target(tmp_path):
     return tmp_path / "out.ply"
 
 
-def put(path, data=b"new", **options):
+def write_file(path, data=b"new", **options):
     with atomic_write(path, **options) as file:
         file.write(data)
 
 
-def put_half(path, error, **options):
+def fail_half_way(path, error, **options):
     with atomic_write(path, **options) as file:
         file.write(b"half")
         raise error
@@ -32,13 +32,13 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_file_appears_and_nothing_else(target):
-    put(target)
+def test_the_file_appears_and_no_other_file(target):
+    write_file(target)
     assert target.read_bytes() == b"new"
     assert names(target.parent) == ["out.ply"]
 
 
-def test_target_is_untouched_until_the_end(target):
+def test_the_old_file_is_unchanged_until_the_new_one_is_complete(target):
     target.write_bytes(b"old")
     with atomic_write(target, overwrite=True) as file:
         file.write(b"new")
@@ -48,16 +48,16 @@ def test_target_is_untouched_until_the_end(target):
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_exception_leaves_the_old_file_and_no_temporary(target, error):
+def test_an_exception_leaves_the_old_file_and_no_temporary_file(target, error):
     target.write_bytes(b"old")
     with pytest.raises(error):
-        put_half(target, error(), overwrite=True)
+        fail_half_way(target, error(), overwrite=True)
     assert target.read_bytes() == b"old"
     assert names(target.parent) == ["out.ply"]
 
 
-@pytest.mark.parametrize("check", [put, check_writable])
-def test_existing_target_names_the_argument_and_the_command_its_flag(target, check):
+@pytest.mark.parametrize("check", [write_file, check_writable])
+def test_an_existing_file_is_refused_naming_the_argument_or_the_flag(target, check):
     target.write_bytes(b"old")
     with pytest.raises(ExistsError) as caught:
         check(target)
@@ -83,55 +83,55 @@ def test_existing_target_names_the_argument_and_the_command_its_flag(target, che
         ),
     ],
 )
-def test_arguments_are_options_in_the_words_of_the_command(python, command):
+def test_messages_name_the_options_of_the_command_instead_of_arguments(python, command):
     assert wording(OptionError(python)) == command
 
 
-def test_target_that_appears_meanwhile_is_kept(target):
+def test_a_file_that_appears_during_writing_is_kept(target):
     with pytest.raises(OutputError, match="exists already"), atomic_write(target):
         target.write_bytes(b"other")
     assert target.read_bytes() == b"other"
     assert names(target.parent) == ["out.ply"]
 
 
-@pytest.mark.parametrize("check", [put, check_writable])
-def test_missing_folder(tmp_path, check):
+@pytest.mark.parametrize("check", [write_file, check_writable])
+def test_a_missing_folder_is_refused(tmp_path, check):
     with pytest.raises(OutputError, match="does not exist; create it"):
         check(tmp_path / "none" / "out.ply")
 
 
-@pytest.mark.parametrize("check", [put, check_writable])
-def test_folder_as_target(tmp_path, check):
+@pytest.mark.parametrize("check", [write_file, check_writable])
+def test_a_folder_as_output_file_is_refused(tmp_path, check):
     with pytest.raises(OutputError, match="is a folder"):
         check(tmp_path)
 
 
-@pytest.mark.parametrize("check", [put, check_writable])
-def test_file_as_folder(target, check):
+@pytest.mark.parametrize("check", [write_file, check_writable])
+def test_a_file_in_place_of_the_output_folder_is_refused(target, check):
     target.write_bytes(b"")
     with pytest.raises(OutputError, match="is no folder"):
         check(target / "out.ply")
 
 
-@pytest.mark.parametrize("check", [put, check_writable])
-def test_device_is_not_replaced(tmp_path, check):
+@pytest.mark.parametrize("check", [write_file, check_writable])
+def test_a_named_pipe_is_not_replaced(tmp_path, check):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OutputError, match="no regular file"):
         check(tmp_path / "pipe", overwrite=True)
 
 
-@pytest.mark.parametrize("check", [put, check_writable])
+@pytest.mark.parametrize("check", [write_file, check_writable])
 @pytest.mark.skipif(
     not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere"
 )
-def test_read_only_folder(tmp_path, check):
+def test_a_read_only_folder_is_refused(tmp_path, check):
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError, match="cannot be written to"):
         check(tmp_path / "out.ply")
 
 
 @pytest.mark.parametrize("code", [errno.EROFS, errno.EACCES])
-def test_refusal_to_create(target, monkeypatch, code):
+def test_an_error_of_the_system_on_creation_is_explained(target, monkeypatch, code):
     def refuse(*args, **kwargs):
         raise OSError(code, os.strerror(code))
 
@@ -141,9 +141,9 @@ def test_refusal_to_create(target, monkeypatch, code):
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
-def test_full_disk(target, code):
+def test_a_full_disk_leaves_no_file(target, code):
     with pytest.raises(OutputError, match="disk or quota is full"):
-        put_half(target, OSError(code, os.strerror(code)))
+        fail_half_way(target, OSError(code, os.strerror(code)))
     assert names(target.parent) == []
 
 
@@ -151,7 +151,7 @@ def test_full_disk(target, code):
 def test_new_file_follows_the_umask(target, umask):
     before = os.umask(umask)
     try:
-        put(target)
+        write_file(target)
     finally:
         os.umask(before)
     assert stat.S_IMODE(target.stat().st_mode) == 0o666 & ~umask
@@ -160,26 +160,26 @@ def test_new_file_follows_the_umask(target, umask):
 def test_replaced_file_keeps_its_permissions(target):
     target.write_bytes(b"old")
     target.chmod(0o640)
-    put(target, overwrite=True)
+    write_file(target, overwrite=True)
     assert stat.S_IMODE(target.stat().st_mode) == 0o640
 
 
-def test_link_is_written_through(tmp_path, target):
+def test_a_symbolic_link_is_followed_and_kept(tmp_path, target):
     folder = tmp_path / "real"
     folder.mkdir()
     (folder / "model.ply").write_bytes(b"old")
     target.symlink_to(folder / "model.ply")
-    put(target, overwrite=True)
+    write_file(target, overwrite=True)
     assert target.is_symlink()
     assert (folder / "model.ply").read_bytes() == b"new"
 
 
-def test_dangling_link_creates_its_target(tmp_path, target):
+def test_the_target_of_a_dangling_link_is_created(tmp_path, target):
     target.symlink_to(tmp_path / "later.ply")
-    put(target)
+    write_file(target)
     assert (tmp_path / "later.ply").read_bytes() == b"new"
 
 
-def test_check_leaves_nothing_behind(target):
+def test_check_writable_leaves_no_file(target):
     check_writable(target)
     assert names(target.parent) == []

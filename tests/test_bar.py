@@ -1,4 +1,4 @@
-"""`progress=True`: a bar on terminals and in notebooks, nothing elsewhere, and nothing unasked."""
+"""`progress=True`: a bar on terminals and in notebooks, and nowhere else."""
 
 import importlib.util
 import io
@@ -18,15 +18,20 @@ from nanogs.kernels import compiling
 from nanogs.progress import Stage, Tracker
 
 CALLS = {
-    "simplify": lambda large, small, told: nanogs.simplify(large, ratio=0.1, progress=told),
-    "levels": lambda large, small, told: [*nanogs.levels(large, [0.5, 0.1], progress=told)],
-    "refit": lambda large, small, told: nanogs.refit(
-        large, small, parameters=nanogs.RefitParameters(views=2, steps=2, size=32), progress=told
+    "simplify": lambda large, small, progress: nanogs.simplify(large, ratio=0.1, progress=progress),
+    "levels": lambda large, small, progress: [*nanogs.levels(large, [0.5, 0.1], progress=progress)],
+    "refit": lambda large, small, progress: nanogs.refit(
+        large,
+        small,
+        parameters=nanogs.RefitParameters(views=2, steps=2, size=32),
+        progress=progress,
     ),
-    "compare": lambda large, small, told: nanogs.compare(
-        large, small, views=2, pixels=32, progress=told
+    "compare": lambda large, small, progress: nanogs.compare(
+        large, small, views=2, pixels=32, progress=progress
     ),
-    "render": lambda large, small, told: nanogs.render(large, views=2, pixels=32, progress=told),
+    "render": lambda large, small, progress: nanogs.render(
+        large, views=2, pixels=32, progress=progress
+    ),
 }
 
 
@@ -37,7 +42,7 @@ def pair():
 
 @pytest.fixture
 def screen(monkeypatch):
-    """The terminal that bars are drawn on."""
+    """The text that is written to a simulated terminal."""
     file = io.StringIO()
     console = partial(rich.console.Console, file=file, force_terminal=True, width=100)
     monkeypatch.setattr(rich.console, "Console", lambda **_options: console())
@@ -50,7 +55,7 @@ def last_line(screen):
 
 
 @pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
-def test_a_bar_is_full_at_the_end_and_only_where_it_is_asked_for(
+def test_a_bar_is_drawn_only_on_request_and_is_full_at_the_end(
     call, pair, screen, capfd, small_views
 ):
     call(*pair, None)
@@ -62,7 +67,7 @@ def test_a_bar_is_full_at_the_end_and_only_where_it_is_asked_for(
 
 
 @pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
-def test_a_function_is_told_the_steps(call, pair):
+def test_a_callback_gets_steps_with_rising_fractions(call, pair):
     steps = []
     call(*pair, steps.append)
     fractions = [step.fraction for step in steps]
@@ -71,22 +76,22 @@ def test_a_function_is_told_the_steps(call, pair):
     assert fractions.count(1) == 1
 
 
-def test_a_bar_says_the_stage_and_ends_with_the_call(screen):
-    with show_progress(True) as told:
-        tracker = Tracker(told, [Stage("cut", 1), Stage("store", 3)])
+def test_a_bar_shows_the_stage_and_ends_with_its_context(screen):
+    with show_progress(True) as callback:
+        tracker = Tracker(callback, [Stage("cut", 1), Stage("store", 3)])
         tracker.begin("store")
         tracker.part(1, 2)
-        told_last = told
+        last_callback = callback
     assert "2/2 store" in last_line(screen)
     assert " 62%" in last_line(screen)
-    assert told_last is not None
+    assert last_callback is not None
     with pytest.raises(ZeroDivisionError), show_progress(True):
         raise ZeroDivisionError
-    with show_progress(True):  # Rich would refuse a second bar on a console that still has one
+    with show_progress(True):  # Rich would refuse it if the bar above still existed
         pass
 
 
-def test_a_bar_says_that_kernels_are_compiled(screen):
+def test_a_bar_announces_that_kernels_are_compiled(screen):
     with show_progress(True):
         compiling.begin()
         compiling.end()
@@ -114,7 +119,7 @@ CELLS = (
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
-@pytest.mark.filterwarnings("ignore")  # of the kernel's own making
+@pytest.mark.filterwarnings("ignore")  # warnings of the notebook's kernel
 def test_a_notebook_shows_the_bar_and_the_picture(monkeypatch):
     import nbclient
     import nbformat

@@ -1,4 +1,4 @@
-"""Baselines: exact counts, the same every time, and plain twins of what they compute."""
+"""Baselines: exact counts, reproducible bytes, and comparisons with plain reimplementations."""
 
 import numpy as np
 import pytest
@@ -15,42 +15,42 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import render
 
 
-def looking_along_z(size=32, distance=4.0, name="a"):
+def camera_along_z(size=32, distance=4.0, name="a"):
     pose = np.eye(4)
     pose[2, 3] = distance
     return Camera(size, size, size, size, size / 2, size / 2, pose, name)
 
 
-CONTEXT = MethodContext((looking_along_z(),), seed=3)
-EVERY = pytest.mark.parametrize("method", BASELINES.values(), ids=BASELINES)
+CONTEXT = MethodContext((camera_along_z(),), seed=3)
+every_method = pytest.mark.parametrize("method", BASELINES.values(), ids=BASELINES)
 
 
 # All of them
 
 
-@EVERY
+@every_method
 @pytest.mark.parametrize("count", [1, 2, 7, 60, 199, 200])
 def test_the_count_is_exact(method, count):
     assert len(method(random_splats(200), count, CONTEXT)) == count
 
 
 @given(st.integers(1, 60), st.data())
-def test_every_count_is_exact_on_every_scene(n, data):
+def test_the_count_is_exact_for_any_count_and_scene(n, data):
     count = data.draw(st.integers(1, n))
     splats = random_splats(n, seed=n)
     for name in ("random", "opacity", "voxel"):
         assert len(BASELINES[name](splats, count, CONTEXT)) == count
 
 
-@EVERY
-def test_the_same_bytes_every_time_and_the_input_unchanged(method):
+@every_method
+def test_results_are_reproducible_and_the_input_is_unchanged(method):
     splats = random_splats(200, extras={"label": np.arange(200)})
     before = model_bytes(splats)
     assert model_bytes(method(splats, 20, CONTEXT)) == model_bytes(method(splats, 20, CONTEXT))
     assert model_bytes(splats) == before
 
 
-@EVERY
+@every_method
 def test_rows_that_are_not_finite_are_never_chosen(method):
     splats = random_splats(60)
     splats.means[::3] = np.nan
@@ -65,22 +65,22 @@ def test_rows_that_are_not_finite_are_never_chosen(method):
         method(splats, finite + 1, CONTEXT)
 
 
-@EVERY
+@every_method
 def test_the_whole_count_returns_the_same_bytes(method):
     splats = random_splats(50, degree=2)
     assert model_bytes(method(splats, 50, CONTEXT)) == model_bytes(splats)
 
 
-@EVERY
+@every_method
 def test_a_count_below_one_is_refused(method):
     with pytest.raises(OptionError, match="at least 1"):
         method(random_splats(5), 0, CONTEXT)
 
 
-# Choosing
+# Random choice and opacity
 
 
-def test_random_depends_on_the_seed_and_keeps_the_order():
+def test_random_depends_on_the_seed_and_keeps_the_order_of_rows():
     splats = random_splats(500, extras={"row": np.arange(500)})
     first = BASELINES["random"](splats, 50, MethodContext(seed=0)).extras["row"]
     second = BASELINES["random"](splats, 50, MethodContext(seed=1)).extras["row"]
@@ -88,13 +88,13 @@ def test_random_depends_on_the_seed_and_keeps_the_order():
     assert (np.diff(first) > 0).all()
 
 
-def test_opacity_keeps_the_most_opaque_ties_by_row():
+def test_opacity_keeps_the_most_opaque_splats_and_breaks_ties_by_row():
     splats = random_splats(6, extras={"row": np.arange(6)})
     splats.opacity_logits[:] = [0, np.inf, 0, 5, 0, -np.inf]
     assert BASELINES["opacity"](splats, 4, CONTEXT).extras["row"].tolist() == [0, 1, 2, 3]
 
 
-def test_highest_takes_equal_scores_by_row():
+def test_highest_breaks_ties_by_row():
     assert highest(np.array([1.0, 2.0, 1.0, 1.0]), np.array([4, 5, 7, 9]), 3).tolist() == [4, 5, 7]
 
 
@@ -103,28 +103,28 @@ def test_highest_takes_equal_scores_by_row():
 
 def test_significance_is_contribution_times_opacity_times_volume_to_the_beta():
     splats = random_splats(40, seed=2)
-    cameras = [looking_along_z(), looking_along_z(48, 3.0)]
+    cameras = [camera_along_z(), camera_along_z(48, 3.0)]
     volumes = np.exp(splats.log_scales.astype(float)).prod(axis=1)
     percentile = np.sort(volumes)[int(np.ceil(0.9 * 39))]
-    twin = np.zeros(40)
+    expected = np.zeros(40)
     for row in range(40):
-        seen = sum(
+        contribution = sum(
             render(splats, camera, contributions=True).contributions[row] for camera in cameras
         )
         alpha = 1 / (1 + np.exp(-float(splats.opacity_logits[row])))
-        twin[row] = seen * alpha * min(max(volumes[row] / percentile, 0), 1) ** 0.1
+        expected[row] = contribution * alpha * min(max(volumes[row] / percentile, 0), 1) ** 0.1
     assert BETA == 0.1
-    np.testing.assert_allclose(significance(splats, cameras), twin, rtol=1e-5)
+    np.testing.assert_allclose(significance(splats, cameras), expected, rtol=1e-5)
 
 
-def test_what_no_view_shows_goes_first():
+def test_splats_that_no_view_shows_are_dropped_first():
     splats = random_splats(30, spread=0.3, extras={"row": np.arange(30)})
     splats.means[:10, 2] = -50  # behind the camera
     splats.opacity_logits[:] = 3
     assert BASELINES["significance"](splats, 20, CONTEXT).extras["row"].min() == 10
 
 
-def test_volumes_are_held_to_the_90th_percentile_without_overflow():
+def test_volumes_are_capped_at_the_90th_percentile_without_overflow():
     splats = random_splats(11)
     splats.log_scales[:] = np.linspace(-80, 80, 11, dtype=np.float32)[:, None]
     splats.log_scales[0] = -np.inf
@@ -139,7 +139,7 @@ def test_significance_needs_a_view():
         view_contributions(random_splats(3), ())
 
 
-def test_views_are_rendered_once_each(monkeypatch):
+def test_all_views_are_rendered_in_one_call(monkeypatch):
     calls = []
     real = significance_module.view_contributions
     monkeypatch.setattr(
@@ -147,7 +147,7 @@ def test_views_are_rendered_once_each(monkeypatch):
         "view_contributions",
         lambda splats, cameras: calls.append(len(cameras)) or real(splats, cameras),
     )
-    significance(random_splats(10), [looking_along_z()] * 2)
+    significance(random_splats(10), [camera_along_z()] * 2)
     assert calls == [2]
 
 
@@ -155,7 +155,7 @@ def test_views_are_rendered_once_each(monkeypatch):
 
 
 def moments_twin(gaussians, rows):
-    """Mass-weighted mean, covariance, opacity and coefficients of some splats, in plain numpy."""
+    """Compute the mass-weighted mean, covariance, opacity and coefficients in plain numpy."""
     masses = gaussians.opacities[rows] * gaussians.scales[rows].astype(float).prod(axis=1)
     shares = masses / masses.sum()
     mean = sum(share * gaussians.means[row] for share, row in zip(shares, rows, strict=True))
@@ -179,7 +179,7 @@ def covariance_of(gaussians, row):
     return moments_twin(gaussians, np.array([row]))[1]
 
 
-def test_merged_moments_are_those_of_the_members():
+def test_a_merged_splat_has_the_moments_of_its_members():
     gaussians = gaussians_of(random_splats(60, seed=5))
     labels = np.random.default_rng(1).permutation(np.arange(60) % 7)
     merged = merge_groups(gaussians, labels)
@@ -195,7 +195,7 @@ def test_merged_moments_are_those_of_the_members():
         assert merged.sources[group] == rows[np.argmax(masses)]
 
 
-def test_equal_splats_side_by_side_become_one_stretched_along_their_line():
+def test_two_equal_splats_merge_into_one_stretched_along_their_line():
     splats = random_splats(2)
     splats.means[:] = [[0, 0, 0], [1, 1, 0]]
     splats.log_scales[:] = np.log(0.1)
@@ -205,7 +205,7 @@ def test_equal_splats_side_by_side_become_one_stretched_along_their_line():
     np.testing.assert_allclose(np.sort(merged.scales[0]), [0.1, 0.1, stretched], rtol=1e-5)
 
 
-def test_members_without_mass_count_alike():
+def test_members_without_mass_have_equal_weights():
     splats = random_splats(4)
     splats.opacity_logits[:2] = -np.inf
     gaussians = gaussians_of(splats)
@@ -216,20 +216,20 @@ def test_members_without_mass_count_alike():
 
 
 @pytest.mark.parametrize("scale", [1e-20, 1.0, 1e8])
-def test_the_unit_of_length_does_not_matter(scale):
+def test_voxel_labels_do_not_depend_on_the_unit_of_length(scale):
     labels = voxel_labels(gaussians_of(random_splats(300)).means, 40)
     scaled = voxel_labels(gaussians_of(random_splats(300)).means * scale, 40)
     assert np.array_equal(labels, scaled)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 9, 10])
-def test_coincident_centres_are_split_too(count):
+def test_coincident_centres_are_split_into_the_requested_groups(count):
     labels = voxel_labels(np.ones((10, 3)), count)
     assert sorted(set(labels.tolist())) == list(range(count))
     assert np.ptp(np.bincount(labels)) <= 5
 
 
-def test_groups_of_a_grid_stay_within_a_cell():
+def test_splats_in_one_cell_of_a_grid_are_in_one_group():
     axis = np.arange(4) + 0.5
     means = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     near = np.concatenate([means, means + 0.01])
@@ -237,7 +237,7 @@ def test_groups_of_a_grid_stay_within_a_cell():
     assert np.array_equal(labels[:64], labels[64:])
 
 
-def test_a_splat_far_away_does_not_break_the_count():
+def test_the_count_is_exact_with_an_outlier_far_away():
     splats = random_splats(300)
     splats.means[0] = 1e6
     assert len(merge_voxels(splats, np.arange(300), 50)) == 50

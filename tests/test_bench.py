@@ -1,4 +1,4 @@
-"""`bench`: its settings, its processes, its protocol, and the command from outside."""
+"""`bench`: its settings, its processes, its protocol, and the command as a user runs it."""
 
 import contextlib
 import importlib.util
@@ -63,7 +63,7 @@ def model(tmp_path_factory):
 # Names and patterns
 
 
-def test_scenes_are_named():
+def test_scenes_are_named_after_their_file_or_by_the_option():
     assert scene_of_file("x/biker.compressed.ply").name == "biker"
     assert parse_scene("g=a/b.ply").photos is None
     assert parse_scene("g=a/b.ply:data/g").photos.as_posix() == "data/g"
@@ -72,7 +72,7 @@ def test_scenes_are_named():
             parse_scene(text)
 
 
-def test_data_sets_are_folders_of_scenes(tmp_path):
+def test_a_data_set_is_a_folder_with_a_folder_for_each_scene(tmp_path):
     for scene in ("bicycle", "room"):
         model = tmp_path / scene / "point_cloud" / "iteration_30000" / "point_cloud.ply"
         model.parent.mkdir(parents=True)
@@ -115,7 +115,7 @@ def test_unknown_placeholders_are_refused():
         ({"kinds": ("around",)}, "auto, orbit, inside, roam"),
     ],
 )
-def test_settings_that_mean_nothing_are_refused(options, words):
+def test_invalid_settings_are_refused(options, words):
     with pytest.raises(OptionError, match=words):
         BenchSettings(**options)
 
@@ -127,7 +127,7 @@ def test_every_ablation_is_a_method():
         assert callable(find_method(name))
 
 
-def test_results_are_not_replaced_unasked(tmp_path):
+def test_results_are_replaced_only_with_overwrite_and_only_at_the_end(tmp_path):
     old = BenchRow("a", "x", 0.1, psnr=20.0)
     ResultFolder(tmp_path).add(old)
     ResultFolder(tmp_path, overwrite=True).finish([old])
@@ -145,16 +145,16 @@ def test_results_are_not_replaced_unasked(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"results.md", "results.jsonl", "plot.svg"}
 
 
-def test_an_unfinished_run_goes_on_where_it_ended(tmp_path):
-    near = SetScore("roam 64", 24, 20.0, -math.inf, 0.5, {"flip": math.inf})
+def test_an_unfinished_run_continues_where_it_ended(tmp_path):
+    roam = SetScore("roam 64", 24, 20.0, -math.inf, 0.5, {"flip": math.inf})
     first = BenchRow(
-        "a", "x", 0.1, label="auto 64", psnr=math.inf, extras={"flip": 0.5}, further=(near,),
+        "a", "x", 0.1, label="auto 64", psnr=math.inf, extras={"flip": 0.5}, further=(roam,),
         notes=("a note",),
     )  # fmt: skip
-    broken = BenchRow("a", "y", 0.1, status=Status.FAILED, reason="no memory")
+    failed = BenchRow("a", "y", 0.1, status=Status.FAILED, reason="no memory")
     begun = ResultFolder(tmp_path, run="this")
     begun.add(first)
-    begun.add(broken)
+    begun.add(failed)
     unfinished = tmp_path / "unfinished.jsonl"
     unfinished.write_text(unfinished.read_text() + '{"scene": "a", "me')  # cut off
     again = ResultFolder(tmp_path, run="this")
@@ -167,7 +167,7 @@ def test_an_unfinished_run_goes_on_where_it_ended(tmp_path):
     assert ResultFolder(tmp_path, run="that", overwrite=True).done == []
 
 
-def test_rows_that_are_known_are_not_measured_again(model, monkeypatch):
+def test_finished_rows_are_not_measured_again(model, monkeypatch):
     scene = BenchScene("a", model)
     settings = BenchSettings(ratios=(0.5,), methods=("random",), views=1, sizes=(16,))
     known = [BenchRow("a", ORIGINAL, 1.0, splats=400), BenchRow("a", "random", 0.5, psnr=12.0)]
@@ -183,11 +183,11 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         ResultFolder(tmp_path / "file")
 
 
-# Random pairs, the ablation of the graph
+# Random pairs in place of the neighbour graph, for the ablation
 
 
 @pytest.mark.parametrize(("n", "k"), [(2, 1), (2, 5), (50, 1), (300, 16)])
-def test_random_pairs_are_pairs_once_each_of_all_rows(n, k):
+def test_random_pairs_are_sorted_and_unique_and_cover_all_rows(n, k):
     pairs = random_pairs(n, k, 0)
     assert (pairs[:, 0] < pairs[:, 1]).all()
     assert pairs.min() == 0
@@ -198,7 +198,7 @@ def test_random_pairs_are_pairs_once_each_of_all_rows(n, k):
     assert n * k / 2 * (n > 50) <= len(pairs) <= n * k
 
 
-def test_random_pairs_come_from_the_seed_and_from_everywhere():
+def test_random_pairs_depend_on_the_seed_and_are_spread_over_all_rows():
     assert np.array_equal(random_pairs(100, 4, 1), random_pairs(100, 4, 1))
     assert not np.array_equal(random_pairs(100, 4, 1), random_pairs(100, 4, 2))
     distances = np.diff(random_pairs(20_000, 8, 0).astype(np.int64), axis=1)
@@ -206,7 +206,7 @@ def test_random_pairs_come_from_the_seed_and_from_everywhere():
     assert len(random_pairs(1, 4, 0)) == 0
 
 
-def test_the_random_graph_meets_the_count_and_is_another_result():
+def test_the_random_graph_gives_the_exact_count_and_larger_splats():
     splats = random_splats(500)
     near, _ = nanogs.simplify(splats, ratio=0.1, preset="paper")
     far, report = nanogs.simplify(splats, ratio=0.1, preset="paper", graph="random")
@@ -216,7 +216,7 @@ def test_the_random_graph_meets_the_count_and_is_another_result():
     assert far.log_scales.mean() > near.log_scales.mean() + 0.1
 
 
-def test_a_graph_that_there_is_not_is_refused():
+def test_an_unknown_graph_is_refused():
     with pytest.raises(OptionError, match="knn or random"):
         parameters("paper", {"graph": "tree"})
 
@@ -225,7 +225,7 @@ def test_a_graph_that_there_is_not_is_refused():
 
 
 def test_a_process_reports_its_own_seconds_and_memory(model, tmp_path):
-    ballast = np.ones(1 << 27, dtype=np.uint8)
+    memory_of_the_parent = np.ones(1 << 27, dtype=np.uint8)
     outcome = run_job(Job(model, "opacity", 0.1, tmp_path / "small.ply"))
     assert outcome.error == ""
     assert outcome.splats == outcome.asked == 40 == len(nanogs.load(tmp_path / "small.ply"))
@@ -233,10 +233,10 @@ def test_a_process_reports_its_own_seconds_and_memory(model, tmp_path):
     assert outcome.read_seconds > 0
     assert outcome.peak_memory > 20e6
     assert peak_memory() > outcome.peak_memory
-    assert ballast.sum() == 1 << 27
+    assert memory_of_the_parent.sum() == 1 << 27
 
 
-def test_a_method_that_fails_is_an_outcome(model, tmp_path):
+def test_a_method_that_raises_gives_an_outcome_with_the_error(model, tmp_path):
     outcome = run_job(Job(model, "significance", 0.1, tmp_path / "small.ply"))
     assert "at least one camera" in outcome.error
     missing = run_job(Job(model.with_name("none.ply"), "opacity", 0.1, tmp_path / "small.ply"))
@@ -244,8 +244,8 @@ def test_a_method_that_fails_is_an_outcome(model, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_process_that_compiles_says_nothing_of_it(model, tmp_path, monkeypatch, capfd):
-    """So that `bench --quiet` is quiet."""
+def test_a_process_that_compiles_kernels_prints_nothing(model, tmp_path, monkeypatch, capfd):
+    """Otherwise `bench --quiet` would not be quiet."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setenv("NANOGS_SIMD", "0")
     assert not run_job(Job(model, "paper", 0.1, tmp_path / "small.ply")).error
@@ -253,22 +253,22 @@ def test_a_process_that_compiles_says_nothing_of_it(model, tmp_path, monkeypatch
     assert capfd.readouterr() == ("", "")
 
 
-class Deadly:
-    """Ends the process that reads it."""
+class ExitsWhenUnpickled:
+    """An object that ends the process that unpickles it."""
 
     def __reduce__(self):
         return os._exit, (3,)
 
 
-def test_a_process_that_dies_is_an_outcome(tmp_path):
-    outcome = run_job(Job(Deadly(), "opacity", 0.1, tmp_path / "small.ply"))
+def test_a_process_that_dies_gives_an_outcome_with_the_error(tmp_path):
+    outcome = run_job(Job(ExitsWhenUnpickled(), "opacity", 0.1, tmp_path / "small.ply"))
     assert outcome.error == "Its process ended without a result (exit code 3)."
 
 
 # The protocol
 
 
-def test_a_method_that_fails_is_a_row_with_the_error(model, monkeypatch):
+def test_a_method_that_fails_gives_a_row_with_the_error(model, monkeypatch):
     monkeypatch.setattr(measuring, "run_job", lambda _job: Outcome(error="boom"))
     settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, sizes=(32,))
     failed = run_bench([scene_of_file(model)], settings)[1]
@@ -278,15 +278,15 @@ def test_a_method_that_fails_is_a_row_with_the_error(model, monkeypatch):
 def test_a_scene_that_cannot_be_read_is_skipped_and_the_next_is_measured(model, tmp_path):
     scenes = [BenchScene("gone", tmp_path / "gone.ply"), scene_of_file(model)]
     settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, sizes=(32,))
-    seen = []
-    rows = run_bench(scenes, settings, on_row=seen.append)
-    assert rows == seen
+    reported = []
+    rows = run_bench(scenes, settings, on_row=reported.append)
+    assert rows == reported
     assert len(rows) == row_count(scenes, settings) == 4
     assert [entry.status for entry in rows] == [Status.SKIPPED] * 2 + [Status.OK] * 2
     assert "gone.ply" in rows[0].reason
 
 
-def test_two_scenes_of_one_name_are_refused(model):
+def test_invalid_lists_of_scenes_and_unknown_metrics_are_refused(model):
     settings = BenchSettings(ratios=(0.1,), methods=("opacity",))
     with pytest.raises(OptionError, match="The scene 'ball' occurs twice"):
         run_bench([scene_of_file(model)] * 2, settings)
@@ -301,10 +301,10 @@ def test_a_metric_whose_package_is_missing_is_refused_before_anything_runs(model
         raise OptionError("lpips needs a package.")
 
     monkeypatch.setitem(protocol.EXTRA_METRICS, "lpips", missing)
-    seen = []
+    reported = []
     with pytest.raises(OptionError, match="needs a package"):
-        run_bench([scene_of_file(model)], BenchSettings(metrics=("lpips",)), on_row=seen.append)
-    assert seen == []
+        run_bench([scene_of_file(model)], BenchSettings(metrics=("lpips",)), on_row=reported.append)
+    assert reported == []
 
 
 def test_external_files_are_scored_and_missing_ones_skipped(model, tmp_path):
@@ -330,7 +330,7 @@ def test_external_files_are_scored_and_missing_ones_skipped(model, tmp_path):
     assert "ball_0.01_them.ply" in missing.reason
 
 
-def test_bytes_of_an_external_folder_are_those_of_all_its_files(model, tmp_path):
+def test_the_size_of_an_external_folder_is_that_of_all_its_files(model, tmp_path):
     path = tmp_path / "ball_0.1" / "meta.json"
     nanogs.save(nanogs.load(model).take(np.arange(40)), path)
     settings = BenchSettings(
@@ -345,7 +345,7 @@ def test_bytes_of_an_external_folder_are_those_of_all_its_files(model, tmp_path)
 @pytest.mark.parametrize(
     "note", ['{"peak_memory": Infinity}', '{"seconds": null}', "[1]", "3", "{", '{"seconds": "x"}']
 )
-def test_a_note_beside_an_external_file_that_holds_no_numbers_is_a_failure(note, model, tmp_path):
+def test_an_invalid_json_file_beside_an_external_file_is_a_failure(note, model, tmp_path):
     nanogs.save(nanogs.load(model).take(np.arange(40)), tmp_path / "them.ply")
     (tmp_path / "them.ply.json").write_text(note)
     settings = BenchSettings(
@@ -358,7 +358,7 @@ def test_a_note_beside_an_external_file_that_holds_no_numbers_is_a_failure(note,
 
 
 def write_photographs(folder, model, angle=0.8, size=32):
-    """A data set of two views in the layout of NeRF-Synthetic, photographed by our renderer."""
+    """Write a data set of two views in the layout of NeRF-Synthetic, rendered from `model`."""
     frames = []
     for name, distance in (("near", 4.0), ("far", 6.0)):
         pose = np.eye(4)
@@ -368,7 +368,8 @@ def write_photographs(folder, model, angle=0.8, size=32):
         color = render(nanogs.load(model), camera, background=(1.0, 1.0, 1.0)).color
         pixels = np.rint(np.clip(color, 0, 1) * 255).astype(np.uint8)
         (folder / "test").mkdir(parents=True, exist_ok=True)
-        alpha = np.full((size, size, 1), 255, np.uint8)  # as the data set's, which are on white
+        # Opaque, as in the data set, whose photographs have a white background.
+        alpha = np.full((size, size, 1), 255, np.uint8)
         Image.fromarray(np.dstack([pixels, alpha])).save(folder / "test" / f"{name}.png")
         to_world = np.linalg.inv(pose) @ np.diag([1, -1, -1, 1])
         frames.append({"file_path": f"./test/{name}", "transform_matrix": to_world.tolist()})
@@ -376,23 +377,23 @@ def write_photographs(folder, model, angle=0.8, size=32):
     (folder / "transforms_test.json").write_text(json.dumps(data))
 
 
-def test_photographs_are_what_counts_where_there_are_any(model, tmp_path):
+def test_scores_are_against_photographs_if_a_scene_has_any(model, tmp_path):
     write_photographs(tmp_path, model)
     scene = BenchScene("ball", model, tmp_path)
     settings = BenchSettings(ratios=(0.5,), methods=("significance",), sizes=(32,), fit_views=2)
     whole, small = run_bench([scene], settings)
     assert {whole.against, small.against} == {Against.PHOTOGRAPHS}
-    assert whole.psnr > 45  # nothing but the rounding to 8 bits
+    assert whole.psnr > 45  # only the rounding to 8 bits differs
     assert small.psnr < whole.psnr - 3
     assert (whole.views, small.views) == (2, 2)
     assert any("no training views" in note for note in whole.notes)
 
 
 @pytest.mark.parametrize("asked", [{"ratios": (0.5,)}, {"file_sizes": (6000,)}])
-def test_presets_that_look_at_nothing_are_measured_on_photographs_too(asked, model, tmp_path):
+def test_presets_that_render_nothing_are_measured_on_photographs_too(asked, model, tmp_path):
     write_photographs(tmp_path, model)
-    for_training = (tmp_path / "transforms_test.json").read_text()
-    (tmp_path / "transforms_train.json").write_text(for_training)
+    transforms = (tmp_path / "transforms_test.json").read_text()
+    (tmp_path / "transforms_train.json").write_text(transforms)
     settings = BenchSettings(methods=("fast",), sizes=(32,), **asked)
     rows = run_bench([BenchScene("ball", model, tmp_path)], settings)
     assert [row.reason for row in rows] == [""] * len(rows)
@@ -400,21 +401,21 @@ def test_presets_that_look_at_nothing_are_measured_on_photographs_too(asked, mod
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_preset_takes_what_a_process_warms_up_with(name, model):
-    """Of what fails then nothing is said: its seconds would be those of compiling."""
+def test_every_preset_runs_with_the_arguments_of_the_warm_up(name, model):
+    """Errors in the warm-up are ignored, but then the measured seconds would include compiling."""
     splats = nanogs.load(model)
     cameras = tuple(automatic_cameras(splats, 2, width=32, height=32))
     context = MethodContext(cameras, trained=True)
     assert len(find_method(name)(splats, 40, context)) == 40
 
 
-def test_compare_and_bench_show_photographs_over_the_same(model, tmp_path):
-    """White for photographs with alpha, black for opaque ones, and what is asked for."""
+def test_compare_and_bench_use_the_same_background_for_photographs(model, tmp_path):
+    """White for photographs with alpha, black for opaque ones, or the background that is given."""
     write_photographs(tmp_path, model)
-    named = ("ball", model)
+    named_model = ("ball", model)
 
     def compared(**options):
-        comparison = compare_files(named, [named], photos=tmp_path, **options)
+        comparison = compare_files(named_model, [named_model], photos=tmp_path, **options)
         return comparison.models[0].psnr, comparison.protocol.text
 
     def measured(**options):
@@ -433,7 +434,7 @@ def test_compare_and_bench_show_photographs_over_the_same(model, tmp_path):
     assert compared()[0] == measured()[0] < 45
 
 
-def test_a_data_set_without_a_test_split_is_a_stated_skip(model, tmp_path):
+def test_a_data_set_without_a_test_split_is_skipped_with_the_reason(model, tmp_path):
     (tmp_path / "transforms_train.json").write_text('{"camera_angle_x": 1, "frames": []}')
     scene = BenchScene("ball", model, tmp_path)
     rows = run_bench([scene], BenchSettings(ratios=(0.5,), methods=("opacity",)))
@@ -441,7 +442,7 @@ def test_a_data_set_without_a_test_split_is_a_stated_skip(model, tmp_path):
     assert "test" in rows[0].reason
 
 
-# gsplat, which needs a GPU: a stand-in shows what it is given
+# gsplat, which needs a GPU: a fake records the arguments
 
 
 class OnDevice(np.ndarray):
@@ -449,14 +450,14 @@ class OnDevice(np.ndarray):
         return self
 
 
-def test_gsplat_is_given_what_it_takes(monkeypatch):
+def test_gsplat_gets_finite_splats_in_the_expected_shapes(monkeypatch):
     calls = []
     torch = types.SimpleNamespace(
         cuda=types.SimpleNamespace(is_available=lambda: True, synchronize=lambda: None),
         no_grad=contextlib.nullcontext,
         from_numpy=lambda values: values.view(OnDevice),
     )
-    library = types.SimpleNamespace(rasterization=lambda **given: calls.append(given))
+    library = types.SimpleNamespace(rasterization=lambda **arguments: calls.append(arguments))
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: object())
     modules = {"torch": torch, "gsplat": library}
     monkeypatch.setattr(importlib, "import_module", modules.__getitem__)
@@ -464,17 +465,17 @@ def test_gsplat_is_given_what_it_takes(monkeypatch):
     splats.means[3] = np.nan
     camera = Camera(40, 30, 35.0, 36.0, 20.0, 15.0, np.eye(4), "a")
     assert gsplat_fps(splats, [camera] * 2) > 0
-    given = calls[-1]
-    shapes = {name: value.shape for name, value in given.items() if hasattr(value, "shape")}
+    arguments = calls[-1]
+    shapes = {name: value.shape for name, value in arguments.items() if hasattr(value, "shape")}
     assert shapes == {
         "means": (19, 3), "quats": (19, 4), "scales": (19, 3), "opacities": (19,),
         "colors": (19, 9, 3), "viewmats": (1, 4, 4), "Ks": (1, 3, 3),
     }  # fmt: skip
-    assert (given["width"], given["height"], given["sh_degree"]) == (40, 30, 2)
-    assert given["Ks"][0].tolist() == [[35, 0, 20], [0, 36, 15], [0, 0, 1]]
+    assert (arguments["width"], arguments["height"], arguments["sh_degree"]) == (40, 30, 2)
+    assert arguments["Ks"][0].tolist() == [[35, 0, 20], [0, 36, 15], [0, 0, 1]]
 
 
-def test_without_gsplat_there_is_no_figure(monkeypatch):
+def test_without_gsplat_its_frame_rate_is_none(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
     assert gsplat_fps(random_splats(3), []) is None
 
@@ -482,7 +483,7 @@ def test_without_gsplat_there_is_no_figure(monkeypatch):
 # The command
 
 
-def test_a_folder_stands_for_its_models_and_a_model_in_a_folder_has_its_name(model, tmp_path):
+def test_a_folder_of_models_gives_a_scene_for_each_model(model, tmp_path):
     folder = tmp_path / "scenes"
     folder.mkdir()
     for name in ("b.ply", "a.ply"):
@@ -492,7 +493,7 @@ def test_a_folder_stands_for_its_models_and_a_model_in_a_folder_has_its_name(mod
 
 
 @pytest.mark.parametrize("content", [None, b"no model"])
-def test_a_model_that_is_none_is_refused_before_anything_is_written(content, model, tmp_path):
+def test_a_missing_or_damaged_model_is_refused_before_anything_is_written(content, model, tmp_path):
     wrong = tmp_path / "wrong.ply"
     if content is not None:
         wrong.write_bytes(content)
@@ -502,7 +503,7 @@ def test_a_model_that_is_none_is_refused_before_anything_is_written(content, mod
     assert not (tmp_path / "out").exists()
 
 
-def test_a_command_that_measures_nothing_says_so_and_fails(tmp_path):
+def test_the_command_fails_with_the_reason_if_nothing_was_measured(tmp_path):
     result = run("bench", "--scene", f"a={tmp_path}/gone.ply", "--methods", "opacity", "--quiet")
     assert result.returncode == 2
     assert "Nothing was measured; a: " in result.stderr
@@ -510,7 +511,7 @@ def test_a_command_that_measures_nothing_says_so_and_fails(tmp_path):
 
 
 @pytest.mark.parametrize("there", [False, True])
-def test_where_nothing_was_measured_nothing_is_written(tmp_path, there):
+def test_nothing_is_written_if_nothing_was_measured(tmp_path, there):
     out = tmp_path / "made" / "out"
     if there:
         out.mkdir(parents=True)
@@ -552,7 +553,7 @@ def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     assert "add -w to replace it" in again.stderr
 
 
-def test_the_up_direction_of_views_may_be_given(model):
+def test_a_given_up_direction_is_used_for_all_views(model):
     settings = BenchSettings(methods=("opacity",), views=2, fit_views=2, sizes=(32,))
     scene = replace(scene_of_file(model), up=(1.0, 0.0, 0.0))
     views = scene_views(scene, load(model), settings)
@@ -565,13 +566,13 @@ def test_the_up_direction_of_views_may_be_given(model):
     ("option", "says"),
     [(("--pixels", "64x32"), "square"), (("--pixels", "8"), "16"), (("--up", "0,0,0"), "0,0,0")],
 )
-def test_views_that_cannot_be_are_refused(model, option, says):
+def test_invalid_sizes_and_directions_of_views_are_refused(model, option, says):
     result = run("bench", model, *option)
     assert (result.returncode, result.stdout) == (2, "")
     assert says in result.stderr
 
 
-def test_json_is_the_rows_and_nothing_else(model):
+def test_json_prints_the_rows_and_nothing_else(model):
     options = ("--ratios", "0.1", "--methods", "opacity", "--pixels", "32", "--views", "1")
     result = run("bench", f"--scene=ball={model}", *options, "--json")
     assert result.returncode == 0, result.stderr
@@ -600,7 +601,7 @@ def test_bad_options_are_refused_in_one_sentence(model, options, word):
     assert word in result.stderr
 
 
-def test_help_needs_no_numba():
+def test_help_of_bench_imports_no_numba():
     code = "import sys; sys.modules['numba'] = None; from nanogs.cli import main; main()"
     result = subprocess.run(
         [sys.executable, "-c", code, "bench", "--help"],

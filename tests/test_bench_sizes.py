@@ -1,4 +1,4 @@
-"""`bench` with sizes of files: gains, charts and pages of made-up rows, and the command."""
+"""`bench` with file sizes: gains, charts and pages of made-up rows, and the command."""
 
 import json
 import math
@@ -29,7 +29,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def rows_of(method, psnr, *, scene="a", suffix=".sog", share=1.0, sizes=SIZES, near=None):
-    """A file a size, that takes a share of it."""
+    """Make one row for each size, with a file of `share` times that size."""
     return [
         BenchRow(
             scene, method, None, format=suffix, size=size, file_bytes=int(share * size),
@@ -43,11 +43,11 @@ def rows_of(method, psnr, *, scene="a", suffix=".sog", share=1.0, sizes=SIZES, n
 BASE = (24.0, 27.5, 30.2, 32.0)
 
 
-def plus(by):
-    return [value + by for value in BASE]
+def base_plus(gain):
+    return [value + gain for value in BASE]
 
 
-def only(gains, **names):
+def the_only(gains, **names):
     [found] = [
         gain
         for gain in gains
@@ -59,8 +59,8 @@ def only(gains, **names):
 # Gains
 
 
-def test_two_decibels_at_every_size_are_a_gain_of_two():
-    [gain] = mean_gains([*rows_of("them", BASE), *rows_of("ours", plus(2))], ["them"])
+def test_two_decibels_more_at_every_size_are_a_gain_of_two():
+    [gain] = mean_gains([*rows_of("them", BASE), *rows_of("ours", base_plus(2))], ["them"])
     assert (gain.first.method, gain.first.anchor) == ("ours", "them")
     assert gain.psnr == gain.least_psnr == pytest.approx(2)
     assert gain.ssim == pytest.approx(0.02)
@@ -74,9 +74,9 @@ def test_half_the_bytes_are_a_rate_of_minus_half():
     assert " | -50 % | 1 |\n" in markdown(rows, others=["them"])
 
 
-def test_a_mean_is_over_scenes_and_the_least_is_beside_it():
+def test_a_gain_is_the_mean_over_scenes_with_the_smallest_beside_it():
     rows = [row for scene in "ab" for row in rows_of("them", BASE, scene=scene)]
-    rows += [*rows_of("ours", plus(3), scene="a"), *rows_of("ours", plus(1), scene="b")]
+    rows += [*rows_of("ours", base_plus(3), scene="a"), *rows_of("ours", base_plus(1), scene="b")]
     [gain] = mean_gains(rows, ["them"])
     assert (gain.psnr, gain.least_psnr) == (pytest.approx(2), pytest.approx(1))
     assert "| ours | them | .sog | auto 64 | +2.00 (+1.00) | +0.020 |" in markdown(
@@ -84,46 +84,46 @@ def test_a_mean_is_over_scenes_and_the_least_is_beside_it():
     )
 
 
-def test_a_rate_that_some_scenes_lack_says_of_how_many_it_is():
+def test_a_rate_that_some_scenes_lack_gives_the_number_of_scenes():
     rows = [row for scene in "abc" for row in rows_of("them", BASE, scene=scene)]
-    rows += [row for scene in "ac" for row in rows_of("ours", plus(1), scene=scene)]
-    rows += rows_of("ours", plus(50), scene="b")
+    rows += [row for scene in "ac" for row in rows_of("ours", base_plus(1), scene=scene)]
+    rows += rows_of("ours", base_plus(50), scene="b")
     assert " % (of 2) | 3 |" in markdown(rows, others=["them"])
 
 
-def test_files_that_were_not_measured_are_in_no_curve():
-    rows = [*rows_of("them", BASE), *rows_of("ours", plus(2))]
+def test_failed_rows_and_infinite_psnr_are_left_out_of_curves():
+    rows = [*rows_of("them", BASE), *rows_of("ours", base_plus(2))]
     failed = BenchRow("a", "ours", None, Status.FAILED, "boom", format=".sog", size=4_000_000)
     equal = [replace(row, psnr=math.inf) for row in rows_of("ours", BASE[:1], sizes=[8_000_000])]
     [gain] = mean_gains([*rows, failed, *equal], ["them"])
     assert gain.psnr == pytest.approx(2)
 
 
-def test_against_several_the_best_at_each_size_counts():
+def test_against_several_methods_the_best_at_each_size_counts():
     one, two = [20, 27.5, 20, 32.0], [24.0, 20, 30.2, 20]
-    rows = [*rows_of("one", one), *rows_of("two", two), *rows_of("ours", plus(2))]
+    rows = [*rows_of("one", one), *rows_of("two", two), *rows_of("ours", base_plus(2))]
     gains = mean_gains(rows, ["one", "two"])
     assert [gain.first.anchor for gain in gains] == ["one", "two", "one, two"]
     assert gains[2].psnr == pytest.approx(2)
     assert gains[0].psnr > 3
 
 
-def test_without_others_the_first_method_is_what_counts():
-    rows = [*rows_of("fast", BASE), *rows_of("best", plus(1))]
+def test_without_other_methods_gains_are_against_the_first():
+    rows = [*rows_of("fast", BASE), *rows_of("best", base_plus(1))]
     assert [gain.first.anchor for gain in mean_gains(rows)] == ["fast"]
 
 
-def test_formats_and_views_have_gains_of_their_own():
-    rows = [*rows_of("them", BASE, near=1), *rows_of("ours", plus(2), near=4)]
-    rows += [*rows_of("them", BASE, suffix=".spz"), *rows_of("ours", plus(5), suffix=".spz")]
+def test_each_format_and_each_set_of_views_has_its_own_gain():
+    rows = [*rows_of("them", BASE, near=1), *rows_of("ours", base_plus(2), near=4)]
+    rows += [*rows_of("them", BASE, suffix=".spz"), *rows_of("ours", base_plus(5), suffix=".spz")]
     gains = mean_gains(rows, ["them"])
-    assert only(gains, format=".sog", label="auto 64").psnr == pytest.approx(2)
-    assert only(gains, format=".sog", label="roam 64").psnr == pytest.approx(-1)
-    assert only(gains, format=".spz", label="auto 64").psnr == pytest.approx(5)
+    assert the_only(gains, format=".sog", label="auto 64").psnr == pytest.approx(2)
+    assert the_only(gains, format=".sog", label="roam 64").psnr == pytest.approx(-1)
+    assert the_only(gains, format=".spz", label="auto 64").psnr == pytest.approx(5)
 
 
-def test_photographs_are_views_of_a_name_of_their_own():
-    rows = [*rows_of("them", BASE), *rows_of("ours", plus(2))]
+def test_gains_on_photographs_are_named_so():
+    rows = [*rows_of("them", BASE), *rows_of("ours", base_plus(2))]
     text = markdown([replace(row, label="", against=Against.PHOTOGRAPHS) for row in rows])
     assert "| ours | them | .sog | photographs | +2.00 (+2.00) |" in text
     assert "Published" not in text
@@ -141,14 +141,14 @@ def test_photographs_are_views_of_a_name_of_their_own():
             "no figures, because they need at least two sizes of each method (a).",
         ),
         (rows_of("ours", BASE, share=0.01), "the curves share no sizes (a)."),
-        (rows_of("ours", plus(50)), "the curves share no PSNRs (a)."),
+        (rows_of("ours", base_plus(50)), "the curves share no PSNRs (a)."),
         (
             rows_of("ours", (30, 29, 31, 32)),
             "no BD-rate, because a larger file has a lower PSNR (a).",
         ),
     ],
 )
-def test_what_has_no_figure_says_why(ours, says):
+def test_a_missing_figure_is_explained_in_table_and_page(ours, says):
     rows = [*rows_of("them", BASE), *ours]
     [gain] = mean_gains(rows, ["them"])
     assert None in (gain.psnr, gain.rate)
@@ -159,7 +159,7 @@ def test_what_has_no_figure_says_why(ours, says):
 # Rows, charts, pages
 
 
-def test_sizes_have_names_that_files_can_have():
+def test_sizes_have_names_that_are_valid_in_file_names():
     assert [size_name(size) for size in (500_000, 1_048_576, 20_000_000, 1)] == [
         "0.5MB", "1.048576MB", "20MB", "0.000001MB",
     ]  # fmt: skip
@@ -168,7 +168,7 @@ def test_sizes_have_names_that_files_can_have():
     assert Wish(0.1).text == "0.1"
 
 
-def test_rows_of_files_go_on_after_a_run_that_ended(tmp_path):
+def test_rows_of_an_interrupted_run_are_kept(tmp_path):
     first, second, third = rows_of("fast", BASE[:3], sizes=SIZES[:3])
     begun = ResultFolder(tmp_path, run="this")
     begun.add(first)
@@ -183,9 +183,9 @@ def test_rows_of_files_go_on_after_a_run_that_ended(tmp_path):
 def test_a_chart_for_the_mean_and_each_scene_has_every_point():
     rows = [
         row
-        for scene, by in (("a", 0), ("b", 4))
-        for method, more in (("them", 0), ("ours", 2))
-        for row in rows_of(method, plus(by + more), scene=scene, near=1, share=0.9)
+        for scene, offset in (("a", 0), ("b", 4))
+        for method, gain in (("them", 0), ("ours", 2))
+        for row in rows_of(method, base_plus(offset + gain), scene=scene, near=1, share=0.9)
     ]
     charts = SizeCharts(rows)
     assert [chart.title for chart in charts.charts] == [
@@ -200,13 +200,13 @@ def test_a_chart_for_the_mean_and_each_scene_has_every_point():
     drawing = ET.fromstring(charts.svg())
     assert len(list(drawing.iter(f"{SVG}polyline"))) == 6 * 2
     dots = len(list(drawing.iter(f"{SVG}circle")))
-    assert dots == 6 * 2 * (len(SIZES) + 1)  # and one in the legend
-    places = {group.get("transform") for group in drawing if group.get("transform")}
-    assert len(places) == 6
+    assert dots == 6 * 2 * (len(SIZES) + 1)  # one more in the legend
+    transforms = {group.get("transform") for group in drawing if group.get("transform")}
+    assert len(transforms) == 6
 
 
 def test_the_picture_shows_the_points_in_the_colours_of_the_page():
-    rows = [*rows_of("them", BASE), *rows_of("ours", plus(2))]
+    rows = [*rows_of("them", BASE), *rows_of("ours", base_plus(2))]
     charts = SizeCharts(rows)
     pixels = np.asarray(Image.open(BytesIO(charts.png())).convert("RGB")).reshape(-1, 3)
     for colour in ((0x1F, 0x77, 0xB4), (0xFF, 0x7F, 0x0E)):
@@ -215,23 +215,23 @@ def test_the_picture_shows_the_points_in_the_colours_of_the_page():
     assert not (pixels == (0x2C, 0xA0, 0x2C)).all(axis=1).any()
 
 
-def test_names_in_the_picture_are_no_formulas():
-    """For matplotlib, text between two signs of a dollar is one; it refuses these."""
+def test_names_in_the_picture_are_not_read_as_formulas():
+    """Matplotlib reads text between two dollar signs as a formula; these would be invalid."""
     rows = rows_of("$_$", BASE, scene="a $b_c_d$")
     assert SizeCharts(rows).png().startswith(b"\x89PNG")
 
 
-def test_words_of_others_are_escaped_in_the_page():
-    rows = [*rows_of("<them>", BASE), *rows_of("ours", plus(2))]
+def test_names_are_escaped_in_the_page():
+    rows = [*rows_of("<them>", BASE), *rows_of("ours", base_plus(2))]
     page = size_page(rows, ["<them>"], "nanogs bench <x>")
     assert "<them>" not in page
     assert "<x>" not in page
     assert "&lt;them&gt;" in page
 
 
-@pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+@pytest.mark.filterwarnings("default")  # warnings of the browser's driver
 def test_each_chart_of_the_page_fits_a_phone_with_its_legend(tmp_path):
-    rows = [*rows_of("them", BASE, near=1), *rows_of("ours", plus(2), near=1)]
+    rows = [*rows_of("them", BASE, near=1), *rows_of("ours", base_plus(2), near=1)]
     (tmp_path / "a.html").write_text(size_page(rows, ["them"], "nanogs bench x"), encoding="utf-8")
     with page_at((tmp_path / "a.html").as_uri(), 390, 844) as page:
         boxes = [svg.bounding_box() for svg in page.locator("svg").all()]
@@ -240,7 +240,7 @@ def test_each_chart_of_the_page_fits_a_phone_with_its_legend(tmp_path):
         assert page.evaluate("document.documentElement.scrollWidth") == 390
 
 
-def test_a_scene_whose_name_is_no_utf8_has_results(tmp_path):
+def test_results_of_a_scene_whose_name_is_no_utf8_are_written(tmp_path):
     ResultFolder(tmp_path).finish(rows_of("ours", BASE, scene="a\udcff"))
     for name in ("results.md", "results.html", "plot.svg"):
         assert "a\\udcff" in (tmp_path / name).read_text(encoding="utf-8")
@@ -248,7 +248,7 @@ def test_a_scene_whose_name_is_no_utf8_has_results(tmp_path):
     assert json.loads(line)["scene"] == "a\udcff"
 
 
-def test_every_file_has_its_numbers():
+def test_the_table_of_files_has_the_numbers_of_each_file():
     rows = rows_of("ours", (24.0, math.inf), sizes=(250_000, 1_234_567), near=3)
     rows.append(BenchRow("a", "ours", None, Status.FAILED, "boom", format=".sog", size=5))
     rows.append(BenchRow("a", ORIGINAL, 1.0, psnr=40.0, ssim=1.0, label="auto 64"))
@@ -275,7 +275,7 @@ def test_every_file_has_its_numbers():
     assert table.left == 3
 
 
-def test_nothing_measured_is_a_page_all_the_same(tmp_path):
+def test_a_page_is_written_even_if_nothing_was_measured(tmp_path):
     rows = [
         BenchRow("a", "fast", None, Status.FAILED, "boom", format=".sog", size=size)
         for size in SIZES
@@ -303,7 +303,7 @@ def test_nothing_measured_is_a_page_all_the_same(tmp_path):
         ({"formats": (".sog", ".spz"), "externals": {"x": "{scene}_{size}"}}, "need {format}"),
     ],
 )
-def test_files_that_cannot_be_asked_for_are_refused(options, words):
+def test_invalid_sizes_formats_and_methods_are_refused(options, words):
     with pytest.raises(OptionError, match=words):
         BenchSettings(**{"file_sizes": (1000,), "methods": ("fast",)} | options)
 
@@ -322,7 +322,7 @@ def model(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def measured(model):
-    """A run with files of another tool, and all that it wrote."""
+    """The JSON output and the folder of a run that also compares files of another tool."""
     folder = model.parent
     whole = nanogs.load(model)
     for count, size in ((150, "0.005MB"), (400, "0.01MB")):
@@ -344,7 +344,7 @@ def row_of(rows, method, size):
 
 
 @pytest.mark.slow
-def test_files_of_each_size_are_measured_as_decoded(measured, model, tmp_path):
+def test_files_of_each_size_are_scored_as_they_are_read_back(measured, model, tmp_path):
     rows = measured[0]["rows"]
     small, large = row_of(rows, "fast", 5000), row_of(rows, "fast", 10_000)
     assert small["file_bytes"] <= 5000 < large["file_bytes"] <= 10_000
@@ -359,7 +359,7 @@ def test_files_of_each_size_are_measured_as_decoded(measured, model, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_size_that_the_whole_model_fits_into_is_told_and_not_measured(measured):
+def test_a_size_that_the_whole_model_fits_into_is_skipped_with_the_reason(measured):
     rows = measured[0]["rows"]
     wholes = [row for row in rows if row["method"] == ORIGINAL]
     assert [row["format"] for row in wholes] == ["", ".splat"]
@@ -370,7 +370,7 @@ def test_a_size_that_the_whole_model_fits_into_is_told_and_not_measured(measured
 
 
 @pytest.mark.slow
-def test_files_of_others_stand_beside_ours(measured):
+def test_files_of_another_tool_are_compared_with_ours(measured):
     data, out = measured
     them = row_of(data["rows"], "them", 5000)
     assert (them["splats"], them["file_bytes"], them["seconds"]) == (150, 4800, 4.5)
@@ -387,7 +387,7 @@ def test_files_of_others_stand_beside_ours(measured):
 
 
 @pytest.mark.slow
-def test_the_folder_has_a_page_and_pictures_with_the_points(measured):
+def test_the_folder_has_a_page_and_charts_with_all_points(measured):
     _, out = measured
     assert {path.name for path in out.iterdir()} == {
         "results.md", "results.jsonl", "results.html", "plot.svg", "plot.png",
@@ -420,7 +420,7 @@ def test_the_folder_has_a_page_and_pictures_with_the_points(measured):
         (("--format", "sog"), "--sizes-of-files"),
     ],
 )
-def test_sizes_and_formats_that_mean_nothing_are_refused_in_one_sentence(model, options, word):
+def test_invalid_sizes_and_formats_are_refused_in_one_sentence(model, options, word):
     result = launch.run("bench", model, *options)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr.startswith("error: ")
@@ -428,7 +428,7 @@ def test_sizes_and_formats_that_mean_nothing_are_refused_in_one_sentence(model, 
     assert word in result.stderr
 
 
-def test_without_its_packages_it_says_what_to_install(model, monkeypatch, capfd):
+def test_a_missing_package_is_named_with_the_command_that_installs_it(model, monkeypatch, capfd):
     monkeypatch.setitem(__import__("sys").modules, "scipy.interpolate", None)
     assert launch.run_here("bench", model, "--sizes-of-files", "5kB", "--methods", "fast") == 2
     assert "pip install 'nanogs[bench]'" in capfd.readouterr().err

@@ -49,30 +49,30 @@ def test_a_method_without_any_result_is_named_and_does_not_empty_the_mean():
     assert "not compared, without any result: y" in mean_table([mean])
 
 
-def test_no_common_scene_is_said_and_has_no_mean():
+def test_without_a_common_scene_there_is_no_mean_and_a_note():
     (mean,) = mean_rows([row("a", "x"), skipped("a", "y"), skipped("b", "x"), row("b", "y")])
     assert not mean.methods
     assert "no scene has results of all methods" in mean_table([mean])
 
 
-def test_a_failed_row_with_a_leftover_score_is_no_result():
+def test_a_failed_row_is_no_result_even_if_it_has_a_score():
     (mean,) = mean_rows([row("a", "x"), row("b", "x", psnr=99, status=Status.FAILED)])
     assert mean.scenes == ("a",)
 
 
-def test_ratios_have_scenes_of_their_own():
+def test_the_common_scenes_are_found_for_each_ratio():
     rows = [row("a", "x", 0.1), row("b", "x", 0.1), row("a", "x", 0.01), row("b", "x", 0.01)]
     rows[3] = skipped("b", "x", 0.01)
     assert [mean.scenes for mean in mean_rows(rows)] == [("a", "b"), ("a",)]
 
 
-def test_views_that_a_scene_lacks_are_in_no_mean():
+def test_views_that_a_scene_lacks_have_no_mean():
     further = (SetScore("roam 64", 4, 10.0, 5.0, 0.5),)
     (mean,) = mean_rows([row("a", further=further), row("b")])
     assert (mean.methods["x"].psnr, mean.methods["x"].further) == (20, ())
 
 
-def test_the_original_model_is_compared_with_nothing():
+def test_the_original_model_is_in_no_mean():
     assert "Means" not in markdown([row("a", ORIGINAL, 1.0)])
     assert [mean.wish.ratio for mean in mean_rows([row("a", ORIGINAL, 1.0), row("a", "x")])] == [
         0.1
@@ -128,7 +128,7 @@ def test_equal_images_score_infinity_in_table_and_json():
     assert json.loads(json_line(row(psnr=math.inf)))["psnr"] == "inf"
 
 
-def test_rows_come_back_from_their_lines():
+def test_rows_are_restored_from_their_json_lines():
     rows = [
         row("inf", "nan", psnr=math.inf, extras={"flip": 0.1}, label="-inf", notes=("inf", "n")),
         row(further=(SetScore("nan", 2, math.inf, 3.0, -math.inf, {"lpips": math.inf}),)),
@@ -138,12 +138,12 @@ def test_rows_come_back_from_their_lines():
     assert rows[0].key == ("inf", "nan", (0.1, "", None))
 
 
-def test_a_scene_has_its_own_rows_with_every_column_that_is_known():
+def test_the_table_of_a_scene_has_all_columns_with_values():
     whole = row(
         splats=12345, file_bytes=1234567, seconds=1.234, peak_memory=250_400_000, psnr=20.004,
         least_psnr=18.5, ssim=0.9124, extras={"lpips": 0.1236}, fps=12.34, fps_gsplat=412.6,
     )  # fmt: skip
-    near = replace(whole, label="auto 64", further=(SetScore("roam 64", 1, 21.0, 17.0, 0.8),))
+    two_sets = replace(whole, label="auto 64", further=(SetScore("roam 64", 1, 21.0, 17.0, 0.8),))
     text = markdown([whole, row("b", views=1)], heading="##")
     assert (
         "## b\n\nAgainst the original model, 1 view.\n\n"
@@ -159,7 +159,7 @@ def test_a_scene_has_its_own_rows_with_every_column_that_is_known():
         "| x | 0.1 | 12,345 | 1,234,567 | 1.23 | 250 | 20.00 | 18.50 | 0.912 | 0.124"
         " | 12.3 | 413 |\n"
     )
-    text = scene_table([near])
+    text = scene_table([two_sets])
     assert "Against the original model, 2 views (auto 64), 1 view (roam 64).\n" in text
     assert " | PSNR, roam 64 | worst, roam 64 | SSIM, roam 64 | frames/s |" in text
 
@@ -182,20 +182,20 @@ def test_tables_are_well_formed():
             assert line.replace("\\|", "").count("|") == columns
 
 
-def test_ablations_are_differences_to_the_whole():
+def test_ablations_are_listed_as_differences_to_the_whole_method():
     text = markdown([row(method="paper", psnr=30), row(method="paper:tau=0", psnr=29.5, ssim=0.95)])
     assert "| 0.1 | paper:tau=0 | 29.50 | 0.950 | -0.50 | +0.050 |" in text
     for rows in ([row(method="paper"), row(method="fast:rounds=0")], [row(method="paper:tau=0")]):
         assert "Ablations" not in markdown(rows)
 
 
-def test_curves_leave_out_infinity_and_ascend():
+def test_curves_are_sorted_by_ratio_and_leave_out_infinity():
     rows = [row(ratio=0.1, psnr=30), row(ratio=0.01, psnr=20), row(ratio=1, psnr=math.inf)]
     assert curves(rows) == {"x": [(0.01, 20), (0.1, 30)]}
 
 
 @pytest.mark.parametrize("rows", [[row(), row(ratio=0.01)], [skipped("a", "x")], []])
-def test_a_plot_is_drawn_of_whatever_there_is(rows):
+def test_a_plot_is_drawn_even_without_results(rows):
     drawn = plot(rows)
     drawing = ET.fromstring(drawn)
     texts = [element.text for element in drawing.iter("{http://www.w3.org/2000/svg}text")]
@@ -213,7 +213,7 @@ def published_rows(scenes, dataset="tanks-and-temples"):
             yield row(scene, "paper", ratio, psnr, seconds=10.0, **common)
 
 
-def test_published_figures_stand_beside_ours():
+def test_published_figures_are_listed_beside_ours():
     text = published_table(list(published_rows(["train", "truck"])))
     assert "18.00 / .900 / .400 / 10 s; 15.00; 13.00" in text
     assert "17.94 / .626 / .413 / 58 s; 15.29; 13.54" in text
@@ -221,7 +221,7 @@ def test_published_figures_stand_beside_ours():
     assert "of 2 scenes" not in text
 
 
-def test_a_data_set_that_is_not_whole_says_so():
+def test_missing_scenes_of_a_data_set_are_named():
     rows = [*published_rows(["train"]), skipped("truck", "paper")]
     rows[-1] = BenchRow(
         "truck", "paper", 0.1, Status.SKIPPED, "x", Against.PHOTOGRAPHS, "tanks-and-temples"
@@ -231,14 +231,14 @@ def test_a_data_set_that_is_not_whole_says_so():
     assert "1 of 2 scenes" in published_table(list(published_rows(["train"])))
 
 
-def test_figures_are_written_as_published():
+def test_published_figures_are_formatted_as_in_the_paper():
     figures = DATASETS["nerf-synthetic"].methods
     assert figures_cell(figures["NanoGS"]) == "25.81 / .910 / .092 / 11 s; 22.28; 19.04"
     assert figures_cell(figures["PUP"]) == "20.24; 13.26; 11.31"
     assert sum(dataset.scenes for dataset in DATASETS.values()) == 21
 
 
-def test_numbers_read_the_same_everywhere():
+def test_numbers_are_formatted_with_separators_infinity_and_without_minus_zero():
     values = [1_234_567.0, -1.0, None, math.nan, math.inf, -math.inf, -0.04]
     texts = ["1,234,567.0", "-1.0", NONE, NONE, "∞", "-∞", "0.0"]
     assert [number_text(value, 1) for value in values] == texts

@@ -1,4 +1,4 @@
-"""Mean differences of rate-distortion curves, on curves made by hand."""
+"""Bjontegaard differences of rate-distortion curves, on curves made by hand."""
 
 import math
 
@@ -14,41 +14,43 @@ def shifted(by=0.0, times=1.0, curve=CURVE):
 
 
 @pytest.mark.parametrize("by", [2.0, -0.5, 0.0])
-def test_a_curve_shifted_by_so_many_decibels_is_so_much_better(by):
+def test_a_curve_shifted_in_quality_has_that_mean_difference(by):
     assert bd_quality(CURVE, shifted(by)) == pytest.approx(by, abs=1e-9)
 
 
 @pytest.mark.parametrize("times", [0.5, 1.0, 3.0])
-def test_a_curve_of_a_share_of_the_bytes_saves_the_rest(times):
+def test_a_curve_with_scaled_sizes_has_that_rate(times):
     assert bd_rate(CURVE, shifted(times=times)) == pytest.approx(times - 1, abs=1e-9)
 
 
-def test_only_the_interval_that_both_have_counts():
+def test_only_the_common_interval_of_both_curves_counts():
     better = [(size, quality + 1) for size, quality in CURVE[1:4]]
     assert bd_quality(CURVE, better) == pytest.approx(1.0, abs=0.03)
     beyond = [*better, (1e9, 90.0)]
-    assert bd_quality(better, beyond) == pytest.approx(0.0, abs=0.2)  # the slope at its end alone
+    assert bd_quality(better, beyond) == pytest.approx(
+        0.0, abs=0.2
+    )  # only the slope at its end differs
 
 
-def test_lines_are_met_exactly():
-    """On straight lines the integral is known: over sizes of 1 to 100, log10 from 0 to 2."""
+def test_straight_lines_are_integrated_exactly():
+    """For straight lines the integral is known; sizes are 1 to 100, so their log10 is 0 to 2."""
     flat, steep = [(1, 10.0), (100, 10.0)], [(1, 10.0), (10, 11.0), (100, 12.0)]
     assert bd_quality(flat, steep) == pytest.approx(1.0)
-    # Qualities from 10 to 12: log10 of the bytes is D - 10 in one, 2 (D - 10) in the other.
+    # For a quality D from 10 to 12, log10 of the bytes is D - 10 and 2 (D - 10).
     double = [(1, 10.0), (10_000, 12.0)]
     assert bd_rate(steep, double) == pytest.approx(10**1 - 1)
 
 
-def test_the_order_of_points_is_nothing():
+def test_the_order_of_points_does_not_matter():
     assert bd_quality(CURVE[::-1], shifted(2.0)) == pytest.approx(2.0)
     assert bd_rate(CURVE[::-1], shifted(times=0.5)) == pytest.approx(-0.5)
 
 
-def test_the_other_way_round_is_the_opposite():
+def test_exchanging_the_curves_reverses_the_differences():
     other = [(300e3, 26.0), (900e3, 30.0), (3e6, 33.0)]
-    there, back = bd_rate(CURVE, other), bd_rate(other, CURVE)
+    forward, backward = bd_rate(CURVE, other), bd_rate(other, CURVE)
     assert bd_quality(CURVE, other) == pytest.approx(-bd_quality(other, CURVE))
-    assert math.log10(1 + there) == pytest.approx(-math.log10(1 + back))
+    assert math.log10(1 + forward) == pytest.approx(-math.log10(1 + backward))
 
 
 @pytest.mark.parametrize(
@@ -56,17 +58,17 @@ def test_the_other_way_round_is_the_opposite():
     [[], CURVE[:1], shifted(times=100.0), [(1e6, 20.0), (1e6, 30.0)]],
     ids=["none", "one", "apart", "one size"],
 )
-def test_without_a_common_interval_of_sizes_there_is_no_number(other):
+def test_without_a_common_interval_of_sizes_the_difference_is_none(other):
     assert bd_quality(CURVE, other) is None
     assert bd_quality(other, CURVE) is None
 
 
-def test_without_a_common_interval_of_qualities_nothing_is_saved():
+def test_without_a_common_interval_of_qualities_the_rate_is_none():
     assert bd_rate(CURVE, shifted(50.0)) is None
     assert bd_quality(CURVE, shifted(50.0)) == pytest.approx(50)
 
 
-def test_a_curve_that_falls_has_no_bytes_of_a_quality():
+def test_a_curve_that_falls_has_no_rate():
     falling = [*CURVE[:3], (2e6, 29.0)]
     assert rises(CURVE)
     assert not rises(falling)

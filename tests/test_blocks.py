@@ -1,4 +1,4 @@
-"""Vector operations of the rasteriser: compiled they do as their plain Python says."""
+"""Vector operations of the rasteriser: the compiled ones agree with their plain Python."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def gradient_compiled(mark, j, shapes, values, left, behind, wanted, trust, part
 
 
 def shape_of(u, v, inv_w, slope, inv_yy, opacity):
-    """Of a splat at (u, v) from the tile's first pixel, what `raster.fetch` writes of it."""
+    """Compute the row that `raster.fetch` writes for a splat at (u, v) from the first pixel."""
     across, rise = inv_w / blocks.UNIT, inv_yy**0.5 / blocks.UNIT
     u, v = u - blocks.MIDDLE, v - blocks.MIDDLE
     start, faint = -across * (u - slope * v), -np.log(opacity) / 16
@@ -62,13 +62,13 @@ def shape_of(u, v, inv_w, slope, inv_yy, opacity):
 
 
 def alpha_of(u, v, inv_w, slope, inv_yy, opacity):
-    """(16, 16) float64 of a tile's pixels, without any threshold."""
+    """Compute the splat's alpha at each pixel of a tile, (16, 16) float64, without thresholds."""
     p = inv_w * (X - u - slope * (Y - v))
     return opacity * np.exp(-0.5 * (p * p + inv_yy * (Y - v) ** 2))
 
 
 def some_splats(rng, count=BATCH):
-    """Rows of what `shape_of` takes."""
+    """Draw random rows of arguments for `shape_of`."""
     low, high = (-3, -3, 0.1, -2, 0.02, 0.05), (18, 18, 1.5, 2, 2, 1)
     return rng.uniform(low, high, (count, 6))
 
@@ -80,35 +80,35 @@ splats = st.tuples(
 
 
 @given(splats, st.integers(0, BATCH - 1))
-def test_marks_hold_every_block_with_a_pixel_that_is_reached(splat, j):
+def test_every_block_with_a_visible_pixel_is_marked(splat, j):
     shapes = np.full((BATCH, blocks.SHAPE), np.nan, np.float32)
     shapes[j] = shape_of(*splat)
     before = np.arange(LANES, dtype=np.uint32) & ~np.uint32(1 << j)
-    found = []
+    results = []
     for mark in (blocks.mark_blocks, mark_compiled):
         marks = before.copy()
         bits = int(mark(shapes, j, marks))
-        reached = marks != before
-        assert ((marks ^ before)[reached] == 1 << j).all()
-        assert bits == sum(1 << int(block) for block in np.flatnonzero(reached))
-        found.append(reached)
-    seen = np.zeros(LANES, bool)
-    np.logical_or.at(seen, BLOCK, alpha_of(*splat) >= 1 / 255)
-    for reached in found:
-        assert reached[seen].all()
+        marked = marks != before
+        assert ((marks ^ before)[marked] == 1 << j).all()
+        assert bits == sum(1 << int(block) for block in np.flatnonzero(marked))
+        results.append(marked)
+    visible = np.zeros(LANES, bool)
+    np.logical_or.at(visible, BLOCK, alpha_of(*splat) >= 1 / 255)
+    for marked in results:
+        assert marked[visible].all()
 
 
-def test_few_blocks_are_marked_in_vain():
+def test_few_blocks_without_a_visible_pixel_are_marked():
     rng = np.random.default_rng(0)
-    marked = seen = 0
+    marked = visible = 0
     for splat in some_splats(rng, 500):
         shapes, marks = shape_of(*splat)[None], np.zeros(LANES, np.uint32)
         marked += int(mark_compiled(shapes, 0, marks)).bit_count()
-        seen += len(np.unique(BLOCK[alpha_of(*splat) >= 1 / 255]))
-    assert seen <= marked < 1.15 * seen
+        visible += len(np.unique(BLOCK[alpha_of(*splat) >= 1 / 255]))
+    assert visible <= marked < 1.15 * visible
 
 
-def test_a_number_too_large_for_float32_reaches_nothing():
+def test_an_overflowing_splat_marks_no_block_and_blends_nothing():
     shapes = np.zeros((BATCH, blocks.SHAPE), np.float32)
     for k, start in enumerate((np.inf, np.nan, 1e30)):
         shapes[k, blocks.START], shapes[k, blocks.RISE] = start, 1
@@ -126,26 +126,30 @@ def test_a_number_too_large_for_float32_reaches_nothing():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_block_takes_its_splats_in_their_order(seed):
+def test_a_block_blends_its_splats_in_order(seed):
     rng = np.random.default_rng(seed)
     rows = some_splats(rng)
-    if seed == 0:  # fill the tile
+    if seed == 0:  # opaque: the transmittance runs out
         rows[:, 2:] = 0.02, 0.0, 0.0004, 0.9
     shapes = np.stack([shape_of(*row) for row in rows])
     values = rng.normal(size=(BATCH, 4)).astype(np.float32)
     mark = np.uint32(rng.integers(2**32))
     start = rng.normal(size=(4, LANES, LANES)).astype(np.float32)
     for block in (0, 6, 15):
-        light, weights, expected = np.ones(LANES), np.zeros((BATCH, LANES)), start[:, block] + 0.0
-        full = np.zeros(LANES, bool)
+        transmittance, weights, expected = (
+            np.ones(LANES),
+            np.zeros((BATCH, LANES)),
+            start[:, block] + 0.0,
+        )
+        saturated = np.zeros(LANES, bool)
         for j in range(BATCH):
             if mark >> j & 1:
                 alpha = np.minimum(alpha_of(*rows[j]), 0.99)
                 alpha[alpha < 1 / 255] = 0
                 alpha = alpha[block == BLOCK][np.argsort(LANE[block == BLOCK])]
-                full |= light * (1 - alpha) < MIN_TRANSMITTANCE
-                weights[j] = np.where(full, 0, light * alpha)
-                light = np.where(full, light, light * (1 - alpha))
+                saturated |= transmittance * (1 - alpha) < MIN_TRANSMITTANCE
+                weights[j] = np.where(saturated, 0, transmittance * alpha)
+                transmittance = np.where(saturated, transmittance, transmittance * (1 - alpha))
                 expected += values[j, :, None] * weights[j]
         for blend, add in (
             (blending.blend_block, blending.add_block),
@@ -156,13 +160,13 @@ def test_a_block_takes_its_splats_in_their_order(seed):
             blend(mark, block, shapes, values, left, found, planes)
             add(mark, block, found, values, 3, planes)
             np.testing.assert_allclose(found, weights, atol=1e-5)
-            np.testing.assert_allclose(abs(left[block]), light, atol=1e-5)
-            assert ((left[block] < 0) == full).all()
+            np.testing.assert_allclose(abs(left[block]), transmittance, atol=1e-5)
+            assert ((left[block] < 0) == saturated).all()
             np.testing.assert_allclose(planes[:, block], expected, atol=1e-4)
             others = np.arange(LANES) != block
             assert (left[others] == 1).all()
             assert (planes[:, others] == start[:, others]).all()
-    assert full.any() == (seed == 0)
+    assert saturated.any() == (seed == 0)
 
 
 def test_probes_are_summed_pixel_by_pixel():
@@ -185,8 +189,8 @@ def test_probes_are_summed_pixel_by_pixel():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_pulls_compiled_do_as_their_plain_python_says(seed):
-    ways = []
+def test_compiled_gradients_agree_with_plain_python(seed):
+    results = []
     for gradient in (gradients.gradient_blocks, gradient_compiled):
         rng = np.random.default_rng(seed)
         shapes = np.stack([shape_of(*row) for row in some_splats(rng)])
@@ -198,22 +202,22 @@ def test_pulls_compiled_do_as_their_plain_python_says(seed):
         for j in range(10):
             mark = int(mark_compiled(shapes, j, np.zeros(LANES, np.uint32))) & ~(1 << j)
             gradient(mark, j, shapes, values, left, behind, wanted, trust, partial, j + 1)
-        ways.append((left, behind, partial))
-    for plain, compiled in zip(*ways, strict=True):
+        results.append((left, behind, partial))
+    for plain, compiled in zip(*results, strict=True):
         np.testing.assert_allclose(compiled, plain, rtol=1e-3, atol=1e-3)
-    left, _, partial = ways[0]
+    left, _, partial = results[0]
     assert left.min() < 0.5
     assert (np.abs(partial[1:11]).max(axis=0) > 0.1).all()
-    assert (partial[[0, 11]] == 7).all()  # no row but its own is written
+    assert (partial[[0, 11]] == 7).all()  # no other rows are written
 
 
-def test_open_blocks_are_those_with_light():
+def test_open_blocks_are_those_with_transmittance_left():
     left = np.full((LANES, LANES), -0.5, np.float32)
-    for ask in (blocks.open_blocks, open_compiled):
-        assert ask(left) == 0
+    for open_blocks in (blocks.open_blocks, open_compiled):
+        assert open_blocks(left) == 0
     left[3, 15] = left[15, 0] = 0.1
-    for ask in (blocks.open_blocks, open_compiled):
-        assert ask(left) == 1 << 3 | 1 << 15
+    for open_blocks in (blocks.open_blocks, open_compiled):
+        assert open_blocks(left) == 1 << 3 | 1 << 15
 
 
 def test_prefetching_changes_nothing():

@@ -1,4 +1,4 @@
-"""A run that is ended in the middle leaves nothing behind, at any moment."""
+"""A run that is cancelled or killed at any moment leaves no files and no processes behind."""
 
 import os
 import random
@@ -34,10 +34,10 @@ def started(*arguments, **options):
 
 
 def listens(child):
-    """Whether a process has begun to catch signals; before that Python has not begun ours."""
+    """Return whether a process catches signals already; before that, our code has not started."""
     status = Path(f"/proc/{child.pid}/status")
     if not status.exists():
-        time.sleep(0.3)  # no Linux: long enough for any machine
+        time.sleep(0.3)  # without /proc: long enough for any machine
         return True
     mask = next(line for line in status.read_text().splitlines() if line.startswith("SigCgt"))
     caught = int(mask.split()[1], 16)
@@ -45,23 +45,23 @@ def listens(child):
 
 
 def cancelled(child, number, delay):
-    """Send a signal after some seconds; the exit code and what was said."""
+    """Send a signal after `delay` seconds, and return the exit code and stderr."""
     while child.poll() is None and not listens(child):
         time.sleep(0.002)
     time.sleep(delay)
     if child.poll() is None:
-        # Ctrl-C reaches all that the terminal has in the foreground, others one process.
+        # Ctrl-C reaches all processes in the terminal's foreground, other signals a single one.
         (os.killpg if number == signal.SIGINT else os.kill)(child.pid, number)
-    said = child.communicate(timeout=60)[1]
-    return child.returncode, said
+    stderr = child.communicate(timeout=60)[1]
+    return child.returncode, stderr
 
 
 def contents(folder):
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
 
 
-def living(session):
-    """Processes of a session that have not ended."""
+def living_processes(session):
+    """Return the processes of a session that have not ended."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -73,14 +73,14 @@ def living(session):
     return found
 
 
-def assert_nothing_left(code, said, number, folder, before):
-    assert "Traceback" not in said, said
-    assert "Exception" not in said, said
-    if code == 0:  # it was done before
+def assert_nothing_left(code, stderr, number, folder, before):
+    assert "Traceback" not in stderr, stderr
+    assert "Exception" not in stderr, stderr
+    if code == 0:  # it had finished before the signal
         assert not [name for name in contents(folder) if ".nanogs" in name]
         return
-    assert code == 128 + number, said
-    assert said.splitlines()[-1] == "cancelled"
+    assert code == 128 + number, stderr
+    assert stderr.splitlines()[-1] == "cancelled"
     assert contents(folder) in (before, [*before, "out"], sorted([*before, "out.ply"]))
     if (folder / "out.ply").exists():
         assert len(nanogs.load(folder / "out.ply")) == 2000
@@ -89,7 +89,7 @@ def assert_nothing_left(code, said, number, folder, before):
 @posix
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "term"])
 @pytest.mark.parametrize("command", ["simplify", "lod", "render"])
-def test_a_run_that_is_cancelled_leaves_nothing(tmp_path, command, number):
+def test_a_cancelled_run_leaves_no_files(tmp_path, command, number):
     nanogs.save(random_splats(4000), tmp_path / "in.ply")
     arguments = {
         "simplify": ["out.ply", "--ratio", "0.5", "--preset", "fast"],
@@ -99,8 +99,8 @@ def test_a_run_that_is_cancelled_leaves_nothing(tmp_path, command, number):
     delays = random.Random(f"{command} {number}")
     for _ in range(4):
         child = started(command, tmp_path / "in.ply", *arguments, cwd=tmp_path)
-        code, said = cancelled(child, number, delays.uniform(0, 1))
-        assert_nothing_left(code, said, number, tmp_path, ["in.ply"])
+        code, stderr = cancelled(child, number, delays.uniform(0, 1))
+        assert_nothing_left(code, stderr, number, tmp_path, ["in.ply"])
         for path in tmp_path.glob("out*"):
             subprocess.run(["rm", "-r", path], check=True)
 
@@ -117,12 +117,12 @@ late = Late()  # it goes while Python ends
 
 
 @posix
-def test_a_request_to_stop_that_comes_when_all_is_done_changes_nothing():
+def test_a_signal_while_python_exits_changes_nothing():
     assert subprocess.run([sys.executable, "-c", LATE]).returncode == 0
 
 
 @posix
-def test_workers_end_with_the_run_that_started_them(tmp_path):
+def test_workers_end_when_their_run_is_cancelled(tmp_path):
     nanogs.save(random_splats(60_000), tmp_path / "in.ply")
     delays = random.Random(0)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
@@ -130,32 +130,33 @@ def test_workers_end_with_the_run_that_started_them(tmp_path):
             "simplify", tmp_path / "in.ply", tmp_path / "out.ply", "--ratio", "0.1", "--preset",
             "fast", "--max-memory", f"{int(1.09 * LIBRARIES)}B", "--workers", "2",
         )  # fmt: skip
-        code, said = cancelled(child, number, delays.uniform(0.5, 2.5))
-        assert "Traceback" not in said
-        assert code in (0, 128 + number), said
+        code, stderr = cancelled(child, number, delays.uniform(0.5, 2.5))
+        assert "Traceback" not in stderr
+        assert code in (0, 128 + number), stderr
         end = time.monotonic() + 10
-        while living(child.pid) and time.monotonic() < end:
+        while living_processes(child.pid) and time.monotonic() < end:
             time.sleep(0.05)
-        assert not living(child.pid)
+        assert not living_processes(child.pid)
         subprocess.run(["rm", "-rf", tmp_path / "out.ply", tmp_path / "out.ply.job"], check=True)
 
 
 @posix
-def test_workers_end_with_a_run_that_is_killed(tmp_path):
+def test_workers_end_when_their_run_is_killed(tmp_path):
     nanogs.save(random_splats(60_000), tmp_path / "in.ply")
     child = started(
         "simplify", tmp_path / "in.ply", tmp_path / "out.ply", "--ratio", "0.1", "--preset",
         "fast", "--max-memory", f"{int(1.09 * LIBRARIES)}B", "--workers", "2",
     )  # fmt: skip
     end = time.monotonic() + 60
-    while len(living(child.pid)) < 4 and time.monotonic() < end:  # one keeps books of semaphores
+    # Four processes: the run, two workers, and Python's resource tracker.
+    while len(living_processes(child.pid)) < 4 and time.monotonic() < end:
         assert child.poll() is None
         time.sleep(0.01)
     child.kill()
     child.communicate(timeout=60)  # workers hold its stderr too
-    while living(child.pid) and time.monotonic() < end:
+    while living_processes(child.pid) and time.monotonic() < end:
         time.sleep(0.05)
-    assert not living(child.pid)
+    assert not living_processes(child.pid)
 
 
 START = """
@@ -189,7 +190,7 @@ if __name__ == "__main__":
 @posix
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "term"])
 @pytest.mark.parametrize("what", ["pool", "bench", "studio"])
-def test_a_process_that_is_starting_ends_without_a_word(tmp_path, what, number):
+def test_a_run_cancelled_while_it_starts_a_process_ends_quietly(tmp_path, what, number):
     script = tmp_path / "start.py"
     script.write_text(START)
     done = subprocess.run(
@@ -213,7 +214,7 @@ with (atomic_folder(out, lambda _: None) if sys.argv[2] == "folder" else atomic_
 """
 
 
-def holding(out, kind):
+def start_holding(out, kind):
     child = subprocess.Popen(
         [sys.executable, "-c", HOLD, str(out), kind], stdout=subprocess.PIPE, text=True
     )
@@ -232,26 +233,26 @@ def write(out, kind):
 
 @posix
 @pytest.mark.parametrize("kind", ["file", "folder"])
-def test_the_next_run_takes_away_what_a_killed_one_left(tmp_path, kind):
+def test_the_next_run_removes_the_leftovers_of_a_killed_one(tmp_path, kind):
     out = tmp_path / "out"
-    child = holding(out, kind)
-    (left,) = contents(tmp_path)[:1]
-    assert left.startswith(".nanogs-")
-    write(tmp_path / "other", kind)  # what is for another output stays
-    assert left in contents(tmp_path)
+    child = start_holding(out, kind)
+    (leftover,) = contents(tmp_path)[:1]
+    assert leftover.startswith(".nanogs-")
+    write(tmp_path / "other", kind)  # leftovers of other outputs stay
+    assert leftover in contents(tmp_path)
     child.kill()
     child.communicate()
     write(tmp_path / "another", kind)
-    assert left in contents(tmp_path)
+    assert leftover in contents(tmp_path)
     write(out, kind)
-    assert left not in contents(tmp_path)
+    assert leftover not in contents(tmp_path)
     assert not any(".nanogs" in name for name in contents(tmp_path))
 
 
 @posix
 @pytest.mark.parametrize("kind", ["file", "folder"])
-def test_what_a_living_run_holds_stays(tmp_path, kind):
-    child = holding(tmp_path / "out", kind)
+def test_files_of_a_running_process_are_not_removed(tmp_path, kind):
+    child = start_holding(tmp_path / "out", kind)
     before = contents(tmp_path)
     write(tmp_path / "out", kind)
     assert set(before) < set(contents(tmp_path))
@@ -261,8 +262,8 @@ def test_what_a_living_run_holds_stays(tmp_path, kind):
 
 @posix
 @pytest.mark.parametrize("swapped", [True, False])
-def test_a_folder_that_was_being_replaced_is_whole_again(tmp_path, swapped):
-    """Killed after the old one stepped aside: before or after the new one came."""
+def test_a_folder_whose_replacement_was_interrupted_is_restored(tmp_path, swapped):
+    """The run was killed after the old folder was moved away, before or after the new one came."""
     out = tmp_path / "out"
     old = name_beside(out, ".old")
     old.mkdir()
@@ -271,16 +272,19 @@ def test_a_folder_that_was_being_replaced_is_whole_again(tmp_path, swapped):
         out.mkdir()
         (out / "file").write_text("new")
 
-    def ours(_folder):
+    def files_of_ours(_folder):
         return frozenset({"file"})
 
-    with pytest.raises(nanogs.NanogsError, match="exists already"), atomic_folder(out, ours):
+    with (
+        pytest.raises(nanogs.NanogsError, match="exists already"),
+        atomic_folder(out, files_of_ours),
+    ):
         pass
     assert contents(tmp_path) == ["out", "out/file"]
     assert (out / "file").read_text() == ("new" if swapped else "old")
 
 
-def test_what_is_pending_is_done_in_reverse_and_once_it_is_done_no_more():
+def test_clean_ups_run_in_reverse_order_and_not_after_their_context():
     done = []
     with cleanup.cleaned_up(lambda: done.append(1)):
         with cleanup.cleaned_up(lambda: done.append(2)):
@@ -291,26 +295,26 @@ def test_what_is_pending_is_done_in_reverse_and_once_it_is_done_no_more():
     assert done == [2, 1, 2, 1]
 
 
-def test_a_file_that_is_measured_leaves_nothing_when_the_run_is_ended(tmp_path, monkeypatch):
+def test_temporary_files_of_a_round_trip_are_removed_on_exit(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
-    def ended(_path):
+    def load_after_exit(_path):
         cleanup.clean_all()
         assert contents(tmp_path) == []
         return splats
 
     splats = random_splats(5)
-    monkeypatch.setattr("nanogs.io.load", ended)
+    monkeypatch.setattr("nanogs.io.load", load_after_exit)
     assert round_trip(splats, "a.splat") is splats
 
 
-def test_the_end_waits_for_what_is_not_to_be_disturbed(monkeypatch):
-    ended = []
+def test_exit_is_deferred_until_the_outermost_context_ends(monkeypatch):
+    exits = []
     with cleanup.defer_exit():
         with cleanup.defer_exit():
-            cleanup.exit_when_allowed(lambda: ended.append(1))
-        assert ended == []
-    assert ended == [1]
+            cleanup.exit_when_allowed(lambda: exits.append(1))
+        assert exits == []
+    assert exits == [1]
     monkeypatch.setattr(cleanup, "_postponed", None)
-    cleanup.exit_when_allowed(lambda: ended.append(2))
-    assert ended == [1, 2]
+    cleanup.exit_when_allowed(lambda: exits.append(2))
+    assert exits == [1, 2]

@@ -1,4 +1,4 @@
-"""The card's kernels, on Warp's CPU device, against those of the CPU."""
+"""The graphics card's kernels, on Warp's CPU device, compared with the CPU's kernels."""
 
 import dataclasses
 import importlib
@@ -31,88 +31,88 @@ advancing, blending, listing, projecting, gradients, shading = (
     for name in ("advancing", "blending", "listing", "projecting", "gradients", "shading")
 )
 
-CLOSE = 100  # dB between the two, where no splat is at a threshold
+CLOSE = 100  # dB between both renderings if no splat is at a threshold
 
 
 @pytest.fixture(autouse=True)
 def card():
-    """The device of a test; `render(..., here=True)` is the CPU's picture."""
+    """Use Warp's CPU device in every test; `render(..., here=True)` renders with CPU kernels."""
     with use_device("warp-cpu") as name:
         yield name
 
 
-def check(splats, camera, **options):
-    """Hold a picture of the card against the CPU's; the former."""
+def check_picture(splats, camera, **options):
+    """Compare a picture of the card with the CPU's, and return the card's."""
     prepared = prepare(splats)
-    behind = (0.2, 0.5, 0.9)
-    options = {"background": behind, "depth": True, "contributions": True} | options
-    ours = render(prepared, camera, **options)
-    cpu = render(prepared, camera, here=True, **options)
-    assert psnr(ours.color, cpu.color) > CLOSE
-    assert np.abs(ours.alpha - cpu.alpha).max() < 1e-4
-    assert ours.drawn == cpu.drawn
-    assert (np.isinf(ours.depth) == np.isinf(cpu.depth)).all()
-    seen = cpu.alpha > 0.01
-    np.testing.assert_allclose(ours.depth[seen], cpu.depth[seen], rtol=1e-4)
-    np.testing.assert_allclose(ours.contributions, cpu.contributions, rtol=1e-4, atol=1e-3)
-    np.testing.assert_allclose(ours.unoccluded, cpu.unoccluded, rtol=1e-9)
-    return ours
+    background = (0.2, 0.5, 0.9)
+    options = {"background": background, "depth": True, "contributions": True} | options
+    on_card = render(prepared, camera, **options)
+    on_cpu = render(prepared, camera, here=True, **options)
+    assert psnr(on_card.color, on_cpu.color) > CLOSE
+    assert np.abs(on_card.alpha - on_cpu.alpha).max() < 1e-4
+    assert on_card.drawn == on_cpu.drawn
+    assert (np.isinf(on_card.depth) == np.isinf(on_cpu.depth)).all()
+    visible = on_cpu.alpha > 0.01
+    np.testing.assert_allclose(on_card.depth[visible], on_cpu.depth[visible], rtol=1e-4)
+    np.testing.assert_allclose(on_card.contributions, on_cpu.contributions, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(on_card.unoccluded, on_cpu.unoccluded, rtol=1e-9)
+    return on_card
 
 
 @pytest.mark.parametrize("degree", range(5))
-def test_matches_with_harmonics(degree):
-    check(make_splats(200, degree=degree, seed=degree), make_camera(137, 91, 90.0))
+def test_pictures_agree_for_every_sh_degree(degree):
+    check_picture(make_splats(200, degree=degree, seed=degree), make_camera(137, 91, 90.0))
 
 
 @pytest.mark.parametrize(
     ("size", "spread"), [(-2, 2.5), (1.5, 0.5), (-6, 0.5)], ids=["needles", "huge", "tiny"]
 )
-def test_matches_for_every_size(size, spread):
-    check(make_splats(300, size=size, spread=spread), make_camera(50, 33))
+def test_pictures_agree_for_splats_of_every_size(size, spread):
+    check_picture(make_splats(300, size=size, spread=spread), make_camera(50, 33))
 
 
 @pytest.mark.parametrize("mode", [RenderMode.MIP, RenderMode.SURFEL])
-def test_matches_in_other_render_modes(mode):
-    check(make_splats(80, size=-3, render_mode=mode), make_camera())
+def test_pictures_agree_in_other_render_modes(mode):
+    check_picture(make_splats(80, size=-3, render_mode=mode), make_camera())
 
 
 @pytest.mark.parametrize("width", [1, 15, 16, 17, 100])
 @pytest.mark.parametrize("height", [1, 16, 31])
-def test_matches_for_pictures_of_any_size(width, height):
-    check(make_splats(80), make_camera(width, height))
+def test_pictures_of_any_size_agree(width, height):
+    check_picture(make_splats(80), make_camera(width, height))
 
 
-def test_matches_where_nothing_or_next_to_nothing_is_seen():
+def test_pictures_with_no_or_few_visible_splats_agree():
     for splats in (make_splats(0), one_splat(), one_splat(mean=(0, 0, -4)), one_splat(logit=-9)):
-        check(splats, make_camera())
+        check_picture(splats, make_camera())
     broken = make_splats(30)
     broken.means[3] = np.nan
-    assert check(broken, make_camera()).skipped == 1
+    assert check_picture(broken, make_camera()).skipped == 1
 
 
-def test_matches_in_double_precision_and_in_a_part_of_a_picture():
+def test_pictures_agree_in_double_precision_and_when_cropped():
     splats = make_splats(80)
     far = dataclasses.replace(splats, means=splats.means.astype(np.float64) + [5e6, 0, 0])
     pose = np.eye(4)
     pose[0, 3] = -5e6
     camera = make_camera(world_to_camera=pose)
-    check(far, camera)
-    check(far, camera.cropped(5, 3, 20, 11))
+    check_picture(far, camera)
+    check_picture(far, camera.cropped(5, 3, 20, 11))
 
 
-def test_blocks_that_are_not_wanted_show_the_background():
-    picture = check(make_splats(80, size=0), make_camera(64, 48), wanted=FIELDS[0])
+def test_blocks_that_are_not_requested_show_the_background():
+    picture = check_picture(make_splats(80, size=0), make_camera(64, 48), wanted=FIELDS[0])
     assert (picture.alpha[:4, 4:8] == 0).all() != (picture.alpha[:4, :4] == 0).all()
 
 
 @settings(max_examples=30)
 @given(st.integers(0, 10**6), st.integers(1, 90), st.floats(-4, 1))
-def test_pictures_agree_whatever_the_model(seed, count, size):
-    check(make_splats(count, seed, size=size), make_camera())
+def test_pictures_of_random_models_agree(seed, count, size):
+    check_picture(make_splats(count, seed, size=size), make_camera())
 
 
 @pytest.mark.parametrize("wanted", [ALL_BLOCKS, *FIELDS])
-def test_pulls_of_pixels_agree(wanted):
+def test_gradients_agree(wanted):
     camera, small = make_camera(137, 91, 90.0), prepare(make_splats(100, seed=5, degree=2))
     target = make_target(prepare(make_splats(400, seed=3, degree=2)), camera)
     cpu = compute_gradients(small, target, wanted)
@@ -128,14 +128,14 @@ def test_pulls_of_pixels_agree(wanted):
     assert (np.abs(totals[rows] - cpu.totals[rows]).max(axis=0) < 1e-5 * largest).all()
 
 
-def test_a_view_gives_the_same_bytes_every_time():
+def test_repeated_renderings_have_the_same_bytes():
     prepared, camera = prepare(make_splats(200)), make_camera()
-    one, other = (render(prepared, camera, contributions=True) for _ in range(2))
-    assert one.color.tobytes() == other.color.tobytes()
-    assert one.contributions.tobytes() == other.contributions.tobytes()
+    first, second = (render(prepared, camera, contributions=True) for _ in range(2))
+    assert first.color.tobytes() == second.color.tobytes()
+    assert first.contributions.tobytes() == second.contributions.tobytes()
 
 
-def test_a_model_stays_on_the_device_for_as_long_as_it_is_held():
+def test_a_model_stays_on_the_device_until_it_is_deleted():
     prepared, models = prepare(make_splats(20)), engine_in_use()._models
     before = len(models)
     render(prepared, make_camera())
@@ -150,12 +150,12 @@ def test_pictures_of_real_scenes_agree(name):
     splats = load_plant() if name == "plant" else nanogs.load(scene_path(name))
     prepared = prepare(splats)
     for camera in automatic_cameras(splats, 2, width=96, height=72):
-        ours, cpu = render(prepared, camera), render(prepared, camera, here=True)
-        assert psnr(ours.color, cpu.color) > 80  # a few splats are at a threshold
-        assert abs(ours.drawn - cpu.drawn) <= 1
+        on_card, on_cpu = render(prepared, camera), render(prepared, camera, here=True)
+        assert psnr(on_card.color, on_cpu.color) > 80  # a few splats are at a threshold
+        assert abs(on_card.drawn - on_cpu.drawn) <= 1
 
 
-def test_a_card_whose_memory_is_full_is_said_in_one_sentence():
+def test_a_full_card_memory_raises_an_error_that_suggests_the_cpu():
     with (
         pytest.raises(NotEnoughMemoryError, match='use `device="cpu"`'),
         use_device("warp-cpu"),
@@ -167,28 +167,29 @@ def test_a_card_whose_memory_is_full_is_said_in_one_sentence():
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp has no compiler for cards there")
-def test_kernels_compile_for_a_card_without_one(tmp_path):
-    """As far as can be told without a card: in blocks of 256 threads, for the oldest one known."""
+def test_kernels_compile_for_a_card_on_a_machine_without_one(tmp_path):
+    """All that can be tested without a card: compiling in blocks of 256 threads, for old cards."""
     modules = [shading, projecting, listing, blending, gradients, advancing]
-    made = [wp.get_module(module.__name__) for module in modules]
-    made += [
-        make(shading.PIXELS).module for make in (gradients.share_kernel, gradients.pull_kernel)
+    compiled_modules = [wp.get_module(module.__name__) for module in modules]
+    compiled_modules += [
+        kernel_of(shading.PIXELS).module
+        for kernel_of in (gradients.share_kernel, gradients.pull_kernel)
     ]
-    for module in made:
+    for module in compiled_modules:
         module.options["block_dim"] = shading.PIXELS
         [binary] = wp.compile_aot_module(module, arch=75, module_dir=tmp_path)
         assert binary.stat().st_size > 1000
 
 
-def test_the_command_says_which_device_it_used(tmp_path):
+def test_the_command_reports_the_device_that_it_used(tmp_path):
     nanogs.save(make_splats(60), tmp_path / "a.ply")
     arguments = (tmp_path / "a.ply", "--device", "warp-cpu", "--json")
-    done = run("render", *arguments[:1], tmp_path / "out", "--views", 1, "--pixels", 32,
+    result = run("render", *arguments[:1], tmp_path / "out", "--views", 1, "--pixels", 32,
                *arguments[1:])  # fmt: skip
-    report = json.loads(done.stdout)
+    report = json.loads(result.stdout)
     assert report["device"] == "warp-cpu"
     assert "pictures were made on warp-cpu" in report["notes"]
-    done = run("compare", *arguments[:1], *arguments, "--views", 2, "--pixels", 32)
-    report = json.loads(done.stdout)
+    result = run("compare", *arguments[:1], *arguments, "--views", 2, "--pixels", 32)
+    report = json.loads(result.stdout)
     assert report["models"][0]["psnr"] == "inf"
     assert "pictures were made on warp-cpu" in report["notes"]

@@ -1,4 +1,4 @@
-"""Fits and whole runs with the card's kernels, on Warp's CPU device, against the CPU's."""
+"""Fits and whole runs with the card's kernels, on Warp's CPU device, compared with the CPU's."""
 
 import dataclasses
 import json
@@ -22,13 +22,13 @@ from nanogs.views.automatic import automatic_cameras
 pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
 
 CARD = "warp-cpu"
-STEPS, CLOSE = 6, 0.02  # dB between results of the two devices
+STEPS, CLOSE = 6, 0.02  # CLOSE: dB between results of the two devices
 QUICK = RefitParameters(views=6, validation=2, size=64, rounds=2, steps=12)
 COLUMNS = ("means", "log_scales", "quats", "logits", "sh")
 
 
 def scene(degree=1, mode=RenderMode.DEFAULT):
-    """A small model to fit, the original, and four views of it."""
+    """Return the original, a small model to fit, and four views of the original as targets."""
     original, small = cloud_pair(degree=degree)
     small = dataclasses.replace(small, render_mode=mode)
     cameras = automatic_cameras(original, 4, width=64, height=48)
@@ -36,49 +36,49 @@ def scene(degree=1, mode=RenderMode.DEFAULT):
 
 
 def check_steps(small, views, parameters=QUICK, shared=None):
-    """Make the same steps on both, and hold the states against each other."""
-    cpu = descent_for(small, views, parameters, shared)
+    """Make the same steps on both devices and compare the resulting states."""
+    cpu_descent = descent_for(small, views, parameters, shared)
     with use_device(CARD):
-        card = descent_for(small, views, parameters, shared)
-        assert isinstance(card, CardDescent)
-        assert not isinstance(cpu, CardDescent)
+        card_descent = descent_for(small, views, parameters, shared)
+        assert isinstance(card_descent, CardDescent)
+        assert not isinstance(cpu_descent, CardDescent)
         for number in range(STEPS):
             share = number / STEPS
-            ours = card.step(1.0, share)
+            on_card = card_descent.step(1.0, share)
             with use_device("cpu"):
-                assert ours == pytest.approx(cpu.step(1.0, share), rel=1e-4)
-    ours, theirs = card.state, cpu.state
-    assert (ours.touched == theirs.touched).all()
-    assert theirs.touched.any()
+                assert on_card == pytest.approx(cpu_descent.step(1.0, share), rel=1e-4)
+    on_card, on_cpu = card_descent.state, cpu_descent.state
+    assert (on_card.touched == on_cpu.touched).all()
+    assert on_cpu.touched.any()
     start = descent_for(small, views, parameters).state
     for name in COLUMNS:
-        one, other = getattr(ours, name), getattr(theirs, name)
-        way = np.abs(other - getattr(start, name)).max()
-        assert way > 0.01, name
-        assert np.abs(one - other).max() < 1e-3 * way, name
-    return ours, theirs
+        card_column, cpu_column = getattr(on_card, name), getattr(on_cpu, name)
+        distance = np.abs(cpu_column - getattr(start, name)).max()
+        assert distance > 0.01, name
+        assert np.abs(card_column - cpu_column).max() < 1e-3 * distance, name
+    return on_card, on_cpu
 
 
 @pytest.mark.parametrize("degree", range(4))
-def test_steps_agree_with_harmonics(degree):
+def test_steps_agree_for_every_sh_degree(degree):
     _, small, targets = scene(degree)
     check_steps(small, Fitting(targets))
 
 
-def test_steps_agree_with_mip_halves_and_double_precision():
+def test_steps_agree_in_mip_mode_with_half_of_the_pixels_and_double_means():
     _, small, targets = scene(mode=RenderMode.MIP)
     small = dataclasses.replace(small, means=small.means.astype(np.float64))
     check_steps(small, Fitting(targets), dataclasses.replace(QUICK, halves=True))
 
 
-def test_steps_agree_with_surroundings_and_views_that_are_drawn_when_asked_for():
+def test_steps_agree_with_surroundings_and_lazily_rendered_views():
     original, small, targets = scene()
     part = np.flatnonzero(small.means[:, 0] < 0)
     rest = prepare(small.take(np.flatnonzero(small.means[:, 0] >= 0)))
     more = [target.camera for target in targets[2:]]
     views = Fitting(targets[:2], prepare(original), more, surroundings=rest)
-    ours, _ = check_steps(small.take(part), views)
-    assert len(ours.means) == len(part)
+    state, _ = check_steps(small.take(part), views)
+    assert len(state.means) == len(part)
 
 
 def test_steps_agree_where_splats_share_their_harmonics():
@@ -87,8 +87,8 @@ def test_steps_agree_where_splats_share_their_harmonics():
     sh = small.sh.copy()
     sh[:, 1:] = sh[:7][labels, 1:]
     shared = SharedHarmonics.of(labels, 7, np.ones(len(small)))
-    ours, _ = check_steps(dataclasses.replace(small, sh=sh), Fitting(targets), shared=shared)
-    assert len(np.unique(ours.sh[:, 1:].reshape(len(small), -1), axis=0)) == 7
+    state, _ = check_steps(dataclasses.replace(small, sh=sh), Fitting(targets), shared=shared)
+    assert len(np.unique(state.sh[:, 1:].reshape(len(small), -1), axis=0)) == 7
 
 
 def test_means_of_states_agree():
@@ -102,12 +102,12 @@ def test_means_of_states_agree():
             card.step(1.0, 0.0)
             mean.add()
             plain.add(card.state)
-        ours, theirs, last = mean.state(), plain.state(), card.state
+        on_card, on_cpu, last = mean.state(), plain.state(), card.state
     for name in COLUMNS:
-        one, other = getattr(ours, name), getattr(theirs, name)
-        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
-        assert np.abs(getattr(last, name) - other).max() > 1e-3, name
-    assert (ours.touched == theirs.touched).all()
+        card_column, cpu_column = getattr(on_card, name), getattr(on_cpu, name)
+        np.testing.assert_allclose(card_column, cpu_column, rtol=1e-6, atol=1e-6)
+        assert np.abs(getattr(last, name) - cpu_column).max() > 1e-3, name
+    assert (on_card.touched == on_cpu.touched).all()
 
 
 def test_errors_of_views_agree():
@@ -115,11 +115,11 @@ def test_errors_of_views_agree():
     model = prepare(small)
     for target in targets:
         with use_device(CARD):
-            ours = squared_error(model, target)
-        assert ours == pytest.approx(squared_error(model, target), rel=1e-6)
+            error = squared_error(model, target)
+        assert error == pytest.approx(squared_error(model, target), rel=1e-6)
 
 
-def test_a_refit_is_as_good_and_the_same_every_time():
+def test_a_refit_is_as_good_and_its_bytes_are_reproducible():
     original, small, _ = scene()
     _, cpu = nanogs.refit(original, small, parameters=QUICK)
     fitted, card = nanogs.refit(original, small, parameters=QUICK, device=CARD)
@@ -132,18 +132,18 @@ def test_a_refit_is_as_good_and_the_same_every_time():
 
 
 @pytest.mark.parametrize("preset", ["default", "best"])
-def test_presets_are_as_good(small_views, preset):
+def test_presets_are_as_good_on_a_card(small_views, preset):
     original, _, _ = scene(2)
-    seen = []
+    scores = []
     for device in ("cpu", CARD):
         small, report = nanogs.simplify(original, ratio=0.2, preset=preset, device=device)
         assert len(small) == report.achieved_count == 80
-        seen.append(nanogs.compare(original, small, views=4, pixels=64).models[0].psnr)
-    assert seen[0] == pytest.approx(seen[1], abs=CLOSE)
+        scores.append(nanogs.compare(original, small, views=4, pixels=64).models[0].psnr)
+    assert scores[0] == pytest.approx(scores[1], abs=CLOSE)
     assert f"pictures were made on {CARD}" in report.notes
 
 
-def test_levels_are_those_of_simplify_and_their_notes_say_so(small_views, tmp_path):
+def test_levels_equal_those_of_simplify_and_note_the_device(small_views, tmp_path):
     original, _, _ = scene()
     [(level, report)] = nanogs.levels(original, [0.2], device=CARD)
     small, _ = nanogs.simplify(original, ratio=0.2, device=CARD)
@@ -162,15 +162,15 @@ def file(tmp_path_factory):
     return path
 
 
-def test_the_command_fits_on_the_device_and_says_so(file, tmp_path):
+def test_the_command_fits_on_the_device_and_reports_it(file, tmp_path):
     quick = ("--views", 4, "--view-size", 32, "--steps", 4, "--no-measure", "--json")
-    done = run("simplify", file, tmp_path / "b.ply", "-r", "0.25", *quick, "--device", CARD)
-    assert done.returncode == 0, done.stderr
-    assert f"pictures were made on {CARD}" in json.loads(done.stdout)["notes"]
+    result = run("simplify", file, tmp_path / "b.ply", "-r", "0.25", *quick, "--device", CARD)
+    assert result.returncode == 0, result.stderr
+    assert f"pictures were made on {CARD}" in json.loads(result.stdout)["notes"]
     quick = ("--views", 4, "--pixels", 32, "--rounds", 1, "--json")
-    done = run("refit", file, tmp_path / "b.ply", tmp_path / "c.ply", *quick, "--device", CARD)
-    assert done.returncode == 0, done.stderr
-    assert f"pictures were made on {CARD}" in json.loads(done.stdout)["notes"]
+    result = run("refit", file, tmp_path / "b.ply", tmp_path / "c.ply", *quick, "--device", CARD)
+    assert result.returncode == 0, result.stderr
+    assert f"pictures were made on {CARD}" in json.loads(result.stdout)["notes"]
 
 
 @pytest.mark.parametrize("command", ["simplify", "lod"])
@@ -181,10 +181,10 @@ def test_the_command_fits_on_the_device_and_says_so(file, tmp_path):
         (("--job", "work"), "--device cpu"),
     ],
 )
-def test_the_command_refuses_what_a_card_does_not_do(file, tmp_path, command, options, said):
+def test_the_command_refuses_a_card_where_it_cannot_be_used(file, tmp_path, command, options, said):
     out = tmp_path / ("b.ply" if command == "simplify" else "b")
-    wish = ("-r", "0.25") if command == "simplify" else ("--levels", "0.25")
-    result = run(command, file, out, *wish, *options, "--device", CARD, cwd=tmp_path)
+    target = ("-r", "0.25") if command == "simplify" else ("--levels", "0.25")
+    result = run(command, file, out, *target, *options, "--device", CARD, cwd=tmp_path)
     assert result.returncode == 2
     assert said in result.stderr.splitlines()[-1]
     assert not out.exists()

@@ -18,52 +18,54 @@ def texts(element):
 
 
 def points(element):
-    """Of each line, in pixels from the axes' upper left corner."""
+    """Return the points of each line, in pixels from the upper left corner of the axes."""
     return [
         [tuple(map(float, pair.split(","))) for pair in line.get("points").split()]
         for line in element.iter(f"{SVG}polyline")
     ]
 
 
-def test_places_follow_logarithm_and_psnr_whatever_the_order():
+def test_points_are_placed_by_log_of_count_and_psnr_in_any_order():
     line = [(100.0, 30.0), (1.0, 10.0), (10.0, 25.0)]
-    [places] = points(drawn(Chart("", "splats", {"x": line})))
-    across, down = zip(*places, strict=True)
+    [positions] = points(drawn(Chart("", "splats", {"x": line})))
+    across, down = zip(*positions, strict=True)
     assert across[1] - across[0] == pytest.approx(across[2] - across[1], abs=0.2)
     assert (down[0] - down[1]) / (down[1] - down[2]) == pytest.approx(15 / 5, rel=0.01)
     assert 0 < across[0] < across[2] < 440
     assert 300 > down[0] > down[2] > 0
 
 
-def test_marks_stand_at_their_values():
+def test_tick_labels_are_at_the_positions_of_their_values():
     drawing = drawn(Chart("", "splats", {"x": [(1000.0, 20.0), (100_000.0, 40.0)]}))
     [[(left, low), (right, high)]] = points(drawing)
-    marks = {found.text: found for found in drawing.iter(f"{SVG}text")}
-    assert float(marks["1,000"].get("x")) == pytest.approx(left, abs=0.1)
-    assert float(marks["100,000"].get("x")) == pytest.approx(right, abs=0.1)
-    assert float(marks["20"].get("y")) == pytest.approx(low + 4, abs=0.1)
-    assert float(marks["40"].get("y")) == pytest.approx(high + 4, abs=0.1)
+    labels = {found.text: found for found in drawing.iter(f"{SVG}text")}
+    assert float(labels["1,000"].get("x")) == pytest.approx(left, abs=0.1)
+    assert float(labels["100,000"].get("x")) == pytest.approx(right, abs=0.1)
+    assert float(labels["20"].get("y")) == pytest.approx(low + 4, abs=0.1)
+    assert float(labels["40"].get("y")) == pytest.approx(high + 4, abs=0.1)
 
 
 @pytest.mark.parametrize("line", [
     [(0.001, 13.27), (0.1, 13.28)], [(5.0, 30.0)], [(1.0, -5.0), (1e7, 1e5)],
     [(3.0, 30.0), (4.0, 32.0)], [(2.05, 30.0), (9.9, 32.0)], [(1.0, 30.0), (1.01, 32.0)],
 ])  # fmt: skip
-def test_there_are_a_few_round_marks_on_each_axis(line):
+def test_each_axis_has_a_few_ticks_at_round_values(line):
     drawing = drawn(Chart("", "splats", {"x": line}))
-    rules = [found.get("d") for found in drawing.iter(f"{SVG}path")][1:]
-    upright = [float(rule[1:].split()[0]) for rule in rules if "V" in rule]
-    level = [float(rule.split()[1].split("H")[0]) for rule in rules if "H" in rule]
-    assert len(upright) + len(level) == len(rules)
-    assert 2 <= len(upright) <= 9
-    assert 3 <= len(level) <= 7
-    assert 0 <= min(upright) < max(upright) <= 440
-    assert 0 <= min(level) < max(level) <= 300
-    numbers = texts(drawing)[3 : 3 + len(rules)]
+    grid_lines = [found.get("d") for found in drawing.iter(f"{SVG}path")][1:]
+    vertical = [float(grid_line[1:].split()[0]) for grid_line in grid_lines if "V" in grid_line]
+    horizontal = [
+        float(grid_line.split()[1].split("H")[0]) for grid_line in grid_lines if "H" in grid_line
+    ]
+    assert len(vertical) + len(horizontal) == len(grid_lines)
+    assert 2 <= len(vertical) <= 9
+    assert 3 <= len(horizontal) <= 7
+    assert 0 <= min(vertical) < max(vertical) <= 440
+    assert 0 <= min(horizontal) < max(horizontal) <= 300
+    numbers = texts(drawing)[3 : 3 + len(grid_lines)]
     assert max(len(number.strip("0-").replace(",", "")) for number in numbers) <= 8
 
 
-def test_names_are_in_the_legend_and_are_no_markup():
+def test_names_are_shown_in_the_chart_and_escaped():
     drawing = drawn(
         Chart("<b>", "splats", {"a & b": [(1.0, 2.0)], "c": []}), Chart("d", "ratio", {})
     )
@@ -78,7 +80,7 @@ def test_the_legend_has_a_dot_of_each_colour_before_its_name():
     names = {found.text: found for found in drawing.iter(f"{SVG}text")}
     across, up = names["splats"], names["PSNR (dB)"]
     assert (float(across.get("x")), float(across.get("y"))) == (220, 344)
-    assert (float(up.get("x")), float(up.get("y"))) == (0, 0)  # of a group that is turned
+    assert (float(up.get("x")), float(up.get("y"))) == (0, 0)  # relative to a rotated group
     assert len({group.get("fill") for group in lines}) == 3
     assert [float(dot.get("cy")) for dot in dots] == [8, 28, 48]
     for dot, name in zip(dots, "abc", strict=True):
@@ -91,16 +93,16 @@ def test_the_legend_has_a_dot_of_each_colour_before_its_name():
     ("count", "columns", "size"),
     [(0, None, (700, 400)), (3, None, (2100, 400)), (3, 2, (1400, 800)), (4, 2, (1400, 800))],
 )
-def test_charts_stand_in_rows_that_the_drawing_holds(count, columns, size):
+def test_charts_are_laid_out_in_rows_within_the_drawing(count, columns, size):
     drawing = ET.fromstring(svg([Chart("", "x", {})] * count, columns))
     assert (int(drawing.get("width")), int(drawing.get("height"))) == size
     assert drawing.get("viewBox") == f"0 0 {size[0]} {size[1]}"
-    places = [group.get("transform") for group in drawing if group.get("transform")]
+    transforms = [group.get("transform") for group in drawing if group.get("transform")]
     corners = [(70, 40), (770, 40), (70, 440), (770, 440)]
     if columns is None:
         corners = [(70, 40), (770, 40), (1470, 40)]
-    assert places == [f"translate({x} {y})" for x, y in corners[:count]]
+    assert transforms == [f"translate({x} {y})" for x, y in corners[:count]]
 
 
-def test_nothing_is_a_drawing_too():
+def test_no_charts_give_an_empty_drawing():
     assert points(drawn()) == []

@@ -1,4 +1,4 @@
-"""Checkpoints of trainers, and files that try to do more than hold tensors."""
+"""Checkpoints of trainers, and malicious files that contain more than tensors."""
 
 import dataclasses
 import zipfile
@@ -23,7 +23,7 @@ SHARED = settings(
 WRITERS = {"a.pt": gsplat, "a.ckpt": nerfstudio}
 
 
-def written(path, content, **kwargs):
+def write_checkpoint(path, content, **kwargs):
     path.write_bytes(File(content, **kwargs).bytes())
     return path
 
@@ -31,11 +31,11 @@ def written(path, content, **kwargs):
 @SHARED
 @given(model=splats(extras=False))
 @pytest.mark.parametrize("file", WRITERS)
-def test_what_a_trainer_saves_is_read(tmp_path, model, file):
+def test_checkpoints_of_trainers_are_read_exactly(tmp_path, model, file):
     model = dataclasses.replace(model, render_mode="default", comments=())
     if file == "a.ckpt" and model.sh_degree == 0:
-        return  # of which another test says what its colours are
-    path = written(tmp_path / file, WRITERS[file](model))
+        return  # its colours are stored in another way; another test covers them
+    path = write_checkpoint(tmp_path / file, WRITERS[file](model))
     back = io.load(path)
     assert_same(dataclasses.replace(back, render_mode="default"), model)
     info = io.inspect(path)
@@ -44,21 +44,21 @@ def test_what_a_trainer_saves_is_read(tmp_path, model, file):
 
 
 @pytest.mark.parametrize("prefix", ["_model.", "module._model.gauss_params.", ""])
-def test_older_names_and_prefixes(tmp_path, prefix):
+def test_prefixes_of_older_checkpoints_are_accepted(tmp_path, prefix):
     model = random_splats(9, degree=2)
-    assert_same(io.load(written(tmp_path / "a.ckpt", nerfstudio(model, prefix))), model)
+    assert_same(io.load(write_checkpoint(tmp_path / "a.ckpt", nerfstudio(model, prefix))), model)
 
 
-def test_colours_without_harmonics_are_logits_at_nerfstudio(tmp_path):
+def test_nerfstudio_stores_colours_of_degree_0_as_logits(tmp_path):
     model = random_splats(9, degree=0)
-    back = io.load(written(tmp_path / "a.ckpt", nerfstudio(model)))
+    back = io.load(write_checkpoint(tmp_path / "a.ckpt", nerfstudio(model)))
     colours = 1 / (1 + np.exp(-model.sh.astype(np.float64)))
     assert back.sh == pytest.approx((colours - 0.5) / 0.28209479177387814, abs=1e-6)
-    assert_same(io.load(written(tmp_path / "a.pt", gsplat(model))), model)
+    assert_same(io.load(write_checkpoint(tmp_path / "a.pt", gsplat(model))), model)
 
 
-def test_tensors_of_other_layouts(tmp_path):
-    """A transposed view, one that begins inside its storage, other types, the other byte order."""
+def test_tensors_of_other_layouts_types_and_byte_orders_are_read(tmp_path):
+    """A transposed view, a view into a larger storage, other types, and the other byte order."""
     model = random_splats(8, degree=1)
     content = gsplat(model)
     parts = content["splats"]
@@ -68,39 +68,39 @@ def test_tensors_of_other_layouts(tmp_path):
     parts["quats"] = wide[2:]
     parts["opacities"] = model.opacity_logits.astype(np.float64)
     for order in ("little", "big"):
-        assert_same(io.load(written(tmp_path / "a.pt", content, order=order)), model)
-    assert_same(io.load(written(tmp_path / "a.pt", content, order_file=False)), model)
+        assert_same(io.load(write_checkpoint(tmp_path / "a.pt", content, order=order)), model)
+    assert_same(io.load(write_checkpoint(tmp_path / "a.pt", content, order_file=False)), model)
     parts["scales"] = model.log_scales.astype(np.float16)
-    half = io.load(written(tmp_path / "a.pt", content))
+    half = io.load(write_checkpoint(tmp_path / "a.pt", content))
     assert np.array_equal(half.log_scales, parts["scales"].astype(np.float32))
 
 
-def test_bfloat16(tmp_path):
+def test_bfloat16_tensors_are_read(tmp_path):
     model = random_splats(8, degree=0)
     content = gsplat(model)
     top = (model.log_scales.view(np.uint32) >> 16).astype(np.uint16)
     content["splats"]["scales"] = top
-    back = io.load(written(tmp_path / "a.pt", content))
+    back = io.load(write_checkpoint(tmp_path / "a.pt", content))
     assert np.array_equal(back.log_scales.view(np.uint32), top.astype(np.uint32) << 16)
 
 
-def test_ranks_of_a_training_on_several_devices(tmp_path):
+def test_files_of_other_ranks_are_named_in_the_notes(tmp_path):
     model = random_splats(5)
     for rank in range(3):
-        written(tmp_path / f"ckpt_29999_rank{rank}.pt", gsplat(model))
-    written(tmp_path / "ckpt_6999_rank1.pt", gsplat(model))
-    note = io.load(tmp_path / "ckpt_29999_rank0.pt").notes
-    assert note == (
+        write_checkpoint(tmp_path / f"ckpt_29999_rank{rank}.pt", gsplat(model))
+    write_checkpoint(tmp_path / "ckpt_6999_rank1.pt", gsplat(model))
+    notes = io.load(tmp_path / "ckpt_29999_rank0.pt").notes
+    assert notes == (
         "The splats of other devices are in other files: ckpt_29999_rank1.pt, ckpt_29999_rank2.pt.",
     )
     assert io.load(tmp_path / "ckpt_6999_rank1.pt").notes == ()
 
 
-# Files that try to do more
+# Malicious and damaged files
 
 
 def exploit(*code):
-    """A pickle that runs something when loaded with pickle."""
+    """Return a file whose data runs `code` when it is loaded with Python's pickle."""
     return File({"means": Raw(b"".join(code))})
 
 
@@ -131,7 +131,7 @@ def test_code_in_a_file_is_refused_and_not_run(tmp_path, kind, monkeypatch):
 
 
 HARMLESS = {
-    # Attributes of what may be named cannot be set, so that the next file finds it as it was.
+    # Attributes of the allowed classes and functions cannot be set: this would change later loads.
     "state_of_the_maker": exploit(
         name("torch._utils", "_rebuild_tensor_v2"), pickled((None, {"__code__": 1})), b"b"
     ),
@@ -148,12 +148,12 @@ HARMLESS = {
 
 
 @pytest.mark.parametrize("kind", HARMLESS)
-def test_odd_pickles_are_refused_in_a_sentence(tmp_path, kind):
+def test_odd_pickles_are_refused_and_do_not_affect_later_files(tmp_path, kind):
     (tmp_path / "a.pt").write_bytes(HARMLESS[kind].bytes())
     with pytest.raises(FormatError):
         io.load(tmp_path / "a.pt")
     model = random_splats(3)
-    assert_same(io.load(written(tmp_path / "b.pt", gsplat(model))), model)
+    assert_same(io.load(write_checkpoint(tmp_path / "b.pt", gsplat(model))), model)
 
 
 def tensor_of(shape, steps, offset=0, count=12):
@@ -168,16 +168,16 @@ def tensor_of(shape, steps, offset=0, count=12):
 @pytest.mark.parametrize(
     ("shape", "steps", "offset", "count"),
     [
-        ((4, 3), (3, 1), 1, 12),  # a number too far
+        ((4, 3), (3, 1), 1, 12),  # reaches one number beyond the end
         ((5, 3), (3, 1), 0, 12),
         ((4, 3), (4, 1), 0, 12),
-        ((1 << 40, 3), (0, 0), 0, 12),  # a number many times over
+        ((1 << 40, 3), (0, 0), 0, 12),  # one number repeated
         ((4, 3), (-3, 1), 9, 12),
         ((4, 3), (3, 1), 0, 1 << 40),  # more numbers than the file holds
         ((4, "3"), (3, 1), 0, 12),
     ],
 )
-def test_tensors_that_lie_about_their_storage(tmp_path, shape, steps, offset, count):
+def test_tensors_that_do_not_fit_their_storage_are_refused(tmp_path, shape, steps, offset, count):
     content = gsplat(random_splats(4, degree=0))
     content["splats"]["means"] = tensor_of(shape, steps, offset, count)
     file = File(content)
@@ -185,21 +185,21 @@ def test_tensors_that_lie_about_their_storage(tmp_path, shape, steps, offset, co
     (tmp_path / "a.pt").write_bytes(file.bytes())
     with pytest.raises(FormatError):
         io.load(tmp_path / "a.pt")
-    with pytest.raises(FormatError):  # before anybody asks for memory that is not there
+    with pytest.raises(FormatError):  # before memory is allocated for the tensor
         io.inspect(tmp_path / "a.pt")
 
 
 @pytest.mark.filterwarnings("error")
-def test_doubles_beyond_single_precision_are_counted(tmp_path):
+def test_doubles_beyond_single_precision_are_counted_in_a_note(tmp_path):
     content = gsplat(random_splats(4, degree=0))
     content["splats"]["scales"] = content["splats"]["scales"].astype(np.float64)
     content["splats"]["scales"][1, :2] = 1e300, np.inf
-    model = io.load(written(tmp_path / "a.pt", content))
+    model = io.load(write_checkpoint(tmp_path / "a.pt", content))
     assert np.isinf(model.log_scales).sum() == 2
     assert model.notes == ("1 value of 'scales' became infinite when converted to float32.",)
 
 
-def test_what_holds_no_splats(tmp_path):
+def test_checkpoints_without_usable_splats_are_refused_with_the_reason(tmp_path):
     model = random_splats(4)
     cases = {
         "no splats": {"weights": np.ones(3, np.float32)},
@@ -213,7 +213,7 @@ def test_what_holds_no_splats(tmp_path):
         "Save the splats again": {"splats": gsplat(model)["splats"] | {"sh0": model.means[:2]}},
     }
     for words, content in cases.items():
-        path = written(tmp_path / "a.pt", content)
+        path = write_checkpoint(tmp_path / "a.pt", content)
         with pytest.raises(FormatError, match=words):
             io.load(path)
     (tmp_path / "a.pt").write_bytes(b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.")
@@ -222,7 +222,7 @@ def test_what_holds_no_splats(tmp_path):
     (tmp_path / "a.pt").write_bytes(b"other")
     with pytest.raises(FormatError, match="neither like a zip file nor like an old file"):
         io.load(tmp_path / "a.pt")
-    packed = written(tmp_path / "a.pt", gsplat(model), method=zipfile.ZIP_DEFLATED)
+    packed = write_checkpoint(tmp_path / "a.pt", gsplat(model), method=zipfile.ZIP_DEFLATED)
     with pytest.raises(FormatError, match="packed"):
         io.load(packed)
     with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
@@ -245,14 +245,14 @@ def test_damaged_files_give_a_format_error_or_a_model(tmp_path):
 
 @pytest.mark.parametrize("legacy", [False, True])
 @pytest.mark.parametrize("degree", [0, 3])
-def test_what_the_reference_trainer_captures(tmp_path, degree, legacy):
+def test_checkpoints_of_the_reference_trainer_are_read(tmp_path, degree, legacy):
     model = random_splats(30, degree=degree)
-    path = written(tmp_path / "chkpnt30000.pth", captured(model), legacy=legacy)
+    path = write_checkpoint(tmp_path / "chkpnt30000.pth", captured(model), legacy=legacy)
     assert_same(io.load(path), model)
     info = io.inspect(path)
     assert (info.splats, info.sh_degree) == (30, degree)
     assert info.encoding == ("binary_little_endian" if legacy else "zip")
-    written(path, captured(model)[0], legacy=legacy)  # without the iteration
+    write_checkpoint(path, captured(model)[0], legacy=legacy)  # without the iteration
     assert_same(io.load(path), model)
 
 
@@ -261,9 +261,9 @@ def test_what_the_reference_trainer_captures(tmp_path, degree, legacy):
 
 @pytest.mark.parametrize("order", ["little", "big"])
 @pytest.mark.parametrize("content", [gsplat, nerfstudio])
-def test_old_files_hold_the_same(tmp_path, content, order):
+def test_files_of_the_old_layout_are_read(tmp_path, content, order):
     model = random_splats(60, degree=2)
-    path = written(tmp_path / "a.pt", content(model), legacy=True, order=order)
+    path = write_checkpoint(tmp_path / "a.pt", content(model), legacy=True, order=order)
     assert_same(io.load(path), model)
     assert io.inspect(path).encoding == f"binary_{order}_endian"
 
@@ -271,12 +271,12 @@ def test_old_files_hold_the_same(tmp_path, content, order):
 @pytest.mark.parametrize("legacy", [False, True])
 def test_code_is_refused_in_old_files_too(tmp_path, legacy):
     evil = {"splats": call(name("os", "system"), "touch /tmp/evil")}
-    path = written(tmp_path / "a.pt", evil, legacy=legacy)
+    path = write_checkpoint(tmp_path / "a.pt", evil, legacy=legacy)
     with pytest.raises(FormatError, match=r"refers to os\.system, which tensors do not need"):
         io.load(path)
 
 
-def test_every_cut_of_an_old_file_is_refused(tmp_path):
+def test_every_truncation_of_an_old_file_is_refused(tmp_path):
     data = File(gsplat(random_splats(2, degree=0)), legacy=True).bytes()
     for size in range(1, len(data)):
         (tmp_path / "a.pt").write_bytes(data[:size])
@@ -284,7 +284,7 @@ def test_every_cut_of_an_old_file_is_refused(tmp_path):
             io.load(tmp_path / "a.pt")
 
 
-def test_an_old_file_whose_storages_lie(tmp_path):
+def test_an_old_file_with_wrong_storage_sizes_is_refused(tmp_path):
     file = File(gsplat(random_splats(4, degree=0)), legacy=True)
     for size in (-1, 11, 13, 2**40, 2**62):
         file.sizes[0] = size
@@ -293,24 +293,24 @@ def test_an_old_file_whose_storages_lie(tmp_path):
             io.load(tmp_path / "a.pt")
 
 
-def test_an_old_file_in_a_pipe_is_known(tmp_path):
-    path = written(tmp_path / "a.pt", gsplat(random_splats(9)), legacy=True)
+def test_the_format_of_an_old_file_is_detected_from_its_content(tmp_path):
+    path = write_checkpoint(tmp_path / "a.pt", gsplat(random_splats(9)), legacy=True)
     assert sniff(path) == ".pt"
 
 
-# As people use it
+# The command, and files that PyTorch wrote
 
 
-def test_the_command_converts_them_and_knows_them_in_a_pipe(tmp_path):
+def test_the_command_converts_checkpoints_from_files_and_pipes(tmp_path):
     model = random_splats(40)
-    path = written(tmp_path / "a.ckpt", nerfstudio(model))
+    path = write_checkpoint(tmp_path / "a.ckpt", nerfstudio(model))
     assert run("convert", path, tmp_path / "a.ply").returncode == 0
     assert_same(nanogs.load(tmp_path / "a.ply"), model)
     piped = run("convert", "-", "-", "--to", "ply", data=path.read_bytes(), text=False)
     assert piped.stdout == (tmp_path / "a.ply").read_bytes()
 
 
-def test_files_of_pytorch_itself(tmp_path):
+def test_files_written_by_pytorch_are_read(tmp_path):
     torch = pytest.importorskip("torch")
     model = random_splats(50, degree=3)
     content = gsplat(model)
@@ -344,10 +344,15 @@ def test_files_of_pytorch_itself(tmp_path):
                _use_new_zipfile_serialization=False)  # fmt: skip
     assert_same(io.load(tmp_path / "d.pt"), expected)
     names = ("means", "sh0", "shN", "scales", "quats", "opacities")
-    given = (3, *(parameters[name] for name in names), torch.zeros(50), optimiser.state_dict())
+    captured_model = (
+        3,
+        *(parameters[name] for name in names),
+        torch.zeros(50),
+        optimiser.state_dict(),
+    )
     for old in (False, True):
-        torch.save((given, 7), tmp_path / "c.pth", _use_new_zipfile_serialization=not old)
+        torch.save((captured_model, 7), tmp_path / "c.pth", _use_new_zipfile_serialization=not old)
         assert_same(io.load(tmp_path / "c.pth"), expected)
-    torch.save(parameters, tmp_path / "e.pt")  # a module, whose class a pickle has to name
+    torch.save(parameters, tmp_path / "e.pt")  # a module, whose class the pickle has to name
     with pytest.raises(FormatError, match="save only the state dictionary"):
         io.load(tmp_path / "e.pt")

@@ -1,4 +1,4 @@
-"""The command from outside, as a user runs it."""
+"""The command, run in a process of its own as a user runs it."""
 
 import json
 import os
@@ -20,15 +20,16 @@ from nanogs.errors import OptionError
 
 
 def assert_refused(result, *words):
-    """Exit code 2, one sentence on stderr that names what it must, nothing on stdout."""
+    """Expect exit code 2, one sentence with all of `words` on stderr, and an empty stdout."""
     assert result.returncode == 2, result
     assert result.stdout == ""
-    said = re.sub(r"^\d+/\d+ .*\n", "", result.stderr, flags=re.MULTILINE)  # of slow machines
-    assert said.count("\n") == 1, result.stderr
-    assert said.startswith("error: ")
-    assert "Traceback" not in said
+    # A slow machine prints lines of progress too.
+    message = re.sub(r"^\d+/\d+ .*\n", "", result.stderr, flags=re.MULTILINE)
+    assert message.count("\n") == 1, result.stderr
+    assert message.startswith("error: ")
+    assert "Traceback" not in message
     for word in words:
-        assert word in said
+        assert word in message
 
 
 QUICK = ("--views", "2", "--steps", "1", "--no-measure")
@@ -41,10 +42,10 @@ def scene(tmp_path_factory):
     return path
 
 
-# What it does
+# Results and reports
 
 
-def test_simplify_writes_the_asked_count(scene, tmp_path):
+def test_simplify_writes_the_requested_number_of_splats(scene, tmp_path):
     small = tmp_path / "small.ply"
     result = run("simplify", scene, small, "--ratio", "0.1", *QUICK)
     assert result.returncode == 0
@@ -53,7 +54,7 @@ def test_simplify_writes_the_asked_count(scene, tmp_path):
     assert len(nanogs.load(small)) == 50
 
 
-def test_json_is_the_report_and_nothing_else(scene, tmp_path):
+def test_json_prints_the_report_and_nothing_else(scene, tmp_path):
     result = run(
         "simplify", scene, tmp_path / "small.ply", "-n", "7", "--preset", "paper", "--json"
     )
@@ -71,22 +72,22 @@ def test_json_is_the_report_and_nothing_else(scene, tmp_path):
 
 def test_the_command_and_the_library_give_the_same_bytes(scene, tmp_path):
     splats = nanogs.load(scene)
-    every = {"preset": "paper", "k": 8, "lambda_app": 0.5}
-    for given in (
-        every | {"seed": 3, "tau": 0, "samples": 2, "lambda_geo": 2, "merge_cap": 0.3},
-        every | {"preset": "default", "balance": 0.3, "rounds": 1, "views": 4, "steps": 3},
+    common = {"preset": "paper", "k": 8, "lambda_app": 0.5}
+    for options in (
+        common | {"seed": 3, "tau": 0, "samples": 2, "lambda_geo": 2, "merge_cap": 0.3},
+        common | {"preset": "default", "balance": 0.3, "rounds": 1, "views": 4, "steps": 3},
     ):
-        flags = [(f"--{name.replace('_', '-')}", value) for name, value in given.items()]
-        options = [part for flag in flags for part in flag]
-        result = run("simplify", scene, tmp_path / "a.ply", "-r", "0.2", *options, "-q", "-w")
+        flags = [(f"--{name.replace('_', '-')}", value) for name, value in options.items()]
+        arguments = [part for flag in flags for part in flag]
+        result = run("simplify", scene, tmp_path / "a.ply", "-r", "0.2", *arguments, "-q", "-w")
         assert result.returncode == 0, result.stderr
-        small, _ = nanogs.simplify(splats, ratio=0.2, **given)
+        small, _ = nanogs.simplify(splats, ratio=0.2, **options)
         nanogs.save(small, tmp_path / "b.ply", overwrite=True)
         assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
 @pytest.mark.parametrize("size", ["20kB", "19.5 KiB", "20000"])
-def test_a_size_is_never_exceeded(scene, tmp_path, size):
+def test_the_file_fills_the_requested_size_and_never_exceeds_it(scene, tmp_path, size):
     small = tmp_path / "small.ply"
     options = ("--size", size, "--preset", "fast", "--json")
     report = json.loads(run("simplify", scene, small, *options).stdout)
@@ -98,7 +99,7 @@ def test_a_size_is_never_exceeded(scene, tmp_path, size):
     assert plan["asked_count"] == report["achieved_count"] == len(nanogs.load(small))
 
 
-def test_a_size_of_a_compressed_file(scene, tmp_path):
+def test_a_file_size_is_kept_in_a_compressed_format(scene, tmp_path):
     small = tmp_path / "small.spz"
     options = ("--size", "6kB", "--preset", "fast", "--spz-version", "4")
     plan = run("simplify", scene, small, *options, "--dry-run")
@@ -111,7 +112,7 @@ def test_a_size_of_a_compressed_file(scene, tmp_path):
     assert f"{small.stat().st_size:,}" in shown
 
 
-def test_a_psnr_is_reached_or_it_is_said(scene, tmp_path):
+def test_a_psnr_is_reached_or_the_run_ends_with_code_3(scene, tmp_path):
     options = ("--preset", "fast", "--json")
     reached = run("simplify", scene, tmp_path / "a.ply", "--psnr", "23", *options)
     report = json.loads(reached.stdout)
@@ -126,14 +127,14 @@ def test_a_psnr_is_reached_or_it_is_said(scene, tmp_path):
     assert len(nanogs.load(tmp_path / "b.ply")) == 500
 
 
-def test_steps_reach_the_method(scene, tmp_path):
+def test_the_option_steps_is_passed_to_the_method(scene, tmp_path):
     options = ("-r", "0.1", "--preset", "fast", "--steps", "6", "--json")
     report = json.loads(run("simplify", scene, tmp_path / "a.ply", *options).stdout)
     assert report["parameters"]["steps"] == 6
     assert report["refit"]["psnr_after"] >= report["refit"]["psnr_before"]
 
 
-def test_views_reach_the_method(scene, tmp_path):
+def test_the_options_for_views_are_passed_to_the_method(scene, tmp_path):
     def candidates(name, up):
         options = ("-r", "0.1", "--cameras", "orbit", "--up", up, "--json", *QUICK)
         report = json.loads(run("simplify", scene, tmp_path / name, *options).stdout)
@@ -144,14 +145,14 @@ def test_views_reach_the_method(scene, tmp_path):
     assert candidates("c.ply", "0,1,0") != first
 
 
-def test_quiet_says_nothing_and_verbose_shows_the_passes(scene, tmp_path):
+def test_quiet_prints_nothing_and_verbose_prints_the_candidates(scene, tmp_path):
     quiet = run("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "-q", *QUICK)
     verbose = run("simplify", scene, tmp_path / "b.ply", "-r", "0.1", "-v", *QUICK)
     assert (quiet.stdout, quiet.stderr) == ("", "")
     assert "candidates" in verbose.stderr
 
 
-def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
+def test_dry_run_prints_a_plan_and_writes_nothing(scene, tmp_path):
     result = run("simplify", scene, tmp_path / "small.ply", "-r", "0.1", "--dry-run")
     assert result.returncode == 0
     assert "peak memory" in result.stderr
@@ -164,13 +165,13 @@ def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
     ("options", "tried"),
     [((), "0.5 or 1"), (("--balance", "0.3"), "0.3 or 0.5 or 1"), (("--preset", "fast"), "0.8")],
 )
-def test_a_plan_says_which_balances_are_tried(scene, tmp_path, options, tried):
+def test_a_plan_lists_the_balances_that_are_tried(scene, tmp_path, options, tried):
     plan = run("simplify", scene, tmp_path / "small.ply", "-r", "0.1", *options, "--dry-run")
     [line] = [line for line in plan.stderr.splitlines() if line.startswith("parameters")]
     assert f", balance {tried}, rounds" in line
 
 
-def test_overwrite_needs_its_flag(scene, tmp_path):
+def test_an_existing_file_is_overwritten_only_with_its_flag(scene, tmp_path):
     small = tmp_path / "small.ply"
     small.write_text("mine")
     assert_refused(run("simplify", scene, small, "-r", "0.1"), "small.ply", "-w")
@@ -186,20 +187,22 @@ def test_output_may_replace_the_input(tmp_path):
     assert len(nanogs.load(path)) == 50
 
 
-def test_bad_rows_are_reported(tmp_path):
+def test_rows_with_nan_are_reported_or_refused(tmp_path):
     splats = random_splats(100)
     splats.means[3] = np.nan
     nanogs.save(splats, tmp_path / "scene.ply")
-    given = ("-r", "0.1", "--preset", "fast")
-    result = run("simplify", tmp_path / "scene.ply", tmp_path / "small.ply", *given)
+    options = ("-r", "0.1", "--preset", "fast")
+    result = run("simplify", tmp_path / "scene.ply", tmp_path / "small.ply", *options)
     assert result.returncode == 0
     assert "1 splat holds a NaN" in result.stderr
-    refused = run("simplify", tmp_path / "scene.ply", tmp_path / "x.ply", *given, "--nan", "error")
+    refused = run(
+        "simplify", tmp_path / "scene.ply", tmp_path / "x.ply", *options, "--nan", "error"
+    )
     assert_refused(refused, "row 3", "--nan drop")
     assert not (tmp_path / "x.ply").exists()
 
 
-def test_info_as_text_and_json(scene):
+def test_info_prints_text_or_json(scene):
     text = run("info", scene)
     assert text.returncode == 0
     assert "500" in text.stdout
@@ -219,7 +222,7 @@ def test_info_counts_infinite_opacities(tmp_path):
     assert (report["opaque"], report["transparent"], report["nonfinite"]) == (3, 1, 0)
 
 
-def test_demo_makes_a_scene_up(tmp_path):
+def test_demo_generates_a_scene_of_the_requested_count(tmp_path):
     assert run("demo", tmp_path / "demo.ply", "-n", "2000").returncode == 0
     assert len(nanogs.load(tmp_path / "demo.ply")) == 2000
 
@@ -231,7 +234,7 @@ def test_demo_writes_the_plant_and_names_its_author(tmp_path):
     assert len(nanogs.load(tmp_path / "plant.ply")) == 113_648
 
 
-def test_the_seed_of_a_scene_that_is_not_made_up_is_refused(tmp_path):
+def test_demo_refuses_a_seed_for_the_scene_that_is_not_generated(tmp_path):
     result = run("demo", tmp_path / "plant.ply", "--seed", "1")
     assert result.returncode == 2
     assert "--count" in result.stderr
@@ -253,7 +256,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Report:
-    """A report with entries of every kind; nothing in the command knows their names."""
+    """A report with entries of every type, whose names the command does not know."""
 
     input_count: int
     share: float
@@ -284,13 +287,13 @@ def test_every_entry_of_a_report_is_shown(capsys):
 
 
 def modules_after(*arguments):
-    """The modules that a command has imported when it ends."""
-    code = (
+    """Return the names of the modules that a command has imported by its end."""
+    program = (
         "import sys; from nanogs.cli import main\n"
         "try: main()\n"
         "finally: print(*sys.modules, file=sys.stderr)"
     )
-    command = [sys.executable, "-c", code, *map(str, arguments)]
+    command = [sys.executable, "-c", program, *map(str, arguments)]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     return set(result.stderr.split())
@@ -304,18 +307,21 @@ COMMANDS = "simplify lod refit convert info presets render compare view bench de
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_has_no_brackets_that_would_be_taken_for_markup(command):
+def test_help_texts_have_no_brackets_that_rich_reads_as_markup(command):
     import typer
 
     from nanogs.cli.app import app
 
-    given = typer.main.get_command(app).commands[command]
-    for text in (given.help, *(getattr(each, "help", "") for each in given.params)):
+    entry = typer.main.get_command(app).commands[command]
+    for text in (
+        entry.help,
+        *(getattr(parameter, "help", "") for parameter in entry.params),
+    ):
         assert not re.search(r"\[[a-z]", text or ""), text
 
 
-def test_help_imports_nothing_that_only_a_run_needs():
-    """All in one process: what one of them imports is there when the next has ended."""
+def test_help_imports_no_heavy_modules():
+    """All commands run in one process: a module that one imports is still there after the next."""
     code = (
         "import sys; from nanogs.cli import main\n"
         "heavy = 'numpy numba scipy PIL jinja2 rich.progress '\n"
@@ -327,13 +333,13 @@ def test_help_imports_nothing_that_only_a_run_needs():
         "    assert not set(heavy.split()) & set(sys.modules), words\n"
         "    assert {'typer', 'nanogs.cli.app'} <= set(sys.modules), words\n"
     )
-    asked = ["--version", "--help", *(f"{command} -h" for command in COMMANDS)]
-    result = subprocess.run([sys.executable, "-c", code, *asked], capture_output=True, text=True)
+    calls = ["--version", "--help", *(f"{command} -h" for command in COMMANDS)]
+    result = subprocess.run([sys.executable, "-c", code, *calls], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
-    assert result.stdout.count("Usage:") == len(asked) - 1
+    assert result.stdout.count("Usage:") == len(calls) - 1
 
 
-def test_completion_imports_neither_numpy_nor_what_draws_help(scene):
+def test_completion_imports_neither_numpy_nor_rich(scene):
     words = {"COMP_WORDS": "nanogs simplify a b --preset ", "COMP_CWORD": "5"}
     code = (
         "import sys; from nanogs.cli import main\n"
@@ -350,7 +356,7 @@ def test_completion_imports_neither_numpy_nor_what_draws_help(scene):
     assert "default" in result.stdout.split()
 
 
-def test_the_api_is_what_it_says():
+def test_public_names_are_callable_when_submodules_are_imported_first():
     code = (
         "import nanogs.pipeline.options.presets, nanogs\n"
         "for name in ('load', 'save', 'simplify', 'levels', 'Splats', 'SimplifyReport'):\n"
@@ -360,8 +366,8 @@ def test_the_api_is_what_it_says():
     assert result.returncode == 0, result.stderr
 
 
-def test_public_names_are_the_same_whatever_is_imported_before():
-    """Each time ours are imported anew, while the libraries stay."""
+def test_public_names_do_not_depend_on_what_is_imported_first():
+    """For each case the modules of nanogs are imported anew; other libraries stay imported."""
     code = (
         "import sys, types\n"
         "for before in sys.argv[1:]:\n"
@@ -390,16 +396,16 @@ def test_public_names_are_the_same_whatever_is_imported_before():
     assert result.returncode == 0, result.stderr
 
 
-def test_blocks_are_asked_for_all_that_the_options_say(scene, tmp_path, monkeypatch):
-    """Each option reaches the library, which is not called here."""
+def test_all_options_of_simplify_reach_the_library(scene, tmp_path, monkeypatch):
+    """The library's function is replaced by one that raises with the request it gets."""
 
-    def taken(request, _told):
+    def refuse_with_request(request, _progress):
         raise OptionError(repr(request))
 
-    monkeypatch.setattr("nanogs.cli.simplify_run.simplify_files", taken)
+    monkeypatch.setattr("nanogs.cli.simplify_run.simplify_files", refuse_with_request)
     words = "--cameras orbit --up 0,0,1 --ratio 0.2 --crop box:0,0,0,1,1,1 --sh-degree 0 --k 5"
     words += " --frame rub --scratch s --patience 3 --max-memory 210.1MB --threads 1 --nan error"
-    with pytest.raises(OptionError) as told:
+    with pytest.raises(OptionError) as caught:
         get_command(app)(
             ["simplify", str(scene), str(tmp_path / "a.ply"), *words.split()],
             standalone_mode=False,
@@ -409,10 +415,10 @@ def test_blocks_are_asked_for_all_that_the_options_say(scene, tmp_path, monkeypa
         "sh_degree=0", "frame=('rdf', 'rub')", "nan='error'", "scratch='s'", "patience=3.0",
         "max_memory=210100000", "name='crop'", "threads=1", "resume=False", "overwrite=False",
     ):  # fmt: skip
-        assert part in str(told.value), part
+        assert part in str(caught.value), part
 
 
-# What it refuses
+# Refused inputs
 
 
 def ply(header, body=b""):
@@ -451,7 +457,7 @@ BAD_FILES = {
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_bad_file(name, tmp_path):
+def test_a_damaged_file_is_refused_and_nothing_is_written(name, tmp_path):
     content, words = BAD_FILES[name]
     (tmp_path / f"{name}.ply").write_bytes(content)
     result = run("simplify", tmp_path / f"{name}.ply", tmp_path / "out.ply", "-r", "0.5")
@@ -460,7 +466,7 @@ def test_bad_file(name, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [f"{name}.ply"]
 
 
-def test_missing_file_and_directory_and_unknown_format(tmp_path):
+def test_missing_files_folders_and_unknown_formats_are_refused(tmp_path):
     assert_refused(run("simplify", tmp_path / "no.ply", tmp_path / "o.ply", "-r", "1"), "no.ply")
     (tmp_path / "d.ply").mkdir()
     assert_refused(run("simplify", tmp_path / "d.ply", tmp_path / "o.ply", "-r", "1"), "d.ply")
@@ -493,12 +499,12 @@ def test_missing_file_and_directory_and_unknown_format(tmp_path):
         (["--ratio", "0.5", "--threads", "9999"], "threads"),
     ],
 )
-def test_bad_option(scene, tmp_path, options, word):
+def test_an_invalid_option_is_refused_and_nothing_is_written(scene, tmp_path, options, word):
     assert_refused(run("simplify", scene, tmp_path / "out.ply", *options), word)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_output_that_cannot_be_written_is_refused_before_the_work(scene, tmp_path):
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(scene, tmp_path):
     (tmp_path / "folder.ply").mkdir()
     for target in ("missing/out.ply", "folder.ply", "out.unknown"):
         result = run("simplify", scene, tmp_path / target, "-r", "0.5")
@@ -508,13 +514,13 @@ def test_output_that_cannot_be_written_is_refused_before_the_work(scene, tmp_pat
 @pytest.mark.skipif(
     not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write into read-only folders"
 )
-def test_read_only_folder(scene, tmp_path):
+def test_an_output_in_a_read_only_folder_is_refused(scene, tmp_path):
     tmp_path.chmod(0o500)
     assert_refused(run("simplify", scene, tmp_path / "out.ply", "-r", "0.5"), "out.ply")
 
 
 def test_full_disk_leaves_no_file(scene, tmp_path):
-    """A limit on the size of files stands in for a full disk: the write fails half-way."""
+    """A limit on the size of files replaces a full disk: the write fails half-way."""
     resource = pytest.importorskip("resource")
 
     def limit():
@@ -524,12 +530,12 @@ def test_full_disk_leaves_no_file(scene, tmp_path):
         "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "from nanogs.cli import main; main()"
     )
-    given = ["simplify", scene, tmp_path / "out.ply", "-r", "0.9", "--preset", "fast"]
-    run_once = subprocess.run(
-        [sys.executable, "-c", code, *map(str, given)],
+    arguments = ["simplify", scene, tmp_path / "out.ply", "-r", "0.9", "--preset", "fast"]
+    result = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
         capture_output=True,
         text=True,
         preexec_fn=limit,
     )
-    assert_refused(run_once, "out.ply")
+    assert_refused(result, "out.ply")
     assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,7 @@
-"""Files for the web in the programs that show them there: three real scenes each.
+"""Files for the web, opened in web viewers of others: three real scenes each.
 
-Pictures are held against our own render of the same camera: other rasterisers, other sorts of
-depth, but the same model at the same place, the same way up, in the same colours.
+Their pictures are compared with our own rendering from the same camera. These viewers rasterise
+and sort by depth in other ways, but position, orientation and colours of the model must agree.
 """
 
 import pytest
@@ -19,70 +19,70 @@ from supersplatpage import in_supersplat, standing_at
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
+    pytest.mark.filterwarnings("default"),  # warnings of the browser's driver
 ]
-SPLATS = 8_000  # of a scene, so that a processor draws it in moments
+SPLATS = 8_000  # of each scene, so few that rendering on a CPU is fast
 LEVELS = (1.0, 0.25)
 WIDTH, HEIGHT = 240, 180
-LEAST = 25.0  # dB
+LEAST = 25.0  # dB between a viewer's picture and our rendering
 CHUNKS = ("1_0/meta.json", "0_0/meta.json")
-# An object, one in a frame of its own, and one whose colours depend on the view.
+# An object, an object in another coordinate frame, and one with view-dependent colours.
 SCENES = {"biker": "biker.spz", "plant": "plant.splat", "skull": "skull.sog"}
 
 
 @pytest.fixture(scope="module", params=SCENES)
 def seen(request):
-    """A scene with fewer splats, a camera before it, and our picture of it."""
+    """A scene with fewer splats, and a camera that looks at it."""
     whole = nanogs.load(scene_path(SCENES[request.param]))
     model, _ = nanogs.simplify(whole, count=SPLATS, preset="fast")
     return model, seen_from_the_start(model, WIDTH, HEIGHT, up=(0, -1, 0))
 
 
-def assert_same(shown, model, camera):
-    """And a picture of another orientation, or of other colours, is told from it."""
+def assert_same(picture, model, camera):
+    """Check that a picture shows the model, and matches less if it is flipped or recoloured."""
     rendered = render(model, camera).shown()
-    same = psnr(shown, rendered)
-    assert same > LEAST
+    closeness = psnr(picture, rendered)
+    assert closeness > LEAST
     assert (rendered.max(axis=2) > 0.05).mean() > 0.04
-    for other in (shown[::-1], shown[:, ::-1], shown[..., ::-1]):
-        assert psnr(other, rendered) < same - 1
+    for other in (picture[::-1], picture[:, ::-1], picture[..., ::-1]):
+        assert psnr(other, rendered) < closeness - 1
 
 
-def test_supersplat_walks_through_a_stream(seen, tmp_path):
-    """From the coarsest level, which it asks for first, to the finest."""
+def test_supersplat_loads_a_streamed_model_from_coarse_to_fine(seen, tmp_path):
+    """It requests the coarsest level first, and ends with the finest."""
     model, camera = seen
     path = tmp_path / "web" / "lod-meta.json"
     nanogs.write_levels(model, path.parent, LEVELS, layout=Layout.SOG, preset="fast")
     start = standing_at(camera)
-    shown, asked = in_supersplat(path, tmp_path, SPLATS, WIDTH, HEIGHT, **start)
-    assert asked == [f"scene/{name}" for name in ("lod-meta.json", *CHUNKS)]
-    assert_same(shown, io.load(path, level=0), camera)
+    picture, requests = in_supersplat(path, tmp_path, SPLATS, WIDTH, HEIGHT, **start)
+    assert requests == [f"scene/{name}" for name in ("lod-meta.json", *CHUNKS)]
+    assert_same(picture, io.load(path, level=0), camera)
 
 
-def test_spark_draws_a_tree(seen, tmp_path):
+def test_spark_draws_a_rad_file_with_levels_of_detail(seen, tmp_path):
     model, camera = seen
     path = tmp_path / "model.rad"
     nanogs.write_levels(model, path, LEVELS, layout=Layout.TREE, preset="fast")
-    shown, state = in_spark(path, camera, tmp_path, mesh={"paged": True}, lodRenderScale=0)
+    picture, state = in_spark(path, camera, tmp_path, mesh={"paged": True}, lodRenderScale=0)
     assert state["splats"] == SPLATS
-    assert_same(shown, model, camera)
+    assert_same(picture, model, camera)
 
 
-def test_spark_draws_a_packed_file(seen, tmp_path):
-    """One of few bits, which is of another version and in another order."""
+def test_spark_draws_a_quantised_spz_file(seen, tmp_path):
+    """With few bits, the file is of another version of the format and sorted in another order."""
     model, camera = seen
     path = tmp_path / "model.spz"
     nanogs.save(model, path, format_options={"bits": 6})
-    shown, state = in_spark(path, camera, tmp_path)
+    picture, state = in_spark(path, camera, tmp_path)
     assert state["total"] == SPLATS
-    assert_same(shown, model, camera)
+    assert_same(picture, model, camera)
 
 
-def test_cesium_draws_tiles(seen, tmp_path):
+def test_cesium_draws_3d_tiles(seen, tmp_path):
     model, camera = seen
     path = tmp_path / "tiles" / "tileset.json"
     nanogs.write_levels(model, path.parent, LEVELS, layout=Layout.TILES, preset="fast")
-    shown, state = in_cesium(path, camera, tmp_path)
+    picture, state = in_cesium(path, camera, tmp_path)
     assert state["splats"] == SPLATS
     assert set(state["asked"]) == {"scene/1_0.glb", "scene/0_0.glb"}
-    assert_same(shown, model, camera)
+    assert_same(picture, model, camera)

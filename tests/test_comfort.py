@@ -1,4 +1,4 @@
-"""Mistyped names, listings, completion, and what goes into pipes."""
+"""Mistyped names, listings, completion in the shell, and output into pipes."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def test_the_nearest_name_is_suggested(word, choices, meant):
     assert did_you_mean(word, choices) == meant
 
 
-def test_every_error_about_a_name_suggests_one(tmp_path):
+def test_every_error_about_an_unknown_name_suggests_one(tmp_path):
     model = random_splats(3)
     with pytest.raises(OptionError, match="did you mean 'default'"):
         nanogs.simplify(model, ratio=0.5, preset="defualt")
@@ -47,18 +47,18 @@ def test_every_error_about_a_name_suggests_one(tmp_path):
         io.load(tmp_path / "a.splats")
     with pytest.raises(FormatError, match=r"did you mean 'lod-meta\.json'"):
         io.load(tmp_path / "lod-mets.json")
-    for name in ("transforms.json", "scene.json"):  # like no name in particular
+    for name in ("transforms.json", "scene.json"):  # similar to no known name
         with pytest.raises(FormatError, match=r"unknown suffix; nanogs reads"):
             io.load(tmp_path / name)
     with pytest.raises(OptionError, match="did you mean 'spz_version'"):
         io.save(model, tmp_path / "a.spz", format_options={"spz_versoin": 4})
-    # A format that is read but not written was meant as it stands.
+    # A format that is read but not written is no typing error, so nothing is suggested.
     with pytest.raises(OptionError) as caught:
         io.save(model, tmp_path / "a.ksplat")
     assert "mean" not in str(caught.value)
 
 
-def test_mistyped_options_and_commands_are_told_the_right_ones():
+def test_the_right_option_or_command_is_suggested():
     assert "--preset" in run("simplify", "a", "b", "--presett", "fast").stderr
     assert "simplify" in run("simplfy").stderr
     assert run("simplfy").returncode == 2
@@ -67,7 +67,7 @@ def test_mistyped_options_and_commands_are_told_the_right_ones():
 def test_presets_are_listed():
     text = run("presets").stdout
     assert all(f"{name} " in text for name in PRESETS)
-    assert text.count("balance 0.5 or 1,") == 2  # as those that measure try them
+    assert text.count("balance 0.5 or 1,") == 2  # of the presets that measure candidates
     assert text.count("balance 0.8,") == 1
     report = json.loads(run("presets", "--json").stdout)
     assert set(report) == set(PRESETS)
@@ -86,15 +86,19 @@ def test_presets_are_listed():
         ("nanogs simplify --min", ["--min-opacity"]),
     ],
 )
-def test_the_shell_completes(words, completed):
+def test_the_shell_completes_options_values_and_commands(words, completed):
     count = len(words.split(" ")) - 1
-    asked = {"COMP_WORDS": words, "COMP_CWORD": str(count), "_NANOGS_COMPLETE": "complete_bash"}
-    assert sorted(run(**asked).stdout.split()) == sorted(completed)
+    environment = {
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(count),
+        "_NANOGS_COMPLETE": "complete_bash",
+    }
+    assert sorted(run(**environment).stdout.split()) == sorted(completed)
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="Bash is absent")
-def test_completion_is_installed_where_the_shell_looks(tmp_path):
-    # The shell that calls is looked for, whatever runs the tests.
+def test_completion_is_installed_where_bash_reads_it(tmp_path):
+    # The command finds the shell from its parent process, so it is called from Bash.
     script = f"'{sys.executable}' -m nanogs --install-completion; exit $?"
     env = os.environ | {"HOME": str(tmp_path)}
     subprocess.run(["bash", "-c", script], check=True, env=env)
@@ -128,7 +132,7 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
         (("info",), "Missing argument 'IN'; see `nanogs info --help`"),
     ],
 )
-def test_what_is_mistyped_is_said_in_one_sentence(arguments, words):
+def test_a_mistyped_command_line_is_refused_in_one_sentence(arguments, words):
     result = run(*arguments)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr.startswith("error: ")
@@ -136,7 +140,7 @@ def test_what_is_mistyped_is_said_in_one_sentence(arguments, words):
     assert words in result.stderr
 
 
-def test_without_a_command_there_is_the_help():
+def test_without_a_command_the_help_is_printed():
     result = run()
     assert result.returncode == 2
     assert "simplify" in result.stdout + result.stderr
@@ -144,7 +148,7 @@ def test_without_a_command_there_is_the_help():
     assert (run("--help").returncode, run("--version").returncode) == (0, 0)
 
 
-def test_tables_in_pipes_are_not_filled_up_with_blanks(tmp_path):
+def test_tables_in_pipes_have_no_trailing_blanks(tmp_path):
     scene = tmp_path / "a.ply"
     nanogs.save(random_splats(40), scene)
     info = run("info", scene).stdout

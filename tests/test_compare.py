@@ -1,4 +1,4 @@
-"""Comparing models: the numbers, the skips, and the page in a real browser."""
+"""`compare` and `render`: scores, skipped views, and the report page in a real browser."""
 
 import json
 import math
@@ -28,14 +28,14 @@ from test_cli import assert_refused
 
 
 def camera(name="front", *, size=48, away=False):
-    """Looks at the cube of `random_splats` from outside, or away from it."""
+    """Return a camera outside the cube of `random_splats`, facing it or facing away from it."""
     pose = np.eye(4)
     pose[2, 3] = -6.0 if away else 6.0
     return Camera(size, size, size, size, size / 2, size / 2, pose, name)
 
 
 def simplified(splats, ratio):
-    """Some smaller model: how it was made is not the point."""
+    """Return some smaller model; the tests do not depend on the method."""
     return nanogs.simplify(splats, ratio=ratio, preset="fast")[0]
 
 
@@ -63,7 +63,7 @@ def test_a_model_equals_itself_and_a_smaller_one_does_not():
     assert smaller.ssim < 1
 
 
-def test_means_are_over_the_views():
+def test_the_psnr_of_a_model_is_the_mean_over_the_views():
     splats = random_splats(500)
     small = simplified(splats, 0.2)
     cameras = [camera("a"), camera("b", size=64)]
@@ -74,18 +74,20 @@ def test_means_are_over_the_views():
     assert model.views[0].psnr != model.views[1].psnr
 
 
-def test_one_equal_view_does_not_hide_what_the_others_lack():
+def test_a_view_of_infinite_psnr_does_not_make_the_mean_infinite():
     assert mean_psnr([math.inf, 30.0, 50.0]) == 60
     assert mean_psnr([30.0, 50.0]) == 40
     assert mean_psnr([math.inf, math.inf]) == math.inf
 
 
 def test_the_worst_view_is_not_better_than_the_mean_of_all():
-    """Of a file that lost rounding alone."""
+    """The model differs by rounding only, and the mean counts no view as more than 100 dB."""
     splats = random_splats(500)
-    nearly = splats.take(np.arange(500))
-    nearly.sh[...] += np.float32(1e-6)
-    scored, _ = compare_models(NamedModel("r", splats), [NamedModel("s", nearly)], [camera("a")])
+    almost_equal = splats.take(np.arange(500))
+    almost_equal.sh[...] += np.float32(1e-6)
+    scored, _ = compare_models(
+        NamedModel("r", splats), [NamedModel("s", almost_equal)], [camera("a")]
+    )
     assert scored.models[0].views[0].psnr > 100
     assert scored.models[0].least_psnr == scored.models[0].psnr == 100
 
@@ -103,26 +105,31 @@ def test_an_empty_view_is_left_out_of_the_mean_and_named():
 
 
 @pytest.mark.parametrize("empty", [3, 4, 9])
-def test_many_empty_views_take_one_line(tmp_path, empty):
+def test_many_empty_views_share_one_note(tmp_path, empty):
     splats = random_splats(300)
     away = [camera(f"back{number}", away=True) for number in range(empty)]
-    found, _ = compare_models(NamedModel("r", splats), [NamedModel("s", splats)], [camera(), *away])
-    assert len(found.skipped_views) == empty
-    _, drawn = render_images(splats, [camera(), *away], tmp_path / "pictures")
-    assert len(found.notes) == len(drawn) == (3 if empty == 3 else 1)
+    comparison, _ = compare_models(
+        NamedModel("r", splats), [NamedModel("s", splats)], [camera(), *away]
+    )
+    assert len(comparison.skipped_views) == empty
+    _, render_notes = render_images(splats, [camera(), *away], tmp_path / "pictures")
+    assert len(comparison.notes) == len(render_notes) == (3 if empty == 3 else 1)
     more = {4: "1 more view: ", 9: "6 more views: "}.get(empty)
-    for [note, *_], fact in ((found.notes, "of the reference"), (drawn, "of the model")):
+    for [note, *_], model in (
+        (comparison.notes, "of the reference"),
+        (render_notes, "of the model"),
+    ):
         assert note.startswith(f"back0, back1, back2 and {more}" if more else "back0: ")
-        assert f"nothing {fact} is visible" in note
+        assert f"nothing {model} is visible" in note
 
 
-def test_only_empty_views_are_refused():
+def test_a_comparison_without_a_visible_view_is_refused():
     splats = random_splats(300)
     with pytest.raises(ModelError, match="none of the views"):
         compare_models(NamedModel("r", splats), [NamedModel("s", splats)], [camera(away=True)])
 
 
-def test_other_degrees_and_bad_rows_are_said():
+def test_different_sh_degrees_and_nonfinite_rows_are_noted():
     splats = random_splats(300, degree=2)
     flat = random_splats(300, degree=0)
     flat.means[5] = np.nan
@@ -132,7 +139,7 @@ def test_other_degrees_and_bad_rows_are_said():
     assert math.isfinite(comparison.models[0].psnr)
 
 
-def test_no_model_and_unknown_metrics_are_refused():
+def test_a_comparison_without_models_or_with_an_unknown_metric_is_refused():
     splats = random_splats(100)
     with pytest.raises(OptionError):
         compare_models(NamedModel("r", splats), [], [camera()])
@@ -142,7 +149,7 @@ def test_no_model_and_unknown_metrics_are_refused():
         )
 
 
-def test_error_map_is_black_where_equal_and_bright_where_not():
+def test_the_error_map_is_black_where_images_are_equal_and_bright_elsewhere():
     a = np.zeros((2, 2, 3), np.float32)
     b = a.copy()
     b[0, 0] = 1
@@ -150,14 +157,17 @@ def test_error_map_is_black_where_equal_and_bright_where_not():
     assert heat[1, 1].max() < 0.02
     assert heat[0, 0].min() > 0.5
     b[0, 1], b[1, 0] = 0.25, (0.125, 0, 0.25)
-    full, half = (0xFC, 0xFF, 0xA4), (187, 55, 84)  # between the middle two
+    full, half = (
+        (0xFC, 0xFF, 0xA4),
+        (187, 55, 84),
+    )  # half: between the middle two colours of the map
     heat = np.rint(255 * error_map(b, a))
     assert (heat[0, 0] == full).all()
     assert (heat[0, 1] == full).all()
     assert (heat[1, 0] == half).all()
 
 
-def test_plot_has_a_line_for_each_name_and_leaves_infinity_out():
+def test_the_plot_has_a_line_for_each_name_and_omits_infinite_psnr():
     splats = random_splats(400)
     models = [NamedModel("ours", simplified(splats, ratio)) for ratio in (0.5, 0.2, 0.1)]
     models.append(NamedModel("all", splats))
@@ -170,17 +180,17 @@ def test_plot_has_a_line_for_each_name_and_leaves_infinity_out():
 
 
 @pytest.mark.parametrize(("text", "size"), [("512", (512, 512)), ("1280x720", (1280, 720))])
-def test_sizes(text, size):
+def test_a_picture_size_is_one_number_or_width_x_height(text, size):
     assert parse_pixels(text) == size
 
 
 @pytest.mark.parametrize("text", ["", "0", "12x", "x12", "-5", "99999", "1.5", "a"])
-def test_bad_sizes(text):
+def test_invalid_picture_sizes_are_refused(text):
     with pytest.raises(OptionError):
         parse_pixels(text)
 
 
-def test_backgrounds_and_directions():
+def test_backgrounds_and_directions_are_parsed_or_refused():
     assert parse_background("white") == (1, 1, 1)
     assert parse_background("#ff8000") == (1, 128 / 255, 0)
     assert parse_direction("0,-1,0.5") == (0, -1, 0.5)
@@ -192,30 +202,30 @@ def test_backgrounds_and_directions():
             parse_direction(bad)
 
 
-def test_names_that_would_share_a_file_are_refused():
+def test_cameras_whose_pictures_would_have_the_same_file_name_are_refused():
     assert file_names([camera("a/b"), camera("")]) == ["a_b", "view_001"]
     with pytest.raises(OptionError, match="a_b"):
         file_names([camera("a/b"), camera("a?b")])
 
 
-def test_the_suffix_of_a_photograph_is_no_part_of_a_files_name():
-    """But where it is all that tells two cameras apart."""
+def test_the_suffix_of_a_photograph_is_dropped_from_file_names():
+    """Unless two cameras differ in nothing else."""
     assert file_names([camera("images/v0.png"), camera("v1.JPG")]) == ["images_v0", "v1"]
     assert file_names([camera("a.png"), camera("a.jpg")]) == ["a.png", "a.jpg"]
     assert file_names([camera("v1.5")]) == ["v1.5"]
 
 
-def test_a_transparent_image_over_any_background_is_the_rendering_over_it():
+def test_a_transparent_image_blended_over_white_equals_the_rendering_over_white():
     splats = random_splats(200)
     over_black = render(splats, camera())
     rgba = color_image(over_black, transparent=True) / 255.0
     composed = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:]) * (1, 1, 1)
     over_white = np.clip(render(splats, camera(), background=(1, 1, 1)).color, 0, 1)
-    inside = over_black.color.max(axis=2) <= over_black.alpha  # else straight colour exceeds 1
+    inside = over_black.color.max(axis=2) <= over_black.alpha  # elsewhere straight colour exceeds 1
     assert np.abs(composed - over_white)[inside].max() < 0.01
 
 
-def test_render_writes_pictures(files, tmp_path):
+def test_render_writes_pictures_and_replaces_them_only_with_its_flag(files, tmp_path):
     from PIL import Image
 
     arguments = ("render", files / "scene.ply", tmp_path / "out", "--views", "3")
@@ -236,7 +246,7 @@ def test_render_writes_pictures(files, tmp_path):
     assert "older" not in run(*arguments, "--pixels", "64x48", "--depth", "-w").stderr
 
 
-def test_compare_as_json_and_as_a_table(files):
+def test_compare_prints_json_or_a_table(files):
     models = (files / "scene.ply", files / "small_0.1.ply", f"half={files}/small_0.5.ply")
     arguments = ("compare", *models, "--views", "2", "--pixels", "64")
     report = json.loads(run(*arguments, "--json").stdout)
@@ -251,7 +261,7 @@ def test_compare_as_json_and_as_a_table(files):
     assert "held-out" not in run(*arguments, "-q").stderr
 
 
-def test_every_comparison_names_its_protocol():
+def test_every_comparison_describes_its_views():
     splats = random_splats(300)
     models = [NamedModel("s", splats)]
     given, _ = compare_models(NamedModel("r", splats), models, [camera()])
@@ -264,7 +274,7 @@ def test_every_comparison_names_its_protocol():
     assert photographs.text == "14 train photographs of 800 pixels over #ff0000"
 
 
-def test_compare_refuses(files, tmp_path):
+def test_compare_refuses_invalid_arguments(files, tmp_path):
     scene, small = files / "scene.ply", files / "small_0.1.ply"
     assert_refused(run("compare", scene, tmp_path / "no.ply"), "no.ply")
     assert_refused(run("compare", scene, small, "--cameras", "orbitt"), "orbitt")
@@ -278,10 +288,10 @@ def test_compare_refuses(files, tmp_path):
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed")
-@pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+@pytest.mark.filterwarnings("default")  # warnings of the browser's driver
 @pytest.mark.parametrize("width", [1200, 390])
-def test_the_page_in_a_browser(browser, files, tmp_path, width):
-    """No request leaves it, every picture decodes, and it fits a phone."""
+def test_the_report_page_is_complete_and_makes_no_requests(browser, files, tmp_path, width):
+    """The page makes no request, all its pictures decode, and it fits the window."""
     page_file = Path(tmp_path / "page.html")
     tests = [("ours", files / "small_0.1.ply"), ("ours", files / "small_0.5.ply")]
     compare_files(
@@ -303,7 +313,7 @@ def test_the_page_in_a_browser(browser, files, tmp_path, width):
         page.screenshot(path=f"{folder}/compare_{width}.png", full_page=True)
     page.close()
     assert [url for url in requests if not url.startswith(("file:", "data:"))] == []
-    assert pictures == [64] * (2 + 2 * (1 + 2 + 2))  # two at a time with the line, and all below
+    assert pictures == [64] * (2 + 2 * (1 + 2 + 2))  # two side by side above, and all below
     assert "<b>ref</b>" in heading  # a name is text, never markup
     assert fits
     assert plots == 1
@@ -333,7 +343,7 @@ def report(files, tmp_path_factory):
 
 @pytest.fixture
 def opened(browser, report):
-    """Opens the report, in a window of some width and scheme."""
+    """A function that opens the report in a new window, with options such as its size."""
     contexts = []
 
     def open_page(**options):
@@ -348,18 +358,18 @@ def opened(browser, report):
 
 
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
-pytestmark_page = pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+driver_may_warn = pytest.mark.filterwarnings("default")  # warnings of the browser's driver
 
 
-def cut(page):
-    """Where the line is, as a share of the width."""
+def divider_position(page):
+    """Return the position of the dividing line, as a fraction of the width."""
     stage = page.locator("#stage").bounding_box()
     edge = page.locator(".edge").bounding_box()
     return (edge["x"] + edge["width"] / 2 - stage["x"]) / stage["width"]
 
 
-@pytestmark_page
-def test_the_report_opens_on_pictures_with_a_line_between(opened):
+@driver_may_warn
+def test_the_report_opens_with_two_pictures_and_a_divider(opened):
     page = opened(viewport={"width": 1280, "height": 800})
     stage = page.locator("#stage").bounding_box()
     assert stage["y"] + stage["height"] < 800
@@ -368,12 +378,12 @@ def test_the_report_opens_on_pictures_with_a_line_between(opened):
     assert page.locator("#place").inner_text() == "View 1 of 2"
     assert "test_0" not in page.content()
     assert page.locator("#nanogs-view").count() == 0
-    assert cut(page) == pytest.approx(0.5, abs=0.01)
+    assert divider_position(page) == pytest.approx(0.5, abs=0.01)
     assert "dB" in page.locator("#caption").inner_text()
 
 
-@pytestmark_page
-def test_the_line_moves_by_mouse_and_by_keys(opened):
+@driver_may_warn
+def test_the_divider_moves_by_mouse_and_by_keys(opened):
     page = opened(viewport={"width": 1280, "height": 800})
     box = page.locator("#stage").bounding_box()
     middle = box["y"] + box["height"] / 2
@@ -381,18 +391,18 @@ def test_the_line_moves_by_mouse_and_by_keys(opened):
     page.mouse.down()
     page.mouse.move(box["x"] + 0.8 * box["width"], middle, steps=4)
     page.mouse.up()
-    moved = cut(page)
+    moved = divider_position(page)
     assert moved == pytest.approx(0.8, abs=0.03)
     clip = page.evaluate("getComputedStyle(document.querySelectorAll('.stage img')[1]).clipPath")
     assert float(clip.split()[-1].rstrip("%)")) == pytest.approx(100 * moved, abs=0.5)
     page.get_by_role("slider").press("ArrowLeft")
-    assert cut(page) < moved
+    assert divider_position(page) < moved
     page.get_by_role("slider").press("Home")
-    assert cut(page) == pytest.approx(0, abs=0.01)
+    assert divider_position(page) == pytest.approx(0, abs=0.01)
 
 
-@pytestmark_page
-def test_views_models_and_differences_are_chosen(opened):
+@driver_may_warn
+def test_views_models_and_differences_can_be_chosen(opened):
     page = opened(viewport={"width": 1280, "height": 800})
     sources = "[...document.querySelectorAll('.stage img')].map(image => image.src)"
     first = page.evaluate(sources)
@@ -411,9 +421,9 @@ def test_views_models_and_differences_are_chosen(opened):
     assert page.locator("#place").inner_text() == "View 1 of 2"
 
 
-@pytestmark_page
+@driver_may_warn
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_of_the_report_is_cut_off_on_a_phone(opened, scheme):
+def test_nothing_in_the_report_is_cut_off_on_a_phone(opened, scheme):
     page = opened(**PHONE, color_scheme=scheme)
     page.locator("summary").tap()
     for selector in ("td", "#stage", "button", "select", "label", "figure"):
@@ -427,12 +437,12 @@ def test_nothing_of_the_report_is_cut_off_on_a_phone(opened, scheme):
     page.evaluate("scrollTo(0, 0)")
     box = page.locator("#stage").bounding_box()
     page.touchscreen.tap(box["x"] + 0.25 * box["width"], box["y"] + box["height"] / 2)
-    assert cut(page) == pytest.approx(0.25, abs=0.04)
+    assert divider_position(page) == pytest.approx(0.25, abs=0.04)
 
 
-@pytestmark_page
-def test_a_figure_stays_in_one_line_beside_its_name(opened):
-    """Two numbers with a comma between would be read as one and one of the next row."""
+@driver_may_warn
+def test_two_numbers_in_a_cell_of_the_table_stay_in_one_line(opened):
+    """Two numbers in two lines would look like one of this row and one of the next."""
     page = opened(viewport={"width": 1200, "height": 800})
     cell = page.locator("td[data-is='splats a pixel']").first
     cell.evaluate("cell => cell.textContent = '137.6, 1,152'")

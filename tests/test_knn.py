@@ -1,4 +1,4 @@
-"""The nearest neighbours against their definition: sort all the others by (distance, row)."""
+"""Nearest neighbours compared with their definition: all others sorted by (distance, row)."""
 
 import numba
 import numpy as np
@@ -44,7 +44,7 @@ def test_neighbours_are_the_first_by_distance_and_row(places, n, k, seed):
     assert nearest_neighbours(means, k, threads=1).tolist() == expected
 
 
-def test_distances_are_those_of_another_tree():
+def test_distances_agree_with_scipy():
     rng = np.random.default_rng(2)
     means = rng.normal(size=(20_000, 3)) * np.exp(2 * rng.normal(size=(20_000, 1)))
     found = nearest_neighbours(means, 16, threads=1)
@@ -59,7 +59,7 @@ def test_distances_are_those_of_another_tree():
     st.integers(0, 40),
     st.integers(0, 2**32 - 1),
 )
-def test_the_nearest_to_other_places_is_the_first_by_distance_and_row(places, n, others, seed):
+def test_the_nearest_to_other_points_is_the_first_by_distance_and_row(places, n, others, seed):
     rng = np.random.default_rng(seed)
     means, other = PLACES[places](rng, n), PLACES[places](rng, others)
     x, y, z = np.moveaxis(other[:, None] - means, 2, 0)
@@ -69,13 +69,13 @@ def test_the_nearest_to_other_places_is_the_first_by_distance_and_row(places, n,
     assert np.array_equal(nearest, squares.argmin(axis=1))
 
 
-def test_distances_to_other_places_are_those_of_another_tree():
+def test_distances_to_other_points_agree_with_scipy():
     rng = np.random.default_rng(6)
     means = rng.normal(size=(20_000, 3)) * np.exp(2 * rng.normal(size=(20_000, 1)))
-    places = rng.normal(size=(5_000, 3)) * np.exp(2 * rng.normal(size=(5_000, 1)))
-    expected = cKDTree(means).query(places)
+    points = rng.normal(size=(5_000, 3)) * np.exp(2 * rng.normal(size=(5_000, 1)))
+    expected = cKDTree(means).query(points)
     for threads in range(1, min(2, numba.config.NUMBA_NUM_THREADS) + 1):
-        found = nearest_to(places, means, threads)
+        found = nearest_to(points, means, threads)
         assert np.array_equal(found[0], expected[0])
         assert np.array_equal(found[1], expected[1])
 
@@ -89,14 +89,14 @@ def test_the_thread_count_changes_nothing(places):
     assert np.array_equal(one, two)
 
 
-def test_many_coincident_centres_take_the_next_of_their_group():
+def test_neighbours_of_coincident_centres_are_the_next_rows_of_their_group():
     means = np.random.default_rng(4).normal(size=(60_000, 3))
     group = np.sort(np.random.default_rng(5).permutation(60_000)[:50_000])
     means[group] = means[0]
     group = np.flatnonzero((means == means[0]).all(axis=1))
     found = nearest_neighbours(means, 8, threads=1)
-    places = (np.arange(len(group))[:, None] + np.arange(1, 9)) % len(group)
-    assert np.array_equal(found[group], group[places])
+    next_ones = (np.arange(len(group))[:, None] + np.arange(1, 9)) % len(group)
+    assert np.array_equal(found[group], group[next_ones])
     alone = np.setdiff1d(np.arange(60_000), group)[:50]
     for row in alone:
         squares = ((means - means[row]) ** 2).sum(axis=1)
@@ -105,7 +105,7 @@ def test_many_coincident_centres_take_the_next_of_their_group():
         assert np.allclose(((means[found[row]] - means[row]) ** 2).sum(axis=1), nearest)
 
 
-def test_centres_that_differ_by_less_than_squares_can_tell_still_have_neighbours():
+def test_centres_whose_squared_distances_underflow_still_have_neighbours():
     means = np.zeros((40, 3))
     means[:, 0] = np.arange(40) * 5e-324
     means[0] = 1.0
@@ -114,7 +114,7 @@ def test_centres_that_differ_by_less_than_squares_can_tell_still_have_neighbours
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
-def test_lanes_compiled_do_as_their_plain_python_says(seed, k):
+def test_compiled_lanes_do_the_same_as_plain_python(seed, k):
     rng = np.random.default_rng(seed)
     points, boxes = rng.normal(size=48), np.sort(rng.normal(size=(2, 2, 3)), axis=1).reshape(2, 6)
     lists = np.sort(rng.integers(0, 1 << 31, (k, 16)).astype(np.int32), axis=0)[::-1].ravel()

@@ -41,7 +41,7 @@ def assert_close(model, again, mode):
 
 @pytest.mark.parametrize("mode", range(3))
 @pytest.mark.parametrize("degree", range(4))
-def test_modes_and_degrees(load, tmp_path, mode, degree):
+def test_all_modes_and_degrees_are_read(load, tmp_path, mode, degree):
     part = section(23, mode, degree)
     again = load(ksplat(part, mode=mode))
     assert_close(part[2], again, mode)
@@ -59,7 +59,7 @@ def test_sections_follow_each_other_and_empty_rows_are_skipped(load, mode):
 
 
 @pytest.mark.parametrize("mode", range(3))
-def test_blocks_agree(load, monkeypatch, mode):
+def test_reading_in_blocks_gives_the_same_model(load, monkeypatch, mode):
     data = ksplat(section(50, mode, 2), mode=mode)
     whole = load(data)
     monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 7)
@@ -79,7 +79,7 @@ def test_extreme_alpha_and_scale_are_infinite_and_negative_scale_is_noted(load):
     assert again.notes == ("1 splat has a negative scale, which became NaN.",)
 
 
-def test_missing_ranges_have_their_defaults(load):
+def test_ranges_of_zero_mean_the_defaults(load):
     changed = section(6, 2, 1, changes={24: ("<I", 0)})
     given = section(6, 2, 1)
     same = load(ksplat(changed, mode=2, sh_range=(0, 0)))
@@ -88,7 +88,7 @@ def test_missing_ranges_have_their_defaults(load):
     assert np.array_equal(same.sh, other.sh)
 
 
-def test_what_follows_the_last_section_is_noted(load):
+def test_bytes_after_the_last_section_are_noted(load):
     assert load(ksplat(section(3, 0, 0)) + b"12345").notes == (
         "Left out: 5 bytes after the last section.",
     )
@@ -125,7 +125,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_contradictions_are_refused(load, name):
+def test_contradicting_headers_are_refused(load, name):
     make, words = REFUSED[name]
     with pytest.raises(FormatError, match=words) as caught:
         load(make())
@@ -136,14 +136,16 @@ def test_contradictions_are_refused(load, name):
 def test_damaged_files_give_a_format_error_or_a_model(tmp_path, mode):
     rng, path = np.random.default_rng(mode), tmp_path / "fuzz.ksplat"
     data = ksplat(*(section(n, mode, 1, seed=n) for n in (9, 4)), mode=mode)
-    places = [*range(48), *range(4096, 4140), *range(5120, 5164), *range(6144, len(data))]
+    offsets = [*range(48), *range(4096, 4140), *range(5120, 5164), *range(6144, len(data))]
     outcomes = {"model": 0, "refused": 0}
     tracemalloc.start()
     for _ in range(300):
-        out = bytearray(data)
-        for place in rng.choice(places, rng.integers(1, 4)):
-            out[place] = rng.choice([0, 1, 255, rng.integers(256)])
-        path.write_bytes(out[: None if rng.random() < 0.7 else rng.integers(len(out))] or b"\0")
+        damaged = bytearray(data)
+        for offset in rng.choice(offsets, rng.integers(1, 4)):
+            damaged[offset] = rng.choice([0, 1, 255, rng.integers(256)])
+        path.write_bytes(
+            damaged[: None if rng.random() < 0.7 else rng.integers(len(damaged))] or b"\0"
+        )
         outcomes[outcome(path)] += 1
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -152,10 +154,10 @@ def test_damaged_files_give_a_format_error_or_a_model(tmp_path, mode):
 
 
 @pytest.mark.parametrize("degree", [0, 1])
-def test_files_of_another_writer(load, tmp_path, degree):
-    """gaussforge 0.6 writes mode 0, and bands above the first in an order that is not the format's.
+def test_files_written_by_gaussforge_are_read(load, tmp_path, degree):
+    """Gaussforge 0.6 writes mode 0, with bands above the first in another order than the format's.
 
-    GaussianSplats3D and splat-transform read those as this reader does, so they are no oracle.
+    GaussianSplats3D and splat-transform read those as this reader does, so they are no reference.
     """
     gaussforge = pytest.importorskip("gaussforge")
     model = random_splats(200, degree=degree, seed=degree)

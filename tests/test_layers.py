@@ -1,4 +1,4 @@
-"""Which part of the package may import which: from the ground floor up, and never in a circle."""
+"""Which part of the package may import which: only parts below it, and never in a cycle."""
 
 import ast
 import importlib
@@ -13,8 +13,8 @@ import nanogs
 
 ROOT = Path(nanogs.__file__).parent
 
-# From the bottom up, and in a line from left to right: each may import what is before it. A folder
-# stands for all modules in it.
+# From the bottom up, and in a line from left to right: each may import those before it. A folder
+# means all modules in it.
 ORDER = """
 _version _types errors ranges formatting findings quantities defaults activations place protocol sh
 charts costs switches progress clock cleanup allocation threads slices parallel sorting morton
@@ -40,16 +40,16 @@ studio
 bench cli __main__
 """.split()
 
-# Imports that go up, each when something is called and not before; why.
-UP = {
+# Imports of parts above, each inside a function only, with the reason.
+UPWARD = {
     ("splats", "gsplat_arrays"): "`from_gsplat` and `to_gsplat` are methods; what they do is apart",
     ("splats", "summary"): "a notebook shows a model, with its picture, through `_repr_html_`",
     ("io.html", "view"): "a page in which a model moves is a format to write",
     ("io.html", "views"): "and it opens on a view that is found from the model",
 }
 
-# What a part may import of ours, where that is less than all below it.
-ALONE = {
+# The parts of nanogs that a part may import, if these are fewer than all below it.
+ALLOWED = {
     "kernels": {"_types", "errors", "slices", "parallel"},
     "card": {"_types", "errors", "kernels"},
     "raster": {
@@ -66,17 +66,18 @@ ALONE = {
     "metrics": {"_types", "errors", "kernels"},
 }
 
-# What a part may not import, although it is below: modules of ours and of others.
-NOT = {
+# Modules, of nanogs and of others, that a part may not import although they are below it.
+FORBIDDEN = {
     "method": {"nanogs.io", "nanogs.clock", "nanogs.progress", "nanogs.memory", "pathlib", "time"},
     "kernels": {"pathlib", "time"},
-    # Sinks are handed in: `levels_of_detail` puts the two together.
+    # Sinks are passed in: `levels_of_detail` connects the two.
     "lod": {"nanogs.pipeline", "nanogs.store"},
     "pipeline": {"nanogs.lod"},
-    "cli": {"numpy", "numba", "nanogs.raster", "nanogs.metrics", "nanogs.store"},  # it only asks
+    # The commands only call the library.
+    "cli": {"numpy", "numba", "nanogs.raster", "nanogs.metrics", "nanogs.store"},
 }
-# Where that does not hold yet, or need not.
-STILL = {
+# Exceptions to this, some of them for good.
+EXCEPTIONS = {
     ("method.forest", "nanogs.progress"): "passes are told of one by one",
     ("method.visibility", "nanogs.progress"): "views are told of one by one",
     ("method.paper.passes", "nanogs.progress"): "passes are told of one by one",
@@ -87,10 +88,10 @@ STILL = {
 
 
 class Import(NamedTuple):
-    """One import: by which module of ours, of what, and when it is done."""
+    """An import: the module of nanogs that does it, the module imported, and when."""
 
     module: str
-    imported: str  # the whole name, of ours or of others
+    imported: str  # the full name, of nanogs or of others
     when: str  # "first" with the module, "later" in a function, "typing" for annotations alone
 
 
@@ -133,12 +134,12 @@ def targets(node: ast.AST) -> Iterator[str]:
 
 
 def part_of(name: str) -> str:
-    """The package or module right below ours that a name of ours begins with."""
+    """Return the package or module directly below `nanogs` that a module belongs to."""
     return name.removeprefix("nanogs.").partition(".")[0]
 
 
 def between_parts() -> list[Import]:
-    """Imports of one part by another; but for those of `__init__.py`, which only names them."""
+    """Return the imports of one part by another, except those of `__init__.py`, which exports."""
     return [
         one
         for one in all_imports()
@@ -148,40 +149,40 @@ def between_parts() -> list[Import]:
     ]
 
 
-def test_every_part_has_its_place():
+def test_every_part_is_in_the_order():
     parts = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or path.is_dir()}
     assert sorted(ORDER) == sorted(parts - {"__init__", "__pycache__", "nanogs", "py"})
 
 
-def test_imports_go_down():
-    """So that there is no circle of packages, and each can be read without those above it."""
-    up = {
+def test_parts_import_only_parts_below_them():
+    """So there are no cycles of packages, and each can be read without those above it."""
+    upward = {
         (one.module, part_of(one.imported), one.when)
         for one in between_parts()
         if ORDER.index(part_of(one.module)) < ORDER.index(part_of(one.imported))
     }
-    assert {(module, part) for module, part, _ in up} == set(UP)
-    assert all(when == "later" for *_, when in up)
+    assert {(module, part) for module, part, _ in upward} == set(UPWARD)
+    assert all(when == "later" for *_, when in upward)
 
 
-@pytest.mark.parametrize("part", ALONE)
-def test_parts_that_stand_alone_import_little(part):
+@pytest.mark.parametrize("part", ALLOWED)
+def test_parts_with_a_list_of_allowed_imports_keep_to_it(part):
     used = {part_of(one.imported) for one in between_parts() if part_of(one.module) == part}
-    assert used <= ALONE[part]
+    assert used <= ALLOWED[part]
 
 
-@pytest.mark.parametrize("part", NOT)
-def test_parts_leave_to_others_what_is_theirs(part):
+@pytest.mark.parametrize("part", FORBIDDEN)
+def test_parts_do_not_import_modules_forbidden_to_them(part):
     used = {
         (one.module, forbidden)
         for one in all_imports()
-        for forbidden in NOT[part]
+        for forbidden in FORBIDDEN[part]
         if part_of(one.module) == part and f"{one.imported}.".startswith(f"{forbidden}.")
     }
-    assert used == {key for key in STILL if part_of(key[0]) == part}
+    assert used == {key for key in EXCEPTIONS if part_of(key[0]) == part}
 
 
-def test_modules_import_each_other_in_no_circle():
+def test_modules_do_not_import_each_other_in_a_cycle():
     needs: dict[str, set[str]] = {}
     for one in all_imports():
         imported = one.imported.removeprefix("nanogs.")
@@ -201,7 +202,7 @@ def test_modules_import_each_other_in_no_circle():
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=name_of)
-def test_no_module_is_hidden_by_another_thing_of_its_name(path):
+def test_no_module_is_hidden_by_something_else_of_its_name(path):
     """`nanogs.io.spz.write` is the module, whatever functions its package imports."""
     name = f"nanogs.{name_of(path)}".removesuffix(".__init__")
     if name.endswith("__main__"):

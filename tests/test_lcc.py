@@ -16,8 +16,8 @@ from strategies import assert_same
 from test_gltf import covariances
 
 
-def placed(folder, files):
-    """The description of a model whose files are written into a folder."""
+def write_files(folder, files):
+    """Write the files of a model into a folder and return the path of its .lcc file."""
     folder.mkdir(exist_ok=True)
     for name, data in files.items():
         (folder / name).write_bytes(data)
@@ -32,34 +32,34 @@ def quality(request):
 @pytest.fixture
 def usual(tmp_path, quality):
     files = lccfiles.usual(np.random.default_rng(3), quality=quality, environment=5)
-    return placed(tmp_path / "scan", files)
+    return write_files(tmp_path / "scan", files)
 
 
-def between(edges, channel, share):
+def interpolated(edges, channel, share):
     return (1 - share) * edges[0][channel] + share * edges[1][channel]
 
 
-def test_a_splat_made_by_hand(tmp_path):
+def test_a_splat_made_by_hand_is_read_in_another_frame(tmp_path):
     """In the file z is up; x, y and z become x, -z and y."""
     codes = [(2047 * (i % 2), 1023 * (i % 3 == 0), i) for i in range(15)]
     cell = (0, 0, [([lccfiles.row()], [lccfiles.harmonics(codes)])])
-    path = placed(tmp_path, lccfiles.model([cell], depth=1, quality=True))
+    path = write_files(tmp_path, lccfiles.model([cell], depth=1, quality=True))
     model = io.load(path)
     assert model.means.tolist() == [[1.5, -0.0625, -2.25]]
     assert model.opacity_logits[0] == pytest.approx(math.log(0.25))
     c0 = 0.5 / np.pi**0.5
     assert model.sh[0, 0] == pytest.approx([0.5 / c0, -0.5 / c0, (128 / 255 - 0.5) / c0])
     low, high = lccfiles.SCALES
-    scales = [low[0], high[1], between((low, high), 2, 777 / 65535)]
+    scales = [low[0], high[1], interpolated((low, high), 2, 777 / 65535)]
     assert sorted(model.scales()[0]) == pytest.approx(sorted(scales))
-    # The first coefficient is that of -y, which becomes -z, and z has the second place.
+    # The first coefficient is that of -y, which becomes -z; that of z is the second.
     shares = [code / most for code, most in zip(codes[0], (2047, 1023, 2047), strict=True)]
-    first = [between(lccfiles.SH, channel, share) for channel, share in enumerate(shares)]
+    first = [interpolated(lccfiles.SH, channel, share) for channel, share in enumerate(shares)]
     assert -model.sh[0, 2] == pytest.approx(first, abs=1e-6)
     assert model.notes == ()
 
 
-def test_levels_and_the_sky(usual, quality):
+def test_levels_and_the_environment_are_read(usual, quality):
     """The finest level is the model; the environment is part of each."""
     info = io.inspect(usual)
     assert (info.format, info.splats, info.sh_degree) == ("lcc", 34, 3 * quality)
@@ -79,7 +79,7 @@ def test_levels_and_the_sky(usual, quality):
         io.load(usual, level=2)
 
 
-def test_rows_are_those_of_the_whole(usual, monkeypatch):
+def test_rows_read_in_parts_equal_those_of_the_whole(usual, monkeypatch):
     whole = io.load(usual)
     monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 3)
     with io.open(usual) as source:
@@ -91,7 +91,7 @@ def test_rows_are_those_of_the_whole(usual, monkeypatch):
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_splat_transform_reads_the_same(usual, tmp_path, level):
-    """But for the environment, which it leaves out of a .ply."""
+    """Except for the environment, which it leaves out of a .ply."""
     out = tmp_path / "out.ply"
     splat_transform("-L", level, usual, out)
     theirs, ours = io.load(out), io.load(usual, level=level)
@@ -104,10 +104,10 @@ def test_splat_transform_reads_the_same(usual, tmp_path, level):
     assert np.allclose(covariances(ours), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
 
 
-def test_commands_read_it(usual, tmp_path):
-    told = run("info", usual.parent)
-    assert told.returncode == 0, told.stderr
-    assert "0: 34, 1: 16 splats" in told.stdout
+def test_commands_read_lcc(usual, tmp_path):
+    shown = run("info", usual.parent)
+    assert shown.returncode == 0, shown.stderr
+    assert "0: 34, 1: 16 splats" in shown.stdout
     done = run("convert", usual, tmp_path / "a.ply", "--level", "1")
     assert done.returncode == 0, done.stderr
     assert len(io.load(tmp_path / "a.ply")) == 16
@@ -121,38 +121,38 @@ def test_commands_read_it(usual, tmp_path):
 
 def test_normals_are_left_out_with_a_note(tmp_path):
     rows = [lccfiles.row(), lccfiles.row(normal=(1, 0, 0)), lccfiles.row()]
-    path = placed(tmp_path, lccfiles.model([(0, 0, [(rows, [])])], depth=1))
+    path = write_files(tmp_path, lccfiles.model([(0, 0, [(rows, [])])], depth=1))
     assert io.load(path).notes == (
         "The normals of 1 splat were left out, because their encoding is not known.",
     )
 
 
-def test_alphas_and_scales_at_their_ends_are_infinite(tmp_path):
+def test_extreme_alphas_and_zero_scales_become_infinite(tmp_path):
     rows = [lccfiles.row(rgba=(0, 0, 0, alpha), scale=(0, 0, 0)) for alpha in (0, 255)]
     attributes = [{"name": "scale", "min": [0, 0, 0], "max": [1, 1, 1]}]
     files = lccfiles.model([(0, 0, [(rows, [])])], depth=1, changes={"attributes": attributes})
-    model = io.load(placed(tmp_path, files))
+    model = io.load(write_files(tmp_path, files))
     assert model.opacity_logits.tolist() == [-math.inf, math.inf]
     assert np.isneginf(model.log_scales).all()
 
 
-def test_older_files_have_harmonics_where_their_range_is(tmp_path):
+def test_older_files_have_harmonics_if_they_state_their_range(tmp_path):
     rng = np.random.default_rng(1)
     rows, sh = lccfiles.many(rng, 4)
     files = lccfiles.model(
         [(0, 0, [(rows, sh)])], depth=1, quality=True, changes={"fileType": None}
     )
-    assert io.load(placed(tmp_path, files)).sh_degree == 3
+    assert io.load(write_files(tmp_path, files)).sh_degree == 3
 
 
 def changed(name, data):
-    """The files with one of them replaced, or without it."""
+    """Return the usual files with one of them replaced or removed."""
     files = lccfiles.usual(np.random.default_rng(3), quality=True, environment=5)
     files = {key: value for key, value in files.items() if key != name or data is not None}
     return files | ({name: data(files[name])} if data else {})
 
 
-def described(**changes):
+def with_description(**changes):
     def data(text):
         found = json.loads(text) | changes
         return json.dumps({key: value for key, value in found.items() if value is not None})
@@ -170,19 +170,22 @@ def attributes(name, **changes):
     return changed("scene.lcc", data)
 
 
-def at(place, value):
-    return lambda data: data[:place] + value + data[place + len(value) :]
+def replaced_at(offset, value):
+    return lambda data: data[:offset] + value + data[offset + len(value) :]
 
 
 REFUSED = {
     "no json": (lambda: changed("scene.lcc", lambda _: b"{"), "is no JSON"),
-    "levels": (lambda: described(totalLevel=65), "totalLevel must be an integer from 1 to 64"),
-    "counts": (lambda: described(splats=[29]), "splats must be a list of 2"),
-    "count": (lambda: described(splats=[28, 11]), "the .lcc says 28"),
-    "below 0": (lambda: described(splats=[-1, 11]), "must be an integer from 0 on"),
-    "kind": (lambda: described(fileType="Best"), 'must be "Portable" or "Quality"'),
-    "no attributes": (lambda: described(attributes=None), "attributes must be a list"),
-    "no scale": (lambda: described(attributes=[]), "attributes, scale is missing"),
+    "levels": (
+        lambda: with_description(totalLevel=65),
+        "totalLevel must be an integer from 1 to 64",
+    ),
+    "counts": (lambda: with_description(splats=[29]), "splats must be a list of 2"),
+    "count": (lambda: with_description(splats=[28, 11]), "the .lcc says 28"),
+    "below 0": (lambda: with_description(splats=[-1, 11]), "must be an integer from 0 on"),
+    "kind": (lambda: with_description(fileType="Best"), 'must be "Portable" or "Quality"'),
+    "no attributes": (lambda: with_description(attributes=None), "attributes must be a list"),
+    "no scale": (lambda: with_description(attributes=[]), "attributes, scale is missing"),
     "scale": (lambda: attributes("scale", min=[0, -1, 0]), "scales below 0"),
     "range": (lambda: attributes("shcoef", max=[1, 2]), "max must be a list of 3"),
     "no index": (lambda: changed("index.bin", None), "index.bin: no such file"),
@@ -195,15 +198,15 @@ REFUSED = {
     "short data": (lambda: changed("data.bin", lambda data: data[:-1]), "do not fit into data.bin"),
     "short harmonics": (lambda: changed("shcoef.bin", lambda data: data[:-2]), "do not fit"),
     "offset": (
-        lambda: changed("index.bin", at(8, b"\xff" * 8)),
+        lambda: changed("index.bin", replaced_at(8, b"\xff" * 8)),
         "offsets that are negative or too large",
     ),
     "far": (
-        lambda: changed("index.bin", at(8, b"\xff" * 7 + b"\x7f")),
+        lambda: changed("index.bin", replaced_at(8, b"\xff" * 7 + b"\x7f")),
         "offsets that are negative or too large",
     ),
     "negative": (
-        lambda: changed("index.bin", at(4, b"\xff" * 4)),
+        lambda: changed("index.bin", replaced_at(4, b"\xff" * 4)),
         "counts or offsets that are negative",
     ),
     "sky": (lambda: changed("environment.bin", lambda data: data[:-1]), "no whole number of"),
@@ -215,19 +218,19 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_read_is_refused(tmp_path, name):
+def test_damaged_files_are_refused(tmp_path, name):
     make, words = REFUSED[name]
     with pytest.raises(FormatError, match=words) as caught:
-        io.load(placed(tmp_path, make()))
+        io.load(write_files(tmp_path, make()))
     assert "; " in str(caught.value)
 
 
 def test_cells_cannot_share_their_splats(tmp_path):
-    """Or a file of a few would be a model of any size."""
+    """Otherwise a small file could describe a model of any size."""
     rows = [lccfiles.row()] * 10
     files = lccfiles.model([(0, 0, [(rows, [])])], depth=1)
     files["index.bin"] *= 50
     text = json.loads(files["scene.lcc"]) | {"splats": [500]}
     files["scene.lcc"] = json.dumps(text).encode()
     with pytest.raises(FormatError, match="do not fit"):
-        io.load(placed(tmp_path, files))
+        io.load(write_files(tmp_path, files))

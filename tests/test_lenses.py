@@ -1,4 +1,4 @@
-"""Cameras with lenses: poses as they are, and photographs straightened."""
+"""Cameras with lens distortion: as viewpoints, and with photographs that are undistorted."""
 
 import json
 from functools import cache
@@ -19,8 +19,8 @@ SIZE = (160, 120)
 WHITE = (1.0, 1.0, 1.0)
 
 
-def by_hand(model, params, x, y):
-    """Where a lens moves points, as COLMAP's models.h has it."""
+def distorted_points(model, params, x, y):
+    """Distort points by the formulas of COLMAP's models.h."""
     r2 = x * x + y * y
     if model == "SIMPLE_RADIAL":
         return x * (1 + params[0] * r2), y * (1 + params[0] * r2)
@@ -43,11 +43,11 @@ def by_hand(model, params, x, y):
         )
     r = np.maximum(np.sqrt(r2), 1e-300)
     theta = np.arctan(r)
-    bent = theta * (1 + sum(k * theta ** (2 * n + 2) for n, k in enumerate(params)))
-    return x * bent / r, y * bent / r
+    distorted = theta * (1 + sum(k * theta ** (2 * n + 2) for n, k in enumerate(params)))
+    return x * distorted / r, y * distorted / r
 
 
-# Focal lengths, principal point, and what the lens does.
+# Focal lengths, principal point, and distortion parameters.
 LENSES = {
     "SIMPLE_RADIAL": (120.0, 80.0, 60.0, -0.2),
     "RADIAL": (120.0, 81.0, 59.0, 0.15, 0.05),
@@ -62,7 +62,7 @@ NUMBERS = {"SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5, "F
 
 
 def split_params(model):
-    """(fx, fy, cx, cy) and the lens's own."""
+    """Return (fx, fy, cx, cy) and the distortion parameters."""
     params = LENSES[model]
     if model in ("OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"):
         return params[:4], params[4:]
@@ -76,14 +76,14 @@ def pattern(x, y):
 
 
 @cache
-def taken(model):
-    """The pattern as a camera with that lens sees it: each pixel's ray is found by iteration."""
+def distorted_photo(model):
+    """Return the pattern as seen through that lens; the ray of each pixel is found by iteration."""
     (fx, fy, cx, cy), lens = split_params(model)
     u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
     wanted = np.stack([(u - cx) / fx, (v - cy) / fy], axis=-1)
     ray = wanted.copy()
     for _ in range(30):
-        ray += wanted - np.stack(by_hand(model, lens, ray[..., 0], ray[..., 1]), axis=-1)
+        ray += wanted - np.stack(distorted_points(model, lens, ray[..., 0], ray[..., 1]), axis=-1)
     return pattern(ray[..., 0], ray[..., 1])
 
 
@@ -95,13 +95,13 @@ def capture(request, tmp_path):
     images = [colmap_image(n + 1, f"{n}.png") for n in range(2)]
     write_model(tmp_path / "sparse" / "0", [camera], images)
     (tmp_path / "images").mkdir()
-    photo = Image.fromarray(np.rint(taken(model) * 255).astype(np.uint8))
+    photo = Image.fromarray(np.rint(distorted_photo(model) * 255).astype(np.uint8))
     for n in range(2):
         photo.save(tmp_path / "images" / f"{n}.png")
     return tmp_path, model
 
 
-def test_photographs_are_straightened(capture):
+def test_photographs_are_undistorted(capture):
     folder, model = capture
     data = open_dataset(folder)
     (frame,) = data.split("test")
@@ -114,28 +114,30 @@ def test_photographs_are_straightened(capture):
     seen = pattern((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
     error = np.abs(data.load_photo(frame, WHITE) - seen)
     assert error.max() < 0.02
-    assert error.mean() < 0.004  # bytes, and the middle between pixels
+    assert error.mean() < 0.004  # rounding to bytes, and interpolation between pixels
 
 
-def test_a_straight_photograph_is_no_wider_than_the_one_taken(capture):
-    """No pixel of it is made up: the corners come from inside."""
+def test_an_undistorted_photograph_stays_within_the_original(capture):
+    """No pixel is made up: corners and edges come from inside the original."""
     folder, model = capture
     (frame,) = open_dataset(folder).split("test")
     camera, ((fx, fy, cx, cy), lens) = frame.camera, split_params(model)
     for u, v in [(0.5, 0.5), (159.5, 0.5), (0.5, 119.5), (159.5, 119.5), (80, 0.5), (0.5, 60)]:
-        x, y = by_hand(model, lens, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+        x, y = distorted_points(
+            model, lens, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+        )
         assert 0 <= x * fx + cx <= SIZE[0]
         assert 0 <= y * fy + cy <= SIZE[1]
 
 
-def test_the_same_cameras_as_viewpoints_are_what_they_are(capture):
+def test_cameras_as_viewpoints_keep_intrinsics_and_lens(capture):
     folder, model = capture
     cameras = cameras_from_file(folder)
     (fx, fy, cx, cy), params = split_params(model)
     assert (cameras[0].fx, cameras[0].fy, cameras[0].cx, cameras[0].cy) == (fx, fy, cx, cy)
     assert cameras[0].lens.name == model
     x, y = cameras[0].lens.distorted(np.array([0.3, 0.0]), np.array([-0.2, 0.0]))
-    assert (x[0], y[0]) == pytest.approx(by_hand(model, params, 0.3, -0.2))
+    assert (x[0], y[0]) == pytest.approx(distorted_points(model, params, 0.3, -0.2))
     assert (x[1], y[1]) == (0, 0)
     assert lens_notes(cameras) == [
         "The lens distortion of 2 cameras is ignored: views are rendered with pinhole cameras."
@@ -149,10 +151,12 @@ STATED = {
 
 
 @pytest.mark.parametrize("model", STATED)
-def test_transforms_files_say_the_same(tmp_path, model):
+def test_lenses_in_transforms_files_are_the_same(tmp_path, model):
     (fx, fy, cx, cy), lens = split_params(model)
     stated = {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": SIZE[0], "h": SIZE[1]}
-    Image.fromarray(np.rint(taken(model) * 255).astype(np.uint8)).save(tmp_path / "r_0.png")
+    Image.fromarray(np.rint(distorted_photo(model) * 255).astype(np.uint8)).save(
+        tmp_path / "r_0.png"
+    )
     frames = [{"file_path": "r_0", "transform_matrix": np.eye(4).tolist()}]
     write_json(tmp_path / "transforms_test.json", transforms(frames, **stated, **STATED[model]))
     data = open_dataset(tmp_path)
@@ -162,7 +166,7 @@ def test_transforms_files_say_the_same(tmp_path, model):
     assert np.abs(data.load_photo(frame, WHITE) - seen).max() < 0.02
     (camera,) = cameras_from_file(tmp_path / "transforms_test.json")
     x, y = camera.lens.distorted(np.array([0.3]), np.array([-0.2]))
-    assert (x[0], y[0]) == pytest.approx(by_hand(model, lens, 0.3, -0.2))
+    assert (x[0], y[0]) == pytest.approx(distorted_points(model, lens, 0.3, -0.2))
 
 
 @pytest.mark.parametrize(
@@ -172,7 +176,7 @@ def test_transforms_files_say_the_same(tmp_path, model):
         ({"k1": -3.0}, "too strong to be removed from the photograph"),
     ],
 )
-def test_lenses_that_cannot_be_taken_out_are_refused_for_photographs(tmp_path, stated, words):
+def test_lenses_that_cannot_be_removed_are_refused_for_photographs(tmp_path, stated, words):
     Image.new("RGB", SIZE).save(tmp_path / "r_0.png")
     frames = [{"file_path": "r_0", "transform_matrix": np.eye(4).tolist()}]
     file = tmp_path / "transforms_test.json"
@@ -183,13 +187,13 @@ def test_lenses_that_cannot_be_taken_out_are_refused_for_photographs(tmp_path, s
     assert len(cameras_from_file(file)) == 1
 
 
-def test_a_lens_that_turns_back_is_told():
+def test_lenses_whose_distortion_turns_back_are_detected():
     assert Lens("a", above=(-0.3,)).turns_back(1.2)
     assert not Lens("a", above=(-0.3,)).turns_back(1.0)
     assert not Lens("a", fisheye=True).turns_back(50.0)
 
 
-def test_the_command_says_that_distortion_is_left_out(tmp_path):
+def test_the_command_notes_that_distortion_is_ignored(tmp_path):
     io.save(random_splats(30), tmp_path / "a.ply")
     frames = [{"file_path": "v.png", "transform_matrix": np.eye(4).tolist()}]
     pose = {"fl_x": 60, "w": 64, "h": 48, "k1": -0.1, "camera_model": "OPENCV"}

@@ -43,7 +43,7 @@ def names(folder):
 
 
 @pytest.mark.parametrize("preset", ["default", "fast", "paper"])
-def test_every_level_is_what_simplify_gives(splats, preset, small_views):
+def test_every_level_equals_the_result_of_simplify(splats, preset, small_views):
     made = list(nanogs.levels(splats, RATIOS, preset=preset))
     assert [report.asked_ratio for _, report in made] == list(RATIOS)
     for ratio, (small, report) in zip(RATIOS, made, strict=True):
@@ -54,7 +54,7 @@ def test_every_level_is_what_simplify_gives(splats, preset, small_views):
 
 
 @pytest.mark.parametrize("preset", ["default", "fast"])
-def test_levels_are_fitted_for_the_harmonics_they_keep(splats, preset, small_views):
+def test_levels_are_fitted_at_the_sh_degree_they_keep(splats, preset, small_views):
     made = list(nanogs.levels(splats, RATIOS, preset=preset, sh_degree=0))
     for ratio, (small, _) in zip(RATIOS, made, strict=True):
         alone, _ = nanogs.simplify(splats, ratio=ratio, preset=preset, sh_degree=0)
@@ -65,10 +65,10 @@ def test_levels_are_fitted_for_the_harmonics_they_keep(splats, preset, small_vie
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_levels_in_a_format_without_harmonics_are_fitted_for_it(
+def test_levels_in_a_format_without_harmonics_are_fitted_at_degree_0(
     splats, scene, tmp_path, held, small_views
 ):
-    """As `simplify` does; what is left out is said once."""
+    """The files equal those of `simplify` at degree 0; the lost harmonics are noted once."""
     manifest, _ = write_levels(splats if held else scene, tmp_path / "l", RATIOS, suffix=".splat")
     assert sum("harmonics" in note for note in manifest.notes) == 1
     for level, ratio in zip(manifest.levels, RATIOS, strict=True):
@@ -77,7 +77,7 @@ def test_levels_in_a_format_without_harmonics_are_fitted_for_it(
         assert (tmp_path / "l" / level.file).read_bytes() == (tmp_path / "one.splat").read_bytes()
 
 
-def test_one_build_serves_all_levels(splats, monkeypatch):
+def test_one_forest_serves_all_levels(splats, monkeypatch):
     from nanogs.pipeline import one_block as pipeline_run
 
     built = []
@@ -87,8 +87,8 @@ def test_one_build_serves_all_levels(splats, monkeypatch):
     assert built == [1]
 
 
-def test_one_level_is_kept_at_a_time(splats):
-    """The iterator holds nothing of a level once the next is asked for."""
+def test_only_one_level_is_in_memory_at_a_time(splats):
+    """The iterator keeps no array of a level once the next level is requested."""
     made = nanogs.levels(splats, RATIOS, preset="fast")
     small, _ = next(made)
     array = weakref.ref(small.sh)
@@ -97,7 +97,7 @@ def test_one_level_is_kept_at_a_time(splats):
     assert array() is None
 
 
-def test_threads_are_the_callers_between_levels(splats):
+def test_the_number_of_threads_is_restored_between_levels(splats):
     import numba
 
     before = numba.get_num_threads()
@@ -120,7 +120,7 @@ def test_bad_ratios_are_refused_at_once(splats, ratios, word):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["default", "fast", "paper"])
-def test_every_file_is_what_the_command_simplify_writes(scene, tmp_path, preset):
+def test_every_file_equals_that_of_the_command_simplify(scene, tmp_path, preset):
     folder = tmp_path / "levels"
     options = ["--preset", preset, "-q", *(FEW if preset == "default" else [])]
     result = run("lod", scene, folder, "--levels", "0.5,0.1,0.02", *options)
@@ -162,17 +162,17 @@ def test_the_manifest_describes_the_files(scene, tmp_path):
         ({"layout": "files", "chunk": 5}, "not divided"),
     ],
 )
-def test_what_is_no_layout_is_refused_before_the_work(tmp_path, given, words):
+def test_unknown_layouts_and_formats_are_refused_before_any_work(tmp_path, given, words):
     with pytest.raises(OptionError, match=words):
         write_levels(tmp_path / "missing.ply", tmp_path / "l", [0.1], **given)
 
 
-def test_nothing_is_measured_where_nothing_is_rendered(splats, tmp_path):
+def test_presets_without_rendering_measure_nothing(splats, tmp_path):
     manifest, _ = write_levels(splats, tmp_path / "l", [0.1], source="a.ply", preset="fast")
     assert manifest.levels[0].psnr is manifest.levels[0].ssim is manifest.protocol is None
 
 
-def test_a_level_that_is_equal_has_an_infinite_psnr_as_in_compare(scene, tmp_path):
+def test_a_level_equal_to_the_model_is_shown_with_infinite_psnr(scene, tmp_path):
     out = tmp_path / "levels"
     done = run("lod", scene, out, "--levels", "1,0.5", "--preset", "fast", "--measure")
     assert done.returncode == 0, done.stderr
@@ -195,7 +195,7 @@ def test_a_level_that_is_equal_has_an_infinite_psnr_as_in_compare(scene, tmp_pat
     ],
 )
 def test_the_same_input_gives_the_same_bytes(scene, tmp_path, out, fitted):
-    """Of every file, whatever the threads and the moment; models are the same in any layout."""
+    """Of every file, for any number of threads; the models are the same in any layout."""
     made = []
     for number in (1, 2):
         (tmp_path / str(number)).mkdir()
@@ -210,13 +210,13 @@ def test_the_same_input_gives_the_same_bytes(scene, tmp_path, out, fitted):
     assert made[0] == made[1]
 
 
-def test_a_level_equal_to_the_model_lacks_nothing(splats, tmp_path):
+def test_an_infinite_psnr_is_null_in_the_manifest(splats, tmp_path):
     manifest, _ = write_levels(splats, tmp_path / "l", [1.0], source="a.ply", measured=True)
     assert (manifest.levels[0].psnr, manifest.levels[0].ssim) == (None, pytest.approx(1))
     assert json.loads((tmp_path / "l" / "levels.json").read_text())["levels"][0]["psnr"] is None
 
 
-def test_memory_that_is_enough_changes_nothing(scene, tmp_path):
+def test_a_memory_limit_that_suffices_changes_no_bytes(scene, tmp_path):
     given = ["--preset", "fast", "--levels", "0.5", "-q"]
     for folder, more in (("a", []), ("b", ["--max-memory", "4GB"])):
         result = run("lod", scene, tmp_path / folder, *given, *more)
@@ -236,7 +236,7 @@ def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_older_folder_is_replaced_with_its_flag_only(splats, tmp_path):
+def test_an_older_folder_is_replaced_only_with_overwrite(splats, tmp_path):
     folder = tmp_path / "levels"
     write_levels(splats, folder, RATIOS, source="a.ply", preset="fast")
     with pytest.raises(OutputError, match="overwrite=True"):
@@ -262,7 +262,7 @@ def test_a_link_to_a_folder_stays_a_link(splats, tmp_path):
     assert names(tmp_path / "real") == ["level_0.ply", "levels.json"]
 
 
-def test_what_others_made_is_never_deleted(splats, tmp_path):
+def test_folders_that_nanogs_did_not_make_are_never_deleted(splats, tmp_path):
     folder = tmp_path / "levels"
     folder.mkdir()
     (folder / "mine.txt").write_text("mine")
@@ -275,7 +275,7 @@ def test_what_others_made_is_never_deleted(splats, tmp_path):
     assert names(tmp_path) == ["levels"]
 
 
-def test_a_file_beside_older_levels_is_never_deleted(splats, tmp_path):
+def test_foreign_files_beside_older_levels_are_never_deleted(splats, tmp_path):
     folder = tmp_path / "levels"
     write_levels(splats, folder, [0.1], source="a.ply", preset="fast")
     (folder / "mine.txt").write_text("mine")
@@ -284,7 +284,7 @@ def test_a_file_beside_older_levels_is_never_deleted(splats, tmp_path):
     assert names(folder) == ["level_0.ply", "levels.json", "mine.txt"]
 
 
-def test_the_list_of_levels_is_called_by_its_name(splats, tmp_path):
+def test_info_explains_that_the_list_of_levels_is_no_model(splats, tmp_path):
     write_levels(splats, tmp_path / "l", [0.5], preset="fast", suffix=".spz")
     result = run("info", tmp_path / "l" / "levels.json")
     assert_refused(result, "is the list of levels that `nanogs lod` wrote", "level_0.spz")
@@ -292,7 +292,7 @@ def test_the_list_of_levels_is_called_by_its_name(splats, tmp_path):
     assert_refused(run("info", tmp_path / "levels.json"), "unknown suffix")
 
 
-def test_a_changed_manifest_leads_to_no_file_elsewhere(tmp_path):
+def test_a_changed_manifest_cannot_name_files_elsewhere(tmp_path):
     entries = [{"file": name} for name in ("../mine.txt", "/etc/passwd", "a.ply")] + [{}, 3]
     manifest = {"format": "nanogs-levels", "levels": [*entries, {"file": 3}]}
     (tmp_path / "levels.json").write_text(json.dumps(manifest))
@@ -303,20 +303,20 @@ def test_a_changed_manifest_leads_to_no_file_elsewhere(tmp_path):
 
 
 @pytest.mark.parametrize("levels", [{}, {"levels": None}, {"levels": 3}, {"levels": ["a", None]}])
-def test_a_changed_manifest_names_no_levels(tmp_path, levels):
+def test_info_ignores_the_levels_of_a_damaged_manifest(tmp_path, levels):
     io.save(random_splats(9), tmp_path / "a.ply")
     (tmp_path / "levels.json").write_text(json.dumps({"format": "nanogs-levels"} | levels))
     assert nanogs.info(tmp_path).levels == ()
 
 
 @pytest.mark.parametrize("name", ["levels.json", "meta.json"])
-def test_descriptions_nested_without_end_are_not_ours(tmp_path, name):
+def test_deeply_nested_json_is_not_taken_for_a_manifest(tmp_path, name):
     (tmp_path / name).write_text("[" * 100_000)
     owner = made_files if name == "levels.json" else sog_write.ours
     assert owner(tmp_path) is None
 
 
-def test_a_failure_half_way_leaves_what_was(splats, tmp_path, monkeypatch):
+def test_an_interrupted_call_leaves_the_old_folder_unchanged(splats, tmp_path, monkeypatch):
     folder = tmp_path / "levels"
     write_levels(splats, folder, RATIOS, source="a.ply", preset="fast")
     before = (folder / "level_0.ply").read_bytes()
@@ -335,7 +335,7 @@ def test_a_failure_half_way_leaves_what_was(splats, tmp_path, monkeypatch):
     assert names(tmp_path) == ["levels"]
 
 
-def test_a_folder_that_appears_meanwhile_is_kept(tmp_path):
+def test_a_folder_that_appears_during_the_work_is_kept(tmp_path):
     def make():
         with atomic_folder(tmp_path / "levels", made_files) as temporary:
             (temporary / "level_0.ply").write_text("new")
@@ -365,7 +365,7 @@ def test_a_folder_that_appears_meanwhile_is_kept(tmp_path):
         (["--preset", "best", "--up", "1,2"], ["1,2"]),
     ],
 )
-def test_bad_option(scene, tmp_path, options, words):
+def test_bad_options_are_refused(scene, tmp_path, options, words):
     assert_refused(run("lod", scene, tmp_path / "levels", *options), *words)
     assert list(tmp_path.iterdir()) == []
 
@@ -380,20 +380,20 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_work(scene, tmp_path
     assert names(tmp_path / "full") == ["mine.txt"]
 
 
-def test_a_level_that_stops_early_is_said(capsys):
+def test_levels_that_stop_early_are_named_on_stderr(capsys):
     levels = [SimpleNamespace(file=f"level_{n}.ply", stop=StopReason.TARGET) for n in range(2)]
     exit_if_short(SimpleNamespace(levels=levels))
     levels[1].stop = StopReason.NO_CANDIDATES
     with pytest.raises(typer.Exit) as stopped:
         exit_if_short(SimpleNamespace(levels=levels))
     assert stopped.value.exit_code == 3
-    said = capsys.readouterr().err
-    assert "level_1.ply" in said
-    assert "level_0.ply" not in said
+    errors = capsys.readouterr().err
+    assert "level_1.ply" in errors
+    assert "level_0.ply" not in errors
 
 
 def test_full_disk_leaves_no_folder(scene, tmp_path):
-    """A limit on the size of files stands in for a full disk: the write fails half-way."""
+    """A limit on the size of files simulates a full disk: the write fails halfway."""
     resource = pytest.importorskip("resource")
 
     def limit():
@@ -411,7 +411,7 @@ def test_full_disk_leaves_no_folder(scene, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ratios_of_one_splat():
+def test_every_level_has_at_least_one_splat():
     """Every level has at least one splat, however small the ratio."""
     made = nanogs.levels(random_splats(3), [0.5, 0.1, 0.001], preset="fast")
     assert [len(small) for small, _ in made] == [2, 1, 1]

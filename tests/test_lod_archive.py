@@ -33,9 +33,9 @@ def test_an_archive_holds_the_files_of_the_folder(made):
         assert all(entry.compress_type == zipfile.ZIP_STORED for entry in archive.infolist())
         files = {name: archive.read(name) for name in names}
     web = made / "web"
-    beside = {path.relative_to(web).as_posix(): path for path in web.rglob("*") if path.is_file()}
-    assert files == {name: path.read_bytes() for name, path in beside.items()}
-    # What a first picture needs comes first: the description, then the coarsest level.
+    paths = {path.relative_to(web).as_posix(): path for path in web.rglob("*") if path.is_file()}
+    assert files == {name: path.read_bytes() for name, path in paths.items()}
+    # The files that a first picture needs come first: lod-meta.json, then the coarsest level.
     levels = [int(name.split("_")[0]) for name in names[1:]]
     assert names[0] == LEVELS
     assert levels == sorted(levels, reverse=True)
@@ -44,7 +44,7 @@ def test_an_archive_holds_the_files_of_the_folder(made):
 
 
 @pytest.mark.parametrize("level", [0, 3])
-def test_a_level_is_read_as_from_the_folder(made, level):
+def test_a_level_is_the_same_as_from_the_folder(made, level):
     folder = io.open(made / "web" / LEVELS, level=level)
     archive = io.open(made / "a.ssog", level=level)
     assert archive.levels == folder.levels == (3000, 1500, 750, 375)
@@ -78,7 +78,7 @@ def test_blocks_give_the_same_bytes_for_any_number_of_threads(made, tmp_path):
     assert io.open(tmp_path / "1.ssog").levels == (3000, 1500, 750, 375)
 
 
-def test_nothing_is_replaced_unasked(made, tmp_path):
+def test_an_existing_file_is_replaced_only_with_w(made, tmp_path):
     (tmp_path / "a.ssog").write_bytes(b"mine")
     refused = run("lod", made / "a.ply", tmp_path / "a.ssog", *FAST)
     assert (refused.returncode, "exists already" in refused.stderr) == (2, True)
@@ -89,8 +89,8 @@ def test_nothing_is_replaced_unasked(made, tmp_path):
         nanogs.save(random_splats(3), tmp_path / "b.ssog")
 
 
-def changed(source, target, change):
-    """A copy of an archive with other files in it."""
+def write_changed(source, target, change):
+    """Write a copy of an archive after `change` has edited its files."""
     with zipfile.ZipFile(source) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     change(files)
@@ -117,6 +117,6 @@ def changed(source, target, change):
     ids=["no description", "no model", "no JSON", "outside", "no folder"],
 )
 def test_a_damaged_archive_is_refused_in_a_sentence(made, tmp_path, change, words):
-    changed(made / "a.ssog", tmp_path / "b.ssog", change)
+    write_changed(made / "a.ssog", tmp_path / "b.ssog", change)
     with pytest.raises(FormatError, match=words):
         io.open(tmp_path / "b.ssog").load()

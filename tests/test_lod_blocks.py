@@ -1,4 +1,4 @@
-"""Levels in chunks of models that do not fit into memory: 3D Tiles and streamed SOG by blocks."""
+"""Levels of detail that are made in blocks, for models that do not fit into memory."""
 
 import hashlib
 import itertools
@@ -61,19 +61,19 @@ def write(scene, folder, layout, *, ratios=RATIOS, progress=None, **options):
 
 @pytest.fixture(scope="module")
 def made(scene, tmp_path_factory):
-    """The folder of each layout, and what is said of it."""
+    """For each layout: its folder, its manifest and the reports of its levels."""
     folder = tmp_path_factory.mktemp("made")
     return {
         layout: (folder / layout.name, *write(scene, folder / layout.name, layout))
         for layout in Layout
-        # Those of one file have tests of their own: test_rad_lod.py, test_lod_archive.py.
+        # Layouts of a single file are tested in test_rad_lod.py and test_lod_archive.py.
         if layout not in (Layout.TREE, Layout.ARCHIVE)
     }
 
 
 @pytest.fixture(scope="module")
 def plain(made):
-    """The levels as plain files hold them."""
+    """The levels of the layout of plain files, finest first."""
     return [nanogs.load(made[Layout.FILES][0] / f"level_{n}.ply") for n in range(len(RATIOS))]
 
 
@@ -82,7 +82,7 @@ def in_order(splats):
 
 
 def tile_parts(path):
-    """The contents of each level."""
+    """Load the contents of all tiles, listed by level."""
     parts = {}
     for tile, _ in tiles(path):
         if "content" in tile:
@@ -92,10 +92,10 @@ def tile_parts(path):
     return parts
 
 
-# What is made
+# Contents of the levels
 
 
-def test_counts_are_as_asked_in_every_layout(made):
+def test_every_layout_has_the_requested_counts(made):
     for layout, (folder, manifest, reports) in made.items():
         assert [level.count for level in manifest.levels] == [600, 120, 24]
         assert [report.achieved_count for report in reports] == [600, 120, 24]
@@ -109,8 +109,8 @@ def test_counts_are_as_asked_in_every_layout(made):
             assert sum(level.bytes for level in manifest.levels) == sum(sizes)
 
 
-def test_all_tiles_of_a_level_are_the_level(made, plain):
-    """Bit for bit the splats of the plain level, none twice and none missing."""
+def test_the_tiles_of_a_level_together_equal_the_plain_level(made, plain):
+    """The same splats bit for bit, none twice and none missing."""
     parts = tile_parts(made[Layout.TILES][0] / "tileset.json")
     for level, expected in enumerate(map(in_order, plain)):
         assert all(1 <= len(part) <= CHUNK for part in parts[level])
@@ -119,38 +119,38 @@ def test_all_tiles_of_a_level_are_the_level(made, plain):
         assert np.array_equal(whole.sh, expected.sh)
 
 
-def test_all_models_of_a_streamed_level_are_the_level(made, plain):
+def test_a_streamed_level_equals_the_plain_level_up_to_quantisation(made, plain):
     path = made[Layout.SOG][0] / "lod-meta.json"
     assert json.loads(path.read_text())["counts"] == [600, 120, 24]
     for level, expected in enumerate(plain):
         back = nanogs.load(path, level=level)
         assert len(back) == len(expected)
-        fine = 0.03 * float(np.median(expected.scales()))  # centres are as fine as splats are small
-        for axis in range(3):  # quantised, and so in another order by coordinates
+        fine = 0.03 * float(np.median(expected.scales()))  # positions are quantised finer than this
+        for axis in range(3):  # quantisation changes the order of the splats
             found, wanted = np.sort(back.means[:, axis]), np.sort(expected.means[:, axis])
             assert np.abs(found - wanted).max() < fine
 
 
-def test_blocks_of_which_little_is_left_share_files(made, scene, tmp_path):
-    """No file has fewer splats than a chunk may have, but where the whole level has."""
+def test_blocks_with_few_remaining_splats_share_files(made, scene, tmp_path):
+    """No file has fewer splats than the minimum of a chunk, unless its whole level has fewer."""
     path = made[Layout.SOG][0] / "lod-meta.json"
-    for level, counts in held_by_files(path).items():
+    for level, counts in counts_by_file(path).items():
         assert min(counts) >= min(CHUNK // 4, sum(counts)), level
         assert max(counts) <= 4 * CHUNK
     write(scene, tmp_path / "fewer", Layout.SOG, chunk_min=30)
-    found = held_by_files(tmp_path / "fewer" / "lod-meta.json")
+    found = counts_by_file(tmp_path / "fewer" / "lod-meta.json")
     assert [sum(counts) for counts in found.values()] == [600, 120, 24]
     assert min(found[0]) >= min(found[1]) >= 30
     assert found[2] == [24]
 
 
-def held_by_files(path):
-    """Splats of each file of each level, and that the tree names all of them once."""
+def counts_by_file(path):
+    """Return the splat counts of the files by level; the tree must cover each row exactly once."""
     meta, spans = json.loads(path.read_text()), {}
     for leaf in leaves(meta["tree"]):
-        for level, place in leaf["lods"].items():
-            key = int(level), place["file"]
-            spans.setdefault(key, []).append((place["offset"], place["count"]))
+        for level, entry in leaf["lods"].items():
+            key = int(level), entry["file"]
+            spans.setdefault(key, []).append((entry["offset"], entry["count"]))
     found = {}
     for (level, file), own in sorted(spans.items()):
         ends = list(itertools.accumulate(count for _, count in sorted(own)))
@@ -161,7 +161,7 @@ def held_by_files(path):
 
 
 @given(counts=st.lists(st.integers(0, 20), min_size=1, max_size=40), fewest=st.integers(0, 30))
-def test_blocks_are_put_together_until_there_are_enough(counts, fewest):
+def test_blocks_are_grouped_until_each_group_has_enough_splats(counts, fewest):
     groups = group_blocks(counts, fewest)
     assert [number for group in groups for number in group] == list(range(len(counts)))
     if fewest == 0:
@@ -172,7 +172,7 @@ def test_blocks_are_put_together_until_there_are_enough(counts, fewest):
         assert len(groups) == 1 or sum(held) <= 2 * fewest + max(held)
 
 
-def test_plain_levels_are_files_of_any_format(scene, tmp_path, plain):
+def test_plain_levels_can_be_written_in_any_format(scene, tmp_path, plain):
     manifest, _ = write(scene, tmp_path / "levels", Layout.FILES, suffix=".spz")
     assert [level.file for level in manifest.levels] == [f"level_{n}.spz" for n in range(3)]
     for level, expected in zip(manifest.levels, plain, strict=True):
@@ -197,27 +197,27 @@ def test_the_planner_decides_between_memory_and_blocks(tmp_path):
         NotEnoughMemoryError, match=r"Measuring takes about .* leave out the measurement"
     ):
         nanogs.write_levels(tmp_path / "a.ply", tmp_path / "m", [0.01], measured=True, **given)
-    assert not (tmp_path / "m.job").exists()  # it is refused before work begins
+    assert not (tmp_path / "m.job").exists()  # refused before any work begins
     with pytest.raises(OptionError, match="job is for files"):
         nanogs.write_levels(random_splats(9), tmp_path / "m", [0.5], job=tmp_path / "j", **given)
     with pytest.raises(NotEnoughMemoryError):
         nanogs.write_levels(nanogs.open(tmp_path / "a.ply"), tmp_path / "m", [0.01], **given)
 
 
-def test_levels_that_would_be_held_whole_and_are_too_large_are_refused(tmp_path):
+def test_levels_too_large_for_formats_that_are_written_whole_are_refused(tmp_path):
     def refuse(count, **given):
         sink = levels_folder.LevelsFolder(tmp_path / "l", overwrite=False, source="a", **given)
         sink.refuse_large(count, 200, 10**8)
 
     for options in ({}, {"suffix": ".spz"}, {"chunks": Tiles(100)}):
         refuse(10**6, **options)
-    refuse(10**5 // 2, suffix=".sog")  # palettes take seven times as much beside them
+    refuse(10**5 // 2, suffix=".sog")  # palettes take seven times as much, and fit
     with pytest.raises(OptionError, match=r"\.sog is not written block by block"):
         refuse(10**6, suffix=".sog")
 
 
-def test_tiles_refine_by_one_scale_for_the_whole_scene(made):
-    """Errors follow from the splats alone, whichever block a tile is of."""
+def test_geometric_errors_have_one_scale_for_the_whole_scene(made):
+    """Errors follow from the splats alone, not from the block that a tile belongs to."""
     path = made[Layout.TILES][0] / "tileset.json"
     blocks, errors = set(), {0: [], 1: [], 2: []}
     for tile, parent in tiles(path):
@@ -241,17 +241,17 @@ def test_tiles_refine_by_one_scale_for_the_whole_scene(made):
     assert 0 == np.mean(errors[0]) < np.mean(errors[1]) < np.mean(errors[2])
 
 
-def test_the_streamed_tree_is_binary_and_names_every_row_once(made):
+def test_the_streamed_tree_is_binary_and_covers_every_row_once(made):
     path = made[Layout.SOG][0] / "lod-meta.json"
     meta = json.loads(path.read_text())
     assert_binary(meta["tree"])
     spans = {}
     for leaf in leaves(meta["tree"]):
         assert 1 <= leaf["lods"]["0"]["count"] <= CHUNK
-        for level, place in leaf["lods"].items():
-            name = meta["filenames"][place["file"]]
+        for level, entry in leaf["lods"].items():
+            name = meta["filenames"][entry["file"]]
             assert name.startswith(f"{level}_")
-            spans.setdefault(name, []).append((place["offset"], place["count"]))
+            spans.setdefault(name, []).append((entry["offset"], entry["count"]))
     assert set(spans) == set(meta["filenames"])
     for name, each in spans.items():
         ends = [0, *itertools.accumulate(count for _, count in sorted(each))]
@@ -260,20 +260,20 @@ def test_the_streamed_tree_is_binary_and_names_every_row_once(made):
 
 
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
-def test_the_viewer_streams_it(made, tmp_path):
-    """The real viewer shows first what is coarsest, of every block, and then all of the finest."""
+def test_supersplat_streams_levels_that_were_made_in_blocks(made, tmp_path):
+    """SuperSplat loads the coarsest level first, and in the end every file of the finest."""
     path = made[Layout.SOG][0] / "lod-meta.json"
-    pixels, asked = in_supersplat(path, tmp_path, 600)
+    pixels, requested = in_supersplat(path, tmp_path, 600)
     names = json.loads(path.read_text())["filenames"]
-    assert {f"scene/{name}" for name in names if name.startswith("0_")} <= set(asked)
-    assert asked[1].startswith("scene/2_")
+    assert {f"scene/{name}" for name in names if name.startswith("0_")} <= set(requested)
+    assert requested[1].startswith("scene/2_")
     assert (pixels.max(axis=2) > 0.16).mean() > 0.05
 
 
 @pytest.mark.parametrize("layout", [Layout.SOG, Layout.TILES])
 @pytest.mark.parametrize("ratios", [(0.5, 0.005, 0.0001), (0.004, 0.0001), (1.0,)])
-def test_few_splats_and_all_of_them(scene, tmp_path, layout, ratios):
-    """Where blocks are left with less than they can be cut to, or with nothing at all."""
+def test_very_small_and_full_ratios_give_the_requested_counts(scene, tmp_path, layout, ratios):
+    """Some blocks keep fewer splats than their forest can be cut to, or none at all."""
     folder = tmp_path / "levels"
     manifest, _ = write(scene, folder, layout, ratios=ratios)
     wanted = [int(np.ceil(1200 * ratio)) for ratio in ratios]
@@ -289,8 +289,8 @@ def test_few_splats_and_all_of_them(scene, tmp_path, layout, ratios):
     assert found == wanted
 
 
-def test_a_coarse_splat_may_lie_where_the_finest_level_left_nothing(tmp_path):
-    """In seed 9 one of two splats is in the block of none of three."""
+def test_coarse_splats_may_be_in_blocks_without_splats_of_the_finest_level(tmp_path):
+    """With seed 9, one of the two coarse splats is in a block with none of the three finer ones."""
     nanogs.save(random_splats(1200, degree=0, seed=9), tmp_path / "a.ply")
     given = {"ratios": (0.0021, 0.0012)}
     packed, _ = write(tmp_path / "a.ply", tmp_path / "p", Layout.TILES, plain=False, **given)
@@ -300,8 +300,8 @@ def test_a_coarse_splat_may_lie_where_the_finest_level_left_nothing(tmp_path):
     assert [sum(map(len, parts[level])) for level in range(2)] == [3, 2]
 
 
-def test_a_coarser_tile_is_not_smaller_than_finer_ones():
-    """Merging has moved more into the cells than they held: the finer level's tile stays whole."""
+def test_a_coarser_tile_is_never_smaller_than_the_finer_tile_below():
+    """Merging can move more splats into cells than the finer level had: its tile is not divided."""
     cells = divide(np.arange(12.0).reshape(4, 3), 2)
     counts = np.array([[1, 1], [2, 1]])
     assert cells.cut(counts[0], 2, cells.all_leaves()) == [0]
@@ -309,7 +309,7 @@ def test_a_coarser_tile_is_not_smaller_than_finer_ones():
     assert cells.cut(counts[1], 2, cells.all_leaves()) == [1, 2]
 
 
-def test_what_is_left_out_is_said_once_for_all_blocks(tmp_path):
+def test_data_that_are_left_out_are_noted_once_for_all_blocks(tmp_path):
     label = {"label": np.arange(900, dtype=np.int32)}
     splats = random_splats(900, extras=label)
     splats.log_scales[:] = 6.5
@@ -319,40 +319,40 @@ def test_what_is_left_out_is_said_once_for_all_blocks(tmp_path):
     assert any(note.startswith("450 splats have log-scales") for note in manifest.notes)
 
 
-# Runs that are cut off, workers
+# Interrupted jobs, workers
 
 
 @pytest.mark.parametrize("layout", [Layout.SOG, Layout.TILES])
-def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
+def test_resuming_a_job_that_crashed_anywhere_gives_the_same_bytes(
     scene, tmp_path, made, layout, monkeypatch
 ):
-    folder, done = tmp_path / "levels", []
+    folder, events = tmp_path / "levels", []
     move = levels_folder.move_folder
 
-    def named(*given, **options):
-        move(*given, **options)
-        if done.count("moved") < 1:
-            done.append("moved")
-            raise CrashError  # the folder has its name, and the job is not taken away
+    def move_then_crash(*args, **options):
+        move(*args, **options)
+        if events.count("moved") < 1:
+            events.append("moved")
+            raise CrashError  # the folder has its final name, but its job is not removed yet
 
-    monkeypatch.setattr(scale_run, "do", crash_at(stages.do, done, 1, 5, 20, 31, 46, 57))
+    monkeypatch.setattr(scale_run, "do", crash_at(stages.do, events, 1, 5, 20, 31, 46, 57))
     filling = levels_folder.ChunksFilling
-    monkeypatch.setattr(filling, "_write", crash_at(filling._write, done, 1, 5))
-    monkeypatch.setattr(levels_folder, "move_folder", named)
+    monkeypatch.setattr(filling, "_write", crash_at(filling._write, events, 1, 5))
+    monkeypatch.setattr(levels_folder, "move_folder", move_then_crash)
     for _ in range(20):
         try:
             write(scene, folder, layout, resume=True)
             break
         except CrashError:
             assert (tmp_path / "levels.job" / MANIFEST).exists()
-            assert folder.exists() == ("moved" in done)
-    assert done.count("crash") == 8
-    assert "moved" in done
+            assert folder.exists() == ("moved" in events)
+    assert events.count("crash") == 8
+    assert "moved" in events
     assert files(folder) == files(made[layout][0])
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
 
-def test_a_job_of_another_layout_or_chunk_is_not_continued(scene, tmp_path):
+def test_a_job_is_not_resumed_with_another_layout_or_chunk_size(scene, tmp_path):
     def crash(step):
         if step.stage == "chunk":
             raise CrashError
@@ -364,7 +364,7 @@ def test_a_job_of_another_layout_or_chunk_is_not_continued(scene, tmp_path):
             write(scene, tmp_path / "levels", resume=True, **options)
 
 
-def test_nothing_of_others_is_replaced(scene, tmp_path):
+def test_folders_with_foreign_files_are_not_replaced(scene, tmp_path):
     folder = tmp_path / "levels"
     write(scene, folder, Layout.TILES, ratios=[0.1])
     with pytest.raises(OutputError, match="overwrite=True"):
@@ -379,7 +379,7 @@ def test_nothing_of_others_is_replaced(scene, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
 
-def test_the_job_may_lie_on_another_file_system(scene, tmp_path, made):
+def test_the_job_folder_may_be_on_another_file_system(scene, tmp_path, made):
     other = Path("/dev/shm")
     if not other.is_dir() or other.stat().st_dev == tmp_path.stat().st_dev:
         pytest.skip("there is no other file system")
@@ -390,7 +390,7 @@ def test_the_job_may_lie_on_another_file_system(scene, tmp_path, made):
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
 
-def test_names_of_files_lead_out_of_no_folder(tmp_path):
+def test_file_names_cannot_lead_out_of_the_folder(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     sink = levels_folder.LevelsFolder(
         tmp_path / "levels", overwrite=False, source="a.ply", chunks=Tiles(100)
@@ -416,11 +416,11 @@ def test_workers_make_the_same_bytes(scene, tmp_path, made):
 # Memory
 
 
-def test_memory_bounds_blocks_and_files_of_chunks():
+def test_the_memory_limit_bounds_the_size_of_blocks_and_chunks():
     layout = Columns(3, False, (), "default", (), ())
 
-    def plan(room, chunks):
-        return plan_blocks(10**7, layout, PRESETS["fast"], (0.5,), room, None, chunks)
+    def plan(max_memory, chunks):
+        return plan_blocks(10**7, layout, PRESETS["fast"], (0.5,), max_memory, None, chunks)
 
     plain, small, large = (
         plan(500_000_000, chunks) for chunks in (None, StreamedSog(2000), StreamedSog(32_768))
@@ -438,7 +438,7 @@ def test_memory_bounds_blocks_and_files_of_chunks():
 # The command
 
 
-def test_the_command(tmp_path):
+def test_the_command_makes_streamed_levels_in_blocks(tmp_path):
     scene = tmp_path / "scene.ply"
     nanogs.save(random_splats(200_000, degree=0), scene)
     path = tmp_path / "web" / "lod-meta.json"
@@ -452,10 +452,10 @@ def test_the_command(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.ply"]
     result = run("lod", scene, path, *options, "--json", "--threads", "1")
     assert result.returncode == 0, result.stderr
-    told = json.loads(result.stdout)
-    assert [level["count"] for level in told["levels"]] == [10_000, 200]
-    assert (told["output"], told["layout"]) == (str(path), "streamed sog")
-    assert told["reports"][0]["blocks"]["blocks"] > 1
+    report = json.loads(result.stdout)
+    assert [level["count"] for level in report["levels"]] == [10_000, 200]
+    assert (report["output"], report["layout"]) == (str(path), "streamed sog")
+    assert report["reports"][0]["blocks"]["blocks"] > 1
     assert path.exists()
     assert {entry.name for entry in tmp_path.iterdir()} == {"scene.ply", "web"}
 
@@ -464,7 +464,7 @@ def test_the_command(tmp_path):
 
 
 def coverage(splats, size=160):
-    """(size, size): how opaque a wall is, seen from the front."""
+    """Render a wall from the front, all white, without its margins: the opacity of each pixel."""
     from nanogs.raster.camera import Camera
     from nanogs.raster.rendering import prepare, render
 
@@ -480,7 +480,7 @@ def coverage(splats, size=160):
 
 @pytest.mark.parametrize("rounds", [0, 2])
 def test_no_gap_opens_between_blocks(tmp_path, rounds):
-    """Neither at a level nor where blocks of two levels meet, as they do on the screen."""
+    """Neither within a level nor where blocks of two levels meet, as happens in viewers."""
     original = wall()
     nanogs.save(original, tmp_path / "wall.ply")
     ratios, folder = (0.3, 0.05), tmp_path / "levels"

@@ -58,20 +58,20 @@ def write(splats, folder, *, layout=Layout.SOG, chunk=CHUNK, ratios=RATIOS, **op
 
 
 def nodes(tree):
-    """Every node, with the boxes of all above it."""
-    waiting = [(tree, [])]
-    while waiting:
-        node, above = waiting.pop()
-        yield node, above
-        waiting += [(child, [*above, node["bound"]]) for child in node.get("children", [])]
+    """Yield each node with the bounding boxes of its ancestors."""
+    stack = [(tree, [])]
+    while stack:
+        node, ancestors = stack.pop()
+        yield node, ancestors
+        stack += [(child, [*ancestors, node["bound"]]) for child in node.get("children", [])]
 
 
 def assert_binary(tree):
-    """Two children or none, each within all boxes above it."""
-    for node, above in nodes(tree):
+    """Assert that each node has two children or none and is within the boxes of its ancestors."""
+    for node, ancestors in nodes(tree):
         assert ("children" in node) != ("lods" in node)
         assert len(node.get("children", [0, 0])) == 2
-        for bound in above:
+        for bound in ancestors:
             assert (np.array(bound["min"]) <= node["bound"]["min"]).all()
             assert (np.array(bound["max"]) >= node["bound"]["max"]).all()
 
@@ -81,7 +81,7 @@ def leaves(tree):
 
 
 def files(folder):
-    """Every file's digest by its path."""
+    """Return the digest of each file by its path."""
     return {
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))
@@ -94,7 +94,7 @@ def files(folder):
 
 @st.composite
 def clouds(draw):
-    """Points of which some coincide or share a coordinate."""
+    """Point clouds in which some points coincide or share a coordinate."""
     n = draw(st.integers(1, 60))
     grid = draw(st.sampled_from([1, 2, 5, 1000]))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -103,7 +103,7 @@ def clouds(draw):
 
 
 @given(points=clouds(), most=st.integers(1, 70))
-def test_no_cell_holds_too_much_and_none_is_empty(points, most):
+def test_no_cell_exceeds_the_maximum_and_none_is_empty(points, most):
     cells = divide(points, most)
     leaf = cells.leaf_of(points)
     counts = np.bincount(leaf, minlength=cells.count)
@@ -117,14 +117,14 @@ def test_no_cell_holds_too_much_and_none_is_empty(points, most):
 
 @st.composite
 def sizes(draw):
-    """Bounds of a chunk of which each can be had."""
+    """A maximum and a minimum for chunks that can both be kept."""
     most = draw(st.integers(1, 40))
     return most, draw(st.integers(1, (most + 1) // 2))
 
 
 @given(points=clouds(), bounds=sizes())
-def test_no_cell_holds_too_few(points, bounds):
-    """But where no plane leaves enough on both sides, as in a heap that shares its coordinates."""
+def test_every_cell_has_at_least_the_minimum(points, bounds):
+    """Except where no plane leaves enough on both sides, as when many points share coordinates."""
     most, least = bounds
     cells = divide(points, most, least)
     leaf = cells.leaf_of(points)
@@ -148,8 +148,8 @@ def test_no_cell_holds_too_few(points, bounds):
 
 
 @given(counts=st.lists(st.integers(0, 10), min_size=1, max_size=60), least=st.integers(1, 10))
-def test_files_hold_neither_too_much_nor_too_little(counts, least):
-    """Cells of no more than a quarter of a file, each in one file, in their order."""
+def test_files_stay_between_the_minimum_and_the_maximum(counts, least):
+    """Each cell has at most a quarter of a file and is in one file; the order of cells is kept."""
     runs = streamed_sog._runs(np.array(counts), 40, least)
     held = [sum(counts[first:end]) for first, end in runs]
     assert sum(held) == sum(counts)
@@ -159,7 +159,7 @@ def test_files_hold_neither_too_much_nor_too_little(counts, least):
 
 
 @given(counts=st.lists(st.integers(0, 100), min_size=1, max_size=60), least=st.integers(1, 10))
-def test_cells_that_are_too_large_take_others_into_their_files(counts, least):
+def test_files_reach_the_minimum_beside_cells_that_are_too_large(counts, least):
     runs = streamed_sog._runs(np.array(counts), 40, least)
     held = [sum(counts[first:end]) for first, end in runs]
     assert sum(held) == sum(counts)
@@ -167,8 +167,8 @@ def test_cells_that_are_too_large_take_others_into_their_files(counts, least):
 
 
 @given(points=clouds(), others=clouds(), most=st.integers(1, 70))
-def test_cells_fill_all_of_space(points, others, most):
-    """A centre lies in the one leaf whose planes say so, whatever the cells were made from."""
+def test_cells_cover_all_of_space(points, others, most):
+    """Any point has the leaf to which the planes lead, also far from the points of the cells."""
     cells = divide(points, most)
     for other, found in zip(100 * others, cells.leaf_of(100 * others), strict=True):
         node = 0
@@ -178,7 +178,7 @@ def test_cells_fill_all_of_space(points, others, most):
 
 
 @given(points=clouds(), most=st.integers(1, 30), seed=st.integers(0, 99))
-def test_coarser_cuts_hold_whole_finer_cells(points, most, seed):
+def test_cells_of_coarser_cuts_are_unions_of_finer_cells(points, most, seed):
     cells = divide(points, most)
     rng = np.random.default_rng(seed)
     finer = cells.all_leaves()
@@ -195,7 +195,7 @@ def test_coarser_cuts_hold_whole_finer_cells(points, most, seed):
         finer = frozenset(cut)
 
 
-def test_boxes_enclose_the_ellipsoids_and_touch_them():
+def test_boxes_enclose_the_ellipsoids_tightly():
     splats = random_splats(300, seed=3)
     box = box_around(splats, 3.0)
     directions = np.random.default_rng(0).normal(size=(4000, 3))
@@ -215,7 +215,7 @@ def test_boxes_enclose_the_ellipsoids_and_touch_them():
 # The folder
 
 
-def test_every_level_is_what_the_library_makes(splats, path):
+def test_every_level_equals_that_of_the_library_up_to_quantisation(splats, path):
     meta = json.loads(path.read_text())
     made = list(nanogs.levels(splats, RATIOS, preset="fast"))
     assert meta["counts"] == [len(small) for small, _ in made] == [450, 90, 18]
@@ -231,15 +231,15 @@ def test_every_level_is_what_the_library_makes(splats, path):
     assert len(io.load(path)) == io.inspect(path).splats == 450
 
 
-def test_runs_cover_every_file_and_chunks_are_bounded(path):
+def test_chunks_cover_every_file_and_are_bounded(path):
     meta = json.loads(path.read_text())
     runs = {}
     for leaf in leaves(meta["tree"]):
         assert 1 <= leaf["lods"]["0"]["count"] <= CHUNK
-        for level, place in leaf["lods"].items():
-            name = meta["filenames"][place["file"]]
+        for level, entry in leaf["lods"].items():
+            name = meta["filenames"][entry["file"]]
             assert name.startswith(f"{level}_")  # a file holds one level
-            runs.setdefault(name, []).append((place["offset"], place["count"]))
+            runs.setdefault(name, []).append((entry["offset"], entry["count"]))
     assert set(runs) == set(meta["filenames"])
     sums = dict.fromkeys("012", 0)
     for name, spans in runs.items():
@@ -255,16 +255,16 @@ def test_the_tree_is_binary_and_its_boxes_enclose_the_splats(path):
     meta = json.loads(path.read_text())
     assert_binary(meta["tree"])
     for leaf in leaves(meta["tree"]):
-        for place in leaf["lods"].values():
-            rows = np.arange(place["offset"], place["offset"] + place["count"])
-            part = io.load(path.parent / meta["filenames"][place["file"]]).take(rows)
+        for entry in leaf["lods"].values():
+            rows = np.arange(entry["offset"], entry["offset"] + entry["count"])
+            part = io.load(path.parent / meta["filenames"][entry["file"]]).take(rows)
             box = box_around(part, 1.0)
-            slack = 0.05 * (box[1] - box[0]).max()  # for the quantisation
+            slack = 0.05 * (box[1] - box[0]).max()  # because positions are quantised
             assert (box[0] >= leaf["bound"]["min"] - slack).all()
             assert (box[1] <= leaf["bound"]["max"] + slack).all()
 
 
-def test_same_bytes_again_and_for_any_number_of_threads(splats, path, tmp_path):
+def test_bytes_are_the_same_for_any_number_of_threads(splats, path, tmp_path):
     for number, threads in enumerate((None, 1, 2)):
         try:
             with use_threads(threads):
@@ -274,7 +274,7 @@ def test_same_bytes_again_and_for_any_number_of_threads(splats, path, tmp_path):
         assert files(tmp_path / str(number)) == files(path.parent)
 
 
-def test_one_level_and_one_splat_and_coincident_ones(tmp_path):
+def test_one_level_of_one_splat_or_of_coincident_splats(tmp_path):
     for number, splats in enumerate(
         (random_splats(1), replace(random_splats(50), means=np.ones((50, 3), np.float32)))
     ):
@@ -284,7 +284,7 @@ def test_one_level_and_one_splat_and_coincident_ones(tmp_path):
         assert len(io.load(tmp_path / str(number) / "lod-meta.json")) == len(splats)
 
 
-def test_nothing_of_a_level_is_kept(tmp_path):
+def test_a_level_is_freed_after_it_is_added(tmp_path):
     small = random_splats(200)
     array = weakref.ref(small.sh)
     out = LevelsFolder(tmp_path, overwrite=True, source="", chunks=StreamedSog(50))
@@ -294,13 +294,13 @@ def test_nothing_of_a_level_is_kept(tmp_path):
     assert array() is None
 
 
-def test_what_is_left_out_is_said(tmp_path):
+def test_extra_columns_that_are_left_out_are_noted(tmp_path):
     label = {"label": np.arange(90, dtype=np.int32)}
     manifest, _ = write(random_splats(90, extras=label), tmp_path / "a")
     assert manifest.notes == ("Extra columns are left out, .sog has no room for them: label.",)
 
 
-def test_other_layouts_take_each_others_place(splats, tmp_path):
+def test_each_layout_replaces_the_files_of_another(splats, tmp_path):
     folder = tmp_path / "levels"
     for layout, file in ((Layout.FILES, "levels.json"), (Layout.SOG, "lod-meta.json")) * 2:
         write(
@@ -315,7 +315,7 @@ def test_other_layouts_take_each_others_place(splats, tmp_path):
 
 
 @pytest.mark.parametrize("place", ["mine.txt", "0_0/mine.txt", "mine/a/b.txt", "empty/"])
-def test_what_others_made_is_never_deleted(splats, tmp_path, place):
+def test_foreign_files_in_the_folder_are_never_deleted(splats, tmp_path, place):
     folder = tmp_path / "levels"
     write(splats, folder)
     if place.endswith("/"):
@@ -330,7 +330,7 @@ def test_what_others_made_is_never_deleted(splats, tmp_path, place):
     assert (folder / place).exists()
 
 
-def test_a_folder_linked_into_it_is_not_followed(splats, tmp_path):
+def test_a_symbolic_link_in_the_folder_is_not_followed(splats, tmp_path):
     write(splats, tmp_path / "levels")
     shutil.copytree(tmp_path / "levels" / "0_0", tmp_path / "other")
     shutil.rmtree(tmp_path / "levels" / "0_0")
@@ -341,7 +341,7 @@ def test_a_folder_linked_into_it_is_not_followed(splats, tmp_path):
     assert files(tmp_path / "other") == before
 
 
-def test_a_changed_manifest_leads_to_no_file_elsewhere(splats, tmp_path):
+def test_a_changed_manifest_cannot_name_files_elsewhere(splats, tmp_path):
     write(splats, tmp_path / "levels")
     write(splats, tmp_path / "other")
     path = tmp_path / "levels" / "lod-meta.json"
@@ -354,7 +354,7 @@ def test_a_changed_manifest_leads_to_no_file_elsewhere(splats, tmp_path):
         assert made_files(tmp_path / "levels") is None
 
 
-def test_a_failure_half_way_leaves_what_was(splats, tmp_path, monkeypatch):
+def test_an_interrupted_call_leaves_the_old_folder_unchanged(splats, tmp_path, monkeypatch):
     folder = tmp_path / "levels"
     write(splats, folder)
     before = files(folder)
@@ -369,7 +369,7 @@ def test_a_failure_half_way_leaves_what_was(splats, tmp_path, monkeypatch):
     assert [entry.name for entry in tmp_path.iterdir()] == ["levels"]
 
 
-def test_the_folder_one_is_in_is_not_replaced(tmp_path, monkeypatch):
+def test_the_current_folder_and_its_parents_are_not_replaced(tmp_path, monkeypatch):
     (tmp_path / "inner").mkdir()
     monkeypatch.chdir(tmp_path / "inner")
     for path in (Path(), tmp_path / "inner", tmp_path):
@@ -383,7 +383,7 @@ def test_the_folder_one_is_in_is_not_replaced(tmp_path, monkeypatch):
 # The command
 
 
-def test_json_report_and_plan(scene, tmp_path):
+def test_the_command_reports_and_plans_in_json(scene, tmp_path):
     path = tmp_path / "levels" / "lod-meta.json"
     plan = json.loads(run("lod", scene, path, "--dry-run", "--json").stdout)
     assert plan["layout"] == "streamed sog"
@@ -399,12 +399,12 @@ def test_json_report_and_plan(scene, tmp_path):
     assert [level["files"] for level in report["levels"]] == [
         [f"{n}_0/meta.json"] for n in range(4)
     ]
-    of_each = [len(list((path.parent / f"{n}_0").iterdir())) for n in range(4)]
-    assert [level["requests"] for level in report["levels"]] == of_each
+    request_counts = [len(list((path.parent / f"{n}_0").iterdir())) for n in range(4)]
+    assert [level["requests"] for level in report["levels"]] == request_counts
     shown = run("lod", scene, path, "--preset", "fast", "-w")
     assert (shown.returncode, shown.stdout) == (0, "")
     assert "0, 1 file" in shown.stderr
-    assert f"first picture takes {1 + of_each[3]} requests and " in shown.stderr
+    assert f"first picture takes {1 + request_counts[3]} requests and " in shown.stderr
 
 
 @pytest.mark.parametrize(
@@ -421,12 +421,12 @@ def test_json_report_and_plan(scene, tmp_path):
         ("missing/out/lod-meta.json", [], ["missing"]),
     ],
 )
-def test_refused(scene, tmp_path, name, options, words):
+def test_wrong_names_and_options_are_refused(scene, tmp_path, name, options, words):
     assert_refused(run("lod", scene, tmp_path / name, *options), *words)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_names_tell_the_layout():
+def test_the_output_name_determines_the_layout():
     assert output_of(Path("a/lod-meta.json")).layout is Layout.SOG
     assert output_of(Path("a/tileset.json")).layout is Layout.TILES
     assert output_of(Path("a/b.c")).layout is Layout.FILES
@@ -434,7 +434,7 @@ def test_names_tell_the_layout():
     assert output_of(Path("a/lod-meta.json")).folder == Path("a")
 
 
-def test_real_scene(tmp_path):
+def test_levels_of_a_real_scene_have_the_requested_counts(tmp_path):
     model = io.load(scene_path("biker.compressed.ply"))
     manifest, _ = write(model, tmp_path / "biker", chunk=10_000, ratios=[0.5, 0.1, 0.01])
     path = tmp_path / "biker" / "lod-meta.json"
@@ -449,18 +449,18 @@ def test_real_scene(tmp_path):
 
 
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
-def test_the_viewer_streams_it(path, tmp_path):
-    """From the coarsest level, which it shows first, to the finest, and something is seen."""
-    pixels, scene = in_supersplat(path, tmp_path, 450)
-    assert scene[:2] == ["scene/lod-meta.json", "scene/2_0/meta.json"]
-    assert {"scene/0_0/meta.json", "scene/0_1/meta.json"} <= set(scene)
+def test_supersplat_streams_from_the_coarsest_to_the_finest_level(path, tmp_path):
+    """The coarsest level is loaded first, the finest in the end, and the picture is not empty."""
+    pixels, requested = in_supersplat(path, tmp_path, 450)
+    assert requested[:2] == ["scene/lod-meta.json", "scene/2_0/meta.json"]
+    assert {"scene/0_0/meta.json", "scene/0_1/meta.json"} <= set(requested)
     assert (pixels.max(axis=2) > 0.16).mean() > 0.05
     assert (pixels.max(axis=2) < 0.03).mean() > 0.05  # and the background around it
 
 
 @pytest.mark.filterwarnings("default")
-def test_the_viewer_reads_palettes_of_any_size(tmp_path):
-    """A file of 300 entries looks as what nanogs reads of it does as .ply."""
+def test_supersplat_reads_palettes_of_any_size(tmp_path):
+    """A .sog file with 300 palette entries looks like the .ply that nanogs converts it to."""
     model = random_splats(900, degree=2, seed=5)
     model = replace(model, sh=model.sh * np.float32(2))
     io.save(model, tmp_path / "a.sog", format_options={"palette": 300})

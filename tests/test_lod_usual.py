@@ -1,4 +1,4 @@
-"""The levels that are made where nobody says which."""
+"""The levels that are made by default."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from nanogs.lod.usual import PHONE, default_ratios
     ("splats", "halves"),
     [(1, 3), (500_000, 3), (8 * PHONE, 3), (8 * PHONE + 1, 4), (10**8, 7), (10**15, 16)],
 )
-def test_halves_go_down_to_what_a_phone_draws(splats, halves):
+def test_default_levels_halve_down_to_what_a_phone_draws(splats, halves):
     assert default_ratios(splats) == tuple(0.5**half for half in range(halves + 1))
     assert default_ratios(splats, tree=True)[-1] == 0.5 ** max(halves, 6)
 
@@ -24,7 +24,7 @@ def test_a_model_without_splats_has_no_levels():
 
 
 @pytest.mark.parametrize("max_memory", [None, "600MB"])
-def test_the_finest_level_has_the_bytes_of_the_input(tmp_path, max_memory):
+def test_the_finest_level_has_the_splats_of_the_input(tmp_path, max_memory):
     model = random_splats(3000, degree=1)
     nanogs.save(model, tmp_path / "a.ply")
     given = {"preset": "fast", "max_memory": max_memory}
@@ -36,6 +36,6 @@ def test_the_finest_level_has_the_bytes_of_the_input(tmp_path, max_memory):
     order, rows = (np.lexsort(each.means.T) for each in (finest, model))
     for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):
         assert np.array_equal(getattr(finest, name)[order], getattr(model, name)[rows])
-    if max_memory is None:  # in blocks splats go in the order of these
+    if max_memory is None:  # in blocks, splats are in the order of the blocks
         ours = (tmp_path / "levels" / "level_0.ply").read_bytes()
         assert ours == (tmp_path / "a.ply").read_bytes()

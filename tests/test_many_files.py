@@ -1,4 +1,4 @@
-"""Several inputs at once: which files are meant, what the results are called, what fails."""
+"""Several inputs at once: which files are selected, the names of results, and failures."""
 
 import json
 from pathlib import Path
@@ -19,27 +19,27 @@ def names(folder):
 
 @pytest.fixture
 def folder(tmp_path):
-    """Two models, one more below, a SOG folder, a text, and a damaged model."""
-    here = tmp_path / "in"
-    (here / "below").mkdir(parents=True)
-    nanogs.save(random_splats(60, seed=1), here / "a.ply")
-    nanogs.save(random_splats(70, seed=2), here / "b.spz")
-    nanogs.save(random_splats(80, seed=3), here / "below" / "c.compressed.ply")
-    sog_write.write_folder(random_splats(90, seed=4), here / "garden")
-    (here / "notes.txt").write_text("text")
-    return here
+    """Two models, another one in a subfolder, a SOG folder and a text file."""
+    inputs = tmp_path / "in"
+    (inputs / "below").mkdir(parents=True)
+    nanogs.save(random_splats(60, seed=1), inputs / "a.ply")
+    nanogs.save(random_splats(70, seed=2), inputs / "b.spz")
+    nanogs.save(random_splats(80, seed=3), inputs / "below" / "c.compressed.ply")
+    sog_write.write_folder(random_splats(90, seed=4), inputs / "garden")
+    (inputs / "notes.txt").write_text("text")
+    return inputs
 
 
-# Which files are meant
+# Which files are selected
 
 
-def test_folders_files_and_patterns(folder):
+def test_folders_files_and_patterns_select_files(folder):
     assert collect([folder]) == [folder / "a.ply", folder / "b.spz"]
     assert collect([folder / "garden"]) == [folder / "garden" / "meta.json"]
     assert collect([folder / "*.ply"]) == [folder / "a.ply"]
     found = collect([folder / "**" / "*.ply", folder / "a.ply"])
     assert sorted(found) == [folder / "a.ply", folder / "below" / "c.compressed.ply"]
-    # What is named is taken as it is, to be refused by name.
+    # Files that are named are always taken, so that errors name them.
     assert collect([folder / "no.ply", folder / "notes.txt"]) == [
         folder / "no.ply",
         folder / "notes.txt",
@@ -47,13 +47,13 @@ def test_folders_files_and_patterns(folder):
     assert collect([folder / "gar*"]) == [folder / "garden" / "meta.json"]
 
 
-def test_a_file_whose_name_is_a_pattern_is_that_file(folder):
+def test_a_file_whose_name_looks_like_a_pattern_is_found(folder):
     odd = folder / "a[1].ply"
     odd.write_bytes((folder / "a.ply").read_bytes())
     assert collect([odd]) == [odd]
 
 
-def test_nothing_is_refused(folder, tmp_path):
+def test_selecting_no_file_is_refused(folder, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(FormatError, match="holds no file"):
         collect([tmp_path / "empty"])
@@ -61,7 +61,7 @@ def test_nothing_is_refused(folder, tmp_path):
         collect([folder / "*.glb"])
 
 
-# What the results are called
+# Names of results
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_nothing_is_refused(folder, tmp_path):
         ("other.obj", None, "other.obj"),
     ],
 )
-def test_names(source, suffix, target):
+def test_results_are_named_after_their_inputs(source, suffix, target):
     assert pair_up([Path(source)], Path("out"), suffix) == [
         Pair(Path(source), Path("out") / target)
     ]
@@ -97,15 +97,15 @@ def test_names(source, suffix, target):
         (["a.ply"], "meta.json", r"^meta\.json describes a folder of files; .* such as \.sog\.$"),
     ],
 )
-def test_names_that_cannot_be(sources, suffix, words):
+def test_impossible_names_of_results_are_refused(sources, suffix, words):
     with pytest.raises(OptionError, match=words):
         pair_up([Path(source) for source in sources], Path("out"), suffix)
 
 
-# From outside
+# The commands
 
 
-def test_each_result_is_that_of_the_file_alone(folder, tmp_path):
+def test_each_result_equals_that_of_its_file_alone(folder, tmp_path):
     out, options = tmp_path / "out", ("-r", 0.2, "--preset", "fast", "-q")
     result = run(
         "simplify", folder, folder / "garden", "--out-dir", out, "--format", "ply", *options
@@ -117,7 +117,7 @@ def test_each_result_is_that_of_the_file_alone(folder, tmp_path):
     assert (out / "b.ply").read_bytes() == (tmp_path / "alone.ply").read_bytes()
 
 
-def test_one_failure_leaves_the_others_alone(folder, tmp_path):
+def test_files_that_fail_do_not_stop_the_others(folder, tmp_path):
     (folder / "a.ply").write_bytes((folder / "a.ply").read_bytes()[:-3])
     out = tmp_path / "made" / "out"
     result = run("convert", folder, folder / "notes.txt", "--out-dir", out, "--format", "splat")
@@ -129,7 +129,7 @@ def test_one_failure_leaves_the_others_alone(folder, tmp_path):
     assert "b.spz: 70 splats" in result.stderr
 
 
-def test_json_of_several(folder, tmp_path):
+def test_json_report_of_several_files(folder, tmp_path):
     arguments = (folder, folder / "no.ply", "--out-dir", tmp_path / "out", "--json")
     result = run("simplify", *arguments, "-n", 7, "--preset", "fast")
     assert result.returncode == 2
@@ -156,7 +156,7 @@ def test_nothing_is_overwritten_without_the_flag(folder, tmp_path):
     assert len(nanogs.load(out / "a.splat")) == 60
 
 
-def test_collisions_and_missing_folders_write_nothing(folder, tmp_path):
+def test_conflicting_or_impossible_outputs_write_nothing(folder, tmp_path):
     for arguments, words in (
         ((folder / "a.ply", folder / "b.spz", tmp_path / "x.ply"), "--out-dir"),
         ((folder / "a.ply",), "--out-dir"),
@@ -174,7 +174,7 @@ def test_collisions_and_missing_folders_write_nothing(folder, tmp_path):
         assert names(tmp_path) == ["in"]
 
 
-def test_a_plan_checks_the_folder_of_a_single_file(folder, tmp_path):
+def test_a_dry_run_checks_the_output_of_a_single_file(folder, tmp_path):
     options = ("-n", 7, "--dry-run")
     result = run("simplify", folder / "a.ply", tmp_path / "no" / "b.ply", *options)
     assert result.returncode == 2
@@ -186,29 +186,29 @@ def test_a_plan_checks_the_folder_of_a_single_file(folder, tmp_path):
     assert "exists already" in result.stderr
 
 
-def test_a_folder_that_nothing_was_written_to_is_not_left_behind(folder, tmp_path):
+def test_an_output_folder_without_results_is_removed(folder, tmp_path):
     result = run("convert", folder / "notes.txt", "--out-dir", tmp_path / "out")
     assert result.returncode == 2
     assert not (tmp_path / "out").exists()
 
 
-def test_folders_that_were_made_go_with_what_failed(folder, tmp_path):
+def test_folders_made_for_results_that_failed_are_removed(folder, tmp_path):
     deep, above = tmp_path / "a" / "b" / "c", tmp_path / "a"
     result = run("convert", folder / "no.ply", "--out-dir", deep, "--format", "splat")
     assert result.returncode == 2, result.stderr
     assert "no.ply: " in result.stderr
     assert not above.exists()
-    above.mkdir()  # this one is the user's
+    above.mkdir()  # this folder belongs to the user
     run("convert", folder / "no.ply", "--out-dir", deep, "--format", "splat")
     assert list(above.iterdir()) == []
 
 
-# A folder in the place of one model
+# A folder in place of a model
 
 
 @pytest.fixture
-def holding_one(folder):
-    """A folder with one model, a text and a folder beside it."""
+def folder_with_one_model(folder):
+    """The folder with only one model, beside a text file and subfolders."""
     (folder / "b.spz").unlink()
     return folder
 
@@ -230,10 +230,10 @@ FEW = ("--views", 6, "--pixels", 32)
     ids=lambda words: words[0],
 )
 @pytest.mark.parametrize("name", ["", "garden"], ids=["a file", "SOG"])
-def test_every_command_takes_a_folder_with_one_model(holding_one, tmp_path, words, name):
-    places = {"IN": holding_one / name}
-    filled = [places.get(word, str(word).replace("OUT", str(tmp_path / "out"))) for word in words]
-    done = run(*filled)
+def test_every_command_takes_a_folder_with_one_model(folder_with_one_model, tmp_path, words, name):
+    paths = {"IN": folder_with_one_model / name}
+    arguments = [paths.get(word, str(word).replace("OUT", str(tmp_path / "out"))) for word in words]
+    done = run(*arguments)
     assert done.returncode == 0, done.stderr
 
 
@@ -247,22 +247,22 @@ def test_every_command_takes_a_folder_with_one_model(holding_one, tmp_path, word
     ],
     ids=lambda words: words[0],
 )
-def test_a_folder_of_several_is_refused_by_their_names(folder, tmp_path, words):
-    places = {"IN": folder, "OUT": tmp_path / "out", "OUT.ply": tmp_path / "out.ply"}
-    done = run(*(places.get(word, word) for word in words))
+def test_a_folder_of_several_models_is_refused_with_their_names(folder, tmp_path, words):
+    paths = {"IN": folder, "OUT": tmp_path / "out", "OUT.ply": tmp_path / "out.ply"}
+    done = run(*(paths.get(word, word) for word in words))
     assert done.returncode == 2
     assert done.stderr == f"error: The folder {folder} holds 2 models; name one: a.ply, b.spz.\n"
     assert names(tmp_path) == ["in"]
 
 
-def test_a_folder_that_is_loaded_is_called_one(folder):
+def test_load_asks_for_the_file_inside_a_folder(folder):
     with pytest.raises(FormatError, match=r"garden is a folder; name the model file inside it\."):
         nanogs.load(folder / "garden")
 
 
 @pytest.mark.parametrize("words", [["simplify", "-r", "1"], ["lod", "--levels", "1"]])
 @pytest.mark.parametrize("given", ["", "*.*[yz]"], ids=["folder", "pattern"])
-def test_parts_of_a_scene_are_named_by_a_folder_or_pattern(folder, tmp_path, words, given):
+def test_parts_of_a_scene_can_be_given_by_a_folder_or_pattern(folder, tmp_path, words, given):
     command, *options = words
     target = tmp_path / ("out.ply" if command == "simplify" else "out")
     done = run(command, folder / given, target, "--join", *options, "--preset", "fast", "--json")

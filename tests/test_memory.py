@@ -1,4 +1,4 @@
-"""The memory that `--dry-run` promises, against what a process of its own really takes."""
+"""The memory that `--dry-run` states, compared with what a separate process really takes."""
 
 import subprocess
 import sys
@@ -12,10 +12,10 @@ from nanogs.slices import SLICE_PAIRS
 
 COUNT = 300_000
 COLUMNS = 4 * 59  # bytes of a splat of SH degree 3
-MOST = {"fast": 2.0, "paper": 2.0, "default": 2.5}  # of the columns, beside libraries and views
-# A view's pixels while it is drawn and compared, and the pictures kept: of any model's size.
+MOST = {"fast": 2.0, "paper": 2.0, "default": 2.5}  # times the columns, without libraries and views
+# Pixels of a view while it is rendered and compared, and pictures kept; the same for any model.
 VIEWS = {"fast": 0, "paper": 0, "default": 150_000_000}
-# Of a process that has its kernels: what it had before, and the most that it took since.
+# Prints the memory of a process with compiled kernels before a run, and its peak since then.
 RUN = """
 import ctypes, re, sys
 from pathlib import Path
@@ -42,7 +42,7 @@ print(before, status("VmHWM"))
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("preset", MOST)
-def test_a_run_takes_what_the_plan_says_and_no_more_than_promised(preset, large_scene):
+def test_a_run_takes_the_planned_memory_and_stays_within_the_limits(preset, large_scene):
     command = [sys.executable, "-c", RUN, preset, str(large_scene)]
     run = subprocess.run(command, capture_output=True, text=True, check=True)
     before, peak = map(int, run.stdout.split())
@@ -56,32 +56,32 @@ def test_a_run_takes_what_the_plan_says_and_no_more_than_promised(preset, large_
 
 @pytest.mark.parametrize("preset", MOST)
 @pytest.mark.parametrize("count", [COUNT, 5_000_000, 50_000_000])
-def test_the_plan_keeps_what_is_promised(preset, count):
+def test_the_planned_memory_is_within_the_limits(preset, count):
     planned = plan_memory(count, 3, 0, parameters(preset, {}), count // 10, judged=False)
     assert planned.peak <= MOST[preset] * count * COLUMNS + VIEWS[preset]
     assert planned.peak == max(planned.stages.values())
     assert all(held > planned.input_columns for held in planned.stages.values())
 
 
-def test_with_five_million_splats_the_promise_holds_with_the_libraries():
+def test_for_five_million_splats_the_limits_include_the_libraries():
     for preset in ("fast", "default"):
         planned = plan_memory(5_000_000, 3, 0, parameters(preset, {}), 500_000, judged=False)
         assert planned.peak + LIBRARIES <= MOST[preset] * 5_000_000 * COLUMNS
 
 
 @pytest.mark.parametrize("preset", ["fast", "paper"])
-def test_more_threads_than_most_machines_have_are_planned_for(preset, monkeypatch):
-    def cost():
+def test_the_planned_memory_grows_only_with_very_many_threads(preset, monkeypatch):
+    def memory_of_costs():
         return plan_memory(5_000_000, 3, 0, parameters(preset, {}), 500_000, judged=False).stages[
             "cost"
         ]
 
     monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    few = cost()
+    with_few = memory_of_costs()
     monkeypatch.setenv("NUMBA_NUM_THREADS", "16")
-    assert cost() == few, "so that a model is divided alike on most machines"
+    assert memory_of_costs() == with_few, "so that a model is divided alike on most machines"
     monkeypatch.setenv("NUMBA_NUM_THREADS", "64")
-    assert cost() - few >= 48 * SLICE_PAIRS * 8
+    assert memory_of_costs() - with_few >= 48 * SLICE_PAIRS * 8
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def large_scene(tmp_path_factory):
     import nanogs
     from nanogs.datasets.synthetic import make_scene
 
-    for preset in MOST:  # compiles what is not in the cache, which takes memory of its own
+    for preset in MOST:  # compiles kernels that are not cached, which also takes memory
         nanogs.simplify(make_scene(500), ratio=0.1, preset=preset)
     path = tmp_path_factory.mktemp("memory") / "scene.ply"
     nanogs.save(make_scene(COUNT), path)

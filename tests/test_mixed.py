@@ -1,4 +1,4 @@
-"""Streams as viewers draw them: near chunks fine, far ones coarse."""
+"""Streamed SOG drawn at mixed levels, as viewers do: near chunks fine, far ones coarse."""
 
 import json
 import math
@@ -51,61 +51,63 @@ def boxes(draw):
 
 @st.composite
 def cameras(draw):
-    at = np.array(draw(st.tuples(LENGTHS, LENGTHS, LENGTHS)))
+    position = np.array(draw(st.tuples(LENGTHS, LENGTHS, LENGTHS)))
     angle = draw(st.floats(0, 2 * math.pi))
-    towards = at + [math.cos(angle), 0.3, math.sin(angle)]
+    target = position + [math.cos(angle), 0.3, math.sin(angle)]
     width, height, focal = draw(st.sampled_from([(64, 64, 50), (80, 40, 30), (30, 90, 200)]))
-    pose = look_at(at, towards, np.array([0.0, -1, 0]))
+    pose = look_at(position, target, np.array([0.0, -1, 0]))
     return Camera(width, height, focal, focal, width / 2, height / 2, pose)
 
 
-def by_hand_far(boxes, camera):
-    """How far away each chunk counts as, one after the other."""
+def expected_distances(boxes, camera):
+    """Compute the distance of each chunk in a plain loop."""
     found = []
-    usual = [sorted((box[1] - box[0])[axis] / 2 for box in boxes) for axis in range(3)]
+    half_sizes = [sorted((box[1] - box[0])[axis] / 2 for box in boxes) for axis in range(3)]
     for box in boxes:
         nearest = []
         for axis in range(3):
-            typical = usual[axis][len(boxes) // 2]
+            typical = half_sizes[axis][len(boxes) // 2]
             half = (box[1][axis] - box[0][axis]) / 2
-            less = 0.75 * (half - typical) if half > typical else 0
-            at = camera.position[axis]
-            nearest.append(min(max(at, box[0][axis] + less), box[1][axis] - less))
-        to = np.array(nearest) - camera.position
-        far = math.sqrt(sum(to**2))
-        along = float(to @ camera.world_to_camera[2, :3])
-        if far > 1e-2 and along < 0:
-            far *= 1 + 0.5 * -along / far
+            shrunk = 0.75 * (half - typical) if half > typical else 0
+            position = camera.position[axis]
+            nearest.append(min(max(position, box[0][axis] + shrunk), box[1][axis] - shrunk))
+        offset = np.array(nearest) - camera.position
+        distance = math.sqrt(sum(offset**2))
+        depth = float(offset @ camera.world_to_camera[2, :3])
+        if distance > 1e-2 and depth < 0:
+            distance *= 1 + 0.5 * -depth / distance
         tangent = min(camera.width, camera.height) / 2 / camera.fx
-        found.append(far * tangent / math.tan(math.pi / 8))
+        found.append(distance * tangent / math.tan(math.pi / 8))
     return found
 
 
 @given(boxes(), cameras())
-def test_chunks_are_as_far_as_the_engine_says(boxes, camera):
-    assert chunk_distances(boxes, camera) == pytest.approx(by_hand_far(boxes, camera), abs=0.02)
+def test_chunk_distances_follow_the_formula_of_the_engine(boxes, camera):
+    assert chunk_distances(boxes, camera) == pytest.approx(
+        expected_distances(boxes, camera), abs=0.02
+    )
 
 
-def due(counts, level):
-    """The level of a chunk that is drawn where one is due of which it may have nothing."""
+def drawn_level(counts, level):
+    """Return the level to draw if `level` is chosen, where the chunk may have no splats."""
     if not any(counts[level:]):
         return NOTHING
     finer = [other for other in range(level + 1) if counts[other]]
     return finer[-1] if finer else next(other for other in range(level, 99) if counts[other])
 
 
-def by_hand(distances, counts, scale):
-    """The level of each chunk, where all distances are so many times as long."""
+def expected_levels(distances, counts, scale):
+    """Choose the level of each chunk, with all thresholds multiplied by `scale`."""
     found = []
-    for far, each in zip(distances, counts, strict=True):
+    for distance, each in zip(distances, counts, strict=True):
         level = 0
-        while level + 1 < len(each) and far >= scale * 5 * 3**level * (1 - 1e-12):
+        while level + 1 < len(each) and distance >= scale * 5 * 3**level * (1 - 1e-12):
             level += 1
-        found.append(due(each.tolist(), level))
+        found.append(drawn_level(each.tolist(), level))
     return found
 
 
-def spent(counts, choice):
+def drawn_count(counts, choice):
     return sum(counts[chunk][level] for chunk, level in enumerate(choice) if level != NOTHING)
 
 
@@ -114,29 +116,31 @@ COUNTS = st.integers(1, 4).flatmap(
         st.lists(st.integers(0, 50), min_size=levels, max_size=levels), min_size=1, max_size=8
     )
 )
-FAR = st.sampled_from([0.0, 1.0, 4.999, 5.0, 7.5, 14.9, 15.0, 40.0, 45.0, 300.0, 1e5])
+DISTANCES = st.sampled_from([0.0, 1.0, 4.999, 5.0, 7.5, 14.9, 15.0, 40.0, 45.0, 300.0, 1e5])
 
 
 @given(COUNTS, st.data())
-def test_by_distance_alone_levels_come_at_five_fifteen_and_forty_five(counts, data):
+def test_without_a_budget_levels_change_at_distances_5_15_and_45(counts, data):
     counts = np.array(counts)
-    distances = np.array(data.draw(st.lists(FAR, min_size=len(counts), max_size=len(counts))))
-    assert chosen_levels(distances, counts).tolist() == by_hand(distances, counts, 1)
+    distances = np.array(data.draw(st.lists(DISTANCES, min_size=len(counts), max_size=len(counts))))
+    assert chosen_levels(distances, counts).tolist() == expected_levels(distances, counts, 1)
 
 
 @given(COUNTS, st.integers(1, 300), st.data())
-def test_a_budget_stretches_all_distances_alike(counts, budget, data):
-    counts = -np.sort(-np.array(counts), axis=1)  # a coarser level has no more
-    near = st.floats(0.1, 100)
-    distances = np.array(data.draw(st.lists(near, min_size=len(counts), max_size=len(counts))))
+def test_a_budget_scales_all_distance_thresholds_equally(counts, budget, data):
+    counts = -np.sort(-np.array(counts), axis=1)  # a coarser level never has more
+    lengths = st.floats(0.1, 100)
+    distances = np.array(data.draw(st.lists(lengths, min_size=len(counts), max_size=len(counts))))
     found = chosen_levels(distances, counts, budget).tolist()
     levels = counts.shape[1]
-    scales = {far / (5 * 3**level) for far in distances for level in range(levels)}
+    scales = {distance / (5 * 3**level) for distance in distances for level in range(levels)}
     scales = [0.0, *sorted(scales), math.inf]
-    fitting = [s for s in scales if spent(counts, by_hand(distances, counts, s)) <= budget]
-    if counts[:, -1].sum() >= budget:  # as the engine says, whatever finer levels have
+    fitting = [
+        s for s in scales if drawn_count(counts, expected_levels(distances, counts, s)) <= budget
+    ]
+    if counts[:, -1].sum() >= budget:  # as the engine does, even if a finer level fits too
         fitting = [0.0]
-    assert found == by_hand(distances, counts, max(fitting))
+    assert found == expected_levels(distances, counts, max(fitting))
 
 
 ENGINE = """
@@ -181,9 +185,9 @@ const at = process.argv[1], given = JSON.parse(process.argv[2]);
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("share", [None, 0.3, 0.7])
-def test_the_engine_itself_chooses_the_same(seed, share):
-    """Its own modules, as the npm package has them."""
-    at = package("playcanvas") / "build/playcanvas/src"
+def test_the_playcanvas_engine_chooses_the_same_levels(seed, share):
+    """Runs the engine's own modules from its npm package."""
+    folder = package("playcanvas") / "build/playcanvas/src"
     rng = np.random.default_rng(seed)
     boxes = np.sort(rng.normal(0, 20, (200, 2, 3)).astype(np.float32).astype(float), axis=1)
     counts = -np.sort(-rng.integers(0, 40, (200, 4)), axis=1)
@@ -196,13 +200,13 @@ def test_the_engine_itself_chooses_the_same(seed, share):
         "fov": math.degrees(2 * math.atan(30 / 70)), "position": position.tolist(),
         "forward": pose[2, :3].tolist(),
     }  # fmt: skip
-    theirs = json.loads(node(ENGINE, at, json.dumps(given)))
+    theirs = json.loads(node(ENGINE, folder, json.dumps(given)))
     ours = chosen_levels(chunk_distances(boxes, camera), counts, budget)
     assert ours.tolist() == theirs
     assert len(set(theirs)) > 2
 
 
-# The rows of a mixture
+# The rows that a mixture of levels draws
 
 
 def test_every_splat_of_a_level_is_in_one_chunk_and_in_its_box(stream):
@@ -227,31 +231,31 @@ def test_every_splat_of_a_level_is_in_one_chunk_and_in_its_box(stream):
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 1 << 16))
-def test_a_mixture_has_each_region_from_one_level(stream, seed):
-    together = read_levels(stream)
-    chunks, rng = together.chunks, np.random.default_rng(seed)
+def test_a_mixture_draws_each_chunk_at_its_chosen_level(stream, seed):
+    levels = read_levels(stream)
+    chunks, rng = levels.chunks, np.random.default_rng(seed)
     choice = rng.integers(-1, len(RATIOS), len(chunks.boxes))
-    rows = together.drawn(choice)
+    rows = levels.drawn(choice)
     for chunk, level in enumerate(choice):
-        for other, start in enumerate(together.ends[:-1]):
+        for other, start in enumerate(levels.ends[:-1]):
             first = start + chunks.starts[chunk, other]
             own = rows[first : first + chunks.counts[chunk, other]]
             assert own.all() if other == level else not own.any()
-    assert rows.sum() == spent(chunks.counts, choice)
+    assert rows.sum() == drawn_count(chunks.counts, choice)
 
 
 @pytest.mark.parametrize("suffix", ["", ".ssog"])
-def test_one_level_everywhere_is_that_level(scene, stream, tmp_path, suffix):
+def test_a_mixture_of_one_level_scores_the_same_as_that_level(scene, stream, tmp_path, suffix):
     if suffix:
         nanogs.write_levels(
             scene, tmp_path / "a.ssog", RATIOS, layout="streamed sog archive", chunk=40,
             preset="fast",
         )  # fmt: skip
         stream = tmp_path / "a.ssog"
-    looks = {"views": 2, "pixels": 64}
+    view_options = {"views": 2, "pixels": 64}
     for budget, level in ((10**6, 0), (1, 2)):
-        [found] = nanogs.compare_mixed(scene, stream, budget=budget, **looks).scores
-        alone = nanogs.compare(scene, nanogs.load(stream, level=level), **looks).models[0]
+        [found] = nanogs.compare_mixed(scene, stream, budget=budget, **view_options).scores
+        alone = nanogs.compare(scene, nanogs.load(stream, level=level), **view_options).models[0]
         assert (found.psnr, found.ssim) == (alone.psnr, alone.ssim)
         assert (found.coarse_psnr, found.coarse_ssim) == (alone.psnr, alone.ssim)
         assert {view.coarse for view in found.views} == {level}
@@ -259,7 +263,7 @@ def test_one_level_everywhere_is_that_level(scene, stream, tmp_path, suffix):
         assert found.seams == 0
 
 
-def test_an_environment_belongs_to_every_mixture(scene, stream, tmp_path):
+def test_the_environment_is_drawn_in_every_mixture(scene, stream, tmp_path):
     folder = tmp_path / "web"
     nanogs.write_levels(scene, folder, RATIOS, layout="streamed sog", chunk=40, preset="fast")
     sky = random_splats(7, degree=0)
@@ -267,34 +271,36 @@ def test_an_environment_belongs_to_every_mixture(scene, stream, tmp_path):
     described = json.loads((folder / "lod-meta.json").read_text())
     described["environment"] = "sky/meta.json"
     (folder / "lod-meta.json").write_text(json.dumps(described))
-    together = read_levels(folder / "lod-meta.json")
-    assert len(together.prepared) == sum(together.chunks.counts.sum(axis=0)) + 7
-    nothing = np.full(len(together.chunks.boxes), NOTHING)
-    assert np.flatnonzero(together.drawn(nothing)).tolist() == list(
-        range(together.ends[-1], together.ends[-1] + 7)
+    levels = read_levels(folder / "lod-meta.json")
+    assert len(levels.prepared) == sum(levels.chunks.counts.sum(axis=0)) + 7
+    nothing = np.full(len(levels.chunks.boxes), NOTHING)
+    assert np.flatnonzero(levels.drawn(nothing)).tolist() == list(
+        range(levels.ends[-1], levels.ends[-1] + 7)
     )
-    assert together.alone(1).sum() == together.chunks.counts[:, 1].sum() + 7
+    assert levels.alone(1).sum() == levels.chunks.counts[:, 1].sum() + 7
 
 
 # Seams
 
 
-def test_seams_are_where_two_levels_give_light():
+def test_seams_are_pixels_to_which_two_levels_contribute():
     rng = np.random.default_rng(1)
     original, image, *alone = rng.random((4, 6, 5, 3)).astype(np.float32)
     shares = rng.choice([0.0, 0.05, 0.2, 0.8], (6, 5, 3)).astype(np.float32)
     share, (error, other) = mixed_views._at_seams(original, image, shares, alone)
-    places, own, coarse = 0, 0.0, 0.0
+    pixels, own_error, coarse_error = 0, 0.0, 0.0
     for row in range(6):
         for column in range(5):
-            there = [level for level in range(3) if shares[row, column, level] >= 0.1]
-            if len(there) > 1:
-                places += 1
-                at = (row, column)
-                own += ((original[at].astype(float) - image[at]) ** 2).mean()
-                coarse += ((original[at].astype(float) - alone[there[-1] - 1][at]) ** 2).mean()
-    assert share == pytest.approx(places / 30)
-    assert (error, other) == (pytest.approx(own), pytest.approx(coarse))
+            contributing = [level for level in range(3) if shares[row, column, level] >= 0.1]
+            if len(contributing) > 1:
+                pixels += 1
+                pixel = (row, column)
+                own_error += ((original[pixel].astype(float) - image[pixel]) ** 2).mean()
+                coarse_error += (
+                    (original[pixel].astype(float) - alone[contributing[-1] - 1][pixel]) ** 2
+                ).mean()
+    assert share == pytest.approx(pixels / 30)
+    assert (error, other) == (pytest.approx(own_error), pytest.approx(coarse_error))
 
 
 @pytest.mark.slow
@@ -313,7 +319,7 @@ def test_seams_of_real_scenes_are_no_worse_than_the_coarser_level(tmp_path, name
         assert score.psnr > score.coarse_psnr
 
 
-def test_a_loss_is_a_ratio_of_errors():
+def test_the_seam_loss_is_a_ratio_of_errors_in_decibels():
     assert loss_of(2.0, 1.0) == pytest.approx(10 * math.log10(2))
     assert loss_of(0.0, 0.0) == 0
     assert loss_of(1.0, 0.0) == math.inf
@@ -322,12 +328,12 @@ def test_a_loss_is_a_ratio_of_errors():
 # The command
 
 
-def test_the_command_says_what_each_view_draws(scene, stream):
+def test_the_command_reports_the_levels_of_each_view(scene, stream):
     given = ["compare", scene, stream, "--mixed", "--budget", "500", "--views", 3, "--pixels", 64]
     result = run(*given, "--json")
     assert result.returncode == 0, result.stderr
-    said = json.loads(result.stdout)
-    [score] = said["scores"]
+    report = json.loads(result.stdout)
+    [score] = report["scores"]
     assert score["levels"] == [900, 360, 90]
     assert score["budget"] == 500
     for view in score["views"]:
@@ -343,34 +349,37 @@ def test_the_command_says_what_each_view_draws(scene, stream):
     assert "at seams" in shown.stdout
 
 
-def test_what_hinders_mixing_is_said(scene, stream):
-    looks = ("--views", 1, "--pixels", 32)
+def test_the_command_explains_why_no_levels_are_mixed(scene, stream):
+    view_options = ("--views", 1, "--pixels", 32)
 
-    def said(model, budget):
-        result = run("compare", scene, model, "--mixed", "--budget", budget, *looks)
+    def stderr_of(model, budget):
+        result = run("compare", scene, model, "--mixed", "--budget", budget, *view_options)
         assert result.returncode == 0, result.stderr
         return " ".join(result.stderr.split())
 
-    least = said(stream, 1)
-    assert "the coarsest level, 90 splats, exceeds the budget and is drawn" in least
-    assert "levels of at most 1 splat:" in least
-    assert "a --budget between the splats of two levels (900, 360, 90) mixes them" in said(
+    coarsest = stderr_of(stream, 1)
+    assert "the coarsest level, 90 splats, exceeds the budget and is drawn" in coarsest
+    assert "levels of at most 1 splat:" in coarsest
+    assert "a --budget between the splats of two levels (900, 360, 90) mixes them" in stderr_of(
         stream, 360
     )
     whole = scene.with_name("whole.ssog")
     made = run("lod", scene, whole, "--preset", "fast", "--levels", "0.5,0.2", "-q")
     assert made.returncode == 0, made.stderr
-    assert "the stream is a single chunk, make it with smaller ones (--chunk)" in said(whole, 600)
+    assert "the stream is a single chunk, make it with smaller ones (--chunk)" in stderr_of(
+        whole, 600
+    )
 
 
-def test_a_seam_that_is_seen_is_said(scene, stream, monkeypatch):
-    looks = {"budget": 500, "views": 2, "pixels": 64}
+def test_visible_seams_are_noted(scene, stream, monkeypatch):
+    view_options = {"budget": 500, "views": 2, "pixels": 64}
     monkeypatch.setattr("nanogs.scoring.mixed.SEAM_LOSS", -99.0)
     assert any(
-        "where levels meet" in note for note in nanogs.compare_mixed(scene, stream, **looks).notes
+        "where levels meet" in note
+        for note in nanogs.compare_mixed(scene, stream, **view_options).notes
     )
     monkeypatch.setattr("nanogs.scoring.mixed.SEAM_LOSS", 99.0)
-    assert not nanogs.compare_mixed(scene, stream, **looks).notes
+    assert not nanogs.compare_mixed(scene, stream, **view_options).notes
 
 
 @pytest.mark.parametrize(
@@ -383,7 +392,7 @@ def test_a_seam_that_is_seen_is_said(scene, stream, monkeypatch):
         (["--mixed", "--report", "a.html"], "--report cannot be combined with --mixed"),
     ],
 )
-def test_refused(scene, stream, tmp_path, options, words):
+def test_wrong_options_are_refused(scene, stream, tmp_path, options, words):
     result = run("compare", scene, stream, *options, cwd=tmp_path)
     assert result.returncode == 2
     assert words in " ".join(result.stderr.split())
@@ -396,7 +405,7 @@ def test_only_streams_are_mixed(scene):
         nanogs.compare_mixed(scene)
 
 
-def test_what_is_asked_of_python_is_checked(scene, stream):
+def test_arguments_of_the_python_function_are_checked(scene, stream):
     with pytest.raises(OptionError, match="2 in all"):
         nanogs.compare_mixed(scene, stream, names=["a"])
     with pytest.raises(OptionError, match="1 splat or more"):
@@ -415,7 +424,7 @@ def test_what_is_asked_of_python_is_checked(scene, stream):
         (lambda leaf: leaf["lods"].update({"00": {"file": 0, "offset": 0, "count": 0}}), "twice"),
     ],
 )
-def test_regions_that_are_damaged_are_refused(stream, tmp_path, change, words):
+def test_damaged_chunks_of_a_stream_are_refused(stream, tmp_path, change, words):
     described = json.loads(stream.read_text())
     leaf = described["tree"]
     while "children" in leaf:

@@ -1,4 +1,4 @@
-"""Evidence for drawing a model as `default` or as `mip`, and `nanogs info` that looks."""
+"""Evidence for drawing a model as `default` or as `mip`, and `nanogs info` that renders."""
 
 import json
 import math
@@ -23,8 +23,8 @@ from test_raster import make_camera, make_splats
 
 
 @pytest.fixture(scope="module")
-def taken(tmp_path_factory):
-    """A model of thin splats, and photographs that it has made as each render mode."""
+def capture(tmp_path_factory):
+    """A model of thin splats, and photographs rendered from it in each render mode."""
     folder = tmp_path_factory.mktemp("taken")
     model = random_splats(600, seed=3)
     model = replace(model, log_scales=model.log_scales - 1.2)
@@ -46,7 +46,7 @@ def taken(tmp_path_factory):
     return folder
 
 
-def looked(path, *arguments):
+def info_of(path, *arguments):
     result = run("info", path, *arguments, "--json")
     assert result.returncode == 0, result.stderr
     return json.loads(result.stdout)
@@ -54,20 +54,26 @@ def looked(path, *arguments):
 
 @pytest.mark.parametrize("mode", ["default", "mip"])
 @pytest.mark.parametrize("tag", ["default", "mip"])
-def test_photographs_tell_whatever_the_tag_says(taken, mode, tag):
+def test_photographs_show_the_mode_whatever_the_tag(capture, mode, tag):
     pytest.importorskip("PIL.Image")
-    said = looked(
-        taken / "model.ply", "--photos", taken / mode, "--background", "black", "--render-mode", tag
+    report = info_of(
+        capture / "model.ply",
+        "--photos",
+        capture / mode,
+        "--background",
+        "black",
+        "--render-mode",
+        tag,
     )
-    marks = said["mode_evidence"]["photographs"]
+    scores = report["mode_evidence"]["photographs"]
     other = {"default": "mip", "mip": "default"}[mode]
-    assert marks[mode] > 45 > marks[other] + 3  # photographs are of 8 bits
-    assert said["mode_evidence"]["sentences"][0].endswith(f"which speaks for {mode}")
-    assert said["mode_evidence"]["protocol"]["kind"] == "photographs"
-    assert said["draw_cost"]["protocol"]["views"] == 2
+    assert scores[mode] > 45 > scores[other] + 3  # limited by photographs of 8 bits
+    assert report["mode_evidence"]["sentences"][0].endswith(f"which speaks for {mode}")
+    assert report["mode_evidence"]["protocol"]["kind"] == "photographs"
+    assert report["draw_cost"]["protocol"]["views"] == 2
 
 
-def test_shares_are_those_of_the_twin():
+def test_shares_of_thin_and_faded_splats_match_a_plain_loop():
     model, cameras = (
         make_splats(n=60, seed=5, size=-3.0),
         [make_camera(), make_camera(60, 50, 70.0)],
@@ -78,7 +84,7 @@ def test_shares_are_those_of_the_twin():
     seen = thin = faded = 0
     for camera in cameras:
         for i in range(len(model)):
-            if not _in_sight(model, camera, i):
+            if not is_visible(model, camera, i):
                 continue
             z, _, after, _, _ = splat_on_screen(model, camera, i)
             before = after - 0.3 * np.eye(2)
@@ -91,7 +97,7 @@ def test_shares_are_those_of_the_twin():
     assert 0 < found.faded < found.thin <= 1
 
 
-def _in_sight(model, camera, i):
+def is_visible(model, camera, i):
     from nanogs.kernels.project import HIDDEN
     from nanogs.raster.rendering import prepare, project_rows
 
@@ -108,8 +114,8 @@ def test_a_model_that_is_read_in_parts_has_the_same_evidence(tmp_path, monkeypat
         [],
     )
 
-    def evidence(some, room):
-        return evidence_on(some, *given, room, lambda _done, _parts: None)
+    def evidence(source_or_model, max_memory):
+        return evidence_on(source_or_model, *given, max_memory, lambda _done, _parts: None)
 
     held = evidence(model, None)
     monkeypatch.setattr("nanogs.views.streamed.BLOCK_ROWS", 64)
@@ -119,7 +125,7 @@ def test_a_model_that_is_read_in_parts_has_the_same_evidence(tmp_path, monkeypat
     assert tagged == held, "both ways are drawn, whatever the tag is"
 
 
-def test_nothing_in_sight_says_nothing():
+def test_a_model_out_of_sight_gives_no_evidence():
     model, camera = random_splats(20), make_camera()
     away = replace(model, means=model.means - np.float32([0, 0, 50]))
     found = evidence_on(
@@ -138,7 +144,7 @@ def test_nothing_in_sight_says_nothing():
         ({"default": 22.0, "mip": 21.95}, (0.9, 0.0, None), ["little", "little", "little"]),
     ],
 )
-def test_the_sentences_say_no_more_than_the_numbers(photographs, numbers, verdicts):
+def test_sentences_conclude_no_more_than_the_numbers_support(photographs, numbers, verdicts):
     thin, faded, leak = numbers
     evidence = ModeEvidence(thin, faded, leak, 30.0, photographs, Protocol())
     assert len(evidence.sentences) == len(verdicts)
@@ -146,15 +152,15 @@ def test_the_sentences_say_no_more_than_the_numbers(photographs, numbers, verdic
         assert verdict in sentence.rpartition("which ")[2]
 
 
-def test_info_looks_only_when_asked(taken):
-    path = taken / "model.ply"
-    plain = looked(path)
+def test_info_renders_only_if_views_are_given(capture):
+    path = capture / "model.ply"
+    plain = info_of(path)
     assert plain["draw_cost"] is None
     assert plain["mode_evidence"] is None
-    said = looked(path, "--views", "2", "--pixels", "64")
+    report = info_of(path, "--views", "2", "--pixels", "64")
     cost = nanogs.draw_cost(path, views=2, pixels=64)
-    assert said["draw_cost"]["splats_a_pixel"] == cost.splats_a_pixel
-    assert said["draw_cost"]["protocol"]["pixels"] == [64, 64]
+    assert report["draw_cost"]["splats_a_pixel"] == cost.splats_a_pixel
+    assert report["draw_cost"]["protocol"]["pixels"] == [64, 64]
     text = run("info", path, "--cameras", "orbit", "--pixels", "64").stdout
     assert "splats a pixel" in text
     assert "evidence, not proof" in text
@@ -175,20 +181,20 @@ def test_info_looks_only_when_asked(taken):
         ["--views", "2", "--pixels", "0"],
     ],
 )
-def test_views_that_make_no_sense_are_refused_in_a_sentence(taken, given):
-    result = run("info", taken / "model.ply", *given)
+def test_contradicting_options_of_views_are_refused(capture, given):
+    result = run("info", capture / "model.ply", *given)
     assert result.returncode == 2
     assert result.stderr.startswith("error: ")
     assert not result.stdout
 
 
-def test_a_split_without_photographs_is_refused(taken):
+def test_a_split_without_photographs_is_refused(capture):
     with pytest.raises(OptionError):
-        nanogs.mode_evidence(taken / "model.ply", photos=taken / "mip", split="validation")
+        nanogs.mode_evidence(capture / "model.ply", photos=capture / "mip", split="validation")
 
 
-def test_models_of_known_training():
-    """The chair was trained without antialiasing; the kitchen is tagged mip, and looks so."""
+def test_evidence_agrees_with_models_of_known_training():
+    """The chair was trained without antialiasing; the kitchen is tagged mip, and rightly."""
     chair = nanogs.mode_evidence(scene_path("chair.splat"))
     kitchen = nanogs.mode_evidence(scene_path("kitchen.spz"))
     assert chair.faded > 0.3

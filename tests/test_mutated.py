@@ -1,4 +1,4 @@
-"""Damaged files of every format, in short: benchmarks/mutate.py reads 10,000 of each; and bombs."""
+"""Damaged files of every format (benchmarks/mutate.py reads 10,000 of each), and bombs."""
 
 import io as bytes_io
 import json
@@ -22,7 +22,7 @@ COUNT = 200
 MANY = 3_000_000  # splats of a bomb, 168 MB in memory
 
 
-def placed(folder, files):
+def write_files(folder, files):
     for name, data in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
@@ -30,23 +30,23 @@ def placed(folder, files):
 
 
 @pytest.mark.parametrize("name", seeds.FORMATS)
-def test_damaged_files_give_an_error_of_ours_or_a_model(tmp_path, name):
+def test_damaged_files_give_an_error_of_nanogs_or_a_model(tmp_path, name):
     made, rng = seeds.made(name), np.random.default_rng(7)
     found = {"model": 0, "refused": 0}
     for number in range(COUNT):
         folder = tmp_path / str(number)
-        found[outcome(placed(folder, made.damaged(rng)))] += 1
+        found[outcome(write_files(folder, made.damaged(rng)))] += 1
     assert min(found.values()) > 0, found
 
 
-def test_every_format_that_is_read_is_damaged():
+def test_every_readable_format_has_damaged_files():
     known = {next(iter(files)) for name in seeds.FORMATS for files in seeds.made(name).seeds}
     suffixes = {known.suffix for known in io.registry.formats() if known.readable}
     assert all(any(name.endswith(suffix) for name in known) for suffix in suffixes)
 
 
 def gzip_bomb():
-    """Zeros throughout, of which the header tells the truth."""
+    """Only zeros, with a header that states their true size."""
     return {"a.spz": spzfiles.encode([], 3, count=MANY, records=bytes(20 * MANY // 10) * 10)}
 
 
@@ -62,7 +62,7 @@ def zstd_bomb():
 
 
 def zip_bomb():
-    """Arrays of zeros, as NumPy packs them."""
+    """Arrays of zeros, compressed as NumPy does it."""
     file = bytes_io.BytesIO()
     shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (1, 3)}
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
@@ -78,7 +78,7 @@ def zip_bomb():
 
 
 def webp_bomb(method=zipfile.ZIP_STORED):
-    """Pictures of one colour that state the largest size there is; they are never decoded."""
+    """Pictures of one colour that state the largest possible size; they are never decoded."""
     side = 2**14 - 1
     picture = sogfiles.textures()["sh0.webp"]
     sides = (side - 1) | (side - 1) << 14 | struct.unpack_from("<I", picture, 21)[0] & 0xF000_0000
@@ -91,7 +91,7 @@ def webp_bomb(method=zipfile.ZIP_STORED):
 
 
 def canvas_bomb():
-    """A small picture on a canvas of the largest size, for which decoders make room."""
+    """A small picture on a canvas of the largest size, for which decoders allocate memory."""
     own = sogfiles.textures()["sh0.webp"]
     canvas = b"VP8X" + struct.pack("<I", 10) + bytes(4) + (2**14 - 2).to_bytes(3, "little") * 2
     picture = b"RIFF" + struct.pack("<I", len(own) - 8 + 18) + b"WEBP" + canvas + own[12:]
@@ -110,7 +110,7 @@ def repeated_model():
 
 
 def checkpoint(pickled):
-    """A checkpoint with another pickle in it."""
+    """Return a checkpoint whose pickle is replaced."""
     ((name, data),) = seeds.made(".pt").seeds[0].items()
     file = bytes_io.BytesIO()
     with zipfile.ZipFile(bytes_io.BytesIO(data)) as old, zipfile.ZipFile(file, "w") as new:
@@ -120,12 +120,12 @@ def checkpoint(pickled):
 
 
 def long_pickle():
-    """Lists in a list, each of 64 bytes for the one it takes in the file."""
+    """A list of empty lists; each takes 64 bytes in memory for one byte in the file."""
     return checkpoint(b"\x80\2](" + b"]" * 3_000_000 + b"e.")
 
 
 def nested_pickle(again):
-    """A key of a dictionary that is a tuple of two times a tuple and so on, 60 deep."""
+    """A dictionary whose key is a tuple of twice the same tuple, and so on, 60 levels deep."""
     return checkpoint(b"\x80\2})" + again * 60 + b"Ns.")
 
 
@@ -144,9 +144,9 @@ BOMBS = {
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_bombs_are_refused_by_what_they_state(tmp_path, name):
+def test_bombs_are_refused_before_they_take_memory(tmp_path, name):
     make, words = BOMBS[name]
-    path = placed(tmp_path, make())
+    path = write_files(tmp_path, make())
     tracemalloc.start()
     with pytest.raises(FormatError, match=words):
         io.load(path)
@@ -156,8 +156,8 @@ def test_bombs_are_refused_by_what_they_state(tmp_path, name):
 
 
 @pytest.mark.parametrize("suffix", [".sog", ".spz", ".npz"])
-def test_equal_splats_are_no_bomb(tmp_path, suffix):
-    """Equal splats pack best of all, and yet the file is an honest one."""
+def test_equal_splats_are_not_taken_for_a_bomb(tmp_path, suffix):
+    """Equal splats compress best of all, but their file is valid."""
     model = random_splats(1).take(np.zeros(100_000, np.int64))
     path = tmp_path / f"a{suffix}"
     io.save(model, path)

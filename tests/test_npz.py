@@ -43,7 +43,7 @@ def test_saving_and_loading_changes_no_bit(tmp_path, model):
 
 @SHARED
 @given(model=splats())
-def test_size_is_known_beforehand(tmp_path, model):
+def test_the_file_size_is_known_before_writing(tmp_path, model):
     io.save(model, tmp_path / "a.npz", overwrite=True)
     size = registry.sizer(tmp_path / "a.npz")
     assert (tmp_path / "a.npz").stat().st_size == size(model, len(model))
@@ -51,7 +51,7 @@ def test_size_is_known_beforehand(tmp_path, model):
     assert sizes == sorted(sizes)
 
 
-def test_numpy_reads_it_without_pickle(tmp_path):
+def test_numpy_reads_saved_files_without_pickle(tmp_path):
     model = replace(random_splats(5, extras={"label": np.arange(5)}), render_mode=RenderMode.MIP)
     io.save(model, tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
@@ -61,7 +61,7 @@ def test_numpy_reads_it_without_pickle(tmp_path):
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_reads_what_numpy_writes(tmp_path, save):
+def test_files_written_by_numpy_are_read(tmp_path, save):
     model = random_splats(50, degree=2)
     arrays = {name: getattr(model, name) for name in npz.REQUIRED}
     arrays["quats"] = np.asfortranarray(arrays["quats"])
@@ -88,7 +88,7 @@ def test_inspect_agrees_with_the_model(tmp_path):
     assert info.file_bytes == (tmp_path / "a.npz").stat().st_size
 
 
-def test_comments_and_elements_are_losses(tmp_path):
+def test_comments_and_elements_are_reported_as_losses(tmp_path):
     element = ExtraElement("camera", np.zeros(1, [("x", "f4")]))
     model = replace(random_splats(2), comments=["made by hand"], elements=[element])
     assert io.losses(model, tmp_path / "a.npz") == (
@@ -148,7 +148,7 @@ def test_pickles_are_refused_unread(tmp_path):
         io.load(tmp_path / "a.npz")
 
 
-def test_promised_sizes_are_not_believed(tmp_path):
+def test_stated_sizes_beyond_the_data_are_refused(tmp_path):
     write_arrays(tmp_path / "a.npz", random_splats(1))
     header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (4000000000,), }"
     member = b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header
@@ -161,15 +161,15 @@ def test_promised_sizes_are_not_believed(tmp_path):
 def test_a_stored_member_cannot_be_larger_than_the_file(tmp_path):
     io.save(random_splats(1), tmp_path / "a.npz")
     data = bytearray((tmp_path / "a.npz").read_bytes())
-    at = data.index(b"PK\1\2")
-    data[at + 20 : at + 28] = (2**31).to_bytes(4, "little") * 2
+    offset = data.index(b"PK\1\2")
+    data[offset + 20 : offset + 28] = (2**31).to_bytes(4, "little") * 2
     (tmp_path / "a.npz").write_bytes(data)
     with pytest.raises(FormatError):
         io.load(tmp_path / "a.npz")
 
 
 def repacked(rng, data):
-    """One array of the archive mutated, its checksum right again."""
+    """Mutate one array of the archive and correct its checksum."""
     out = bytes_io.BytesIO()
     with zipfile.ZipFile(bytes_io.BytesIO(data)) as old, zipfile.ZipFile(out, "w") as new:
         chosen = rng.integers(len(old.namelist()))
@@ -195,7 +195,7 @@ def test_damaged_files_give_a_format_error_or_a_model(tmp_path, damage, save):
     assert outcomes["refused"] > 0
 
 
-def test_every_cut_is_refused(tmp_path):
+def test_every_truncation_is_refused(tmp_path):
     io.save(random_splats(2), tmp_path / "a.npz")
     data = (tmp_path / "a.npz").read_bytes()
     for size in range(0, len(data), 7):

@@ -1,4 +1,4 @@
-"""Values that options take, what is said of others, and what the help shows."""
+"""Values that options accept, the errors for others, and the help."""
 
 import math
 import re
@@ -40,7 +40,7 @@ def scene(tmp_path_factory):
     ("text", "value"),
     [("0.1", 0.1), ("10%", 0.1), ("7 %", 0.07), (".5", 0.5), ("1", 1.0), ("1e-2", 0.01)],
 )
-def test_ratios(text, value):
+def test_ratios_are_parsed(text, value):
     assert options.parse_ratio(text) == value
 
 
@@ -48,7 +48,7 @@ def test_ratios(text, value):
     ("text", "value"),
     [("12", 12), ("100k", 100_000), ("100K", 100_000), ("1.5M", 1_500_000), ("2G", 2 * 10**9)],
 )
-def test_counts(text, value):
+def test_counts_are_parsed(text, value):
     assert options.parse_count(text) == value
 
 
@@ -60,29 +60,29 @@ def test_counts(text, value):
         ("2MiB", 2 * 1024**2), ("1GiB", 1024**3),
     ],
 )  # fmt: skip
-def test_bytes(text, value):
+def test_sizes_in_bytes_are_parsed(text, value):
     assert parse_bytes(text) == as_bytes(text) == as_bytes(value) == as_bytes(float(value)) == value
 
 
 @pytest.mark.parametrize("size", ["ten", "1.5e3", None, True, 1.5, float("inf"), [1]])
-def test_no_bytes(size):
+def test_wrong_sizes_in_bytes_are_refused(size):
     with pytest.raises(OptionError, match="20MB"):
         as_bytes(size)
 
 
 @pytest.mark.parametrize("text", ["", "ten", "10%%", "1,5", "nan", "1e9999", "1.2.3"])
-def test_no_ratios(text):
+def test_wrong_ratios_are_refused(text):
     with pytest.raises(OptionError, match=r"0\.1 or 10%"):
         options.parse_ratio(text)
 
 
 @pytest.mark.parametrize("text", ["", "ten", "1.5", "1.0005k", "-3", "3kB"])
-def test_no_counts(text):
+def test_wrong_counts_are_refused(text):
     with pytest.raises(OptionError, match="100k"):
         options.parse_count(text)
 
 
-def test_shares_and_multiples_on_the_command_line(scene, tmp_path):
+def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path):
     for number, asked in enumerate((("-r", "10%"), ("--count", "0.2k"))):
         small = tmp_path / f"{number}.ply"
         result = run("simplify", scene, small, *asked, "--preset", "fast", "--max-memory", "4G")
@@ -105,26 +105,28 @@ def test_shares_and_multiples_on_the_command_line(scene, tmp_path):
         (["-r", "0.1"], ["OUT is missing", "a.ply"]),
     ],
 )
-def test_each_wrong_value_has_a_sentence_of_its_own(scene, arguments, words):
+def test_each_wrong_value_has_its_own_error_message(scene, arguments, words):
     result = run("simplify", scene, *arguments)
     assert_refused(result, *words)
     assert "Input should be" not in result.stderr
 
 
-def test_what_is_too_large_is_said_in_words(scene):
-    said = run("studio", scene, "--port", "99999")
-    assert_refused(said, "--port takes 65535 or less, not '99999'")
+def test_values_that_are_too_large_are_refused(scene):
+    result = run("studio", scene, "--port", "99999")
+    assert_refused(result, "--port takes 65535 or less, not '99999'")
 
 
-def test_a_preset_names_the_options_that_it_has(scene, tmp_path):
-    said = run("simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast", "--tau", "3")
-    assert_refused(
-        said, "--tau cannot be used with the preset fast", "--lambda-app, ", "--view-size"
+def test_errors_list_the_options_that_a_preset_has(scene, tmp_path):
+    result = run(
+        "simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast", "--tau", "3"
     )
-    assert not re.search("lambda_app|halves|measure", said.stderr)
+    assert_refused(
+        result, "--tau cannot be used with the preset fast", "--lambda-app, ", "--view-size"
+    )
+    assert not re.search("lambda_app|halves|measure", result.stderr)
 
 
-def test_sizes_are_bytes_and_views_have_pixels(scene, tmp_path):
+def test_the_size_of_views_is_called_pixels(scene, tmp_path):
     for command in ("render", "compare", "view", "refit", "bench"):
         names = {name for param in COMMANDS[command].params for name in param.opts}
         assert "--pixels" in names
@@ -133,7 +135,7 @@ def test_sizes_are_bytes_and_views_have_pixels(scene, tmp_path):
 
 
 @pytest.mark.parametrize("name", [*COMMANDS, ""])
-def test_the_help_speaks_of_values_and_not_of_types(name, monkeypatch, capsys):
+def test_the_help_names_values_instead_of_types(name, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "200")
     assert run_here(*filter(None, [name]), "--help") == 0
     text = capsys.readouterr().out
@@ -155,7 +157,7 @@ def test_every_example_can_be_parsed(name):
 
 
 def test_every_parameter_with_a_help_is_an_option():
-    """Its help, its default and its range are said once: where the parameter is."""
+    """Its help, default and range are stated only where the parameter is defined."""
     kinds = {"simplify": (ForestParameters, PaperParameters), "refit": (RefitParameters,)}
     kinds["lod"] = kinds["simplify"]
     for command, owners in kinds.items():
@@ -191,7 +193,7 @@ class Cut:
         ({"share": math.nan}, "share must be a finite number, not nan."),
     ],
 )
-def test_a_range_is_checked_and_said(given, words):
+def test_ranges_are_checked_and_stated_in_errors(given, words):
     assert Cut(share=1, count=1, width=16) == Cut(share=1.0, count=1, width=16)
     with pytest.raises(OptionError) as refused:
         Cut(**given)
@@ -200,23 +202,23 @@ def test_a_range_is_checked_and_said(given, words):
 
 @dataclass(frozen=True)
 class Inner:
-    """Options in a group, another group among them."""
+    """A group of options that contains another group."""
 
     deep: Annotated[int, typer.Option(help="Deep.")] = 1
     cut: Annotated[dict, {"k": (Annotated[int | None, typer.Option()], None)}] = None
 
 
-def test_a_group_stands_for_its_options():
-    got = []
+def test_a_group_is_expanded_into_its_options():
+    calls = []
 
     @with_options
     def command(*, name: Annotated[str, typer.Argument()], inner: Inner):
         """Do it."""
-        got.append((name, inner))
+        calls.append((name, inner))
 
     app = typer.Typer()
     app.command()(command)
-    for words in (["x"], ["x", "--deep", "4", "--k", "2"]):
-        get_command(app)(words, standalone_mode=False)
-    assert got == [("x", Inner(1, {})), ("x", Inner(4, {"k": 2}))]
+    for arguments in (["x"], ["x", "--deep", "4", "--k", "2"]):
+        get_command(app)(arguments, standalone_mode=False)
+    assert calls == [("x", Inner(1, {})), ("x", Inner(4, {"k": 2}))]
     assert command.__doc__ == "Do it."

@@ -1,6 +1,6 @@
-"""Other programs open our files and we theirs: benchmarks/oracles.py in small.
+"""Other programs read our files, and nanogs reads theirs: a small run of benchmarks/oracles.py.
 
-In steps of each format's quantisation. `make oracles` installs the programs.
+Differences are in steps of each format's quantisation. `make oracles` installs the programs.
 """
 
 import numpy as np
@@ -13,11 +13,10 @@ from npm_packages import package
 
 ROWS = 250
 SCENES = ("biker.spz", "guitar.compressed.ply", "seal.splat", "skull.sog")  # one for each degree
-ALIKE = 0.02  # of a step: the same, in single precision
-# Half a step, the rounding of what is measured, and the largest part of a rotation, which is
-# computed from the others.
-# .sog and .spz keep no more steps of centres than splats are small, .sog every second one of
-# rotations and .spz every fourth.
+ALIKE = 0.02  # steps: equal up to single precision
+# Largest errors in steps where they are more than half a step and rounding. The largest component
+# of a rotation is computed from the others. .sog and .spz store centres only as finely as the
+# splats are small; .sog stores every second step of rotations, .spz every fourth.
 KEPT: dict[str | tuple[str, str], float] = {
     "rotation": 2.0,
     (".sog", "centre"): 32.1,
@@ -27,9 +26,9 @@ KEPT: dict[str | tuple[str, str], float] = {
     (".spz", "centre"): 32.1,
     (".spz v4", "centre"): 32.1,
 }
-# What others do in their own way: gaussforge makes large logits of alpha 0 and 1, and orders the
-# harmonics of a compressed PLY as no other program; splat-transform decodes the rotations of
-# .splat by 255 in place of 256, and cuts fractions off where it writes SOG.
+# Known deviations of other programs: gaussforge makes large logits of alpha 0 and 1, and orders
+# the harmonics of a compressed PLY as no other program does; splat-transform decodes the rotations
+# of .splat by 255 instead of 256, and truncates instead of rounding when it writes SOG.
 READ_OTHERWISE = {
     ("gaussforge", ".compressed.ply", "alpha"): 0.3,
     ("splat-transform", ".splat", "rotation"): 0.8,
@@ -44,7 +43,7 @@ def oracles(benchmark_module):
 
 
 def installed(oracles, name):
-    """A program as the benchmark knows it; skips the test where it is not installed."""
+    """Return the entry of a program in the benchmark; skip the test if it is not installed."""
     if name == "splat-transform":
         package("@playcanvas/splat-transform")
     else:
@@ -55,7 +54,7 @@ def installed(oracles, name):
 
 
 def some_scene(name):
-    """A real scene, or the one that comes with the package where it is absent."""
+    """Load a real scene, or the bundled one if it is missing."""
     try:
         return io.load(scene_path(name))
     except pytest.skip.Exception:
@@ -65,7 +64,7 @@ def some_scene(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("name", ["splat-transform", "gsply", "gaussforge"])
-def test_another_program_reads_and_writes_the_same(tmp_path, oracles, name, degree):
+def test_other_programs_read_and_write_the_same_values(tmp_path, oracles, name, degree):
     program = installed(oracles, name)
     scene = some_scene(SCENES[degree])
     rows = np.linspace(0, len(scene) - 1, ROWS).astype(int)
@@ -74,9 +73,13 @@ def test_another_program_reads_and_writes_the_same(tmp_path, oracles, name, degr
     for row in oracles.held(model, tmp_path, [program]):
         where = (row["program"], row["format"])
         assert "failed" not in row, row
-        for what in ("read", "read theirs"):
-            for column, steps in row.get(what, {}).items():
-                assert steps <= READ_OTHERWISE.get((*where, column), ALIKE), (where, what, column)
+        for direction in ("read", "read theirs"):
+            for column, steps in row.get(direction, {}).items():
+                assert steps <= READ_OTHERWISE.get((*where, column), ALIKE), (
+                    where,
+                    direction,
+                    column,
+                )
                 compared += 1
         if row["program"] == "nanogs" and row["format"] in IN_STEPS:
             for column, steps in row["kept"].items():

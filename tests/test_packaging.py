@@ -1,4 +1,4 @@
-"""The project's statements about itself: its extras, its Pythons, its files."""
+"""Metadata of the project: its extras, its Python versions, its files."""
 
 import ast
 import re
@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-# Where a package is imported by another name.
+# Distributions whose module has another name.
 DISTRIBUTIONS = {
     "PIL": "pillow",
     "flip_evaluator": "flip-evaluator",
@@ -23,15 +23,17 @@ DISTRIBUTIONS = {
 STANDARD = {"pty", "resource"}  # on Unix
 
 
-def named(requirements):
-    """The distributions that requirements name."""
+def distributions_of(requirements):
+    """Return the names of the distributions in requirements, with their extras."""
     return {re.match(r"[\w.-]+(\[\w+\])?", line)[0] for line in requirements}
 
 
-def test_what_tests_skip_without_is_installed_by_a_target_of_make():
-    """Else they are skipped everywhere, and nobody sees it."""
+def test_packages_that_tests_skip_without_are_installed_by_make():
+    """Otherwise these tests would be skipped everywhere, and nobody would notice."""
     extras = PROJECT["optional-dependencies"]
-    installed = named([*PROJECT["dependencies"], *extras["dev"], *extras["oracles"]]) | {"torch"}
+    installed = distributions_of([*PROJECT["dependencies"], *extras["dev"], *extras["oracles"]]) | {
+        "torch"
+    }
     sources = "".join(path.read_text() for path in Path(__file__).parent.glob("*.py"))
     modules = set(re.findall(r"""importorskip\(\s*["'](\w+)""", sources)) - STANDARD
     assert {DISTRIBUTIONS.get(name, name) for name in modules} <= installed
@@ -40,16 +42,16 @@ def test_what_tests_skip_without_is_installed_by_a_target_of_make():
         assert "TORCH ?= torch==" in (ROOT / "Makefile").read_text()
 
 
-def test_what_is_imported_is_among_the_dependencies_and_extras():
-    """And not only there because something else, such as a test, needs it."""
+def test_imported_packages_are_dependencies_or_in_extras():
+    """They must not be there only because something else, such as a test, needs them."""
     extras = PROJECT["optional-dependencies"]
     optional = [
         line for name in extras.keys() - {"dev", "docs", "oracles"} for line in extras[name]
     ]
-    allowed = named([*PROJECT["dependencies"], *optional]) | {
+    allowed = distributions_of([*PROJECT["dependencies"], *optional]) | {
         "llvmlite",
         "markupsafe",
-    }  # Numba's, Jinja2's
+    }  # dependencies of Numba and Jinja2
     modules = set()
     for path in (ROOT / "src/nanogs").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -63,8 +65,8 @@ def test_what_is_imported_is_among_the_dependencies_and_extras():
 
 
 @pytest.mark.skipif(not (ROOT / "Makefile").exists(), reason="only in the repository")
-def test_files_that_make_names_are_there():
-    """`make bounds` ends at once where one is not."""
+def test_tests_that_the_makefile_names_exist():
+    """Otherwise `make bounds` would end at once."""
     lines = (ROOT / "Makefile").read_text().replace("\\\n", " ").splitlines()
     [names] = (line.partition("test_%.py,")[2] for line in lines if line.startswith("BOUNDS"))
     missing = [
@@ -76,7 +78,7 @@ def test_files_that_make_names_are_there():
     assert missing == []
 
 
-def test_classifiers_name_the_pythons_that_are_allowed():
+def test_classifiers_list_the_python_versions_that_are_allowed():
     lowest, end = re.fullmatch(r">=3\.(\d+),<3\.(\d+)", PROJECT["requires-python"]).groups()
     allowed = {f"Programming Language :: Python :: 3.{n}" for n in range(int(lowest), int(end))}
     assert {line for line in PROJECT["classifiers"] if ":: 3." in line} == allowed

@@ -1,4 +1,4 @@
-"""Comparing models, and each of them as the files that it is packed in."""
+"""Comparing models, and each of them packed in other formats (`packed`)."""
 
 import json
 import math
@@ -38,7 +38,7 @@ def files(tmp_path_factory):
     return folder
 
 
-def test_a_plain_twin_has_the_same_numbers(files, tmp_path, temporary):
+def test_scores_equal_those_of_files_saved_and_loaded_by_hand(files, tmp_path, temporary):
     scene, models = files / "scene.ply", [files / "half.ply", files / "third.ply"]
     found = nanogs.compare(scene, *models, packed=FORMATS, **SMALL).models
     original = nanogs.load(scene)
@@ -63,7 +63,7 @@ def test_a_plain_twin_has_the_same_numbers(files, tmp_path, temporary):
             assert [loss.psnr, loss.ssim] == pytest.approx(marks(whole, back, cameras))
 
 
-def test_further_kinds_and_sizes_have_it_too(files, temporary):
+def test_packed_models_are_scored_at_every_size_of_views(files, temporary):
     pair = (files / "scene.ply", files / "half.ply")
     both = nanogs.compare(*pair, packed=[".spz"], views=2, pixels=[32, 64])
     for pixels, one in zip((32, 64), both.each, strict=True):
@@ -83,17 +83,17 @@ def test_models_and_sources_are_packed_like_files(files, temporary):
     )
 
 
-def test_little_memory_gives_the_same_numbers(files, temporary, monkeypatch):
+def test_little_memory_gives_the_same_scores(files, temporary, monkeypatch):
     pair = (files / "scene.ply", files / "half.ply")
     expected = nanogs.compare(*pair, packed=[".spz"], **SMALL)
     monkeypatch.setattr("nanogs.scoring.needed.needed_bytes", lambda *_, **__: 10**15)
-    monkeypatch.setattr(FileSource, "load", None)  # held by nobody
+    monkeypatch.setattr(FileSource, "load", None)  # no model is loaded whole
     assert nanogs.compare(*pair, packed=[".spz"], max_memory="1GB", **SMALL) == expected
     with pytest.raises(NotEnoughMemoryError):
         nanogs.compare(*pair, packed=[".spz"], max_memory=LIBRARIES + 1000, **SMALL)
 
 
-def test_what_is_packed_already_is_told_and_not_packed_so_again(files, temporary):
+def test_a_model_already_packed_is_noted_and_not_packed_again(files, temporary):
     pair = (files / "scene.ply", files / "half.spz")
     found = nanogs.compare(*pair, packed=FORMATS, **SMALL)
     assert [model.name for model in found.models] == ["half.spz", "half.spz as .sog"]
@@ -105,7 +105,7 @@ def test_what_is_packed_already_is_told_and_not_packed_so_again(files, temporary
     assert len([note for note in alone.notes if "packed" in note]) == 1
 
 
-def test_a_model_that_equals_the_original_loses_all_that_it_has(files, temporary):
+def test_packing_a_copy_of_the_original_costs_infinite_decibels(files, temporary):
     scene = files / "scene.ply"
     _, packed = nanogs.compare(scene, scene, packed=[".sog"], **SMALL).models
     assert packed.packed.psnr_cost == math.inf
@@ -115,7 +115,7 @@ def test_a_model_that_equals_the_original_loses_all_that_it_has(files, temporary
     assert packed.packed.text == "the loss is packing alone"
 
 
-def test_a_file_that_the_original_was_read_from_gains_all(files, temporary):
+def test_packing_that_restores_the_original_gains_infinite_decibels(files, temporary):
     """Packing rounds the model to the original itself."""
     found = nanogs.compare(files / "half.spz", files / "half.ply", packed=[".spz"], **SMALL)
     model, packed = found.models
@@ -125,7 +125,7 @@ def test_a_file_that_the_original_was_read_from_gains_all(files, temporary):
     assert packed.packed.psnr == model.psnr
 
 
-def test_photographs_take_the_place_of_the_original(files, tmp_path, temporary):
+def test_packed_models_are_scored_against_photographs(files, tmp_path, temporary):
     scene = files / "scene.ply"
     write_photographs(tmp_path / "photos", scene)
     found = compare_files(
@@ -144,7 +144,7 @@ def test_photographs_take_the_place_of_the_original(files, tmp_path, temporary):
 @pytest.mark.usefixtures("small_pictures")  # of 128 pixels
 @pytest.mark.parametrize("more", [{}, {"frame": ("rdf", "rub")}, {"format_options": {"bits": 5}}])
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_a_result_that_is_measured_says_what_packing_cost(files, tmp_path, suffix, more):
+def test_a_measured_result_reports_the_cost_of_packing(files, tmp_path, suffix, more):
     scene, asked = files / "scene.ply", {"ratio": 0.3, "preset": "fast"}
     found = nanogs.simplify_blocks(scene, tmp_path / f"a{suffix}", measured=True, **asked, **more)
     plain = nanogs.simplify_blocks(scene, tmp_path / "a.ply", measured=True, **asked)
@@ -154,41 +154,41 @@ def test_a_result_that_is_measured_says_what_packing_cost(files, tmp_path, suffi
         pixels=128,
     ).models  # fmt: skip
     assert (own.psnr, own.ssim) == (plain.judged.psnr, plain.judged.ssim)
-    near = {"abs": 0.3} if "frame" in more else {}  # other values are rounded there
+    psnr_tolerance = {"abs": 0.3} if "frame" in more else {}  # rounding differs there
     expected, loss = packed.packed, found.packed
     assert loss.format == suffix
-    assert found.judged.psnr == pytest.approx(packed.psnr, **near)
-    near_ssim = {"abs": 0.005 if "frame" in more else 1e-6}
-    assert found.judged.ssim == pytest.approx(packed.ssim, **near_ssim)
-    assert loss.ssim == pytest.approx(expected.ssim, **near_ssim)
-    assert loss.ssim_cost == pytest.approx(expected.ssim_cost, **near_ssim)
-    assert loss.psnr_cost == pytest.approx(expected.psnr_cost, **near)
-    assert loss.psnr == pytest.approx(expected.psnr, **(near and {"abs": 3}))
+    assert found.judged.psnr == pytest.approx(packed.psnr, **psnr_tolerance)
+    ssim_tolerance = {"abs": 0.005 if "frame" in more else 1e-6}
+    assert found.judged.ssim == pytest.approx(packed.ssim, **ssim_tolerance)
+    assert loss.ssim == pytest.approx(expected.ssim, **ssim_tolerance)
+    assert loss.ssim_cost == pytest.approx(expected.ssim_cost, **ssim_tolerance)
+    assert loss.psnr_cost == pytest.approx(expected.psnr_cost, **psnr_tolerance)
+    assert loss.psnr == pytest.approx(expected.psnr, **(psnr_tolerance and {"abs": 3}))
     assert loss.psnr_cost == pytest.approx(plain.judged.psnr - found.judged.psnr, abs=1e-3)
 
 
-def test_simplify_says_what_packing_cost(files, tmp_path):
+def test_the_command_simplify_shows_the_cost_of_packing(files, tmp_path):
     arguments = ("simplify", files / "scene.ply", tmp_path / "a.spz", "--ratio", "0.3")
     arguments += ("--preset", "fast")
-    told = run(*arguments, "--measure")
-    assert told.returncode == 0, told.stderr
+    shown = run(*arguments, "--measure")
+    assert shown.returncode == 0, shown.stderr
     [report] = [json.loads(run(*arguments, "-w", "--measure", "--json").stdout)]
     cost = number_text(report["packed"]["psnr_cost"])
-    assert f"{WORDS_OF_VIEWS}, packing alone costs {cost} dB, " in told.stderr
+    assert f"{WORDS_OF_VIEWS}, packing alone costs {cost} dB, " in shown.stderr
     assert json.loads(run(*arguments, "-w", "--json").stdout)["packed"] is None
 
 
 # ---- the command ----------------------------------------------------------------------------
 
 
-def test_the_command_has_the_numbers_of_the_library(files, temporary):
+def test_the_command_compare_shows_the_numbers_of_the_library(files, temporary):
     pair = (files / "scene.ply", files / "half.ply")
     arguments = ("compare", *pair, *WORDS, "--packed", ".sog,spz", "--bits", "6")
     found = nanogs.compare(*pair, packed=FORMATS, format_options={"bits": 6}, **SMALL)
     assert json.loads(run(*arguments, "--json").stdout) == json.loads(json.dumps(found.to_dict()))
-    told = run(*arguments)
-    assert told.returncode == 0, told.stderr
-    rows = told.stdout.splitlines()
+    shown = run(*arguments)
+    assert shown.returncode == 0, shown.stderr
+    rows = shown.stdout.splitlines()
     for model in found.models[1:]:
         main, own = (row for row in rows if row.startswith(model.name))
         assert f"{model.psnr:.2f}" in main.split()
@@ -196,11 +196,11 @@ def test_the_command_has_the_numbers_of_the_library(files, temporary):
         cells += [model.packed.psnr, model.packed.ssim]
         texts = [number_text(cell, digits) for cell, digits in zip(cells, (1, 2, 4, 2, 4))]  # noqa: B905
         assert own.removeprefix(model.name).split() == texts
-    assert "which is what packing alone costs; to model: PSNR of the file against" in told.stderr
+    assert "which is what packing alone costs; to model: PSNR of the file against" in shown.stderr
     assert "packing" not in run("compare", *pair, *WORDS).stderr
 
 
-def test_the_command_refuses_in_one_sentence(files, temporary):
+def test_wrong_options_are_refused_in_one_sentence(files, temporary):
     pair = (files / "scene.ply", files / "half.ply")
     refused = {
         ("--packed", ".html"): "does not read .html",
@@ -214,13 +214,13 @@ def test_the_command_refuses_in_one_sentence(files, temporary):
         assert_refused(run("compare", *pair, *WORDS, *more), words)
 
 
-def test_nothing_is_left_where_a_file_is_damaged(files, tmp_path, temporary):
+def test_a_damaged_file_leaves_no_temporary_files(files, tmp_path, temporary):
     (tmp_path / "short.ply").write_bytes((files / "half.ply").read_bytes()[:-40])
     with pytest.raises(FormatError):
         nanogs.compare(files / "scene.ply", tmp_path / "short.ply", packed=[".sog"], **SMALL)
 
 
-def test_the_page_shows_what_packing_costs(files, tmp_path, temporary):
+def test_the_page_shows_the_cost_of_packing(files, tmp_path, temporary):
     require_bundle()
     page = tmp_path / "page.html"
     arguments = ("compare", files / "scene.ply", files / "half.ply", *WORDS, "--packed", ".sog")
@@ -231,8 +231,8 @@ def test_the_page_shows_what_packing_costs(files, tmp_path, temporary):
     loss = packed["packed"]
     assert f'<td data-is="costs (dB)">{loss["psnr_cost"]:.2f}</td>' in text
     assert f'<td data-is="to model (dB)">{loss["psnr"]:.2f}</td>' in text
-    assert text.count('data-name="half.ply as .sog"') == 3  # a picture a view
-    assert text.count('id="nanogs-model-') == 2  # those that move are the ones that were given
+    assert text.count('data-name="half.ply as .sog"') == 3  # one picture for each view
+    assert text.count('id="nanogs-model-') == 2  # only the given models are interactive
     assert "half.ply on the right" in text
     result = run(*arguments[:-2], "--report", page, "-w", "--json")
     assert "costs (dB)" not in page.read_text(encoding="utf-8")

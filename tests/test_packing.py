@@ -1,4 +1,4 @@
-"""How results are packed for a size: the harmonics, their palette and the bits, by looking."""
+"""Packing to a file size: SH degree, palette size and bits are chosen by measuring renders."""
 
 import math
 from dataclasses import replace
@@ -46,10 +46,10 @@ SHARES = (*LARGER, FIRST_SHARE, *SMALLER)
 # ---- the search ------------------------------------------------------------------------------
 
 
-class MadeUp:
-    """A model of bytes and quality that has one best packing."""
+class SyntheticModel:
+    """A synthetic model of file size and quality with one known best packing."""
 
-    bit = 0.8  # dB that a bit more or less than the best costs
+    bit = 0.8  # loss in dB for each bit more or fewer than the best
 
     def __init__(self, degree, share, bits):
         self.best, self.made, self.files = (degree, share, bits), [], []
@@ -71,7 +71,7 @@ class MadeUp:
         degree, share, bits = self.best
         size = self.bytes_of(packing, count)
         psnr = 30 + 5 * math.log(count / 5000) - 2 * abs(packing.sh_degree - degree)
-        psnr += 5 * math.log(self.bytes_of(packing, 1000) / 1000)  # as much as its bytes are worth
+        psnr += 5 * math.log(self.bytes_of(packing, 1000) / 1000)  # offsets that fewer splats fit
         psnr -= self.bit * abs(dict(packing.bits).get("bits", 7) - bits)
         if packing.share and packing.sh_degree:
             psnr -= 0.4 * abs(math.log2(packing.share / share))
@@ -80,7 +80,7 @@ class MadeUp:
 
 @given(st.integers(0, 3), st.sampled_from(SHARES), st.integers(4, 8), st.booleans(), st.booleans())
 def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
-    model = MadeUp(degree, share, bits)
+    model = SyntheticModel(degree, share, bits)
     choices = Choices(range(4), palettes, BITS if fine else {})
     found, count, probes = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
     assert found.sh_degree == degree
@@ -91,17 +91,17 @@ def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
     assert len(model.made) <= 2 * (len(SHARES) + 4)
 
 
-def test_a_lower_degree_far_behind_is_seen_but_not_made():
-    model = MadeUp(3, 8.0, 7)
+def test_a_much_worse_sh_degree_is_measured_but_not_attempted():
+    model = SyntheticModel(3, 8.0, 7)
     choose_packing(Choices(range(4), palettes=True), SIZE, 5.0, model.guess, model.attempt, 10**9)
     assert {packing.sh_degree for packing, _ in model.made} == {3}
     assert {packing.sh_degree for packing, _ in model.files} == {3, 2}
 
 
 @pytest.mark.parametrize(("lost", "made"), [(0.1, True), (1.5, False)])
-def test_a_small_palette_far_behind_is_seen_but_not_made(lost, made):
-    class Shining(MadeUp):
-        """Every halving of the palette costs much."""
+def test_a_much_worse_small_palette_is_measured_but_not_attempted(lost, made):
+    class Shining(SyntheticModel):
+        """Each halving of the palette loses `lost` dB."""
 
         def seen(self, packing, count):
             found = super().seen(packing, count)
@@ -115,14 +115,14 @@ def test_a_small_palette_far_behind_is_seen_but_not_made(lost, made):
     assert SMALLER[0] in {packing.share for packing, _ in model.files}
 
 
-def test_a_model_that_fits_whole_takes_what_shows_most():
-    model = MadeUp(3, 8.0, 7)
+def test_a_model_that_fits_whole_gets_the_best_sh_degree():
+    model = SyntheticModel(3, 8.0, 7)
     choices = Choices(range(4), palettes=False)
     found, count, _ = choose_packing(choices, 10**9, 5.0, model.guess, model.attempt, 1000)
     assert (found.sh_degree, count) == (3, 1000)
 
 
-def test_options_follow_the_count():
+def test_palette_sizes_follow_the_number_of_splats():
     assert Packing(2, 16.0).options(1600) == {"palette": 100}
     assert Packing(2, 64.0).options(10) == {"palette": 1}
     assert Packing(2, 1.5).options(1_000_000) == {"palette": 65_536}
@@ -130,16 +130,16 @@ def test_options_follow_the_count():
     assert Packing(0, 16.0).options(1600) == Packing(3).options(1600) == {}
 
 
-def test_fewer_bits_are_tried_first_unless_told_otherwise():
+def test_fewer_bits_are_tried_first_unless_finer_is_set():
     bits = Bits(6, range(4, 9), 6)
     assert bits.ways(6) == ([5, 4], [7, 8])
     assert bits.ways(5, finer=True) == ([6, 7, 8], [4])
     assert bits.ways(8) == ([7, 6, 5, 4], [])
 
 
-def test_a_larger_palette_may_want_finer_bits():
-    class Hiding(MadeUp):
-        """A small palette hides what coarse bits lose."""
+def test_a_larger_palette_may_need_finer_bits():
+    class Hiding(SyntheticModel):
+        """A small palette hides the loss of coarse bits."""
 
         def seen(self, packing, count):
             found = super().seen(packing, count)
@@ -154,9 +154,9 @@ def test_a_larger_palette_may_want_finer_bits():
     assert (found.share, dict(found.bits)) == (1.5, {"bits": 7})
 
 
-def test_bits_are_compared_at_the_size():
-    """The slope is overrated here: by it 4 bits were the best, then 5, and 6 in truth."""
-    model = MadeUp(0, 8.0, 6)
+def test_bits_are_compared_at_the_requested_size():
+    """The slope is too steep here: by it, 4 bits would be best, then 5; in truth it is 6."""
+    model = SyntheticModel(0, 8.0, 6)
     model.bit = 0.05
     choices = Choices([0], palettes=False, bits=BITS)
     found, count, _ = choose_packing(choices, SIZE, 5.6, model.guess, model.attempt, 10**9)
@@ -165,15 +165,15 @@ def test_bits_are_compared_at_the_size():
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
 
 
-def test_what_nearly_all_splats_bring_is_measured_near_the_size():
-    """Near the whole model they bring more than plain cuts of less tell, by which 7 is the best."""
+def test_the_gain_of_more_splats_is_measured_near_the_requested_size():
+    """Near the whole model it is larger than smaller cuts suggest, by which 7 bits are best."""
 
-    class Steep(MadeUp):
+    class Steep(SyntheticModel):
         def seen(self, packing, count):
             found = super().seen(packing, count)
             return replace(found, psnr=found.psnr + 12 * math.log(count / 5000))
 
-    def shown(bits):
+    def psnr_at_size(bits):
         packing = Packing(0, None, (("bits", bits),))
         return model.seen(packing, int(1000 * SIZE / model.bytes_of(packing, 1000))).psnr
 
@@ -182,16 +182,16 @@ def test_what_nearly_all_splats_bring_is_measured_near_the_size():
     found, count, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
     assert [dict(packing.bits)["bits"] for packing, _ in model.made] == [6, 7, 5]
     assert dict(found.bits) == {"bits": 5}
-    assert shown(5) > shown(6) > shown(7) > shown(8)
+    assert psnr_at_size(5) > psnr_at_size(6) > psnr_at_size(7) > psnr_at_size(8)
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
 
 
 @pytest.mark.parametrize("edge", [*range(5000, 8200, 200)])
-def test_a_result_is_packed_as_the_one_that_was_judged(edge):
-    """An option that followed from the splats stays as it was: files would leap in size."""
+def test_a_result_is_packed_with_the_options_that_were_measured(edge):
+    """An option derived from the splats keeps its measured value, or file sizes would jump."""
 
-    class Leaping(MadeUp):
-        """From a count on, centres take a byte more."""
+    class Leaping(SyntheticModel):
+        """From a certain count on, centres take one byte more."""
 
         def seen(self, packing, count):
             spare = packing.options(count).get("spare_bits", 6 if count < edge else 4)
@@ -202,13 +202,13 @@ def test_a_result_is_packed_as_the_one_that_was_judged(edge):
     model = Leaping(0, 8.0, 6)
     choices = Choices([0], palettes=False, bits=BITS)
     found, count, probes = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
-    settled = dict(found.derived_options)
-    assert [*settled] == ["spare_bits"]
+    derived = dict(found.derived_options)
+    assert [*derived] == ["spare_bits"]
     assert any(found.options(count).items() <= probe.options.items() for probe in probes)
     assert model.seen(found, count).bytes == pytest.approx(0.993 * SIZE, rel=0.002)
 
 
-def test_what_more_splats_bring_is_measured():
+def test_the_slope_is_the_quality_gained_by_more_splats():
     choices = Choices([0], palettes=False)
     less, more = (PackingReport(0, {}, n, n, 30 + 6 * math.log(n), 0.9) for n in (1000, 1600))
     assert slope_of(choices, less, more) == pytest.approx(6)
@@ -220,11 +220,11 @@ def test_what_more_splats_bring_is_measured():
     assert slope_of(choices, less, better) > 10
 
 
-# ---- harmonics that splats share ---------------------------------------------------------------
+# ---- harmonics shared by splats -----------------------------------------------------------------
 
 
 @given(st.integers(1, 9), st.integers(0, 2**32 - 1))
-def test_levelled_harmonics_are_weighted_means(entries, seed):
+def test_shared_harmonics_are_weighted_means(entries, seed):
     rng = np.random.default_rng(seed)
     labels = np.concatenate([np.arange(entries), rng.integers(0, entries, 20)]).astype(np.int32)
     weights = rng.uniform(0.1, 3, len(labels))
@@ -238,7 +238,7 @@ def test_levelled_harmonics_are_weighted_means(entries, seed):
         np.testing.assert_allclose(sh[own, 1:], np.broadcast_to(mean, sh[own, 1:].shape), atol=1e-5)
 
 
-# ---- as a whole ------------------------------------------------------------------------------
+# ---- results of a size -----------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -246,12 +246,12 @@ def splats():
     return random_splats(4000, degree=2)
 
 
-def sets_of(small):
-    """How many sets of higher harmonics there are."""
+def distinct_sets(small):
+    """Return the number of different sets of higher harmonics."""
     return len(np.unique(small.sh[:, 1:].reshape(len(small), -1), axis=0))
 
 
-def test_a_size_chooses_how_it_is_packed(splats):
+def test_the_packing_is_chosen_for_a_requested_size(splats):
     small, report = nanogs.simplify(splats, size=30_000, format=".sog", **FEW)
     assert {each.sh_degree for each in report.packings} >= {1, 2}
     assert report.achieved_size <= 30_000
@@ -259,16 +259,16 @@ def test_a_size_chooses_how_it_is_packed(splats):
     assert all(each.bytes > 0 and each.psnr > 0 for each in report.packings)
     assert report.format_options["spare_bits"] in range(7)
     if small.sh_degree:
-        assert sets_of(small) <= report.format_options["palette"]
+        assert distinct_sets(small) <= report.format_options["palette"]
 
 
-def test_what_the_user_fixes_is_not_chosen(splats):
+def test_options_set_by_the_user_are_not_chosen(splats):
     given_options = {"palette": 50, "bits": 6}
     small, report = nanogs.simplify(
         splats, size=30_000, format=".sog", sh_degree=1, format_options=given_options, **FEW
     )
     assert small.sh_degree == 1
-    assert 40 <= sets_of(small) <= 50
+    assert 40 <= distinct_sets(small) <= 50
     assert (report.packings, report.format_options) == ((), {})
     assert round_trip_with_size(small, "a.sog", given_options)[1] == report.achieved_size
     _, free = nanogs.simplify(splats, size=30_000, format=".sog", sh_degree=1, **FEW)
@@ -276,38 +276,38 @@ def test_what_the_user_fixes_is_not_chosen(splats):
 
 
 def test_a_palette_of_a_given_size_is_fitted_at_that_size(splats):
-    """How many splats share its entries follows from the final count, not from the first guess."""
+    """The number of splats per entry follows from the final count, not from the first guess."""
     fixed = {"palette": 700}
     small, _ = nanogs.simplify(
         splats, size=30_000, format=".spz", sh_degree=2, format_options=fixed, **FEW
     )
-    assert sets_of(small) == 700
+    assert distinct_sets(small) == 700
 
 
 @pytest.mark.parametrize(("share", "most", "entries"), [(8, 1000, 100), (1, 50, 50), (2000, 9, 1)])
-def test_parts_of_a_result_have_their_share_of_its_palette(share, most, entries):
+def test_parts_of_a_result_get_a_proportional_share_of_its_palette(share, most, entries):
     sharing = Sharing(share, most)
     assert sharing.entries(800) == sharing.entries(800, 800) == entries
     assert sharing.entries(200, 800) == max(entries // 4, 1)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".glb"])
-def test_formats_of_known_sizes_choose_the_degree(splats, suffix):
-    dull = replace(splats, sh=splats.sh * np.float32([1, *[1e-3] * 8])[:, None])
+def test_formats_of_fixed_splat_sizes_choose_only_the_sh_degree(splats, suffix):
+    nearly_diffuse = replace(splats, sh=splats.sh * np.float32([1, *[1e-3] * 8])[:, None])
     size = 60_000
-    small, report = nanogs.simplify(dull, size=size, format=suffix, **FEW)
+    small, report = nanogs.simplify(nearly_diffuse, size=size, format=suffix, **FEW)
     assert small.sh_degree == 0
     assert {each.sh_degree for each in report.packings} == {0, 1, 2}
     assert any("above degree 0 are left out" in note for note in report.notes)
     found = round_trip_with_size(small, f"a{suffix}")[1]
     assert 0.99 * size < found == report.achieved_size <= size
-    kept, report = nanogs.simplify(dull, size=size, format=suffix, sh_degree=2, **FEW)
+    kept, report = nanogs.simplify(nearly_diffuse, size=size, format=suffix, sh_degree=2, **FEW)
     assert (kept.sh_degree, report.packings) == (2, ())
     assert len(kept) < len(small)
 
 
 @pytest.mark.parametrize(("suffix", "bits"), [(".sog", 7), (".spz", 6)])
-def test_what_does_not_look_keeps_all_harmonics_and_packs_them_coarsely(splats, suffix, bits):
+def test_presets_without_rendering_keep_all_harmonics_and_pack_coarsely(splats, suffix, bits):
     small, report = nanogs.simplify(splats, size=20_000, format=suffix, preset="fast")
     options = report.format_options
     assert (small.sh_degree, report.packings, options["bits"]) == (2, (), bits)
@@ -321,31 +321,31 @@ def test_what_does_not_look_keeps_all_harmonics_and_packs_them_coarsely(splats, 
     assert len(finer) < len(small)
 
 
-def test_where_nobody_looks_packings_are_as_coarse_as_needed():
-    """A palette grows where all splats fit with it; without one, bits do where most fit."""
+def test_packings_chosen_without_rendering_are_as_coarse_as_needed():
+    """The palette grows if all splats fit with it; without a palette, bits grow if most fit."""
     choices = Choices([0, 1, 2], palettes=True, bits=BITS)
-    row = [Packing(2, share, (("bits", 6),)) for share in (FIRST_SHARE, *LARGER, None)]
-    row += [Packing(2, None, (("bits", bits),)) for bits in (7, 8)]
-    for place, packing in enumerate(row):
+    candidates = [Packing(2, share, (("bits", 6),)) for share in (FIRST_SHARE, *LARGER, None)]
+    candidates += [Packing(2, None, (("bits", bits),)) for bits in (7, 8)]
+    for index, packing in enumerate(candidates):
         few = 999 if packing.share else 750
-        room = dict.fromkeys(row[:place], 1000) | {packing: few}
-        assert unseen_packing(choices, room.__getitem__, 1000) == packing
-    assert unseen_packing(choices, lambda _: 1000, 1000) == row[-1]
+        fitting = dict.fromkeys(candidates[:index], 1000) | {packing: few}
+        assert unseen_packing(choices, fitting.__getitem__, 1000) == packing
+    assert unseen_packing(choices, lambda _: 1000, 1000) == candidates[-1]
     without = unseen_packing(replace(choices, palettes=False), lambda _: 751, 1000)
-    assert without == row[-1]
+    assert without == candidates[-1]
     finer = replace(choices, palettes=False, bits={"bits": Bits(6, range(4, 9), 7)})
     assert dict(unseen_packing(finer, lambda _: 100, 1000).bits) == {"bits": 7}
 
 
-def test_a_size_without_room_is_said_before_anything_is_grown(splats, monkeypatch):
+def test_a_size_that_is_too_small_is_refused_before_the_forest(splats, monkeypatch):
     monkeypatch.setattr("nanogs.pipeline.in_memory.Job.build", None)
     with pytest.raises(TooSmallError, match="a file of one splat"):
         nanogs.simplify(splats, size=100, format=".sog", **FEW)
 
 
 @pytest.mark.parametrize("way", ["held", "stored"])
-def test_what_no_view_shows_is_packed_without_looking(splats, tmp_path, monkeypatch, way):
-    """Views to learn from show something then: splats as large as all space are seen from some."""
+def test_models_seen_in_no_view_are_packed_without_measuring(splats, tmp_path, monkeypatch, way):
+    """Only held-out views are empty here; those of the fit may show splats as large as space."""
 
     def unseen(*_given):
         raise ModelError("The reference is seen in none of the views.")
@@ -366,7 +366,7 @@ def test_what_no_view_shows_is_packed_without_looking(splats, tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("suffix", [".sog", ".spz", ".ply"])
-def test_files_hold_what_was_found(splats, tmp_path, suffix):
+def test_written_files_have_the_reported_size(splats, tmp_path, suffix):
     source = tmp_path / "in.ply"
     nanogs.save(splats.take(np.arange(0, len(splats), 4)), source)
     for name, block in (("a", None), ("b", 400)):
@@ -377,7 +377,7 @@ def test_files_hold_what_was_found(splats, tmp_path, suffix):
         assert nanogs.open(out).columns.sh_degree in (0, 1, 2)
 
 
-def test_a_size_is_chosen_by_roaming_views_too_and_a_psnr_by_its_own(splats):
+def test_a_size_is_judged_by_roaming_views_too_and_a_psnr_is_not(splats):
     given = {"width": 128, "height": 128, "split": "fit"}
     automatic = automatic_cameras(splats, 8, **given)
     roaming = roaming_cameras(decimated(splats), 16, **given | {"width": 64, "height": 64})
@@ -386,18 +386,18 @@ def test_a_size_is_chosen_by_roaming_views_too_and_a_psnr_by_its_own(splats):
         files = HeldFiles(Path("a.sog"), {}, splats, StageClock(), by_psnr=by_psnr)
         kinds = files.views.kinds
         for kind, cameras in zip(kinds, expected, strict=True):
-            places = [view.camera.position for view in kind.views]
-            np.testing.assert_array_equal(places, [camera.position for camera in cameras])
-        marks = [kind.judge(splats.take(np.arange(0, len(splats), 2))) for kind in kinds]
+            positions = [view.camera.position for view in kind.views]
+            np.testing.assert_array_equal(positions, [camera.position for camera in cameras])
+        scores = [kind.judge(splats.take(np.arange(0, len(splats), 2))) for kind in kinds]
         psnr, ssim = files.views.judge(splats.take(np.arange(0, len(splats), 2)))
-        assert psnr == pytest.approx(np.mean([each.psnr for each in marks]))
-        assert ssim == pytest.approx(np.mean([each.ssim for each in marks]))
+        assert psnr == pytest.approx(np.mean([each.psnr for each in scores]))
+        assert ssim == pytest.approx(np.mean([each.ssim for each in scores]))
 
 
-def test_a_result_of_fewer_harmonics_is_fitted_for_them(splats):
+def test_results_of_a_lower_sh_degree_are_fitted_at_that_degree(splats):
     views = {"steps": 48, "views": 12, "view_size": 96, "roaming": 0}
     small, _ = nanogs.simplify(splats, ratio=0.2, sh_degree=0, **views)
-    late = nanogs.simplify(splats, ratio=0.2, **views)[0].with_sh_degree(0)
+    cut_after_fit = nanogs.simplify(splats, ratio=0.2, **views)[0].with_sh_degree(0)
     assert small.sh_degree == 0
     original = held_out(splats)
-    assert original.psnr(small) > 0.02 + original.psnr(late)
+    assert original.psnr(small) > 0.02 + original.psnr(cut_after_fit)

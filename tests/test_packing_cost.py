@@ -1,4 +1,4 @@
-"""The cost of packing alone: the file of a model beside the same model unpacked."""
+"""The cost of packing alone: a packed model compared with the same model unpacked."""
 
 import json
 import tempfile
@@ -25,14 +25,14 @@ small = pytest.mark.usefixtures("small_pictures")  # of 128 pixels
 
 @pytest.fixture(scope="module", params=[0, 2], ids=["plain", "harmonics"])
 def scene(request, tmp_path_factory):
-    """A file of a model, without harmonics and with."""
+    """The file of a model, without and with harmonics."""
     path = tmp_path_factory.mktemp("cost") / "scene.ply"
     nanogs.save(random_splats(400, degree=request.param), path)
     return path
 
 
 def twin(scene, folder, suffix, **options):
-    """Bytes, PSNR and SSIM of a file that is written, loaded and rendered by hand."""
+    """Return bytes, PSNR and SSIM of a file that is saved, loaded and rendered by hand."""
     splats, path = nanogs.load(scene), folder / f"twin{suffix}"
     nanogs.save(splats, path, format_options=options)
     cameras = automatic_cameras(splats, 8, width=128, height=128, split="test")
@@ -44,7 +44,7 @@ def numbers(file):
 
 
 @small
-def test_a_plain_twin_has_the_same_numbers(scene, tmp_path, temporary):
+def test_scores_equal_those_of_files_saved_and_loaded_by_hand(scene, tmp_path, temporary):
     cost = nanogs.packing_cost(scene, FORMATS)
     assert [file.format for file in cost.files] == FORMATS
     assert cost.notes == ()
@@ -64,7 +64,7 @@ def test_a_format_gets_the_options_that_it_has(scene, tmp_path, temporary):
 
 
 @small
-def test_what_holds_everything_costs_nothing(scene, temporary):
+def test_lossless_formats_cost_nothing(scene, temporary):
     [file] = nanogs.packing_cost(nanogs.load(scene), [".ply"]).files
     assert file.judged.psnr == np.inf
     assert file.judged.ssim == pytest.approx(1)
@@ -81,22 +81,24 @@ def test_paths_models_and_sources_cost_the_same(scene, temporary):
 
 
 @small
-def test_little_memory_gives_the_same_numbers(scene, temporary, monkeypatch):
+def test_little_memory_gives_the_same_scores(scene, temporary, monkeypatch):
     expected = nanogs.packing_cost(scene, [".spz"])
     monkeypatch.setattr("nanogs.scoring.packing_cost.needed_bytes", lambda *_, **__: 10**15)
-    monkeypatch.setattr(FileSource, "load", None)  # held by nobody
+    monkeypatch.setattr(FileSource, "load", None)  # the model is not loaded whole
     assert nanogs.packing_cost(scene, [".spz"], max_memory="1GB") == expected
     with pytest.raises(NotEnoughMemoryError, match=r"takes about .* free some"):
         nanogs.packing_cost(scene, [".spz"], max_memory=LIBRARIES + 1000)
 
 
-def test_what_takes_too_much_memory_to_write_is_refused_before_work(scene, temporary, monkeypatch):
+def test_formats_that_take_too_much_memory_are_refused_before_any_work(
+    scene, temporary, monkeypatch
+):
     monkeypatch.setattr("nanogs.scoring.packing.convert_bytes", lambda *_, **__: 10**15)
     monkeypatch.setattr(FileSource, "load", None)
-    said = r"Packing .*scene\.ply as \.sog takes about"
-    with pytest.raises(NotEnoughMemoryError, match=said):
+    message = r"Packing .*scene\.ply as \.sog takes about"
+    with pytest.raises(NotEnoughMemoryError, match=message):
         nanogs.packing_cost(scene, [".sog"])
-    with pytest.raises(NotEnoughMemoryError, match=said):
+    with pytest.raises(NotEnoughMemoryError, match=message):
         nanogs.compare(scene, scene, packed=[".sog"])
 
 
@@ -118,14 +120,14 @@ def test_formats_that_cannot_be_measured_are_refused(scene, temporary, formats, 
         nanogs.packing_cost(scene, formats, format_options=options)
 
 
-def test_nothing_is_left_where_nothing_is_seen(temporary):
+def test_an_invisible_model_leaves_no_temporary_files(temporary):
     unseen = random_splats(9)
     unseen.opacity_logits[:] = -np.inf
     with pytest.raises(ModelError):
         nanogs.packing_cost(unseen, [".sog"])
 
 
-def test_a_file_that_is_packed_itself_is_named(scene, tmp_path, temporary):
+def test_a_model_that_is_already_packed_is_noted_or_refused(scene, tmp_path, temporary):
     nanogs.save(nanogs.load(scene), tmp_path / "a.splat")
     nanogs.save(nanogs.load(scene), tmp_path / "a" / "meta.json")
     [note] = nanogs.packing_cost(tmp_path / "a.splat", [".spz"]).notes
@@ -135,7 +137,7 @@ def test_a_file_that_is_packed_itself_is_named(scene, tmp_path, temporary):
             nanogs.packing_cost(tmp_path / packed, [".sog"])
 
 
-def test_steps_are_told(scene, temporary):
+def test_progress_is_reported(scene, temporary):
     steps = []
     nanogs.packing_cost(scene, [".spz", ".sog"], progress=steps.append)
     stages = list(dict.fromkeys((step.number, step.stage) for step in steps))
@@ -146,12 +148,12 @@ def test_steps_are_told(scene, temporary):
 # ---- nanogs info ----------------------------------------------------------------------------
 
 
-def test_info_says_what_packing_costs(scene, temporary):
+def test_info_shows_the_cost_of_packing(scene, temporary):
     cost = nanogs.packing_cost(scene, [".sog", ".spz"], format_options={"bits": 6})
     arguments = ("info", scene, "--packed", ".sog,spz", "--bits", "6")
-    told = run(*arguments)
-    assert told.returncode == 0, told.stderr
-    words = " ".join(told.stdout.split())  # however lines are broken
+    shown = run(*arguments)
+    assert shown.returncode == 0, shown.stderr
+    words = " ".join(shown.stdout.split())  # however lines are broken
     for file in cost.files:
         judged = f"{file.judged.psnr:.2f} dB / {file.judged.ssim:.4f} of the model unpacked"
         size = f"{file.file_bytes / 1e3:.1f} kB, {file.splat_bytes:.1f} bytes a splat"
@@ -163,12 +165,12 @@ def test_info_says_what_packing_costs(scene, temporary):
     assert report["splats"] == 400
 
 
-def test_info_without_the_option_has_nothing_packed(scene):
+def test_info_without_the_option_packs_nothing(scene):
     assert json.loads(run("info", scene, "--json").stdout)["packed"] == []
     assert "packed as" not in run("info", scene).stdout
 
 
-def test_info_refuses_in_one_sentence(scene):
+def test_info_refuses_wrong_options_in_one_sentence(scene):
     refused = {
         (".html",): "does not read .html",
         (".sgo",): "did you mean '.sog'",
@@ -184,7 +186,7 @@ def test_info_refuses_in_one_sentence(scene):
 def test_info_of_stdin_names_no_temporary_file(scene, tmp_path):
     nanogs.save(nanogs.load(scene), tmp_path / "a.splat")
     data = (tmp_path / "a.splat").read_bytes()
-    told = run("info", "-", "--from", "splat", "--packed", ".spz", data=data)
-    assert "packed as .spz" in told.stdout
-    assert "note: stdin: the file is itself packed, as .splat" in told.stderr
-    assert tempfile.gettempdir() not in told.stdout + told.stderr
+    shown = run("info", "-", "--from", "splat", "--packed", ".spz", data=data)
+    assert "packed as .spz" in shown.stdout
+    assert "note: stdin: the file is itself packed, as .splat" in shown.stderr
+    assert tempfile.gettempdir() not in shown.stdout + shown.stderr

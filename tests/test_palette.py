@@ -1,4 +1,4 @@
-"""Palettes: points that cost least to merge share an entry, and go to the nearest of those near."""
+"""Palettes: points that are cheap to merge share an entry, then move to the nearest one nearby."""
 
 import os
 import subprocess
@@ -27,7 +27,7 @@ def closest_compiled(factors, columns, squares, tiles, least, second, places):
 
 
 @pytest.mark.parametrize("find", [closest, closest_compiled])
-def test_the_two_least_sums_of_each_lane(find):
+def test_the_two_smallest_sums_of_each_lane_are_found(find):
     rng = np.random.default_rng(1)
     factors = rng.normal(size=(TOGETHER, 9)).astype(np.float32)
     columns = rng.normal(size=(9, 5 * LANES)).astype(np.float32)
@@ -43,11 +43,11 @@ def test_the_two_least_sums_of_each_lane(find):
         assert second == pytest.approx(sums[:, 1] if tiles > 1 else np.inf, abs=1e-5)
 
 
-# ---- looking for partners ----------------------------------------------------------------------
+# ---- finding partners --------------------------------------------------------------------------
 
 
 def some_points(seed, count, step=0.0, dimensions=9):
-    """Of values between -1 and 1, or of few values, so that many distances are equal."""
+    """Random values from -1 to 1; with a step only few values, so that many distances are equal."""
     values = np.random.default_rng(seed).uniform(-1, 1, (count, dimensions))
     return (np.rint(values / step) * step if step else values).astype(np.float32)
 
@@ -58,7 +58,7 @@ def cells_in_any_order(seed, count, cells):
 
 
 def costs_of(points, weights):
-    """(N, N) what merging two costs, in float64; infinite for one with itself."""
+    """Return the (N, N) float64 costs of merging each pair; infinite on the diagonal."""
     wide = points.astype(float)
     squares = ((wide[:, None] - wide) ** 2).sum(axis=-1)
     v, w = weights[:, None].astype(float), weights.astype(float)
@@ -70,7 +70,7 @@ def costs_of(points, weights):
 @given(st.integers(0, 99), st.sampled_from([0, 0.5]), st.integers(2, 300), st.integers(1, 4))
 @settings(deadline=None, max_examples=40)
 def test_the_nearest_point_in_all_cells_is_found(seed, step, count, cells):
-    """Where distances are equal, or all but equal, the lower one is."""
+    """Of several at equal or nearly equal distance, the one with the lowest index is found."""
     points, weights = some_points(seed, count, step), np.ones(count, np.float32)
     nodes = _Nodes(points, weights, cells_in_any_order(seed, count, cells))
     nodes.prepare(np.arange(count))
@@ -82,7 +82,7 @@ def test_the_nearest_point_in_all_cells_is_found(seed, step, count, cells):
         assert np.array_equal(found, costs.argmin(axis=1))
 
 
-def test_partners_come_at_what_they_cost_the_cheapest_first():
+def test_partners_have_exact_costs_and_the_cheapest_is_first():
     rng = np.random.default_rng(2)
     points, weights = some_points(2, 400), rng.uniform(0.1, 9, 400).astype(np.float32)
     nodes = _Nodes(points, weights, cells_in_any_order(2, 400, 3))
@@ -95,8 +95,8 @@ def test_partners_come_at_what_they_cost_the_cheapest_first():
     assert all(len(set(row)) == len(row) for row in nodes.partners.tolist())
 
 
-def test_where_rounding_hides_what_is_nearest_all_are_looked_at():
-    """Of squares of 30 nothing is left of differences of a thousandth."""
+def test_all_points_are_compared_if_rounding_hides_the_nearest():
+    """In single precision, squared lengths near 30 lose differences of a thousandth."""
     points = np.float32(1.9) + some_points(15, 300) / np.float32(1000)
     nodes = _Nodes(points, np.ones(300, np.float32), np.zeros((300, 1), np.int32))
     nodes.prepare(np.arange(300))
@@ -105,7 +105,7 @@ def test_where_rounding_hides_what_is_nearest_all_are_looked_at():
     assert nodes.costs[:, 0] == pytest.approx(costs.min(axis=1), rel=1e-3)
 
 
-def test_who_is_alone_in_the_cells_that_it_looks_into_finds_nobody():
+def test_a_point_alone_in_its_cells_finds_no_partner():
     points, cells = some_points(3, 40), np.full((40, 1), 1, np.int32)
     cells[7] = 0
     nodes = _Nodes(points, np.ones(40, np.float32), cells)
@@ -119,18 +119,18 @@ def test_who_is_alone_in_the_cells_that_it_looks_into_finds_nobody():
 # ---- merging -----------------------------------------------------------------------------------
 
 
-def merged_plainly(points, weights, size):
-    """Ward's method, one merge at a time: the squared error at the end."""
-    nodes, weights = list(points.astype(float)), list(weights.astype(float))
+def plain_ward_error(points, weights, size):
+    """Return the squared error of Ward's method with one merge at a time."""
+    means, weights = list(points.astype(float)), list(weights.astype(float))
     total = 0.0
-    while len(nodes) > size:
-        costs = costs_of(np.array(nodes), np.array(weights))
+    while len(means) > size:
+        costs = costs_of(np.array(means), np.array(weights))
         a, b = np.unravel_index(costs.argmin(), costs.shape)
         total += costs[a, b]
         v, w = weights[a], weights[b]
-        nodes[a] = (v * nodes[a] + w * nodes[b]) / (v + w)
+        means[a] = (v * means[a] + w * means[b]) / (v + w)
         weights[a] = v + w
-        del nodes[b], weights[b]
+        del means[b], weights[b]
     return total
 
 
@@ -151,10 +151,10 @@ def test_merging_many_at_a_time_is_nearly_as_good_as_one_by_one(size):
     assert np.array_equal(np.unique(labels), np.arange(size))
     assert home.tolist() == [0] * size
     error = squared_error(points, weights, labels)
-    assert error <= 1.1 * merged_plainly(points, weights, size) + 1e-9
+    assert error <= 1.1 * plain_ward_error(points, weights, size) + 1e-9
 
 
-def test_what_is_merged_becomes_the_weighted_mean_where_the_heavier_one_was():
+def test_merged_points_become_their_weighted_mean_in_the_heavier_ones_row():
     rng = np.random.default_rng(16)
     points, weights = some_points(16, 200), rng.uniform(0.2, 5, 200).astype(np.float32)
     nodes, rows = _Nodes(points, weights, np.zeros((200, 1), np.int32)), np.arange(200)
@@ -179,17 +179,17 @@ def test_what_is_merged_becomes_the_weighted_mean_where_the_heavier_one_was():
 
 @given(st.integers(0, 99), st.integers(1, 4), st.sampled_from([0, 0.5, 1]), st.floats(0.05, 0.99))
 @settings(deadline=None, max_examples=40)
-def test_there_are_as_many_groups_as_asked_for(seed, cells, step, share):
-    """In cells of any shape, of points many of which are equal; parts add up to all."""
+def test_the_number_of_groups_is_as_requested(seed, cells, step, share):
+    """In cells of any shape, with many equal points; the progress ends at the total."""
     points = some_points(seed, 300, step, dimensions=3)
     size = max(int(share * 300), 8 * cells)
     around = cells_in_any_order(seed, 300, cells)[:, : max(cells - 1, 1)]
-    told = []
+    progress = []
     labels, home = merge_points(
-        points, np.ones(300, np.float32), around, size, lambda *parts: told.append(parts)
+        points, np.ones(300, np.float32), around, size, lambda *parts: progress.append(parts)
     )
     assert np.array_equal(np.unique(labels), np.arange(size))
-    assert told[-1] == (300 - size, 300 - size)
+    assert progress[-1] == (300 - size, 300 - size)
     settled = settle(points, np.ones(300, np.float32), around, labels, home)
     assert np.array_equal(np.unique(settled), np.arange(size))
 
@@ -201,8 +201,8 @@ def test_points_go_to_the_nearest_mean_and_no_group_is_left_empty():
     labels[:20] = np.arange(20)
     settled = settle(points, weights, cells, labels, np.arange(20, dtype=np.int32) % 2)
     means = np.array([points[labels == k].mean(axis=0, dtype=float) for k in range(20)])
-    every = ((points[:, None].astype(float) - means) ** 2).sum(axis=-1)
-    assert every[np.arange(500), settled] == pytest.approx(every.min(axis=1), rel=1e-5)
+    distances = ((points[:, None].astype(float) - means) ** 2).sum(axis=-1)
+    assert distances[np.arange(500), settled] == pytest.approx(distances.min(axis=1), rel=1e-5)
     # Two groups of the same mean: the first takes the points of both, and the second keeps its own.
     twins = np.repeat(some_points(6, 2), 2, axis=0) * np.float32([[1], [-1]] * 2)
     settled = settle(
@@ -239,7 +239,7 @@ def test_labels_do_not_depend_on_the_unit(exponent):
     assert np.array_equal(scaled.entries, np.ldexp(found.entries, exponent))
 
 
-def test_what_all_share_does_not_hide_how_points_differ():
+def test_a_common_offset_does_not_change_the_errors():
     points = np.round(some_points(9, 3000) * 4096) / np.float32(4096)
     found, shifted = palette(points, 700), palette(points + np.float32(512), 700)
     errors = [
@@ -262,7 +262,7 @@ def test_entries_are_the_means_of_their_points():
 
 @settings(deadline=None)
 @given(seed=st.integers(0, 9), rows=st.integers(1, 60), kinds=st.integers(1, 4))
-def test_rows_are_told_apart_however_their_keys_fall(seed, rows, kinds):
+def test_distinct_rows_are_found_even_if_their_keys_collide(seed, rows, kinds):
     rng = np.random.default_rng(seed)
     points = rng.integers(-1, 2, (kinds, 3)).astype(np.float32)[rng.integers(0, kinds, rows)]
     points[::2] *= np.float32(-1) if seed % 2 else np.float32(1)  # -0 is 0
@@ -277,7 +277,7 @@ def test_rows_are_told_apart_however_their_keys_fall(seed, rows, kinds):
 
 
 def test_keys_differ_where_rows_do():
-    steps = np.arange(-200, 200, dtype=np.float32) / np.float32(8)  # of few bits each
+    steps = np.arange(-200, 200, dtype=np.float32) / np.float32(8)  # each of few significant bits
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     assert len(np.unique(palettes._keys(grid))) == len(grid)
 
@@ -293,21 +293,21 @@ sys.stdout.write(f"{found.labels.tobytes().hex()} {found.entries.tobytes().hex()
 """
 
 
-def test_plain_kernels_and_vectors_find_the_same():
+def test_scalar_and_vector_kernels_find_the_same_palette():
     found = [
         subprocess.run(
             [sys.executable, "-c", SAME],
-            env={**os.environ, "NANOGS_SIMD": wish},
+            env={**os.environ, "NANOGS_SIMD": simd},
             capture_output=True,
             check=True,
             text=True,
         ).stdout
-        for wish in ("0", "1")
+        for simd in ("0", "1")
     ]
     assert found[0] == found[1] != ""
 
 
-def test_any_number_of_threads_finds_the_same():
+def test_any_number_of_threads_finds_the_same_palette():
     points, found = some_points(13, 20_000, 0.25), []
     for threads in (1, 2):
         with use_threads(threads):
@@ -316,14 +316,14 @@ def test_any_number_of_threads_finds_the_same():
     assert np.array_equal(found[0].entries, found[1].entries)
 
 
-def test_cells_are_near_the_nearest_first():
+def test_nearby_cells_are_listed_nearest_first():
     points = some_points(14, 4000)
     cells = nearby_cells(points, 12, 2)
     assert cells.shape == (4000, 2)
     assert (cells[:, 0] != cells[:, 1]).all()
     starts, order = by_label(cells[:, 0], 12)
     centres = [points[order[a:b]].mean(axis=0) for a, b in pairwise(starts)]
-    away = np.linalg.norm(points[:, None] - np.array(centres), axis=-1)
-    own = np.take_along_axis(away, cells.astype(int), axis=1)
+    distances = np.linalg.norm(points[:, None] - np.array(centres), axis=-1)
+    own = np.take_along_axis(distances, cells.astype(int), axis=1)
     assert (own[:, 0] < own[:, 1]).mean() > 0.9
-    assert (own[:, 0] <= away.min(axis=1) + 1e-6).mean() > 0.8
+    assert (own[:, 0] <= distances.min(axis=1) + 1e-6).mean() > 0.8

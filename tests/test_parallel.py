@@ -1,4 +1,4 @@
-"""How the range of a kernel is split among threads."""
+"""Splitting the range of a kernel, and other work, among threads."""
 
 import os
 import subprocess
@@ -30,14 +30,14 @@ def split(function, least=1, each=8, over="values"):
 
 
 @given(st.integers(0, 300), st.integers(1, 400), st.integers(1, 20), st.booleans())
-def test_every_number_is_in_one_range(count, least, each, alone):
+def test_every_index_is_in_exactly_one_range(count, least, each, alone):
     values = np.zeros(count)
     with use_threads(1 if alone else None):
         split(add_one, least, each)(2.0, values)
     assert (values == 2.0).all()
 
 
-def test_ranges_are_as_many_as_asked_for_and_even():
+def test_ranges_have_the_requested_number_and_similar_sizes():
     ranges = []
     run = split(lambda start, stop, values: ranges.append((start, stop)), 10, 3)
     with use_threads(1):
@@ -49,15 +49,15 @@ def test_ranges_are_as_many_as_asked_for_and_even():
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
-def test_all_threads_take_part_and_no_more_than_asked_for():
-    met = threading.Barrier(2, timeout=20)
+def test_exactly_the_requested_number_of_threads_takes_part():
+    barrier = threading.Barrier(2, timeout=20)
     seen = []
 
     def meet(_start, _stop, values):
         assert len(values) == 100
         seen.append(threading.get_ident())
         if len(seen) <= 2:
-            met.wait()
+            barrier.wait()
 
     with use_threads(2):
         split(meet)(range(100))
@@ -66,7 +66,7 @@ def test_all_threads_take_part_and_no_more_than_asked_for():
 
 
 @pytest.mark.parametrize("threads", [1, numba.config.NUMBA_NUM_THREADS])
-def test_what_fails_in_any_thread_reaches_the_caller(threads):
+def test_an_exception_in_any_thread_reaches_the_caller(threads):
     def fail(start, _stop, values):
         if start > 0 and len(values):
             raise ZeroDivisionError
@@ -75,7 +75,7 @@ def test_what_fails_in_any_thread_reaches_the_caller(threads):
         split(fail)(range(100))
 
 
-def test_it_keeps_what_the_kernel_says_of_itself():
+def test_docstring_and_signatures_of_the_kernel_are_kept():
     run = split(add_one)
     assert run.__doc__ == "Add to some values."
     assert run.signatures == []
@@ -101,7 +101,7 @@ assert (values == 1).all()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
-def test_a_forked_process_starts_threads_of_its_own():
+def test_a_forked_process_starts_its_own_threads():
     subprocess.run([sys.executable, "-W", "ignore", "-c", FORK], check=True, timeout=60)
 
 
@@ -119,7 +119,7 @@ threading.Thread(target=work).start()
 """
 
 
-def test_a_thread_may_work_on_when_the_main_one_has_ended(tmp_path):
+def test_a_thread_can_work_after_the_main_thread_has_ended(tmp_path):
     nanogs.save(random_splats(200), tmp_path / "in.ply")
     command = [sys.executable, "-c", LATE, tmp_path / "in.ply", tmp_path / "late.sog"]
     subprocess.run(command, check=True, timeout=120)
@@ -129,14 +129,14 @@ def test_a_thread_may_work_on_when_the_main_one_has_ended(tmp_path):
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
-def test_parts_are_taken_once_by_all_threads():
-    met = threading.Barrier(2, timeout=20)
+def test_each_part_is_done_once_and_all_threads_take_part():
+    barrier = threading.Barrier(2, timeout=20)
     seen = []
 
     def work(part):
         seen.append((part, threading.get_ident()))
         if part < 2:
-            met.wait()
+            barrier.wait()
 
     with use_threads(2):
         for_each(range(50), work)
@@ -145,7 +145,7 @@ def test_parts_are_taken_once_by_all_threads():
 
 
 @pytest.mark.parametrize("threads", [1, numba.config.NUMBA_NUM_THREADS])
-def test_a_part_that_fails_reaches_the_caller(threads):
+def test_an_exception_in_a_part_reaches_the_caller(threads):
     def fail(part):
         if part == 7:
             raise ZeroDivisionError
@@ -156,13 +156,13 @@ def test_a_part_that_fails_reaches_the_caller(threads):
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
 @pytest.mark.parametrize("fails", ["here", "elsewhere"])
-def test_after_a_failure_nothing_begins_and_nobody_works_on(fails):
-    met = threading.Barrier(2, timeout=20)
+def test_after_a_failure_no_part_begins_or_goes_on(fails):
+    barrier = threading.Barrier(2, timeout=20)
     done = []
 
     def work(part):
         if part < 2:
-            met.wait()
+            barrier.wait()
             if (threading.current_thread() is threading.main_thread()) == (fails == "here"):
                 raise ZeroDivisionError
             time.sleep(0.2)
@@ -170,13 +170,13 @@ def test_after_a_failure_nothing_begins_and_nobody_works_on(fails):
 
     with use_threads(2), pytest.raises(ZeroDivisionError):
         for_each(range(50), work)
-    assert len(done) == 1  # what had begun; nothing follows
+    assert len(done) == 1  # the one that had begun
     time.sleep(0.1)
     assert len(done) == 1
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
-def test_an_interrupt_does_not_wait_for_parts_that_nobody_has_begun():
+def test_an_interrupt_does_not_wait_for_parts_that_have_not_begun():
     begun = []
 
     def work(part):
@@ -192,7 +192,7 @@ def test_an_interrupt_does_not_wait_for_parts_that_nobody_has_begun():
     assert time.perf_counter() - started < 4
 
 
-# As at a terminal, whatever this process was told to do about interrupts.
+# Handles interrupts as at a terminal, even if this process ignores them.
 SIGNALLED = """
 import signal, threading, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -218,8 +218,8 @@ with use_threads(2):
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
-def test_a_signal_does_not_wait_for_parts_that_nobody_has_begun():
-    """In a process of its own: one that runs other tests ends where an interrupt gets beyond."""
+def test_a_signal_does_not_wait_for_parts_that_have_not_begun():
+    """In its own process, because a stray interrupt would end the one that runs other tests."""
     command = [sys.executable, "-c", SIGNALLED]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     assert ended.stdout.startswith("interrupted after")
@@ -227,7 +227,7 @@ def test_a_signal_does_not_wait_for_parts_that_nobody_has_begun():
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
-def test_an_interrupt_while_others_are_asked_leaves_nobody_at_work(monkeypatch):
+def test_an_interrupt_during_submission_leaves_no_thread_working(monkeypatch):
     pool = parallel._pool()
     begun = []
 
@@ -244,39 +244,42 @@ def test_an_interrupt_while_others_are_asked_leaves_nobody_at_work(monkeypatch):
     assert begun == []
 
 
-def test_work_within_work_of_the_pool_stays_on_its_thread():
-    """Threads that all wait for work that none of them is free to do would wait for ever."""
+def test_nested_work_stays_on_its_thread():
+    """Otherwise all threads could wait for work that no thread is free to do: a deadlock."""
 
     def outer(number):
-        here = threading.current_thread()
+        outer_thread = threading.current_thread()
 
         def inner(part):
             found.append((number, part))
-            alone.append(here is threading.main_thread() or threading.current_thread() is here)
+            on_same_thread.append(
+                outer_thread is threading.main_thread()
+                or threading.current_thread() is outer_thread
+            )
             time.sleep(0.001)
 
         for_each(range(3), inner)
 
-    found, alone = [], []
+    found, on_same_thread = [], []
     with use_threads(None):
         for_each(range(20), outer)
     assert sorted(found) == [(a, b) for a in range(20) for b in range(3)]
-    assert all(alone)
+    assert all(on_same_thread)
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
-def test_what_nobody_began_holds_no_arrays():
+def test_work_that_has_not_begun_holds_no_arrays():
     ended = threading.Event()
     busy = [parallel._pool().submit(ended.wait) for _ in range(most_threads())]
     values = np.zeros(8)
-    held = weakref.ref(values)
+    reference = weakref.ref(values)
     try:
         with use_threads(2):
             split(add_one)(1.0, values)
         assert (values == 1).all()
         del values
-        assert held() is None
+        assert reference() is None
     finally:
         ended.set()
-        for each_one in busy:
-            each_one.result()
+        for future in busy:
+            future.result()

@@ -1,4 +1,4 @@
-"""Files read in parts: every span has the bytes of the whole file's rows, whatever the format."""
+"""Files read in parts: in every format, each span equals the same rows of the whole file."""
 
 import gzip
 import tracemalloc
@@ -21,13 +21,13 @@ from nanogs.io.sog import read as sog
 from partfiles import in_parts, whole
 from strategies import assert_same, splats
 
-# What is never read in parts: names of seeds, and suffixes.
+# Names of seeds, and suffixes, of files that are never read in parts.
 WHOLE = (".pt", ".ckpt", ".pth", ".usda", "tileset.json", ".glb, packed")
 SCENES = ("biker.spz", "biker.compressed.ply", "chair.splat", "skull.sog", "playbot/lod-meta.json")
 WRITTEN = [".ply", ".compressed.ply", ".splat", ".npz", ".spz", ".rad", ".glb"]
 
 
-def placed(folder, files):
+def write_files(folder, files):
     for name, data in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
@@ -35,7 +35,7 @@ def placed(folder, files):
 
 
 def assert_spans(path, spans):
-    """Assert that rows read of a file in parts are those that the whole has there."""
+    """Assert that spans of a file read in parts equal the same rows of the whole."""
     expected = whole(path)
     with in_parts(path) as read:
         for start, stop in spans:
@@ -45,16 +45,16 @@ def assert_spans(path, spans):
 
 
 def some_spans(count, rng, many):
-    """Random spans, the whole, and a row at either end."""
+    """Return random spans, the whole, the first row and the last."""
     ends = np.sort(rng.integers(0, count + 1, (many, 2)), axis=1)
     return [(0, count), (0, 1), (count - 1, count), *((a, b) for a, b in ends.tolist() if a < b)]
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)
 @given(model=splats(max_n=600, wild=False), data=st.data())
-def test_spans_of_any_model(tmp_path_factory, suffix, model, data):
+def test_spans_of_any_model_equal_the_rows_of_the_whole(tmp_path_factory, suffix, model, data):
     path = tmp_path_factory.mktemp("spans") / f"a{suffix}"
-    with path.open("wb") as file:  # `save` waits for the disk
+    with path.open("wb") as file:  # because `save` waits for the disk
         registry.writer(path)(model, file)
     starts = data.draw(st.lists(st.integers(0, len(model) - 1), min_size=1, max_size=4))
     spans = [(start, data.draw(st.integers(start + 1, len(model)))) for start in starts]
@@ -69,7 +69,9 @@ SECTIONS = st.lists(
 
 
 @given(SECTIONS, st.integers(0, 2), st.integers(0, 3), st.data())
-def test_spans_of_sections_and_buckets(tmp_path_factory, sections, mode, degree, data):
+def test_spans_of_ksplat_sections_equal_the_rows_of_the_whole(
+    tmp_path_factory, sections, mode, degree, data
+):
     made = [
         ksplatfiles.section(n, mode, degree, capacity=capacity, seed=seed, spare=seed % 3)
         for n, capacity, seed in sections
@@ -102,10 +104,10 @@ def test_empty_buckets_hold_no_row(tmp_path):
 
 
 @pytest.mark.parametrize("name", seeds.FORMATS)
-def test_spans_of_small_files_of_every_format(tmp_path, name):
+def test_spans_of_small_files_of_every_format_equal_the_whole(tmp_path, name):
     rng = np.random.default_rng(3)
     for number, files in enumerate(seeds.made(name).seeds):
-        path = placed(tmp_path / str(number), files)
+        path = write_files(tmp_path / str(number), files)
         if name in WHOLE or path.suffix in WHOLE:
             assert isinstance(io.open(path), Whole)
         else:
@@ -113,10 +115,10 @@ def test_spans_of_small_files_of_every_format(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", [name for name in seeds.FORMATS if name not in WHOLE])
-def test_damaged_files_are_refused_or_read_as_the_whole_is(tmp_path, name):
+def test_damaged_files_give_the_same_in_parts_and_whole(tmp_path, name):
     made, rng = seeds.made(name), np.random.default_rng(11)
     for number in range(40):
-        path = placed(tmp_path / str(number), made.damaged(rng))
+        path = write_files(tmp_path / str(number), made.damaged(rng))
         if path.suffix in WHOLE:
             continue
         try:
@@ -134,7 +136,7 @@ def test_damaged_files_are_refused_or_read_as_the_whole_is(tmp_path, name):
 
 
 def halves(path):
-    """A file in two parts, or one where it has no more than a row."""
+    """Read a file in two halves, or in one part if it has a single row."""
     count = io.inspect(path).splats
     with in_parts(path) as read:
         return [read(a, b) for a, b in ((0, count // 2), (count // 2, count)) if a < b]
@@ -142,7 +144,7 @@ def halves(path):
 
 @pytest.mark.parametrize("degree", [0, 2])
 @pytest.mark.parametrize("name", ["a.sog", "meta.json"])
-def test_spans_of_textures(tmp_path, name, degree):
+def test_spans_of_sog_textures_equal_the_rows_of_the_whole(tmp_path, name, degree):
     (tmp_path / "model").mkdir()
     path = tmp_path / "model" / name
     io.save(random_splats(700, degree=degree), path, overwrite=True)
@@ -152,7 +154,7 @@ def test_spans_of_textures(tmp_path, name, degree):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_spans_of_real_scenes(name):
+def test_spans_of_real_scenes_equal_the_rows_of_the_whole(name):
     path = scene_path(name)
     count = io.inspect(path).splats
     rng = np.random.default_rng(5)
@@ -166,7 +168,7 @@ MANY, FEW = 400_000, 2000
 
 
 def large(suffix):
-    """The bytes of a file of many splats, soon made."""
+    """Return the bytes of a file of many splats that is quick to make."""
     if suffix == ".splat":
         return bytes(range(1, 33)) * MANY
     if suffix == ".ksplat":

@@ -1,6 +1,7 @@
 """Renders of a trained model against the photographs it was trained for.
 
-This pins what the twin shares with the kernels: pixel centres, wxyz, the signs of the axes.
+This checks conventions that the plain rasteriser of the tests shares with the kernels: pixel
+centres, the order wxyz, the signs of the axes.
 """
 
 import json
@@ -41,7 +42,7 @@ def chair():
 
 @cache
 def photo_psnr(view):
-    """PSNR of one test view, over white, clipped as a display would."""
+    """Return the PSNR of one test view over white, clipped to the range of a display."""
     image_module = pytest.importorskip("PIL.Image")
     folder = scene_path("chair_photos")
     poses = json.loads((folder / "transforms_test.json").read_text())
@@ -59,10 +60,10 @@ def photo_psnr(view):
 
 
 @pytest.mark.parametrize("view", EXPECTED)
-def test_chair_is_as_near_to_its_photographs_as_in_the_reference(view):
+def test_the_psnr_of_the_chair_is_that_of_the_reference_rasteriser(view):
     assert photo_psnr(view) == pytest.approx(EXPECTED[view], abs=0.2)
 
 
-def test_chair_on_the_mean_of_all_photographs():
+def test_the_mean_psnr_of_the_chair_is_that_of_the_reference_rasteriser():
     values = [photo_psnr(view) for view in range(0, 200, 10)]
     assert np.mean(values) == pytest.approx(EXPECTED_MEAN, abs=0.1)

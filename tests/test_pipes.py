@@ -21,8 +21,8 @@ def run(*arguments, data=b"", **kwargs):
     return launch.run(*arguments, text=False, data=data, **kwargs)
 
 
-def refused(result, *words):
-    """Exit code 2, one sentence, nothing on stdout, no name of a temporary file."""
+def assert_refused(result, *words):
+    """Assert exit code 2, one sentence, nothing on stdout, and no name of a temporary file."""
     text = result.stderr.decode()
     assert (result.returncode, result.stdout) == (2, b""), text
     assert text.startswith("error: ")
@@ -39,7 +39,7 @@ def scene(tmp_path_factory):
     return path
 
 
-def test_through_the_pipe_come_the_bytes_of_the_file(scene, tmp_path):
+def test_piped_results_have_the_bytes_of_files(scene, tmp_path):
     options = ("--ratio", "0.1", "--preset", "fast")
     piped = run("simplify", "-", "-", *options, "-v", data=scene.read_bytes())
     assert piped.returncode == 0
@@ -53,23 +53,23 @@ def test_through_the_pipe_come_the_bytes_of_the_file(scene, tmp_path):
     assert (given.stdout, given.stderr) == (piped.stdout, b"")
 
 
-def test_one_end_is_a_file(scene, tmp_path):
+def test_one_end_of_the_pipe_may_be_a_file(scene, tmp_path):
     out = run("convert", scene, "-", "--to", "splat")
     assert out.returncode == 0
     target = tmp_path / "a.splat"
     back = run("convert", "-", target, "--from", ".splat", data=out.stdout)
     assert back.returncode == 0, back.stderr
     assert target.read_bytes() == out.stdout
-    refused(run("convert", "-", target, "--from", "splat", data=out.stdout), "a.splat", "-w")
+    assert_refused(run("convert", "-", target, "--from", "splat", data=out.stdout), "a.splat", "-w")
 
 
-def test_json_does_not_mix_with_the_model(scene):
+def test_json_goes_to_stderr_if_the_model_goes_to_stdout(scene):
     result = run("convert", scene, "-", "--to", "spz", "--json")
     report = json.loads(result.stderr)
     assert (report["input"], report["output"]) == (str(scene), "stdout")
     assert report["output_bytes"] == len(result.stdout)
     read = run("convert", "-", os.devnull, "--json", data=scene.read_bytes())
-    assert read.returncode == 2  # no regular file
+    assert read.returncode == 2  # the null device is no regular file
     plan = run("simplify", scene, "-", "-r", "0.5", "--dry-run", "--json")
     assert (json.loads(plan.stderr)["asked_count"], plan.stdout) == (150, b"")
 
@@ -86,7 +86,7 @@ SNIFFED = {
 
 
 @pytest.mark.parametrize("name", SNIFFED)
-def test_the_first_bytes_say_the_format(tmp_path, name):
+def test_the_format_is_recognised_by_the_first_bytes(tmp_path, name):
     nanogs.save(random_splats(20), tmp_path / f"a{name}", format_options=SNIFFED[name])
     found = sniff(tmp_path / f"a{name}")
     expected = registry.find(tmp_path / f"a{name}").suffix
@@ -97,7 +97,7 @@ def test_the_first_bytes_say_the_format(tmp_path, name):
 
 
 @pytest.mark.parametrize("folder", ["", "web/"])
-def test_a_stream_in_one_file_is_told_from_the_models_in_it(tmp_path, folder):
+def test_an_archive_of_levels_is_not_taken_for_a_single_model(tmp_path, folder):
     """A zip of `lod-meta.json` has a `meta.json` for each of its models."""
     splats = random_splats(60)
     nanogs.write_levels(
@@ -113,58 +113,62 @@ def test_a_stream_in_one_file_is_told_from_the_models_in_it(tmp_path, folder):
 
 
 @pytest.mark.parametrize("data", [b"", b"hello", b"PK\x03\x04 no zip", b"\x00" * 64])
-def test_bytes_that_say_nothing(tmp_path, data):
+def test_unknown_bytes_have_no_format(tmp_path, data):
     (tmp_path / "a").write_bytes(data)
     assert sniff(tmp_path / "a") is None
 
 
-def test_spz_4_is_told_by_its_own_magic(tmp_path):
+def test_spz_4_is_recognised_by_its_own_magic_number(tmp_path):
     with (tmp_path / "a").open("wb") as file:
         spz_write.write(random_splats(5), file, version=4)
     assert sniff(tmp_path / "a") == ".spz"
 
 
 @pytest.mark.slow
-def test_what_is_refused(scene, tmp_path):
+def test_wrong_uses_of_pipes_are_refused(scene, tmp_path):
     data = scene.read_bytes()
     splat = run("convert", scene, "-", "--to", "splat").stdout
-    refused(run("convert", "-", "-", data=splat), "--from splat")
-    refused(run("convert", "-", "-"), "stdin is empty")
-    refused(run("convert", "-", "-", data=data[:-5]), "stdin", "cut short")
-    refused(run("convert", "-", "-", "--from", "obj", data=data), "unknown suffix")
-    refused(run("convert", "-", "-", "--to", "obj", data=data), "does not write")
+    assert_refused(run("convert", "-", "-", data=splat), "--from splat")
+    assert_refused(run("convert", "-", "-"), "stdin is empty")
+    assert_refused(run("convert", "-", "-", data=data[:-5]), "stdin", "cut short")
+    assert_refused(run("convert", "-", "-", "--from", "obj", data=data), "unknown suffix")
+    assert_refused(run("convert", "-", "-", "--to", "obj", data=data), "does not write")
     textures = run("convert", "-", "-", "--to", "meta.json", data=data)
-    refused(
+    assert_refused(
         textures, "error: meta.json describes a folder of files; use a format with a single file"
     )
-    refused(
+    assert_refused(
         run("convert", "-", "-", "--from", "ksplat", data=data),
         "choose another for OUT, as in --to ply",
     )
     ksplat = ("--from", "ksplat", "--to", "ply")
-    refused(run("convert", "-", "-", *ksplat, data=data), "stdin.ksplat")
+    assert_refused(run("convert", "-", "-", *ksplat, data=data), "stdin.ksplat")
     (tmp_path / "there.ply").touch()
-    refused(run("convert", "-", tmp_path / "there.ply", data=data), "already; add -w to replace it")
+    assert_refused(
+        run("convert", "-", tmp_path / "there.ply", data=data), "already; add -w to replace it"
+    )
     (tmp_path / "there.ply").unlink()
-    refused(run("convert", scene, tmp_path / "a.ply", "--to", "ply"), "--to works only if OUT is -")
-    refused(
+    assert_refused(
+        run("convert", scene, tmp_path / "a.ply", "--to", "ply"), "--to works only if OUT is -"
+    )
+    assert_refused(
         run("convert", scene, "-", "--from", "ply"),
         "--from works only if IN is -",
         "states the format",
     )
     named = run("convert", "noext", "a.ply", "--from", "ply")
-    refused(
+    assert_refused(
         named, "--from works only if IN is -; pipe the file into it, as in - --from ply < noext"
     )
-    refused(
+    assert_refused(
         run("convert", scene, "out", "--to", "ply"), "--to works only if OUT is -; name out.ply"
     )
-    refused(run("convert", "-", "--out-dir", tmp_path, data=data), "--out-dir")
-    refused(run("simplify", "-", "-", "-r", "2", data=data), "ratio")
+    assert_refused(run("convert", "-", "--out-dir", tmp_path, data=data), "--out-dir")
+    assert_refused(run("simplify", "-", "-", "-r", "2", data=data), "ratio")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_terminal_gets_no_model(scene):
+def test_terminals_are_refused_for_models(scene):
     pty = pytest.importorskip("pty")
     leader, follower = pty.openpty()
     try:
@@ -174,7 +178,7 @@ def test_a_terminal_gets_no_model(scene):
         )
         assert to.returncode == 2
         assert b"stdout is a terminal" in to.stderr
-        refused(
+        assert_refused(
             subprocess.run([*command, "-", "-"], stdin=follower, capture_output=True, timeout=60),
             "stdin is a terminal",
         )
@@ -194,8 +198,8 @@ def test_no_temporary_file_is_left(scene, tmp_path):
 @pytest.mark.parametrize(
     "arguments", [("info",), ("info", "--json"), ("convert", "-", "--to", "ply"), ("--help",)]
 )
-def test_a_pipe_that_nobody_reads_ends_the_command_quietly(scene, arguments):
-    """As SIGPIPE ends other programs: their exit code, and not a word."""
+def test_a_closed_pipe_ends_the_command_quietly(scene, arguments):
+    """With the exit code of programs that SIGPIPE ends, and without any output."""
     first, *rest = arguments
     command = [first, *([] if first == "--help" else [scene]), *rest]
     reader, writer = os.pipe()
@@ -206,7 +210,7 @@ def test_a_pipe_that_nobody_reads_ends_the_command_quietly(scene, arguments):
     assert (ended.returncode, ended.stderr) == (141, b"")
 
 
-def test_levels_of_a_model_from_a_pipe(scene, tmp_path):
+def test_levels_of_a_piped_model_equal_those_of_its_file(scene, tmp_path):
     for source, data in (("-", scene.read_bytes()), (scene, None)):
         folder = tmp_path / str(data is None)
         done = run("lod", source, folder, "--preset", "fast", "--levels", "0.1", data=data)

@@ -1,4 +1,4 @@
-"""3D Tiles on Earth: the transform of a place, by other programs too, and what lod makes of it."""
+"""3D Tiles on Earth: the transform of a place, checked by pyproj and SciPy, and its options."""
 
 import json
 import math
@@ -53,59 +53,59 @@ def pyproj():
 
 
 @pytest.mark.parametrize("name", PLACES)
-def test_the_origin_is_where_pyproj_has_it(pyproj, name):
-    """EPSG:4979, longitude, latitude and height of WGS84, to EPSG:4978, Earth-centred."""
-    turned = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
-    expected = turned.transform(*PLACES[name])
+def test_the_origin_agrees_with_pyproj(pyproj, name):
+    """From EPSG:4979 (longitude, latitude, height of WGS84) to EPSG:4978 (Earth-centred)."""
+    transformer = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    expected = transformer.transform(*PLACES[name])
     assert Place(*PLACES[name]).matrix()[:3, 3] == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", PLACES)
-def test_the_axes_are_east_north_and_up_of_pyproj(pyproj, name):
-    """Points 100 m along each axis are where the topocentric frame of PROJ has them."""
+def test_the_axes_are_east_north_and_up_as_in_pyproj(pyproj, name):
+    """Points 100 m along each axis agree with the topocentric frame of PROJ."""
     longitude, latitude, height = PLACES[name]
-    tangent = pyproj.Transformer.from_pipeline(
+    topocentric = pyproj.Transformer.from_pipeline(
         "+proj=pipeline +step +proj=topocentric +ellps=WGS84"
         f" +lon_0={longitude} +lat_0={latitude} +h_0={height}"
     )
     matrix = Place(longitude, latitude, height).matrix()
     for point in 100 * np.eye(3):
-        expected = tangent.transform(*point, direction="INVERSE")
+        expected = topocentric.transform(*point, direction="INVERSE")
         assert (matrix @ [*point, 1])[:3] == pytest.approx(expected, abs=1e-6)
 
 
-def test_what_lies_north_has_a_greater_latitude(pyproj):
-    """A scene's y, turned by the heading, seen on a map."""
-    turned = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
+def test_axes_and_angles_move_points_as_on_a_map(pyproj):
+    """Points along the axes of the scene, in metres to the east, north and up."""
+    transformer = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
 
     def moved(axis, **angles):
         place = Place(8.5417, 47.3769, 408.0, **angles)
-        there = turned.transform(*(place.matrix() @ [*(10 * np.eye(3)[axis]), 1])[:3])
+        position = transformer.transform(*(place.matrix() @ [*(10 * np.eye(3)[axis]), 1])[:3])
         metres = 111_195 * np.cos(np.deg2rad(47.4)), 111_195, 1
-        return (np.subtract(there, (8.5417, 47.3769, 408.0)) * metres).round(0).tolist()
+        return (np.subtract(position, (8.5417, 47.3769, 408.0)) * metres).round(0).tolist()
 
     assert [moved(axis) for axis in range(3)] == [[10, 0, 0], [0, 10, 0], [0, 0, 10]]
-    # By a heading of 90, clockwise, north becomes east, and east south.
+    # A heading of 90 is clockwise: north becomes east, and east becomes south.
     assert [moved(axis, heading=90) for axis in range(2)] == [[0, -10, 0], [10, 0, 0]]
-    # By a pitch the east side is up, by a roll the north side.
+    # A pitch lifts the east side, a roll the north side.
     assert moved(0, pitch=90) == moved(1, roll=90) == [0, 0, 10]
-    # The roll first: then east, which it leaves, is lifted, and last turned to the south.
+    # First the roll (north to up), then the pitch (up to west), last the heading (west to north).
     assert moved(1, heading=90, pitch=90, roll=90) == [0, 10, 0]
 
 
 @given(places)
 @example(Place(0, 90, 0, 10, 90, 20))
-def test_a_place_only_turns_and_moves(place):
+def test_the_transform_of_a_place_is_rigid(place):
     matrix = place.matrix()
-    turn = matrix[:3, :3]
-    assert turn.T @ turn == pytest.approx(np.eye(3), abs=1e-12)
-    assert np.linalg.det(turn) == pytest.approx(1, abs=1e-12)
+    rotation = matrix[:3, :3]
+    assert rotation.T @ rotation == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1, abs=1e-12)
     assert (matrix[3] == [0, 0, 0, 1]).all()
 
 
 @given(places)
-def test_angles_are_those_of_another_implementation(place):
-    """SciPy's turns about axes that turn along: about z, y and then x."""
+def test_angles_agree_with_scipy(place):
+    """SciPy's intrinsic rotations about z, y and then x."""
     angles = [-place.heading, -place.pitch, place.roll]
     level = replace(place, heading=0, pitch=0, roll=0).matrix()[:3, :3]
     expected = level @ Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
@@ -117,8 +117,8 @@ def test_angles_are_those_of_another_implementation(place):
 @example(Place(10, 50, 0, 30, -90, 40))
 @example(Place(123, 90, 0, 30, 5, 0))
 @example(Place(-180, -90, 0))
-def test_the_place_of_a_transform_is_the_place(place):
-    """The same transform, though angles may be said in other ways."""
+def test_a_place_is_recovered_from_its_transform(place):
+    """The transform is the same, but its angles may be others that mean the same rotation."""
     matrix = place.matrix()
     assert np.abs(Place.of(matrix).matrix() - matrix).max() < 1e-6
     named = dict(field.split() for field in text_of(matrix).split(", "))
@@ -127,11 +127,11 @@ def test_the_place_of_a_transform_is_the_place(place):
     assert np.abs(again - matrix)[:3, :3].max() < 1e-8
 
 
-def test_what_is_no_place_is_named_by_its_numbers():
-    away = np.diag([2.0, 2, 2, 1])
-    away[:3, 3] = 6.4e6, 0.1, 0
-    assert text_of(away) == "transform 2,0,0,0,0,2,0,0,0,0,2,0,6400000,0.1,0,1"
-    assert Place.of(away) is None
+def test_transforms_that_are_no_place_are_described_by_their_numbers():
+    scaled = np.diag([2.0, 2, 2, 1])
+    scaled[:3, 3] = 6.4e6, 0.1, 0
+    assert text_of(scaled) == "transform 2,0,0,0,0,2,0,0,0,0,2,0,6400000,0.1,0,1"
+    assert Place.of(scaled) is None
     far = Place(0, 0, 2e5).matrix()
     assert Place.of(far) is None
 
@@ -146,7 +146,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_is_nowhere_is_refused(name):
+def test_invalid_places_are_refused(name):
     values, words = REFUSED[name]
     with pytest.raises(OptionError, match=words):
         Place(**values)
@@ -172,7 +172,7 @@ def changed(row, column, value):
         (changed(0, 0, 1e13), "at most"),
     ],
 )
-def test_what_is_no_transform_is_refused(transform, words):
+def test_invalid_transforms_are_refused(transform, words):
     with pytest.raises(OptionError, match=words):
         transform_of(transform)
 
@@ -193,7 +193,7 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def nowhere(scene):
+def unplaced(scene):
     path = scene.parent / "nowhere" / "tileset.json"
     assert run("lod", scene, path, *TILES, "-q").returncode == 0
     return path
@@ -211,16 +211,16 @@ def root_transform(path):
     return from_columns(json.loads(path.read_text())["root"]["transform"])
 
 
-def test_only_the_root_says_the_place(placed, nowhere):
-    """All other files of the folder are the same to the last byte."""
+def test_only_the_transform_of_the_root_depends_on_the_place(placed, unplaced):
+    """All other files of the folder have the same bytes."""
     assert np.array_equal(root_transform(placed), ZURICH.matrix())
-    data, other = (json.loads(path.read_text()) for path in (placed, nowhere))
+    data, other = (json.loads(path.read_text()) for path in (placed, unplaced))
     data["root"]["transform"] = other["root"]["transform"]
     assert data == other
     names = {path.name for path in placed.parent.iterdir()}
-    assert names == {path.name for path in nowhere.parent.iterdir()}
+    assert names == {path.name for path in unplaced.parent.iterdir()}
     for name in names - {"tileset.json"}:
-        assert (placed.parent / name).read_bytes() == (nowhere.parent / name).read_bytes()
+        assert (placed.parent / name).read_bytes() == (unplaced.parent / name).read_bytes()
 
 
 def test_west_and_south_are_negative(scene):
@@ -230,19 +230,19 @@ def test_west_and_south_are_negative(scene):
     assert np.array_equal(root_transform(path), Place(-70.5, -33).matrix())
 
 
-def test_the_local_scene_comes_back_with_the_place_in_a_note(placed, nowhere, tmp_path):
-    """In Earth-centred single precision a splat would be half a metre off."""
+def test_reading_gives_the_local_scene_and_notes_the_place(placed, unplaced, tmp_path):
+    """In Earth-centred coordinates of single precision, a splat would be half a metre off."""
     result = run("convert", placed, tmp_path / "a.ply", "--level", "1")
     assert result.returncode == 0, result.stderr
     named = OPTIONS.removeprefix("--").replace(" --", ", ")
     assert f"The position of the scene on Earth was left out: {named}." in result.stderr
-    again, expected = io.load(tmp_path / "a.ply"), io.load(nowhere, level=1)
+    again, expected = io.load(tmp_path / "a.ply"), io.load(unplaced, level=1)
     for name in ("means", "quats", "log_scales", "sh"):
         assert np.array_equal(getattr(again, name), getattr(expected, name))
 
 
-def test_a_transform_in_16_numbers(scene, tmp_path):
-    """It may scale, as of a scene whose units are no metres; errors of tiles are scaled by it."""
+def test_a_transform_can_be_given_as_16_numbers(scene, tmp_path):
+    """It may scale, for scenes that are not in metres; the errors of tiles are scaled with it."""
     matrix = ZURICH.matrix() @ np.diag([3.0, 3, 3, 1])
     numbers = ",".join(map(repr, columns(matrix)))
     for name, text in (("commas", numbers), ("spaces", numbers.replace(",", " "))):
@@ -272,13 +272,13 @@ def test_a_transform_in_16_numbers(scene, tmp_path):
         ("tileset.json", "--roll 1 --transform 1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", ["--roll"]),
     ],
 )
-def test_places_that_are_refused(scene, tmp_path, output, options, words):
+def test_wrong_options_of_a_place_are_refused(scene, tmp_path, output, options, words):
     result = run("lod", scene, tmp_path / "out" / output, *options.split())
     assert_refused(result, *words)
     assert not (tmp_path / "out").exists()
 
 
-def test_blocks_and_a_job_that_is_resumed_keep_the_place(scene, tmp_path):
+def test_blocks_and_resumed_jobs_keep_the_place(scene, tmp_path):
     def write(folder, place, **options):
         return write_levels(
             scene, folder, (0.5, 0.1), layout=Layout.TILES, chunk=60, block=300, preset="fast",
@@ -294,7 +294,7 @@ def test_blocks_and_a_job_that_is_resumed_keep_the_place(scene, tmp_path):
     for other in (None, replace(ZURICH, roll=1.0)):
         with pytest.raises(OutputError, match="how levels are divided"):
             write(tmp_path / "a", other, resume=True)
-    write(tmp_path / "a", ZURICH.matrix(), resume=True)  # the same, said in another way
+    write(tmp_path / "a", ZURICH.matrix(), resume=True)  # the same place as a matrix
     write(tmp_path / "b", ZURICH)
     assert np.array_equal(root_transform(tmp_path / "a" / "tileset.json"), ZURICH.matrix())
     found = [
@@ -303,8 +303,8 @@ def test_blocks_and_a_job_that_is_resumed_keep_the_place(scene, tmp_path):
     assert found[0] == found[1]
 
 
-def test_degree_and_least_opacity_are_options_of_tiles(scene, tmp_path):
-    """Nothing below them is in any level, packed or not."""
+def test_sh_degree_and_min_opacity_apply_to_tiles(scene, tmp_path):
+    """In every level, packed or not."""
     for form in ([], ["--plain"]):
         path = tmp_path / f"tiles{len(form)}" / "tileset.json"
         options = ["--levels", "1,0.3", "--preset", "fast", "--chunk", 60, *form]

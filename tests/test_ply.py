@@ -36,7 +36,7 @@ def rest(count):
     return [f"f_rest_{i}" for i in range(count)]
 
 
-def test_columns_go_where_their_names_say(load):
+def test_columns_are_assigned_by_name(load):
     model = load(ply(("vertex", vertex())))
     assert model.means[0].tolist() == [1, 2, 3]
     assert model.sh[0, 0].tolist() == [4, 5, 6]
@@ -55,20 +55,20 @@ def test_column_order_does_not_matter(load):
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_encodings_agree(load, encoding):
+def test_all_encodings_give_the_same_model(load, encoding):
     columns = vertex(5, [*BASE, *rest(9), "label"], {"label": "short"})
     columns[6][2][0] = -5
     assert_same(load(ply(("vertex", columns))), load(ply(("vertex", columns), encoding=encoding)))
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_models_longer_than_a_block(load, monkeypatch, encoding):
+def test_models_longer_than_a_block_are_read(load, monkeypatch, encoding):
     whole = load(ply(("vertex", vertex(100))))
     monkeypatch.setattr("nanogs.io.ply.rows.BLOCK_ROWS", 7)
     assert_same(whole, load(ply(("vertex", vertex(100)), encoding=encoding)))
 
 
-def test_writer_longer_than_a_block(load, resave, monkeypatch):
+def test_models_longer_than_a_block_are_written(load, resave, monkeypatch):
     model = load(ply(("vertex", vertex(100))))
     whole = resave(model)
     monkeypatch.setattr("nanogs.io.ply.write.BLOCK_ROWS", 7)
@@ -76,8 +76,8 @@ def test_writer_longer_than_a_block(load, resave, monkeypatch):
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_parts_that_threads_read(load, monkeypatch, encoding):
-    """Columns of an array in the file's order, in another one, of another type, and extras."""
+def test_parts_read_by_threads_join_to_the_whole(load, monkeypatch, encoding):
+    """With columns of an array in its own order, in another one, of another type, and extras."""
     names = [*BASE[:2], "label", *BASE[2:], *rest(24)]
     columns = vertex(100, names, {"label": "uchar", "scale_1": "double", "f_rest_3": "int"})
     columns[-3] = (columns[-3][0], "double", np.where(np.arange(100) % 9, 0.5, 1e300))
@@ -102,7 +102,7 @@ def test_f_rest_is_channel_major(load, count, degree):
 
 
 @pytest.mark.parametrize("alias", ["float32", "float"])
-def test_type_aliases(load, alias):
+def test_type_aliases_are_read(load, alias):
     data = ply(("vertex", vertex(3, [*BASE, "a"], {"a": "uchar"})))
     data = data.replace(b"property float ", f"property {alias} ".encode())
     model = load(data.replace(b"uchar", b"uint8"))
@@ -117,7 +117,7 @@ def test_double_centres_stay_double(load, resave):
     assert b"property double x\n" in resave(model)
 
 
-def test_other_doubles_become_float_and_the_user_is_told(load):
+def test_other_doubles_become_float_with_a_note(load):
     model = load(ply(("vertex", vertex(3, BASE, {"opacity": "double"}))))
     assert model.opacity_logits.tolist() == [7, 14, 21]
     assert model.notes == ("1 double column became float: opacity.",)
@@ -130,7 +130,7 @@ def test_double_beyond_float_is_reported(load):
     assert "1 value of 'opacity' became infinite when converted to float32." in model.notes
 
 
-def test_integer_colours_become_float_and_the_user_is_told(load):
+def test_integer_colours_become_float_with_a_note(load):
     model = load(ply(("vertex", vertex(3, BASE, {"f_dc_0": "int"}))))
     assert model.sh[:, 0, 0].tolist() == [4, 8, 12]
     assert model.notes == ("1 int column became float: f_dc_0.",)
@@ -218,7 +218,7 @@ def test_obj_info_becomes_a_comment_with_a_note(load):
 
 
 def test_a_source_has_the_comments_of_the_model(tmp_path, load):
-    """Byte for byte, and those of `obj_info`: rows read in blocks are written with them."""
+    """Byte for byte, with those of `obj_info`, because results made in blocks copy them."""
     lines = b"comment caf\xe9\nobj_info num 3\nelement"
     model = load(ply(("vertex", vertex())).replace(b"element", lines, 1))
     path = tmp_path / "b.ply"
@@ -229,7 +229,7 @@ def test_a_source_has_the_comments_of_the_model(tmp_path, load):
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_carriage_returns_in_the_header(load, encoding):
+def test_carriage_returns_in_the_header_are_accepted(load, encoding):
     data = ply(("vertex", vertex()), encoding=encoding, eol="\r\n", comments=["hi"])
     model = load(data)
     assert model.means[0].tolist() == [1, 2, 3]
@@ -238,14 +238,14 @@ def test_carriage_returns_in_the_header(load, encoding):
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
-def test_infinities_and_nan_are_data(load, encoding, value):
+def test_infinities_and_nan_are_read_as_they_are(load, encoding, value):
     columns = vertex()
     columns[6] = ("opacity", "float", np.array([1.5, value, 0]))
     model = load(ply(("vertex", columns), encoding=encoding))
     assert np.array_equal(model.opacity_logits, np.float32([1.5, value, 0]), equal_nan=True)
 
 
-def test_arrays_do_not_hang_on_to_the_file(load, tmp_path, resave):
+def test_arrays_do_not_depend_on_the_file(load, tmp_path, resave):
     model = load(ply(("vertex", vertex())))
     io.save(model, tmp_path / "in.ply", overwrite=True)
     assert model.means[0].tolist() == [1, 2, 3]
@@ -268,14 +268,14 @@ def test_arrays_do_not_hang_on_to_the_file(load, tmp_path, resave):
         ({"elements": [ExtraElement("e", np.zeros(1, [("a", "f4", 3)]))]}, "dimensions"),
     ],
 )
-def test_what_ply_cannot_hold_is_refused_and_leaves_no_file(load, tmp_path, change, words):
+def test_models_that_ply_cannot_hold_are_refused_and_leave_no_file(load, tmp_path, change, words):
     model = replace(load(ply(("vertex", vertex()))), **change)
     with pytest.raises(OutputError, match=words):
         io.save(model, tmp_path / "out.ply")
     assert [p.name for p in tmp_path.iterdir()] == ["in.ply"]
 
 
-def test_inspect_reads_no_body(tmp_path):
+def test_inspect_describes_the_columns_and_elements(tmp_path):
     columns = vertex(4, [*BASE, *rest(9), "label"], {"label": "uchar", "x": "double"})
     extra = ("camera", [("f", "float", np.array([0.5]))])
     data = ply(("vertex", columns), extra, encoding="binary_big_endian", comments=["antialiased 1"])

@@ -16,7 +16,7 @@ ASCII = ply(("vertex", vertex()), encoding="ascii")
 FACE = b"element face 1\nproperty list uchar int vertex_indices\nend_header"
 
 
-def refused(path, words):
+def assert_refused(path, words):
     with pytest.raises(FormatError, match=re.escape(words)) as caught:
         io.load(path)
     message = str(caught.value)
@@ -33,21 +33,21 @@ def rest(*indices):
     return ply(("vertex", vertex(3, [*BASE, *(f"f_rest_{i}" for i in indices)])))
 
 
-def test_missing_file(tmp_path):
-    refused(tmp_path / "none.ply", "no such file")
+def test_a_missing_file_is_refused(tmp_path):
+    assert_refused(tmp_path / "none.ply", "no such file")
 
 
-def test_folder(tmp_path):
+def test_a_folder_is_refused(tmp_path):
     (tmp_path / "d.ply").mkdir()
-    refused(tmp_path / "d.ply", "is a folder")
+    assert_refused(tmp_path / "d.ply", "is a folder")
 
 
 def test_unknown_suffix_lists_the_known_ones(tmp_path):
-    refused(tmp_path / "a.obj", ".compressed.ply, .ply, .splat")
+    assert_refused(tmp_path / "a.obj", ".compressed.ply, .ply, .splat")
 
 
 @pytest.mark.parametrize("name", ["a.obj", "a.ksplat"])
-def test_formats_that_are_not_written(tmp_path, name):
+def test_saving_in_formats_that_are_not_written_is_refused(tmp_path, name):
     (tmp_path / "a.ply").write_bytes(GOOD)
     with pytest.raises(OptionError, match=r"it writes .*\.ply"):
         io.save(io.load(tmp_path / "a.ply"), tmp_path / name)
@@ -55,7 +55,7 @@ def test_formats_that_are_not_written(tmp_path, name):
         io.check_writable(tmp_path / name)
 
 
-def test_a_format_that_is_given_counts_as_when_saving(tmp_path):
+def test_check_writable_uses_a_given_format(tmp_path):
     io.check_writable(tmp_path / "a.obj", format="ply")
     io.check_writable(tmp_path / "a", format=".spz", format_options={"spz_version": 2})
     for name, options in (("a.ply", {"format": "ksplat"}), ("a.ply", {"format": "obj"})):
@@ -107,19 +107,19 @@ def test_a_format_that_is_given_counts_as_when_saving(tmp_path):
         (ASCII.replace(b"2.0 4.0", b"2.0 0x4"), "row 2 of 3 of element 'vertex': '0x4'"),
     ],
 )
-def test_refused_in_one_sentence(tmp_path, data, words):
+def test_damaged_files_are_refused_in_one_sentence(tmp_path, data, words):
     path = tmp_path / "bad.ply"
     path.write_bytes(data)
-    refused(path, words)
+    assert_refused(path, words)
 
 
 @pytest.mark.parametrize("value", [300, -1, 1.5, float("nan"), float("inf")])
-def test_text_beyond_an_integer_type(tmp_path, value):
+def test_text_outside_the_range_of_an_integer_type_is_refused(tmp_path, value):
     columns = vertex(1)
     data = ply(("vertex", [*columns, ("label", "uchar", np.array([7]))]), encoding="ascii")
     path = tmp_path / "a.ply"
     path.write_bytes(data[:-2] + str(value).encode() + b"\n")
-    refused(path, "is no value of type u1 for 'label'")
+    assert_refused(path, "is no value of type u1 for 'label'")
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -132,7 +132,7 @@ def test_every_truncation_is_refused(tmp_path, encoding):
             io.load(path)
 
 
-def test_a_file_that_becomes_shorter_while_it_is_read(tmp_path, monkeypatch):
+def test_a_file_that_becomes_shorter_while_it_is_read_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "shrinking.ply"
     path.write_bytes(ply(("vertex", vertex(9))))
     check = ply_rows.check_body
@@ -143,4 +143,4 @@ def test_a_file_that_becomes_shorter_while_it_is_read(tmp_path, monkeypatch):
             file.truncate(path.stat().st_size - 5)
 
     monkeypatch.setattr(reader, "check_body", check_and_cut)
-    refused(path, "became shorter while it was read")
+    assert_refused(path, "became shorter while it was read")

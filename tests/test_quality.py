@@ -1,4 +1,4 @@
-"""benchmarks/quality.py in small: what it keeps, what it measures again, and its tables."""
+"""A small run of benchmarks/quality.py: kept and repeated measurements, and its tables."""
 
 from types import SimpleNamespace
 
@@ -11,13 +11,13 @@ from nanogs.datasets.synthetic import make_scene
 
 @pytest.fixture(scope="module")
 def benchmarks(benchmark_module):
-    """Two of its modules."""
+    """Two modules of the benchmark."""
     return SimpleNamespace(leads=benchmark_module("leads"), measured=benchmark_module("measured"))
 
 
 @pytest.fixture
 def bench(benchmarks, tmp_path, monkeypatch):
-    """A bench of one small scene, whose methods take the first rows; `made` tells which ran."""
+    """A bench of one small scene, whose methods take the first rows; `made` lists the ones run."""
     (tmp_path / "scenes").mkdir()
     nanogs.save(make_scene(300), tmp_path / "scenes" / "a.ply")
     made = []
@@ -39,7 +39,7 @@ def measure(benchmarks, bench, *keys):
     return bench.found.measure([benchmarks.measured.Key(*key) for key in keys], bench.told.append)
 
 
-def test_what_was_measured_is_taken_and_the_rest_is_measured(benchmarks, bench):
+def test_kept_measurements_are_reused_and_others_are_made(benchmarks, bench):
     first = measure(benchmarks, bench, ("a", 0.1, "fast", "32"))
     assert (bench.made, len(bench.told)) == (["fast"], 1)
     both = measure(benchmarks, bench, ("a", 0.1, "fast", "32"), ("a", 0.1, "fast", "roam@32"))
@@ -49,12 +49,12 @@ def test_what_was_measured_is_taken_and_the_rest_is_measured(benchmarks, bench):
     assert both[1]["least_psnr"] < both[1]["psnr"]
 
 
-def test_packages_that_do_not_count_exist(benchmarks):
+def test_packages_excluded_from_the_digest_exist(benchmarks):
     assert all((benchmarks.measured.PACKAGE / name).is_dir() for name in benchmarks.measured.APART)
     assert "studio" in benchmarks.measured.APART
 
 
-def test_other_sources_are_measured_anew_and_kept_files_are_not(benchmarks, bench, monkeypatch):
+def test_changed_sources_are_run_again_and_kept_files_only_measured(benchmarks, bench, monkeypatch):
     measure(benchmarks, bench, ("a", 0.1, "fast", "32"), ("a", 0.2, "fast", "32"))
     monkeypatch.setattr(benchmarks.measured, "digest_of_sources", lambda _apart: "other")
     bench.found.ours = "nanogs other"
@@ -66,14 +66,14 @@ def test_other_sources_are_measured_anew_and_kept_files_are_not(benchmarks, benc
     assert (row["splats"], bench.made) == (40, ["fast"] * 3)
 
 
-def test_sources_that_change_meanwhile_end_the_run(benchmarks, bench):
+def test_sources_that_change_during_a_run_end_it(benchmarks, bench):
     bench.found.ours = "nanogs before"
     with pytest.raises(SystemExit, match="changed meanwhile"):
         measure(benchmarks, bench, ("a", 0.1, "fast", "32"))
     assert not list((bench.found.folder / "results").iterdir())
 
 
-def test_leads_are_over_the_better_mode_of_each_number(benchmarks):
+def test_leads_are_over_the_better_mode_for_each_score(benchmarks):
     def row(scene, method, kind, psnr, ssim):
         return {
             "scene": scene, "ratio": 0.1, "method": method, "kind": kind, "psnr": psnr,

@@ -29,21 +29,21 @@ def read(folder, data, name="a.rad"):
 
 
 def replaced(count, *columns, seed=0):
-    """The usual columns, some of them others."""
+    """Return the usual columns with some of them replaced."""
     own = {entry["property"]: (entry, data) for entry, data in usual(count, seed)[0]}
     return list((own | {entry["property"]: (entry, data) for entry, data in columns}).values())
 
 
 def covariances(model):
-    turned = rotations(model.unit_quats().astype(np.float64))
-    axes = turned * np.exp(model.log_scales.astype(np.float64))[:, None]
+    rotated = rotations(model.unit_quats().astype(np.float64))
+    axes = rotated * np.exp(model.log_scales.astype(np.float64))[:, None]
     return axes @ axes.transpose(0, 2, 1)
 
 
 # ---- encodings, by hand
 
 
-def test_floats_come_back_as_they_are(tmp_path):
+def test_float_columns_are_read(tmp_path):
     columns, given = usual(7)
     model = read(tmp_path, rad([chunk(columns, 7)], 7))
     np.testing.assert_array_equal(model.means, given["center"])
@@ -55,18 +55,18 @@ def test_floats_come_back_as_they_are(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["f32", "f16"])
-def test_bytes_of_numbers_apart(tmp_path, kind):
+def test_floats_split_into_byte_planes_are_read(tmp_path, kind):
     numbers = np.array([[1.5, -2.25, 3e3], [0.125, 7, -0.0]])
     dtype = np.dtype({"f32": "<f4", "f16": "<f2"}[kind])
     plain = np.ascontiguousarray(numbers.astype(dtype).T)
-    apart = b"".join(plain.tobytes()[b :: plain.itemsize] for b in range(plain.itemsize))
-    columns = replaced(2, column("center", f"{kind}_lebytes", apart))
+    planes = b"".join(plain.tobytes()[b :: plain.itemsize] for b in range(plain.itemsize))
+    columns = replaced(2, column("center", f"{kind}_lebytes", planes))
     np.testing.assert_array_equal(read(tmp_path, rad([chunk(columns, 2)], 2)).means, numbers)
 
 
-def test_bytes_of_a_range(tmp_path):
+def test_bytes_scaled_to_a_range_are_read(tmp_path):
     steps = np.array([[0, 128, 255], [255, 1, 2]], np.uint8)
-    delta = np.array([[0, 128, 255], [255, 129, 3]], np.uint8)  # each less the one before
+    delta = np.array([[0, 128, 255], [255, 129, 3]], np.uint8)  # differences of successive rows
     given = {"min": -0.5, "max": 2.0}
     plain = column("rgb", "r8", by_component(steps, "u1"), **given)
     packed = column("rgb", "r8_delta", by_component(delta, "u1"), **given)
@@ -76,7 +76,7 @@ def test_bytes_of_a_range(tmp_path):
         np.testing.assert_allclose(model.sh[:, 0] * C0 + 0.5, expected, atol=1e-6)
 
 
-def test_logarithms_of_scales(tmp_path):
+def test_logarithmic_scales_are_read(tmp_path):
     steps = np.array([[0, 1, 255]], np.uint8)
     one = column("scales", "ln_0r8", by_component(steps, "u1"), min=-9, max=3)
     model = read(tmp_path, rad([chunk(replaced(1, one), 1)], 1))
@@ -86,8 +86,8 @@ def test_logarithms_of_scales(tmp_path):
     np.testing.assert_array_equal(model.log_scales, [[-np.inf, -2.5, 1]])
 
 
-def test_turns_about_an_axis(tmp_path):
-    """Half a turn about x, none at all, and a third about the diagonal, which comes near."""
+def test_octahedral_rotations_are_read(tmp_path):
+    """Half a turn about x, no rotation, and nearly a third of a turn about the diagonal."""
     stored = bytes([255, 128, 255, 9, 9, 0, 170, 170, 170])
     one = column("orientation", "oct88r8", stored)
     model = read(tmp_path, rad([chunk(replaced(3, one), 3)], 3))
@@ -96,8 +96,8 @@ def test_turns_about_an_axis(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["f32", "f16", "r8", "r8_delta", "s8", "s8_delta"])
-def test_bands(tmp_path, encoding):
-    """Of degree 2, coefficient after coefficient and RGB last."""
+def test_bands_of_harmonics_are_read(tmp_path, encoding):
+    """Bands 1 and 2: the coefficients in order, each as RGB."""
     rng = np.random.default_rng(3)
     columns, expected = list(usual(4)[0]), []
     for name, width in (("sh1", 9), ("sh2", 15)):
@@ -108,8 +108,8 @@ def test_bands(tmp_path, encoding):
             expected.append(stored)
             continue
         steps = rng.integers(0, 256, (4, width)).astype(np.uint8)
-        told = np.diff(steps, axis=0, prepend=np.zeros((1, width), np.uint8))
-        stored = told if encoding.endswith("delta") else steps
+        deltas = np.diff(steps, axis=0, prepend=np.zeros((1, width), np.uint8))
+        stored = deltas if encoding.endswith("delta") else steps
         columns.append(column(name, encoding, by_component(stored, "u1"), min=-2, max=1.5))
         signed = steps.view(np.int8) / 127 * 1.5
         expected.append(signed if encoding.startswith("s8") else steps / 255 * 3.5 - 2)
@@ -119,31 +119,31 @@ def test_bands(tmp_path, encoding):
     np.testing.assert_allclose(found, np.concatenate(expected, axis=1), atol=1e-6)
 
 
-def test_palettes(tmp_path):
+def test_palettes_of_harmonics_are_read(tmp_path):
     data, labels, entries = with_palette()
     np.testing.assert_array_equal(read(tmp_path, data).sh[:, 1:], entries[labels])
 
 
-def test_columns_that_are_not_packed_and_gaps_between_chunks(tmp_path):
+def test_uncompressed_columns_and_gaps_between_chunks_are_read(tmp_path):
     first, _ = usual(3, seed=1)
     second, given = usual(2, seed=2)
     plain = [(entry | {"compression": None}, data) for entry, data in second]
     parts = [chunk(first, 3), b"\0" * 16, chunk(plain, 2, base=3)]
     sizes = [len(part) for part in parts]
-    places = [{"offset": 0, "bytes": sizes[0]},
+    entries = [{"offset": 0, "bytes": sizes[0]},
               {"offset": sizes[0] + 16, "bytes": sizes[2]}]  # fmt: skip
-    model = read(tmp_path, rad(parts, 5, chunks=places))
+    model = read(tmp_path, rad(parts, 5, chunks=entries))
     np.testing.assert_array_equal(model.means[3:], given["center"])
 
 
-def test_chunks_in_files_of_their_own(tmp_path):
+def test_chunks_in_separate_files_are_read(tmp_path):
     parts, given, leaves = small_tree()
     names = []
     for number, part in enumerate(parts):
         names.append(f"a-{number}.radc")
         (tmp_path / names[-1]).write_bytes(part)
-    places = [{"offset": 0, "bytes": 1, "filename": name} for name in names]
-    model = read(tmp_path, rad([], 8, chunks=places, lodTree=True))
+    entries = [{"offset": 0, "bytes": 1, "filename": name} for name in names]
+    model = read(tmp_path, rad([], 8, chunks=entries, lodTree=True))
     np.testing.assert_array_equal(model.means, given["center"][leaves])
     assert [path.name for path in io.open(tmp_path / "a.rad").files] == ["a.rad", *names]
     (tmp_path / names[1]).unlink()
@@ -156,7 +156,7 @@ def test_chunks_in_files_of_their_own(tmp_path):
 # ---- trees
 
 
-def test_of_a_tree_the_leaves_are_read(tmp_path):
+def test_a_tree_is_read_as_its_leaves(tmp_path):
     parts, given, leaves = small_tree()
     model = read(tmp_path, rad(parts, 8, lodTree=True))
     np.testing.assert_array_equal(model.means, given["center"][leaves])
@@ -167,7 +167,7 @@ def test_of_a_tree_the_leaves_are_read(tmp_path):
 
 
 def test_alphas_above_1_are_opaque_and_larger(tmp_path):
-    """As Spark draws them with `lodInflate`; one that rounding took just above 1 is just opaque."""
+    """As Spark draws them with `lodInflate`; an alpha rounded to just above 1 is only opaque."""
     alphas = by_component([[0.5], [1.0039], [1.5]])
     model = read(tmp_path, rad([chunk(replaced(3, column("alpha", "f32", alphas)), 3)], 3))
     plain = usual(3)[1]["scales"]
@@ -182,7 +182,7 @@ def test_alphas_above_1_are_opaque_and_larger(tmp_path):
 
 
 @given(splats())
-def test_round_trips(tmp_path_factory, model):
+def test_models_survive_a_round_trip(tmp_path_factory, model):
     path = tmp_path_factory.mktemp("rad") / "a.rad"
     with path.open("wb") as file:
         write.write(model, file)
@@ -205,7 +205,7 @@ def test_round_trips(tmp_path_factory, model):
     assert path.read_bytes() == path.with_name("b.rad").read_bytes()
 
 
-def test_what_bytes_cannot_hold_well_is_stored_as_numbers(tmp_path):
+def test_values_that_bytes_would_hold_badly_are_stored_as_floats(tmp_path):
     model = random_splats(50, degree=1)
     model.sh[3, 0] = 30.0
     model.sh[4, 1] = (9.0, 0, 0)
@@ -213,8 +213,8 @@ def test_what_bytes_cannot_hold_well_is_stored_as_numbers(tmp_path):
     io.save(model, tmp_path / "a.rad")
     back = io.load(tmp_path / "a.rad")
     np.testing.assert_allclose(back.sh, model.sh, atol=0.004, rtol=0.001)
-    head, [(told, _)] = radfiles.parts_of((tmp_path / "a.rad").read_bytes())
-    encodings = {entry["property"]: entry["encoding"] for entry in told["properties"]}
+    head, [(header, _)] = radfiles.parts_of((tmp_path / "a.rad").read_bytes())
+    encodings = {entry["property"]: entry["encoding"] for entry in header["properties"]}
     assert (encodings["rgb"], encodings["sh1"]) == ("f16", "f32")
     assert head["maxSh"] == 1
 
@@ -227,8 +227,8 @@ def test_models_of_several_chunks_are_read_and_written_in_parts(tmp_path):
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "a.rad").read_bytes() == (tmp_path / "b.rad").read_bytes()
     _, chunks = radfiles.parts_of((tmp_path / "a.rad").read_bytes())
-    assert [told["count"] for told, _ in chunks] == [65_536, 65_536, 8_928]
-    assert [told["base"] for told, _ in chunks] == [0, 65_536, 131_072]
+    assert [header["count"] for header, _ in chunks] == [65_536, 65_536, 8_928]
+    assert [header["base"] for header, _ in chunks] == [0, 65_536, 131_072]
     back = io.load(tmp_path / "a.rad")
     np.testing.assert_array_equal(back.means, model.means)
     source = io.open(tmp_path / "a.rad")
@@ -237,22 +237,22 @@ def test_models_of_several_chunks_are_read_and_written_in_parts(tmp_path):
     np.testing.assert_array_equal(source.take(rows).quats, back.quats[rows])
 
 
-def test_info_and_losses(tmp_path):
+def test_info_and_losses_are_reported(tmp_path):
     model = replace(
         random_splats(9, degree=4, extras={"label": np.arange(9)}), render_mode=RenderMode.MIP,
         comments=["made by hand"],
     )  # fmt: skip
     io.save(model, tmp_path / "a.rad")
-    told = json.loads(run("info", tmp_path / "a.rad", "--json").stdout)
-    assert (told["splats"], told["sh_degree"], told["render_mode"]) == (9, 3, "mip")
-    assert told["comments"] == ["made by hand", "SplatRenderMode: mip"]
-    said = " ".join(io.losses(model, "a.rad"))
-    assert "label" in said
-    assert "degree 3" in said
-    assert "double" not in said
+    info = json.loads(run("info", tmp_path / "a.rad", "--json").stdout)
+    assert (info["splats"], info["sh_degree"], info["render_mode"]) == (9, 3, "mip")
+    assert info["comments"] == ["made by hand", "SplatRenderMode: mip"]
+    lost = " ".join(io.losses(model, "a.rad"))
+    assert "label" in lost
+    assert "degree 3" in lost
+    assert "double" not in lost
 
 
-def test_values_that_have_no_code_are_refused(tmp_path):
+def test_nan_positions_are_refused(tmp_path):
     model = random_splats(9)
     model.means[4, 1] = np.nan
     with pytest.raises(OutputError, match="row 4"):
@@ -260,7 +260,7 @@ def test_values_that_have_no_code_are_refused(tmp_path):
     assert not (tmp_path / "a.rad").exists()
 
 
-def test_octahedra_unfold_and_fold():
+def test_octahedral_points_of_axes_give_the_axes_back():
     rng = np.random.default_rng(0)
     axes = rng.normal(size=(1000, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -273,7 +273,7 @@ def test_octahedra_unfold_and_fold():
 
 
 def broken(change, count=4):
-    """A file whose description, or that of its chunk, is changed."""
+    """Return a file after `change` has edited its header, its chunk's header or its columns."""
     columns, _ = usual(count)
     head, part = {}, {"count": count}
     change(head, part, columns)
@@ -311,7 +311,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_contradictions_are_refused(tmp_path, name):
+def test_contradicting_headers_are_refused(tmp_path, name):
     change, words = REFUSED[name]
     data = broken(change)
     data = b"RAD1" + data[4:] if name == "no RAD0" else data
@@ -319,7 +319,7 @@ def test_contradictions_are_refused(tmp_path, name):
         read(tmp_path, data)
 
 
-def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
+def test_a_decompression_bomb_is_refused_before_it_is_unpacked(tmp_path):
     columns = [
         column(entry["property"], "f32", bytes(4 * 3_000_000 * len(data) // 16))
         for entry, data in usual(4)[0]
@@ -328,7 +328,7 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
         read(tmp_path, rad([chunk(columns, 3_000_000)], 3_000_000))
 
 
-def test_data_that_go_on_are_refused(tmp_path):
+def test_columns_longer_than_their_rows_are_refused(tmp_path):
     columns, _ = usual(4)
     columns[0] = columns[0][0], columns[0][1] + bytes(1 << 24)
     with pytest.raises(FormatError, match="does not hold the 48 bytes"):

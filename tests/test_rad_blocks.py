@@ -1,4 +1,4 @@
-"""Trees of models that do not fit into memory: `.rad` by blocks, and by runs that are cut off."""
+"""Trees of models larger than memory: `.rad` made in blocks, and by interrupted jobs."""
 
 import json
 
@@ -55,7 +55,7 @@ def made(scene, tmp_path_factory):
 
 
 def assert_tree(path):
-    """The root first, children side by side after their parents, each row below just one."""
+    """Assert that siblings are contiguous and after their parent, and rows have one parent each."""
     counts, starts = tree_of(path)
     inner = np.flatnonzero(counts)
     assert (starts[inner] > inner).all()
@@ -63,7 +63,7 @@ def assert_tree(path):
     assert counts.sum() == len(counts) - 1
 
 
-def test_all_levels_are_one_tree(model, made):
+def test_all_levels_form_one_tree(model, made):
     path, manifest, reports = made
     assert reports[0].blocks.blocks > 3
     assert [level.count for level in manifest.levels] == [3000, 1500, 750, 300]
@@ -74,13 +74,13 @@ def test_all_levels_are_one_tree(model, made):
     np.testing.assert_array_equal(rows_sorted(source.load().means), rows_sorted(model.means))
 
 
-def test_each_splat_lies_among_those_that_it_stands_for(made, scene, tmp_path):
-    """Above the blocks, at their roots, and below them."""
+def test_each_splat_is_within_the_bounds_of_its_children(made, scene, tmp_path):
+    """Above the blocks, at the roots of the blocks, and below them."""
     write(scene, tmp_path / "further.rad", (1, 0.5, 0.02))
     for path in (made[0], tmp_path / "further.rad"):
         _, chunks = radfiles.parts_of(path.read_bytes())
-        told, payload = chunks[0]
-        entry = next(each for each in told["properties"] if each["property"] == "center")
+        header, payload = chunks[0]
+        entry = next(each for each in header["properties"] if each["property"] == "center")
         data = radfiles.inflated(payload[entry["offset"] : entry["offset"] + entry["bytes"]])
         planes = np.frombuffer(data, np.uint8).reshape(4, 3, -1)
         means = np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view("<f4")[..., 0].T
@@ -91,26 +91,26 @@ def test_each_splat_lies_among_those_that_it_stands_for(made, scene, tmp_path):
             assert (means[row] <= below.max(axis=0) + 1e-5).all()
 
 
-def test_it_looks_as_a_tree_made_in_memory(model, scene, made, tmp_path):
-    """Of all levels, those above the coarsest too: no seam between blocks is seen."""
+def test_trees_made_in_blocks_look_like_those_made_in_memory(model, scene, made, tmp_path):
+    """At all levels, also those above the coarsest: blocks leave no visible seams."""
     write(scene, tmp_path / "a.rad", block=None)
     camera = seen_from_the_start(model)
     whole = render(model, camera).shown()
-    behind = [
+    losses = [
         np.subtract(*(
             psnr(render(nanogs.load(path, level=level), camera).shown(), whole)
             for path in (tmp_path / "a.rad", made[0])
         ))
         for level in range(len(RATIOS) + 2)
     ]  # fmt: skip
-    assert max(behind) < 1.5
-    assert np.mean(behind) < 0.5
+    assert max(losses) < 1.5
+    assert np.mean(losses) < 0.5
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
-def test_spark_draws_it(model, made, tmp_path):
-    """All of it, and of several levels beside each other as many as are asked for."""
+def test_spark_draws_trees_made_in_blocks(model, made, tmp_path):
+    """All splats, or no more than a limit allows, from several levels."""
     camera = seen_from_the_start(model)
     whole = render(model, camera).shown()
     shown, state = in_spark(made[0], camera, tmp_path, mesh={"paged": True}, lodRenderScale=0)
@@ -124,8 +124,8 @@ def test_spark_draws_it(model, made, tmp_path):
 @pytest.mark.parametrize(
     "ratios", [(1, 0.5, 0.02), (1, 0.5, 0.02, 0.0005), (1, 0.002), (0.01, 0.002), (1,), (0.4,)]
 )
-def test_levels_that_blocks_cannot_be_cut_to(model, scene, tmp_path, ratios):
-    """Levels of any counts become one tree, whatever trees of blocks can hold of them."""
+def test_levels_may_have_counts_that_blocks_cannot_be_cut_to(model, scene, tmp_path, ratios):
+    """Levels of any counts form one tree, even if the forests of blocks cannot be cut to them."""
     manifest, _ = write(scene, tmp_path / "a.rad", ratios)
     wanted = [int(np.ceil(3000 * ratio)) for ratio in ratios]
     assert [level.count for level in manifest.levels] == wanted
@@ -137,7 +137,7 @@ def test_levels_that_blocks_cannot_be_cut_to(model, scene, tmp_path, ratios):
         )
 
 
-def test_the_same_bytes_for_any_number_of_threads_and_of_workers(scene, made, tmp_path):
+def test_bytes_are_the_same_for_any_number_of_threads_and_workers(scene, made, tmp_path):
     from concurrent.futures import ThreadPoolExecutor
 
     write(scene, tmp_path / "b.rad", threads=2)
@@ -147,7 +147,7 @@ def test_the_same_bytes_for_any_number_of_threads_and_of_workers(scene, made, tm
         assert (tmp_path / name).read_bytes() == made[0].read_bytes()
 
 
-def test_frames_degrees_and_extra_columns(tmp_path):
+def test_frame_and_sh_degree_apply_and_extra_columns_are_noted(tmp_path):
     label = {"label": np.arange(900, dtype=np.int32)}
     splats = random_splats(900, degree=2, extras=label)
     io.save(splats, tmp_path / "a.ply")
@@ -160,7 +160,7 @@ def test_frames_degrees_and_extra_columns(tmp_path):
     np.testing.assert_array_equal(rows_sorted(found.means), rows_sorted(turned))
 
 
-def test_a_splat_for_too_many_others_is_refused(monkeypatch, scene, tmp_path):
+def test_nodes_with_too_many_children_are_refused(monkeypatch, scene, tmp_path):
     monkeypatch.setattr("nanogs.lod.tree.MOST_CHILDREN", 9)
     with pytest.raises(OptionError, match=r"of level 0, .* give more levels between"):
         write(scene, tmp_path / "a.rad", (1, 0.05))
@@ -169,40 +169,42 @@ def test_a_splat_for_too_many_others_is_refused(monkeypatch, scene, tmp_path):
     assert not (tmp_path / "b.rad").exists()
 
 
-# Runs that are cut off
+# Interrupted jobs
 
 
 @pytest.mark.parametrize("name", ["a.rad", "a.ssog"])
-def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(scene, tmp_path, monkeypatch, name):
-    """While tasks are done, while the file is written, and when it has got its name."""
+def test_resuming_a_job_that_crashed_anywhere_gives_the_same_bytes(
+    scene, tmp_path, monkeypatch, name
+):
+    """During the tasks, while the file is written, and after it has got its final name."""
     layout = {"a.rad": TREE, "a.ssog": "streamed sog archive"}[name]
     options = {"layout": layout, "chunk": None if layout == TREE else 200, "ratios": (1, 0.1)}
     write(scene, tmp_path / f"whole{name}", **options)
-    done, move = [], sink.move_file
+    events, move = [], sink.move_file
 
-    def named(*given, **options):
+    def move_then_crash(*given, **options):
         move(*given, **options)
-        if "moved" not in done:
-            done.append("moved")
-            raise CrashError  # the file has its name, and the job is not taken away
+        if "moved" not in events:
+            events.append("moved")
+            raise CrashError  # the file has its final name, but its job is not removed yet
 
-    places = 1, 5, 20, 31, 40, 47, 52
-    monkeypatch.setattr(scale_run, "do", crash_at(stages.do, done, *places))
+    calls = 1, 5, 20, 31, 40, 47, 52
+    monkeypatch.setattr(scale_run, "do", crash_at(stages.do, events, *calls))
     for each in ("nanogs.lod.tree_file.write", "nanogs.lod.archive.write_archive"):
         module, _, function = each.rpartition(".")
         before = getattr(__import__(module, fromlist=[function]), function)
-        monkeypatch.setattr(each, crash_at(before, done, 1))
+        monkeypatch.setattr(each, crash_at(before, events, 1))
     for module in ("nanogs.sink", "nanogs.lod.archive"):
-        monkeypatch.setattr(f"{module}.move_file", named)
+        monkeypatch.setattr(f"{module}.move_file", move_then_crash)
     for _ in range(20):
         try:
             write(scene, tmp_path / name, resume=True, **options)
             break
         except CrashError:
             assert (tmp_path / f"{name}.job" / MANIFEST).exists()
-            assert (tmp_path / name).exists() == ("moved" in done)
-    assert done.count("crash") >= 7
-    assert "moved" in done
+            assert (tmp_path / name).exists() == ("moved" in events)
+    assert events.count("crash") >= 7
+    assert "moved" in events
     assert (tmp_path / name).read_bytes() == (tmp_path / f"whole{name}").read_bytes()
     assert {path.name for path in tmp_path.iterdir()} == {name, f"whole{name}"}
 
@@ -222,7 +224,7 @@ def test_twenty_million_splats_are_planned_within_two_gigabytes():
         plan_blocks(20_000_000, layout, PRESETS["fast"], shares, 10**8, None, Linked())
 
 
-def test_the_command(tmp_path):
+def test_the_command_makes_trees_in_blocks(tmp_path):
     io.save(random_splats(100_000, degree=0), tmp_path / "a.ply")
     given = ["lod", tmp_path / "a.ply", tmp_path / "a.rad", "--levels", "1,0.1", "--preset", "fast"]
     given += ["--max-memory", "250MB"]
@@ -231,7 +233,7 @@ def test_the_command(tmp_path):
     assert planned["blocks"]["memory"] <= 250_000_000
     result = run(*given, "--json", "--threads", "1")
     assert result.returncode == 0, result.stderr
-    told = json.loads(result.stdout)
-    assert [level["count"] for level in told["levels"]] == [100_000, 10_000]
-    assert told["reports"][0]["blocks"]["blocks"] > 1
+    report = json.loads(result.stdout)
+    assert [level["count"] for level in report["levels"]] == [100_000, 10_000]
+    assert report["reports"][0]["blocks"]["blocks"] > 1
     assert {entry.name for entry in tmp_path.iterdir()} == {"a.ply", "a.rad"}

@@ -31,11 +31,11 @@ RATIOS = (1, 0.5, 0.25, 0.1)
 
 
 def tree_of(path):
-    """The counts and starts of children, as the file has them."""
+    """Return the number of children and the first child of each row, as stored in the file."""
     _, chunks = radfiles.parts_of(path.read_bytes())
     found = {"child_count": [], "child_start": []}
-    for told, payload in chunks:
-        for entry in told["properties"]:
+    for header, payload in chunks:
+        for entry in header["properties"]:
             if entry["property"] in found:
                 data = payload[entry["offset"] : entry["offset"] + entry["bytes"]]
                 kind = "<u2" if entry["encoding"] == "u16" else "<u4"
@@ -58,18 +58,18 @@ def made(model, tmp_path_factory):
     return folder / "a.rad"
 
 
-def test_leaves_that_cover_nothing_do_not_keep_those_above_from_growing():
-    """Four of them are one node of the next layer, which is merged with nodes of others."""
+def test_transparent_leaves_do_not_change_the_size_of_the_root():
+    """Four transparent leaves make one node of the next layer, beside nodes of opaque leaves."""
     splats = random_splats(1).take(np.zeros(24, np.int64))
     splats.means[:] = np.random.default_rng(3).normal(0, 1e-3, (24, 3))
     splats.opacity_logits[:] = 40
     splats.opacity_logits[20:] = -np.inf
 
     def root(count):
-        leaves, fives = InMemory(splats.take(np.arange(count))), np.arange(count) // 4
+        leaves, groups = InMemory(splats.take(np.arange(count))), np.arange(count) // 4
         means = leaves.load().means.astype(np.float64)
-        middle = np.array([means[fives == each].mean(axis=0) for each in range(count // 4)])
-        layers = [Layer(means, fives), Layer(middle, np.zeros(count // 4, np.int64))]
+        middle = np.array([means[groups == each].mean(axis=0) for each in range(count // 4)])
+        layers = [Layer(means, groups), Layer(middle, np.zeros(count // 4, np.int64))]
         top = Layer(means.mean(axis=0)[None], np.empty(0, np.int64))
         return build(leaves, [*layers, top], units_of(InMemory(splats))).layers[-1].load()
 
@@ -83,14 +83,14 @@ def rows_sorted(means):
 def test_the_leaves_are_the_whole_model(model, made):
     leaves = io.load(made)
     np.testing.assert_array_equal(rows_sorted(leaves.means), rows_sorted(model.means))
-    told = json.loads(run("info", made, "--json").stdout)
-    assert told["levels"][:4] == [3000, 1500, 750, 300]
-    assert told["levels"][-1] == 1
-    assert told["splats"] == 3000
+    info = json.loads(run("info", made, "--json").stdout)
+    assert info["levels"][:4] == [3000, 1500, 750, 300]
+    assert info["levels"][-1] == 1
+    assert info["splats"] == 3000
 
 
-def test_rows_are_as_spark_wants_them(made):
-    """The root first, children side by side after their parents, each row below just one."""
+def test_rows_are_in_the_order_that_spark_requires(made):
+    """The root first, siblings contiguous and after their parent, each row with one parent."""
     counts, starts = tree_of(made)
     inner = np.flatnonzero(counts)
     assert (starts[inner] > inner).all()
@@ -99,7 +99,7 @@ def test_rows_are_as_spark_wants_them(made):
     assert np.all(np.diff(starts[inner]) > 0)
 
 
-def test_each_level_is_read(model, made):
+def test_each_level_can_be_read(model, made):
     for level, ratio in enumerate(RATIOS):
         found = nanogs.load(made, level=level)
         assert len(found) == ratio * 3000
@@ -115,16 +115,16 @@ def test_each_level_is_read(model, made):
 
 
 def test_coarser_levels_look_like_the_model(tmp_path):
-    """Each parent covers what its leaves cover: a level in place of all changes little."""
+    """Each node covers what its leaves cover, so a coarser level changes the picture little."""
     model = lopsided(2000)
     nanogs.write_levels(model, tmp_path / "a.rad", RATIOS, layout="spark tree", preset="fast")
     camera = seen_from_the_start(model)
     whole = render(model, camera).shown()
-    marks = [psnr(render(nanogs.load(tmp_path / "a.rad", level=n), camera).shown(), whole)
+    scores = [psnr(render(nanogs.load(tmp_path / "a.rad", level=n), camera).shown(), whole)
              for n in range(4)]  # fmt: skip
-    assert marks[0] > 40
-    assert marks == sorted(marks, reverse=True)
-    assert marks[1] > 25
+    assert scores[0] > 40
+    assert scores == sorted(scores, reverse=True)
+    assert scores[1] > 25
 
 
 def test_the_same_bytes_for_any_number_of_threads(model, made):
@@ -135,7 +135,7 @@ def test_the_same_bytes_for_any_number_of_threads(model, made):
     assert made.read_bytes() == made.with_name("b.rad").read_bytes()
 
 
-def test_measured_levels(model, tmp_path):
+def test_levels_can_be_measured(model, tmp_path):
     manifest, _ = nanogs.write_levels(
         model, tmp_path / "a.rad", (1, 0.2), layout="spark tree", preset="fast", measured=True
     )
@@ -144,16 +144,16 @@ def test_measured_levels(model, tmp_path):
     assert first.bytes + second.bytes <= (tmp_path / "a.rad").stat().st_size
 
 
-def test_the_size_told_is_that_of_the_file(model, tmp_path):
-    """There is more in it than levels: what tells of them, and what stands above the coarsest."""
+def test_the_reported_size_is_that_of_the_file(model, tmp_path):
+    """It includes the headers and the nodes above the coarsest level."""
     out = tmp_path / "a.rad"
     io.save(model, tmp_path / "a.ply")
     done = run("lod", tmp_path / "a.ply", out, "--levels", "0.1", "--preset", "fast")
     assert f"1 level in {out}, {bytes_text(out.stat().st_size)}, " in done.stderr
 
 
-def test_in_blocks(tmp_path):
-    """The leaves are the model, and the next level looks as one made in memory does."""
+def test_trees_made_in_blocks_look_like_the_model(tmp_path):
+    """The leaves are the model, and the next level looks like it, as if made in memory."""
     model = lopsided(3000)
     io.save(model, tmp_path / "a.ply")
     nanogs.write_levels(
@@ -173,17 +173,17 @@ def test_in_blocks(tmp_path):
     assert psnr(render(nanogs.load(tmp_path / "a.rad", level=1), camera).shown(), whole) > 25
 
 
-def test_a_job_that_ended_while_it_wrote_goes_on(model, tmp_path, monkeypatch):
+def test_a_job_interrupted_while_writing_can_be_resumed(model, tmp_path, monkeypatch):
     io.save(model, tmp_path / "a.ply")
     given = {"layout": "spark tree", "preset": "fast", "block": 900}
     nanogs.write_levels(tmp_path / "a.ply", tmp_path / "a.rad", RATIOS, **given)
     given |= {"job": tmp_path / "job", "resume": True}
 
-    def stopped(*_args, **_options):
+    def interrupt(*_args, **_options):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("nanogs.lod.tree_file.write", stopped)
+        patch.setattr("nanogs.lod.tree_file.write", interrupt)
         with pytest.raises(KeyboardInterrupt):
             nanogs.write_levels(tmp_path / "a.ply", tmp_path / "b.rad", RATIOS, **given)
     assert not (tmp_path / "b.rad").exists()
@@ -200,14 +200,14 @@ def test_nothing_is_overwritten_without_w(made):
     assert {path.suffix for path in made.parent.iterdir()} <= {".ply", ".rad"}
 
 
-def test_with_w_it_is_replaced_and_fitting_in_vain_is_said(tmp_path):
+def test_w_replaces_the_file_and_an_unused_fit_is_noted(tmp_path):
     io.save(random_splats(200, degree=0), tmp_path / "a.ply")
-    said = []
+    noted = []
     for chosen in (["--preset", "fast"], ["-w"]):
         done = run("lod", tmp_path / "a.ply", tmp_path / "a.rad", "--levels", "1,0.2", *chosen)
         assert done.returncode == 0, done.stderr
-        said.append("the fit of the preset 'default' is not used" in " ".join(done.stderr.split()))
-    assert said == [False, True]
+        noted.append("the fit of the preset 'default' is not used" in " ".join(done.stderr.split()))
+    assert noted == [False, True]
     assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "a.rad"}
 
 
@@ -222,7 +222,7 @@ def test_options_of_other_layouts_are_refused(made, given, words):
     assert words in done.stderr
 
 
-def test_a_splat_for_too_many_others_is_refused(monkeypatch, model):
+def test_nodes_with_too_many_children_are_refused(monkeypatch, model):
     monkeypatch.setattr("nanogs.lod.tree.MOST_CHILDREN", 20)
     levels = [InMemory(model), InMemory(model.take(np.arange(3)))]
     with pytest.raises(OptionError, match="give more levels between"):
@@ -233,7 +233,7 @@ def test_a_splat_for_too_many_others_is_refused(monkeypatch, model):
 
 
 @given(st.integers(1, 60), st.integers(1, 60), st.integers(0, 9))
-def test_every_coarser_splat_stands_for_some(many, few, seed):
+def test_every_coarser_splat_has_at_least_one_child(many, few, seed):
     fine, coarse = max(many, few), min(many, few)
     shapes = [
         links.shapes_of(InMemory(random_splats(n, seed=s)))
@@ -244,7 +244,7 @@ def test_every_coarser_splat_stands_for_some(many, few, seed):
 
 
 @given(st.integers(2, 40), st.integers(0, 9))
-def test_trees_of_any_size(count, seed):
+def test_trees_of_any_size_have_the_model_as_leaves(count, seed):
     model = random_splats(count, seed=seed)
     levels = [InMemory(model.take(np.arange(n))) for n in (count, (count + 1) // 2)]
     layers = layers_of(levels)
@@ -254,15 +254,15 @@ def test_trees_of_any_size(count, seed):
     leaves = rows.load().take(np.flatnonzero(tree.counts == 0))
     np.testing.assert_array_equal(rows_sorted(leaves.means), rows_sorted(model.means))
     means = rows.load().means
-    for row in np.flatnonzero(tree.counts):  # each lies among those that it stands for
+    for row in np.flatnonzero(tree.counts):  # each is within the bounds of its children
         below = means[tree.starts[row] : tree.starts[row] + tree.counts[row]]
         assert (means[row] >= below.min(axis=0) - 1e-5).all()
         assert (means[row] <= below.max(axis=0) + 1e-5).all()
 
 
 @given(st.integers(1, 40), st.integers(0, 40), st.booleans())
-def test_many_without_a_child_in_one_place_get_one_each(few, more, apart):
-    """All but one stand at one place, far from all that they could stand for but the last."""
+def test_childless_parents_in_one_place_get_one_child_each(few, more, apart):
+    """All parents are at one place, `apart` from all children, and the last has every child."""
     fine = np.random.default_rng(few).normal(size=(few + more, 3))
     coarse = np.full((few, 3), 50.0 if apart else 0.0)
     parents = np.full(few + more, few - 1)
@@ -270,7 +270,7 @@ def test_many_without_a_child_in_one_place_get_one_each(few, more, apart):
     assert set(parents.tolist()) == set(range(few))
 
 
-def test_rows_are_the_same_however_many_are_merged_at_a_time(monkeypatch, model):
+def test_rows_do_not_depend_on_how_many_are_merged_at_a_time(monkeypatch, model):
     levels = [InMemory(each) for each, _ in nanogs.levels(model, RATIOS, preset="fast")]
     layers = layers_of(levels)
     expected, tree = as_rows(levels[0], layers)
@@ -281,8 +281,8 @@ def test_rows_are_the_same_however_many_are_merged_at_a_time(monkeypatch, model)
         assert model_bytes(rows.read(start, stop)) == model_bytes(expected.read(start, stop))
 
 
-def test_a_splat_belongs_to_the_one_it_came_from():
-    """Two clusters that nearly touch, and two splats that stand for them, one flat and wide."""
+def test_splats_get_the_parent_of_their_own_cluster():
+    """Two clusters that nearly touch, one of them flat and wide, and a parent for each."""
     rng = np.random.default_rng(0)
     model = random_splats(200, degree=0)
     low = np.arange(200) < 100
@@ -317,7 +317,7 @@ def tree_file(counts, starts):
         ([3, 0, 0, 0], [2, 0, 0, 0], "several parents, or none"),
     ],
 )
-def test_what_is_no_tree_has_no_levels(tmp_path, counts, starts, words):
+def test_damaged_trees_are_refused(tmp_path, counts, starts, words):
     (tmp_path / "a.rad").write_bytes(tree_file(counts, starts))
     with pytest.raises(FormatError, match=words):
         heights(read_header(tmp_path / "a.rad"))
@@ -325,7 +325,7 @@ def test_what_is_no_tree_has_no_levels(tmp_path, counts, starts, words):
         nanogs.load(tmp_path / "a.rad", level=1)
 
 
-def test_trees_of_far_too_many_levels_are_refused(tmp_path):
+def test_trees_of_too_many_levels_are_refused(tmp_path):
     n = 400
     data = tree_file([1] * (n - 1) + [0], [*range(1, n), 0])
     (tmp_path / "a.rad").write_bytes(data)
@@ -334,7 +334,7 @@ def test_trees_of_far_too_many_levels_are_refused(tmp_path):
 
 
 def test_levels_of_a_lopsided_tree(tmp_path):
-    """A leaf that hangs on the root is in all levels but that of the root."""
+    """A leaf directly below the root is in all levels except that of the root."""
     parts, given_values, leaves = radfiles.small_tree()
     (tmp_path / "a.rad").write_bytes(rad(parts, 8, lodTree=True))
     assert io.open(tmp_path / "a.rad").levels == (5, 3, 1)
@@ -347,7 +347,7 @@ def test_levels_of_a_lopsided_tree(tmp_path):
 
 
 def frontier(rows, counts, starts, camera, most):
-    """The rows that Spark draws, as its traversal picks them: the largest on screen is refined."""
+    """Return the rows that Spark draws: its traversal refines the largest row on screen first."""
     sizes = 2 * rows.scales().astype(np.float64).mean(axis=1)
     sizes /= np.linalg.norm(rows.means - camera.position, axis=1)
     heap, drawn, total = [(-sizes[0], 0)], [], 1
@@ -368,8 +368,8 @@ def frontier(rows, counts, starts, camera, most):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 @pytest.mark.parametrize("paged", [False, True])
-def test_spark_draws_a_tree_as_it_should(tmp_path, paged):
-    """All splats where they fit; fewer of several levels where they do not, the right ones."""
+def test_spark_draws_the_expected_rows_of_a_tree(tmp_path, paged):
+    """All splats if the limit allows it, else the expected rows of several levels."""
     model = lopsided(3000)
     camera = seen_from_the_start(model)
     path, mesh = tmp_path / "a.rad", {"paged": paged}
@@ -383,8 +383,8 @@ def test_spark_draws_a_tree_as_it_should(tmp_path, paged):
     chosen = frontier(rows.load(), tree.counts, tree.starts, camera, 900)
     expected = render(rows.load().take(chosen), camera).shown()
     few, state = in_spark(path, camera, tmp_path, mesh=mesh, lodSplatCount=900)
-    assert abs(state["splats"] - len(chosen)) < 5  # sizes are halves there
+    assert abs(state["splats"] - len(chosen)) < 5  # Spark keeps sizes as half floats
     assert psnr(few, expected) > 30
     assert 22 < psnr(few, whole) < psnr(shown, whole)
     if paged:
-        assert state["asked"].count("scene/a.rad") >= 2  # the description, and chunks by range
+        assert state["asked"].count("scene/a.rad") >= 2  # the header, and chunks by byte range

@@ -1,4 +1,4 @@
-"""Files written as `.rad`, opened in Spark's npm package in a real browser."""
+"""`.rad` files opened with Spark's npm package in a real browser."""
 
 import dataclasses
 
@@ -18,15 +18,15 @@ pytestmark = pytest.mark.filterwarnings("default")  # the driver's own warnings 
 
 
 def lopsided(count=400):
-    """Three clusters of three colours, each of its own size, that depend on the view."""
+    """Three clusters of different colours and sizes, with view-dependent colours."""
     model = random_splats(count, degree=2, seed=8, spread=0.3)
-    third = np.arange(count) % 3
-    places = np.array([[-1, -0.4, 0.1], [0.9, 0.6, -0.3], [0.3, -0.9, 0.5]], np.float32)
+    cluster = np.arange(count) % 3
+    centres = np.array([[-1, -0.4, 0.1], [0.9, 0.6, -0.3], [0.3, -0.9, 0.5]], np.float32)
     sh = model.sh * np.float32(0.15)
-    sh[:, 0] = np.eye(3, dtype=np.float32)[third] * 3 - 1.5
+    sh[:, 0] = np.eye(3, dtype=np.float32)[cluster] * 3 - 1.5
     return dataclasses.replace(
         model,
-        means=(model.means * (1 + third[:, None]) / 2 + places[third]).astype(np.float32),
+        means=(model.means * (1 + cluster[:, None]) / 2 + centres[cluster]).astype(np.float32),
         log_scales=(model.log_scales - np.log(count / 400) / 2).astype(np.float32),
         sh=sh,
         opacity_logits=np.full(count, 1.5, np.float32),
@@ -42,7 +42,7 @@ def test_spark_draws_what_nanogs_renders(tmp_path):
     assert (state["splats"], state["total"]) == (len(model), len(model))
     assert (rendered.max(axis=2) > 0.2).mean() > 0.05
     assert psnr(shown, rendered) > 35
-    for other in (shown[::-1], shown[:, ::-1], shown[..., ::-1]):  # so that the measure can tell
+    for other in (shown[::-1], shown[:, ::-1], shown[..., ::-1]):  # the PSNR detects these errors
         assert psnr(other, rendered) < 25
 
 

@@ -1,4 +1,4 @@
-"""The rasteriser against its twin, on hazards, on invariants and on photographs."""
+"""The rasteriser: comparisons with its twin in float64, difficult inputs and invariants."""
 
 import dataclasses
 import math
@@ -55,14 +55,14 @@ def one_splat(mean=(0, 0, 4), scale=0.3, logit=2.0, colour=0.9, **changes):
 def check_against_twin(splats, camera, background=(0.2, 0.5, 0.9)):
     color, alpha, weighted, contributions, sure = render_twin(splats, camera, background)
     image = render(splats, camera, background=background, depth=True, contributions=True)
-    assert sure.mean() > 0.9  # the exclusion must not hide the comparison
+    assert sure.mean() > 0.9  # enough pixels must be left to compare
     assert np.abs(image.color - color)[sure].max() < TOLERANCE
     assert np.abs(image.alpha - alpha)[sure].max() < TOLERANCE
     hit = sure & (alpha > 0.01)
     depth = np.divide(weighted, alpha, out=np.full(alpha.shape, np.inf), where=alpha > 0)
     np.testing.assert_allclose(image.depth[hit], depth[hit], rtol=1e-3)
     assert np.isinf(image.depth[sure & (alpha == 0)]).all()
-    # One splat at a threshold moves less than 1 a pixel, and what is behind it in exchange.
+    # A splat at a threshold changes its sum by < 1 per pixel, and those behind it by as much.
     slack = 1e-4 * alpha.size + 2 * np.count_nonzero(~sure)
     assert np.abs(image.contributions - contributions[:, 0]).max() < slack
     return image, alpha
@@ -102,14 +102,14 @@ def test_matches_twin_in_other_render_modes(mode):
     assert image.notes == ((SURFEL_NOTE,) if mode is RenderMode.SURFEL else ())
 
 
-def test_mip_compensation_dims_what_is_smaller_than_a_pixel():
+def test_mip_compensation_dims_splats_smaller_than_a_pixel():
     tiny = one_splat(scale=0.01)
     mip = dataclasses.replace(tiny, render_mode=RenderMode.MIP)
     camera = make_camera(36, 22)
     assert 0 < render(mip, camera).alpha.max() < 0.1 * render(tiny, camera).alpha.max()
 
 
-def test_matches_twin_with_principal_point_off_centre_and_two_focal_lengths():
+def test_matches_twin_with_off_centre_principal_point_and_unequal_focal_lengths():
     camera = make_camera(fx=22.0, fy=41.0, cx=5.25, cy=17.5)
     check_against_twin(make_splats(80, size=-0.5), camera)
 
@@ -131,7 +131,7 @@ def test_matches_twin_at_odd_sizes(size):
     check_against_twin(make_splats(50, 5), make_camera(*size))
 
 
-def test_matches_twin_inside_the_cloud_with_splats_behind_and_far_aside():
+def test_matches_twin_inside_the_cloud_with_splats_behind_and_far_beside():
     rng = np.random.default_rng(7)
     means = rng.normal(0, 2, (200, 3)).astype(np.float32)
     image, _ = check_against_twin(make_splats(200, 7, means=means), make_camera())
@@ -163,12 +163,12 @@ def test_transparent_splat_is_not_drawn_nor_counted_as_broken():
 
 
 @pytest.mark.parametrize(("z", "drawn"), [(0.2, 0), (0.1, 0), (-4, 0), (0.201, 1)])
-def test_near_plane_culls_what_is_not_farther(z, drawn):
+def test_splats_up_to_the_near_plane_are_culled(z, drawn):
     camera = make_camera(near=float(np.float32(0.2)))
     assert render(one_splat((0, 0, z)), camera).drawn == drawn
 
 
-def test_a_pixel_centre_lies_half_a_pixel_in():
+def test_pixel_centres_are_at_half_integers():
     splats = one_splat((1.0, -0.5, 4.0), scale=0.02)
     camera = make_camera(32, 16, 32.0, cx=8.5, cy=12.5)
     alpha = render(splats, camera).alpha
@@ -210,7 +210,7 @@ def test_equal_depths_are_blended_by_index():
 
 
 @pytest.mark.parametrize("nearer", [0, 1])
-def test_depths_one_rounding_apart_are_told_apart(nearer):
+def test_adjacent_float32_depths_are_sorted_correctly(nearer):
     depth = np.float32(3)
     means = np.array([(0, 0, np.nextafter(depth, np.float32(4)))] * 2, np.float32)
     means[nearer, 2] = depth
@@ -224,7 +224,7 @@ def test_depths_one_rounding_apart_are_told_apart(nearer):
     assert (render(splats, make_camera()).color.mean() > 0.5) == (nearer == 0)
 
 
-def test_broken_rows_are_left_out_and_counted():
+def test_nonfinite_rows_are_skipped_and_counted():
     splats = make_splats(20)
     broken = {name: getattr(splats, name).copy() for name in ("means", "quats", "sh")}
     broken["means"][0, 0] = np.nan
@@ -271,7 +271,7 @@ def test_model_without_splats_shows_the_background():
     assert image.contributions.shape == (0,)
 
 
-def test_far_from_the_origin_doubles_are_subtracted_first():
+def test_float64_positions_are_subtracted_before_rounding_to_float32():
     splats = make_splats(50, 12)
     shift = np.array([4e6, -5e6, 300.0])
     moved = dataclasses.replace(splats, means=splats.means.astype(np.float64) + shift)
@@ -282,7 +282,7 @@ def test_far_from_the_origin_doubles_are_subtracted_first():
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 5])
-def test_sh_degree_cuts_the_higher_bands(degree):
+def test_sh_degree_leaves_out_the_higher_bands(degree):
     splats = make_splats(degree=2)
     cut = dataclasses.replace(splats, sh=splats.sh[:, : (min(degree, 2) + 1) ** 2].copy())
     np.testing.assert_array_equal(
@@ -323,7 +323,7 @@ def test_thread_count_changes_no_byte():
             np.testing.assert_array_equal(getattr(result, name), getattr(results[0], name))
 
 
-def test_what_is_asked_for_besides_changes_no_colour():
+def test_asking_for_depth_and_contributions_changes_no_colour():
     splats, camera = make_splats(200, 14), make_camera()
     plain, full = render(splats, camera), render(splats, camera, depth=True, contributions=True)
     assert plain.depth is None
@@ -343,7 +343,7 @@ def test_what_is_asked_for_besides_changes_no_colour():
         make_camera(world_to_camera=np.eye(3)),
     ],
 )
-def test_senseless_cameras_are_refused(camera):
+def test_invalid_cameras_are_refused(camera):
     with pytest.raises(OptionError, match="camera"):
         render(make_splats(), camera)
 
@@ -351,12 +351,12 @@ def test_senseless_cameras_are_refused(camera):
 @pytest.mark.parametrize(
     "options", [{"background": (0, 0)}, {"background": (0, math.nan, 0)}, {"sh_degree": -1}]
 )
-def test_senseless_options_are_refused(options):
+def test_invalid_options_are_refused(options):
     with pytest.raises(OptionError):
         render(make_splats(), make_camera(), **options)
 
 
-def test_tile_lists_miss_no_tile_with_a_visible_pixel():
+def test_tile_lists_have_every_tile_with_a_visible_pixel():
     splats, camera = make_splats(80, 15, size=-1, spread=1.5), make_camera(70, 50, 40.0)
     for i in range(len(splats)):
         one = splats.take(np.array([i]))
@@ -371,7 +371,7 @@ def test_tile_lists_miss_no_tile_with_a_visible_pixel():
 
 
 @pytest.mark.parametrize("size", [(5000, 100), (100, 3000), (300, 300)])
-def test_tile_lists_hold_the_tiles_that_each_splat_meets_nearest_first(size):
+def test_tile_lists_have_the_splats_that_meet_each_tile_nearest_first(size):
     width, height = size
     splats = make_splats(60, 3, size=-1, spread=1.5)
     view = project(prepare(splats), make_camera(width, height, 90.0))
@@ -397,7 +397,8 @@ def test_tile_lists_hold_the_tiles_that_each_splat_meets_nearest_first(size):
 
 @pytest.mark.parametrize("scale", [1e6, 1e12, 1e18, 1e22])
 @pytest.mark.parametrize("turn", [0.0, 5e-23, 1e-9, 0.3])
-def test_splats_of_any_size_draw_nothing_outside_of_the_image(scale, turn):
+def test_splats_of_any_size_give_finite_pixels(scale, turn):
+    """Nothing is drawn outside of the image either: with bounds checks, that would raise."""
     scales = np.array([[scale, 1e-3, 1e-3], [1, scale, scale], [0.1, 0.1, 0.1]])
     splats = make_splats(
         3,
@@ -415,7 +416,7 @@ seeds = st.integers(0, 2**16)
 
 @settings(max_examples=25)
 @given(seeds, st.tuples(*[st.floats(0, 1)] * 3))
-def test_background_enters_linearly(seed, background):
+def test_background_is_added_by_transmittance(seed, background):
     splats, camera = make_splats(30, seed), make_camera()
     black, image = render(splats, camera), render(splats, camera, background=background)
     expected = black.color + (1 - black.alpha[..., None]) * np.array(background)
@@ -431,7 +432,7 @@ def test_moving_scene_and_camera_together_changes_nothing(seed, shift):
     pose[:3, 3] = np.negative(shift)
     moved = dataclasses.replace(splats, means=splats.means + shift)
     here, there = render(splats, make_camera()), render(moved, make_camera(world_to_camera=pose))
-    # Rounding may carry a splat over alpha 1/255, which is worth no more than that.
+    # Rounding may move a splat across the threshold alpha = 1/255, which changes no more than that.
     assert np.abs(here.alpha - there.alpha).max() < 0.01
     assert np.abs(here.alpha - there.alpha).mean() < 1e-5
 
@@ -447,8 +448,8 @@ def test_contributions_add_up_to_the_alpha_image(seed):
 
 @settings(max_examples=15)
 @given(seeds)
-def test_twice_the_pixels_see_the_same_means(seed):
-    """A larger image of a smooth scene averages to the smaller one."""
+def test_renders_at_twice_the_size_average_to_the_smaller_one(seed):
+    """For a smooth scene, whose splats are larger than pixels."""
     splats = make_splats(20, seed, size=0.3, spread=0.2)
     small = render(splats, make_camera(20, 12, 15.0)).alpha
     large = render(splats, make_camera(40, 24, 30.0)).alpha
@@ -456,8 +457,8 @@ def test_twice_the_pixels_see_the_same_means(seed):
     assert np.abs(pooled - small).max() < 0.03
 
 
-def test_a_part_of_a_view_has_the_pixels_of_the_whole():
-    """Near the edge, too, where projections are held to the whole picture's field of view."""
+def test_a_cropped_view_has_the_pixels_of_the_whole():
+    """Near the edge too, where projections are clamped by the field of view of the whole image."""
     splats = make_splats(200, 5, size=0.5, spread=2.0)
     camera = make_camera(128, 96, 40.0)
     part = camera.cropped(16, 48, 32, 32)
@@ -469,7 +470,7 @@ def test_a_part_of_a_view_has_the_pixels_of_the_whole():
     assert np.abs(render(splats, alone).color - some.color).max() > 1e-3
 
 
-def test_a_part_of_a_view_is_reduced_as_its_whole_is():
+def test_a_cropped_view_is_reduced_like_the_whole():
     splats = make_splats(200, 5, size=0.5, spread=2.0)
     camera = make_camera(128, 96, 40.0)
     part = camera.cropped(16, 48, 32, 32).reduced(16)
@@ -479,8 +480,8 @@ def test_a_part_of_a_view_is_reduced_as_its_whole_is():
     assert np.abs(render(splats, edge).color - whole.color[24:40, 8:24]).max() > 1e-3
 
 
-def test_parts_of_views_can_be_learnt_from():
-    """Whose pictures are larger than those that are looked at."""
+def test_cropped_views_can_be_fitted_to():
+    """Also if they are larger than `view_size`, to which they are reduced."""
     splats = make_splats(60, 5, size=0.5, spread=2.0)
     cameras = [make_camera(128, 96, focal).cropped(16, 8, 64, 48) for focal in (40.0, 50.0, 60.0)]
     small, report = nanogs.simplify(splats, count=20, cameras=cameras, view_size=32, steps=2)
@@ -489,7 +490,7 @@ def test_parts_of_views_can_be_learnt_from():
 
 
 @pytest.mark.parametrize("scale", [1e-3, 0.1, 3.0])
-def test_what_is_left_out_as_beside_the_picture_reaches_none_of_it(scale):
+def test_splats_culled_early_as_beside_the_image_reach_no_pixel(scale):
     random = np.random.default_rng(3)
     lens = np.array([40.0, 55.0, 20.0, 11.0, 37.0, 21.0, 0.01, 20.0, 11.0, 37.0, 21.0])
     bounds = project_kernels.guard_bounds(lens)
@@ -497,7 +498,7 @@ def test_what_is_left_out_as_beside_the_picture_reaches_none_of_it(scale):
         40.0**2 * (1 + max(bounds[0] ** 2, bounds[1] ** 2)),
         55.0**2 * (1 + max(bounds[2] ** 2, bounds[3] ** 2)),
     )
-    row, left_out, hidden = np.empty(8), 0, 0
+    row, culled, hidden = np.empty(8), 0, 0
     for _ in range(3000):
         sizes = scale * np.exp(random.normal(0, 1.5, 3))
         factor = (np.linalg.qr(random.normal(size=(3, 3)))[0] * sizes).astype(np.float32)
@@ -509,6 +510,6 @@ def test_what_is_left_out_as_beside_the_picture_reaches_none_of_it(scale):
         box = project_kernels._tile_box(row[0], row[1], *sides, lens[4], lens[5])
         hidden += box == project_kernels.HIDDEN
         if project_kernels._beside(factor, reach, x, y, z, lens, steepest):
-            left_out += 1
+            culled += 1
             assert box == project_kernels.HIDDEN
-    assert left_out > 0.2 * hidden
+    assert culled > 0.2 * hidden

@@ -1,4 +1,4 @@
-"""Trained models and what other tools made of them; skipped where they are absent."""
+"""Trained models, and results of other tools for them; skipped if the files are absent."""
 
 from functools import cache
 
@@ -22,14 +22,14 @@ SCENES = {
 
 @cache
 def tenth(name):
-    """A scene, a tenth of it, and the report; in few steps where its quality is not looked at."""
+    """Return a scene, its tenth and the report; with few steps if its quality is not tested."""
     splats = nanogs.load(scene_path(SCENES[name][0]))
     few = {} if name in ("biker", "plant") else {"steps": 4}
     return splats, *nanogs.simplify(splats, ratio=0.1, **few)
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_tenth_is_exact_valid_and_survives_a_file(name, tmp_path):
+def test_a_tenth_has_the_exact_count_and_survives_a_file(name, tmp_path):
     count = SCENES[name][1]
     splats, small, report = tenth(name)
     assert len(splats) == count
@@ -51,11 +51,11 @@ def test_infinite_opacities_of_real_files_are_kept(name, count):
 @pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "seeds"), [(0.1, 1), (0.01, 2), (0.001, 3)])
 def test_as_good_as_the_published_code(ratio, seeds):
-    """Within 0.3 dB on the mean over scenes and seeds.
+    """The mean over scenes and seeds is at most 0.3 dB lower.
 
-    The seed alone moves one scene by up to half a decibel where 100 splats are left, so neither a
-    single scene nor a single seed can tell. Where 10,000 are left, it moves the mean of the scenes
-    by a tenth of a decibel, and they are half a decibel above what is asked.
+    With 100 splats left, the seed alone changes one scene by up to half a decibel, so neither a
+    single scene nor a single seed is enough. With 10,000 left, it changes the mean of the scenes by
+    a tenth of a decibel, and that mean is half a decibel above the limit.
     """
     differences = []
     for name in ("biker", "plant", "seal", "chair"):
@@ -75,17 +75,17 @@ def test_as_good_as_the_published_code(ratio, seeds):
     assert np.mean(differences) > -0.3, differences
 
 
-# What the default preset is ahead of the better peer by, dB; about half of what was measured.
+# Required lead of the default preset over the better peer, dB: about half of the measured one.
 LEADS = {("biker", 0.1): 1.0, ("biker", 0.01): 0.6, ("plant", 0.1): 2.0, ("plant", 0.01): 0.5}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["biker", "plant"])
 def test_better_than_the_peers_and_as_bright_as_the_original(name):
-    """Mean PSNR in views that had no part in the choice; the mean colour at a tenth is kept.
+    """Mean PSNR on held-out views, and mean colour at a tenth of the splats.
 
-    In views of 512 pixels the mean of each channel may be off by 1/255. In smaller ones, which the
-    method does not look at, rasterisers widen the original's thin splats more than merged ones.
+    In views of 512 pixels the mean of each channel may be off by 1/255. In smaller views, which the
+    method does not render, rasterisers widen the original's thin splats more than merged ones.
     """
     splats, small, _ = tenth(name)
     cameras = automatic_cameras(splats, 4, width=256, height=256, split="test")

@@ -1,4 +1,4 @@
-"""Refit: its kernels against their twins, and what it promises on small scenes."""
+"""Refit: its kernels against their twins in float64, and its promises on small scenes."""
 
 import dataclasses
 import itertools
@@ -55,7 +55,7 @@ def make_camera(width=37, height=21, focal=30.0):
 
 
 def make_splats(n=12, seed=0, degree=0, size=-1.2, mode=RenderMode.DEFAULT):
-    """Splats around (0, 0, 4), large on screen, so that few pixels stand at a threshold."""
+    """Splats around (0, 0, 4), large on screen, so that few pixels are at an alpha threshold."""
     rng = np.random.default_rng(seed)
     arrays = {
         "means": rng.normal((0, 0, 4), (1, 0.6, 0.8), (n, 3)),
@@ -68,8 +68,8 @@ def make_splats(n=12, seed=0, degree=0, size=-1.2, mode=RenderMode.DEFAULT):
     return Splats(**arrays, render_mode=mode)
 
 
-def pulls_of(splats, camera, residual, precision, wanted=ALL_BLOCKS):
-    """Sums of the kernels, with the features they were given."""
+def gradient_sums(splats, camera, residual, precision, wanted=ALL_BLOCKS):
+    """Return the features that the kernels are given, and the gradient sums that they compute."""
     view = project(prepare(splats), camera)
     features = np.zeros_like(view.features)
     features[view.order, :3] = view.features[view.order, :3] - np.float32(0.5)
@@ -90,16 +90,16 @@ def random_pixels(camera, seed=5):
 def test_pulls_match_their_twin(seed, size):
     splats, camera = make_splats(20, seed), make_camera(*size)
     residual, precision = random_pixels(camera)
-    features, totals = pulls_of(splats, camera, residual, precision)
+    features, totals = gradient_sums(splats, camera, residual, precision)
     expected = pull_twin(splats, camera, features, residual, precision)
     scale = np.abs(expected).max(axis=0)
     assert (np.abs(totals - expected).max(axis=0) < 1e-3 * scale).all()
 
 
-def test_pixels_are_weighed_over_black_and_white_alike():
+def test_pixel_errors_are_the_mean_over_black_and_white_backgrounds():
     rng = np.random.default_rng(7)
     wanted, image = rng.uniform(0, 1, (2, 9, 11, 4))
-    image[..., :3] *= 1.4  # some brighter than a screen
+    image[..., :3] *= 1.4  # some colours are above 1
     image[0, 0, :3], wanted[0, 0, :3] = 1.3, 1.0
     shifted = image.copy()
     shifted[..., :3] -= WHITE * image[..., 3:]
@@ -119,21 +119,21 @@ def test_pixels_are_weighed_over_black_and_white_alike():
     assert errors.sum() == pytest.approx((over_black + over_white) / 2, rel=1e-4)
     assert (residual.astype(np.float64) ** 2).sum() == pytest.approx(errors.sum(), rel=1e-4)
     np.testing.assert_allclose(precision, image[..., 3], rtol=1e-5)
-    expected = -WHITE * change[0, 0, 3]  # of the colours nothing is wanted
+    expected = -WHITE * change[0, 0, 3]  # a clipped colour has no residual of its own
     np.testing.assert_allclose(residual[0, 0, :3], expected, atol=1e-4)
 
 
-def test_the_fields_of_a_chessboard_pull_together_as_all_pixels_do():
+def test_gradients_of_the_two_checkerboard_halves_add_up_to_the_whole():
     splats, camera = make_splats(20, 3), make_camera()
     residual, precision = random_pixels(camera)
-    _, whole = pulls_of(splats, camera, residual, precision)
-    parts = [pulls_of(splats, camera, residual, precision, wanted)[1] for wanted in FIELDS]
+    _, whole = gradient_sums(splats, camera, residual, precision)
+    parts = [gradient_sums(splats, camera, residual, precision, wanted)[1] for wanted in FIELDS]
     assert all(np.abs(part[:, 3]).sum() > 0.2 * whole[:, 3].sum() for part in parts)
     scale = np.abs(whole).max(axis=0)
     assert (np.abs(parts[0] + parts[1] - whole).max(axis=0) < 1e-5 * scale).all()
 
 
-def test_errors_of_the_fields_are_of_their_pixels_alone():
+def test_the_error_of_a_checkerboard_half_is_that_of_its_pixels():
     splats, camera = make_splats(20, 3), make_camera()
     target = make_target(prepare(make_splats(20, 4)), camera)
     whole = compute_gradients(prepare(splats), target)
@@ -144,7 +144,7 @@ def test_errors_of_the_fields_are_of_their_pixels_alone():
     assert mean == pytest.approx(whole.error, rel=1e-6)
 
 
-def test_views_show_their_other_half_when_they_come_again():
+def test_a_view_uses_its_other_checkerboard_half_at_its_next_turn():
     original, small = cloud_pair()
     cameras = automatic_cameras(original, 3, width=32, height=32)
     targets = [make_target(prepare(original), camera) for camera in cameras]
@@ -155,7 +155,7 @@ def test_views_show_their_other_half_when_they_come_again():
     assert all({first[view], second[view]} == set(FIELDS) for view in first)
 
 
-def test_a_view_of_which_half_is_drawn_shows_that_half():
+def test_a_view_rendered_in_one_half_is_fitted_on_that_half():
     original, small = cloud_pair()
     prepared, [camera] = prepare(original), automatic_cameras(original, 1, width=40, height=40)
     whole = make_target(prepared, camera)
@@ -171,13 +171,13 @@ def test_a_view_of_which_half_is_drawn_shows_that_half():
         assert np.array_equal(taken.image, half.image)
 
 
-def test_pull_on_colours_is_the_adjoint_of_blending():
+def test_colour_gradients_are_the_adjoint_of_blending():
     splats, camera = make_splats(20, 3), make_camera()
     residual, precision = random_pixels(camera)
-    _, totals = pulls_of(splats, camera, residual, precision)
+    _, totals = gradient_sums(splats, camera, residual, precision)
     colours = np.random.default_rng(6).normal(size=(20, 3))
-    there = (blend_twin(splats, camera, colours) * residual[..., :3]).sum()
-    assert (colours * totals[:, :3]).sum() == pytest.approx(there, rel=1e-4)
+    forward = (blend_twin(splats, camera, colours) * residual[..., :3]).sum()
+    assert (colours * totals[:, :3]).sum() == pytest.approx(forward, rel=1e-4)
 
 
 def random_features(splats, seed=9):
@@ -185,7 +185,7 @@ def random_features(splats, seed=9):
 
 
 def shape_sums(splats, camera, residual, precision):
-    """Pulls and blocks on the parameters of shape, from sums without any threshold of alpha."""
+    """Gradients and Hessian blocks of shape parameters, from sums without an alpha threshold."""
     view = project(prepare(splats), camera)
     features = random_features(splats)
     totals = pull_twin(splats, camera, features, residual, precision, cutoff=0.0)
@@ -202,7 +202,7 @@ def shape_sums(splats, camera, residual, precision):
 
 @pytest.mark.parametrize("mode", [RenderMode.DEFAULT, RenderMode.MIP])
 @pytest.mark.parametrize("parameter", range(10))
-def test_shape_pulls_match_finite_differences(mode, parameter):
+def test_shape_gradients_match_finite_differences(mode, parameter):
     splats, camera = make_splats(8, 2, size=-1.5, mode=mode), make_camera()
     residual, precision = random_pixels(camera)
     drawn, gradients, _ = shape_sums(splats, camera, residual, precision)
@@ -216,8 +216,8 @@ def test_shape_pulls_match_finite_differences(mode, parameter):
         assert gradients[i, parameter] == pytest.approx(slope, rel=1e-3, abs=1e-3)
 
 
-def test_blocks_lie_above_the_true_curvature():
-    """All splats moved at once change no pixel by more than the sum of their blocks says."""
+def test_hessian_blocks_bound_the_curvature_from_above():
+    """Moving all splats changes the pixels, squared, by no more than the sum over the blocks."""
     splats, camera = make_splats(8, 4), make_camera()
     _, weights, after = pixel_weights(splats, camera, 0.0)
     precision = 1 - after[-1]
@@ -251,13 +251,13 @@ def packed(full):
 
 
 def solved(gradients, blocks, damping, floor, limits, lanes):
-    """Steps (N, 10) and whether there is one, of as many splats as the lanes hold at the most."""
-    steps, bends, moves = damped.new_lanes(SHAPE, lanes)
-    steps[:, : len(gradients)], bends[:, : len(gradients)] = (
+    """Return the steps (N, 10) of N <= `lanes` splats, and whether each splat moves."""
+    steps, curvatures, moves = damped.new_lanes(SHAPE, lanes)
+    steps[:, : len(gradients)], curvatures[:, : len(gradients)] = (
         np.transpose(gradients),
         np.transpose(blocks),
     )
-    damped.damped_steps(steps, bends, damping, floor, limits, np.empty(lanes), moves)
+    damped.damped_steps(steps, curvatures, damping, floor, limits, np.empty(lanes), moves)
     return steps.T[: len(gradients)], moves[: len(gradients)]
 
 
@@ -276,17 +276,17 @@ def test_damped_steps_solve_each_block():
 def test_damped_steps_keep_limits():
     block, step = np.zeros(55), np.full(10, 5.0)
     block[[a * (a + 3) // 2 for a in range(10)]] = 1.0
-    blocks = [0 * block, block, np.nan * block, block]  # of the first nothing is known
+    blocks = [0 * block, block, np.nan * block, block]  # the first has no curvature
     gradients = [step, step, step, np.nan * step]
     steps, moves = solved(gradients, blocks, 0.0, 0.01, np.linspace(0.5, 1.4, 10), 8)
     np.testing.assert_array_equal(moves, [False, True, False, False])
-    np.testing.assert_allclose(steps[1], 0.5)  # as a whole
+    np.testing.assert_allclose(steps[1], 0.5)  # shortened as a whole, to its smallest limit
 
 
 @pytest.mark.skipif(
     bool(config.BOUNDSCHECK), reason="checks between operations keep some from being fused"
 )
-def test_a_damped_step_is_the_same_beside_any_others():
+def test_a_damped_step_does_not_depend_on_the_other_lanes():
     rng = np.random.default_rng(9)
     factors = rng.normal(size=(LANES, 10, 12))
     blocks, gradients = packed(factors @ factors.transpose(0, 2, 1)), rng.normal(size=(LANES, 10))
@@ -298,8 +298,8 @@ def test_a_damped_step_is_the_same_beside_any_others():
 
 
 @pytest.mark.parametrize("mode", [RenderMode.DEFAULT, RenderMode.MIP])
-def test_a_step_is_that_of_its_twin(mode):
-    """Two views in turn, so that the second meets curvatures of the first."""
+def test_a_descent_step_matches_its_twin(mode):
+    """Two views in turn, so that the second step uses curvatures kept from the first."""
     splats = make_splats(12, 5, size=-1.5, mode=mode, degree=2)
     original = make_splats(12, 6, size=-1.5, mode=mode, degree=2)
     near = dataclasses.replace(make_camera(), fx=60.0, fy=60.0)
@@ -315,7 +315,7 @@ def test_a_step_is_that_of_its_twin(mode):
     for name in ("means", "log_scales", "quats", "logits", "sh"):
         np.testing.assert_allclose(getattr(state, name), getattr(twin, name), atol=2e-5)
     np.testing.assert_array_equal(state.touched, twin.seen > 0)
-    # What the kernel leaves for the next view is what the state comes to.
+    # The model that the kernel leaves for the next view equals one activated from the state.
     fresh, kept = activate(state, splats, descent.finite).model, descent._active.model
     np.testing.assert_allclose(kept.factors, fresh.factors, atol=1e-6)
     np.testing.assert_allclose(kept.opacities, fresh.opacities, atol=1e-6)
@@ -324,21 +324,21 @@ def test_a_step_is_that_of_its_twin(mode):
 
 
 @pytest.mark.parametrize("scale", [0.02, 0.3, 1.0, 4.0, 50.0])
-def test_a_view_tells_less_of_what_is_smaller_than_its_pixels(scale):
-    """Of a ball of so many pixels, the square of its share of its variance and the dilation."""
+def test_splats_smaller_than_a_pixel_have_a_low_resolved_share(scale):
+    """For a ball of `scale` pixels, the square of variance / (variance + dilation)."""
     ball = np.array([0.0, 0.0, 1 / math.sqrt(scale**2 + 0.3), 0.0, 1 / (scale**2 + 0.3)])
     assert resolved_share(ball) == pytest.approx((scale**2 / (scale**2 + 0.3)) ** 2)
     assert resolved_share(ball) == pytest.approx(refit_twin.resolved_share(ball))
 
 
-def test_of_a_needle_a_view_tells_what_is_along_it():
+def test_the_resolved_share_of_a_needle_is_that_of_its_long_axis():
     needle = np.array([0.0, 0.0, 1 / math.sqrt(1e-6 + 0.3), 0.0, 1 / (20.0**2 + 0.3)])
     assert resolved_share(needle) == pytest.approx(0.5, abs=1e-3)
     leaning = np.array([0.0, 0.0, 0.4, -1.3, 0.9])
     assert resolved_share(leaning) == pytest.approx(refit_twin.resolved_share(leaning))
 
 
-def test_from_far_away_a_step_leaves_nearly_all_as_it_was():
+def test_a_step_on_a_view_from_far_away_hardly_changes_scales():
     splats = make_splats(40, 5, size=-1.5)
     original = prepare(make_splats(40, 6, size=-1.5))
     moved = []
@@ -350,8 +350,8 @@ def test_from_far_away_a_step_leaves_nearly_all_as_it_was():
     assert 0 < moved[1] < 0.1 * moved[0]
 
 
-def test_many_steps_from_far_away_lead_no_farther_than_some():
-    """Each takes back a part of all: where it leads as far as it takes back, they end."""
+def test_many_steps_on_a_view_from_far_away_converge():
+    """Each step also undoes a part of the whole displacement, until both are in balance."""
     splats = make_splats(40, 5, size=-1.5)
     target = make_target(prepare(make_splats(40, 6, size=-1.5)), make_camera().reduced(3))
     descent = Descent(splats, Fitting([target]), RefitParameters())
@@ -363,7 +363,7 @@ def test_many_steps_from_far_away_lead_no_farther_than_some():
     assert 0 < far[2] < 1.1 * far[1] < 1.2 * far[0]
 
 
-def test_a_descent_that_begins_anew_knows_where_it_started():
+def test_a_restarted_descent_keeps_its_displacements_from_the_start():
     splats = make_splats(12, 5, size=-1.5, degree=1)
     target = make_target(prepare(make_splats(12, 6, size=-1.5, degree=1)), make_camera())
     descent = Descent(splats, Fitting([target]), RefitParameters())
@@ -376,7 +376,7 @@ def test_a_descent_that_begins_anew_knows_where_it_started():
     np.testing.assert_array_equal(descent._ways[:, -1], 0)
 
 
-def test_refit_brings_the_views_nearer_and_keeps_the_rest():
+def test_refit_raises_the_psnr_and_keeps_other_data():
     original, small = cloud_pair()
     fitted, report = refit(original, small, parameters=QUICK)
     assert report.improved
@@ -391,19 +391,19 @@ def test_refit_brings_the_views_nearer_and_keeps_the_rest():
     json.dumps(report.to_dict())
 
 
-def test_a_perfect_model_comes_back_as_it_was():
+def test_a_perfect_model_is_returned_unchanged():
     original, _ = cloud_pair()
     fitted, report = refit(original, original, parameters=dataclasses.replace(QUICK, rounds=4))
     assert fitted is original
     assert [entry.share for entry in report.rounds] == [0, 0, 0], "steps were shortened first"
     assert (report.improved, report.stop) == (False, RefitStop.OPTIMUM)
-    assert report.psnr_after == report.psnr_before > 56  # what 8 bits a channel leave
+    assert report.psnr_after == report.psnr_before > 56  # the error of 8 bits per channel
     assert report.notes
 
 
-def test_what_makes_it_worse_is_taken_back():
+def test_steps_that_make_the_model_worse_are_undone():
     original, small = cloud_pair()
-    # A colour that overshoots by far in every round.
+    # With this learning rate, colours overshoot by far in every round.
     wild = dataclasses.replace(QUICK, rate=60.0, rounds=3)
     fitted, report = refit(original, small, parameters=wild)
     assert report.psnr_after >= report.psnr_before
@@ -425,7 +425,7 @@ def test_unit_of_length_does_not_matter():
     np.testing.assert_allclose(gains[0], gains[1], atol=0.05)
 
 
-def test_rows_that_cannot_be_seen_keep_their_bytes():
+def test_nonfinite_and_transparent_rows_keep_their_bytes():
     original, small = cloud_pair()
     means, logits, quats = small.means.copy(), small.opacity_logits.copy(), small.quats.copy()
     means[0] = np.nan
@@ -440,15 +440,15 @@ def test_rows_that_cannot_be_seen_keep_their_bytes():
 
 
 @pytest.mark.parametrize("longest", [20.0, 40.0, 80.0])
-def test_needles_without_end_stay_numbers(longest):
-    """A splat whose step overflows is not drawn any more, which must not pass for a gain."""
+def test_extremely_long_splats_stay_finite(longest):
+    """A splat whose step overflows is not drawn any more, which must not count as a gain."""
     original, small = cloud_pair()
     small.log_scales[::3, 0] = longest
     fitted, _ = refit(original, small, parameters=QUICK)
     assert fitted.finite().all()
 
 
-def test_what_leaves_the_range_of_numbers_keeps_its_bytes():
+def test_splats_whose_parameters_overflow_keep_their_bytes():
     _, small = cloud_pair()
     state = start(small)
     state.touched[:] = True
@@ -460,14 +460,14 @@ def test_what_leaves_the_range_of_numbers_keeps_its_bytes():
 
 
 @pytest.mark.parametrize("mode", [RenderMode.MIP, RenderMode.SURFEL])
-def test_other_render_modes_gain_too(mode):
+def test_other_render_modes_are_fitted_too(mode):
     pair = [dataclasses.replace(model, render_mode=mode) for model in cloud_pair()]
     fitted, report = refit(*pair, parameters=QUICK)
     assert report.psnr_after > report.psnr_before + 1
     assert fitted.render_mode is mode
 
 
-def test_degrees_may_differ():
+def test_sh_degrees_of_the_two_models_may_differ():
     original, _ = cloud_pair(degree=1)
     _, small = cloud_pair(degree=0)
     fitted, report = refit(original, small, parameters=QUICK)
@@ -475,16 +475,16 @@ def test_degrees_may_differ():
     assert fitted.sh_degree == 0
 
 
-def test_opaque_without_end_can_come_down():
+def test_infinite_opacity_logits_can_become_finite():
     original, small = cloud_pair()
-    endless = dataclasses.replace(small, opacity_logits=np.full(len(small), np.inf, np.float32))
-    fitted, report = refit(original, endless, parameters=QUICK)
+    opaque = dataclasses.replace(small, opacity_logits=np.full(len(small), np.inf, np.float32))
+    fitted, report = refit(original, opaque, parameters=QUICK)
     assert report.improved
     assert np.isfinite(fitted.opacity_logits).mean() > 0.9
 
 
-def test_alpha_is_fitted_where_colour_cannot_tell():
-    """Black splats over black: only alpha says how opaque they are."""
+def test_opacity_is_fitted_for_black_splats_on_black():
+    """Colours are equal whatever the opacity; only the alpha image shows it."""
     original, small = cloud_pair(degree=0)
     black = np.full((1, 1, 3), -0.5 / 0.28209479177387814, np.float32)
     original = dataclasses.replace(original, sh=np.broadcast_to(black, original.sh.shape).copy())
@@ -497,7 +497,7 @@ def test_alpha_is_fitted_where_colour_cannot_tell():
     assert report.psnr_after > report.psnr_before + 2
 
 
-def test_given_cameras_are_reduced_and_shared_out():
+def test_given_cameras_are_reduced_and_split_for_validation():
     original, small = cloud_pair()
     cameras = automatic_cameras(original, 5, width=200, height=100)
     _, report = refit(original, small, cameras=cameras, parameters=QUICK)
@@ -507,7 +507,7 @@ def test_given_cameras_are_reduced_and_shared_out():
     assert report.notes == ()
 
 
-def test_views_that_show_nothing_are_left_out_and_told():
+def test_views_that_see_no_splats_are_left_out_and_noted():
     original, small = cloud_pair()
     cameras = automatic_cameras(original, 5, width=64, height=64)
     back = np.diag([-1.0, 1, -1, 1]) @ cameras[2].world_to_camera
@@ -536,7 +536,7 @@ def test_views_are_grouped_by_size_and_distance():
     assert [group.name for group in grouped(targets[:3] + targets[20:])] == ["40 to 100 px"]
 
 
-def test_views_either_decide_or_are_fitted_to():
+def test_each_view_is_used_either_for_validation_or_for_fitting():
     original, _ = cloud_pair()
     prepared = prepare(original)
     cameras = automatic_cameras(original, 12, width=40, height=40)
@@ -550,7 +550,7 @@ def test_views_either_decide_or_are_fitted_to():
     assert (alone, deciding[0].targets) == ((), tuple(targets[:1]))
 
 
-def test_views_that_are_drawn_when_their_turn_comes_are_as_good_as_kept_ones():
+def test_views_rendered_on_demand_give_the_same_steps_as_kept_ones():
     original, small = cloud_pair()
     prepared = prepare(original)
     cameras = automatic_cameras(original, 6, width=40, height=40)
@@ -566,14 +566,14 @@ def test_views_that_are_drawn_when_their_turn_comes_are_as_good_as_kept_ones():
 
 
 def dolly(camera, distance):
-    """The camera at a distance from the scene's middle, looking the same way."""
+    """Multiply the distance of a camera from the origin; it looks the same way."""
     matrix = camera.world_to_camera.copy()
     matrix[:3, 3] *= distance
     return dataclasses.replace(camera, world_to_camera=matrix)
 
 
-def test_no_group_of_views_gets_worse():
-    """Near and far views, of several sizes: each group gains, and the report says how much."""
+def test_every_group_of_views_gains():
+    """Near and far views of several sizes; the report has the gain of each group."""
     original, small = cloud_pair()
     cameras = [
         *automatic_cameras(original, 12, width=64, height=64),
@@ -592,8 +592,8 @@ def test_no_group_of_views_gets_worse():
     assert len(reported) + len(report.fit_views) == len(cameras)
 
 
-def test_a_rare_view_moves_a_splat_no_further_than_its_own_optimum():
-    """One view of many shows the model: a step towards it lowers its error whenever it comes."""
+def test_a_rare_view_does_not_overshoot_its_own_optimum():
+    """Only one view of 16 shows the model: each step on it lowers its error."""
     original, small = cloud_pair()
     prepared = prepare(original)
     shown = automatic_cameras(original, 1, width=64, height=64)[0]
@@ -607,11 +607,11 @@ def test_a_rare_view_moves_a_splat_no_further_than_its_own_optimum():
     assert seen == sorted(seen, reverse=True)
 
 
-def test_a_mean_of_states_is_that_of_each_number():
+def test_mean_state_is_the_mean_of_each_parameter():
     states = []
     for seed in range(3):
         splats = make_splats(6, seed, degree=1)
-        splats.opacity_logits[0] = -np.inf  # is not drawn, and does not move
+        splats.opacity_logits[0] = -np.inf  # is not drawn, and so does not move
         states.append(start(splats))
         states[-1].quats[:] = states[0].quats
         states[-1].touched[seed] = True
@@ -623,11 +623,11 @@ def test_a_mean_of_states_is_that_of_each_number():
         each = [getattr(state, name) for state in states]
         np.testing.assert_allclose(getattr(found, name), np.mean(each, axis=0), rtol=1e-6)
     assert found.touched.tolist() == [True] * 3 + [False] * 3
-    assert not states[0].touched[1]  # the first is not the mean itself
+    assert not states[0].touched[1]  # the first state was copied, not changed
     assert states[0].towards(states[1], 0.5).logits[0] == -np.inf
 
 
-def test_a_state_part_of_the_way_lies_between():
+def test_states_are_interpolated_linearly():
     _, small = cloud_pair()
     begin, end = start(small), start(small)
     end.means[:], end.quats[:] = begin.means + 1, -begin.quats  # the same rotations
@@ -636,8 +636,8 @@ def test_a_state_part_of_the_way_lies_between():
     np.testing.assert_allclose(between.quats, begin.quats)
 
 
-def test_steps_follow_their_pull():
-    """One tiny step lowers the error of the views it was made from."""
+def test_a_small_step_lowers_the_error():
+    """On the view that it was computed from."""
     original, small = cloud_pair()
     camera = automatic_cameras(original, 1, width=64, height=64)[0]
     target = make_target(prepare(original), camera)
@@ -659,7 +659,7 @@ def test_steps_follow_their_pull():
         {"seed": -1},
     ],
 )
-def test_senseless_parameters_are_refused(change):
+def test_invalid_parameters_are_refused(change):
     with pytest.raises(OptionError, match=next(iter(change))):
         refit(*cloud_pair(), parameters=RefitParameters(**change))
 
@@ -680,7 +680,7 @@ def test_unusable_models_are_refused():
         refit(original, small, cameras=[make_camera()], parameters=QUICK)
 
 
-def test_real_scene_gains_on_views_it_never_saw():
+def test_a_real_scene_gains_on_held_out_views():
     original, small = load(scene_path("plant.splat")), load(peer_path("plant_0.01_st-uniform.ply"))
     fitted, _ = refit(
         original, small, parameters=RefitParameters(views=16, size=192, rounds=2, steps=16)

@@ -1,4 +1,4 @@
-"""`nanogs refit` from outside, as a user runs it."""
+"""The command `nanogs refit`, run as a user runs it."""
 
 import json
 
@@ -15,7 +15,7 @@ from test_cli import assert_refused
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """ORIGINAL, SMALL, and small models that no one can fit."""
+    """A folder with an original, a smaller model and an empty one, which cannot be fitted."""
     folder = tmp_path_factory.mktemp("models")
     original, small = cloud_pair()
     nanogs.save(original, folder / "original.ply")
@@ -44,7 +44,7 @@ def test_command_fits_and_reports(files, tmp_path):
     assert "128 px" in result.stderr, "what each group of views gained"
 
 
-def test_the_size_of_the_views_is_that_of_the_cameras_given(files, tmp_path):
+def test_given_cameras_set_the_size_of_the_views(files, tmp_path):
     cameras = automatic_cameras(nanogs.load(files / "original.ply"), 8, width=64, height=48)
     poses = [np.linalg.inv(each.world_to_camera) * [1, -1, -1, 1] for each in cameras]
     frames = [{"file_path": str(k), "transform_matrix": p.tolist()} for k, p in enumerate(poses)]
@@ -64,7 +64,7 @@ def test_the_size_of_the_views_is_that_of_the_cameras_given(files, tmp_path):
         ("absent.ply", [], "absent.ply"),
     ],
 )
-def test_command_refuses_in_one_sentence(files, tmp_path, small, arguments, said):
+def test_command_refuses_bad_input_in_one_sentence(files, tmp_path, small, arguments, said):
     out = tmp_path / "out.ply"
     assert_refused(run("refit", files / "original.ply", files / small, out, *arguments), said)
     assert not out.exists()

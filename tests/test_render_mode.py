@@ -1,4 +1,4 @@
-"""`--render-mode`: a model whose file names the wrong rasteriser, drawn and written as another."""
+"""`--render-mode`: overriding the render mode that the file of a model names."""
 
 import io as streams
 import json
@@ -31,7 +31,7 @@ READABLE = [
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory):
-    """One model, rightly tagged as default, and tagged mip by what trainers write."""
+    """One model in two files: rightly tagged as default, and wrongly as mip, as trainers do it."""
     folder = tmp_path_factory.mktemp("models")
     model = random_splats(900, degree=1, seed=4)
     nanogs.save(model, folder / "right.ply")
@@ -41,20 +41,20 @@ def models(tmp_path_factory):
     return folder / "right.ply", folder / "wrong.ply"
 
 
-def done(*arguments):
+def run_json(*arguments):
     """Run the command and return its JSON."""
     result = run(*arguments, "--json")
     assert result.returncode == 0, result.stderr
     return json.loads(result.stdout)
 
 
-def is_told(notes):
+def has_override_note(notes):
     return any("as requested" in note for note in notes)
 
 
 @pytest.mark.parametrize("own", [DEFAULT, MIP], ids=str)
 @pytest.mark.parametrize("suffix", READABLE)
-def test_every_format_is_read_as_asked_and_row_by_row(tmp_path, suffix, own):
+def test_every_format_can_be_read_in_another_render_mode(tmp_path, suffix, own):
     model = replace(random_splats(40, degree=1), render_mode=own)
     path = tmp_path / f"a{suffix}"
     nanogs.save(model, path)
@@ -70,9 +70,9 @@ def test_every_format_is_read_as_asked_and_row_by_row(tmp_path, suffix, own):
         assert source.columns == replace(columns, render_mode=OTHER[own].value, comments=comments)
         parts = [source.read(3, 9), source.take(np.array([7, 2])), source.load(), *source.blocks(9)]
         assert {part.render_mode for part in parts} == {OTHER[own]}
-        assert all(is_told(part.notes) for part in parts)
+        assert all(has_override_note(part.notes) for part in parts)
         assert model_bytes(parts[1]) == model_bytes(plain[[7, 2]])
-        with nanogs.open(path) as same:  # and as much memory is asked for
+        with nanogs.open(path) as same:  # and the memory estimates are the same
             assert info_bytes(source) == info_bytes(same)
             assert streaming_bytes(source) == streaming_bytes(same)
     loaded = nanogs.load(path, render_mode=OTHER[own].value)
@@ -82,13 +82,13 @@ def test_every_format_is_read_as_asked_and_row_by_row(tmp_path, suffix, own):
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".spz", ".sog", ".npz", ".glb"])
-def test_what_is_written_says_what_was_asked_for(tmp_path, models, suffix):
+def test_converted_files_have_the_requested_render_mode(tmp_path, models, suffix):
     right, wrong = models
     for mode, source in ((DEFAULT, wrong), (MIP, right)):
         path = tmp_path / f"{mode}{suffix}"
-        said = done("convert", source, path, "--render-mode", mode)
-        assert said["render_mode"] == mode
-        assert is_told(said["notes"])
+        report = run_json("convert", source, path, "--render-mode", mode)
+        assert report["render_mode"] == mode
+        assert has_override_note(report["notes"])
         assert nanogs.load(path).render_mode is mode
         assert path.read_bytes() == _converted(tmp_path, models[mode is MIP], suffix)
 
@@ -96,25 +96,25 @@ def test_what_is_written_says_what_was_asked_for(tmp_path, models, suffix):
 def _converted(tmp_path, source, suffix):
     path = tmp_path / f"plain{suffix}"
     model = nanogs.load(source)
-    if model.render_mode is MIP:  # written as ours, where the tag that it had is another's
+    if model.render_mode is MIP:  # our own tag replaces the trainer's
         model = replace(model, comments=[c for c in model.comments if "antialiased" not in c])
     nanogs.save(model, path, overwrite=True)
     return path.read_bytes()
 
 
 @pytest.mark.parametrize("blocks", [False, True])
-def test_a_small_model_is_that_of_the_right_tag(tmp_path, models, blocks):
+def test_simplify_gives_the_result_of_the_rightly_tagged_file(tmp_path, models, blocks):
     right, wrong = models
     one, two = tmp_path / "one.ply", tmp_path / "two.ply"
     given = ["--preset", "fast", "--ratio", "0.3", "--measure"]
     given += ["--job", tmp_path / "job"] * blocks
-    wanted = done("simplify", right, one, *given)
-    found = done("simplify", wrong, two, *given, "--render-mode", "default")
+    wanted = run_json("simplify", right, one, *given)
+    found = run_json("simplify", wrong, two, *given, "--render-mode", "default")
     assert bool(found["blocks"]) == blocks
     assert two.read_bytes() == one.read_bytes()
     assert found["judged"] == wanted["judged"]
-    assert is_told(found["notes"])
-    assert not is_told(wanted["notes"])
+    assert has_override_note(found["notes"])
+    assert not has_override_note(wanted["notes"])
 
 
 def test_a_job_is_not_continued_under_another_render_mode(tmp_path, models):
@@ -131,26 +131,26 @@ def test_a_job_is_not_continued_under_another_render_mode(tmp_path, models):
         nanogs.simplify_blocks(right, tmp_path / "a.ply", resume=True, render_mode="mip", **given)
 
 
-def test_parts_of_one_scene_that_are_tagged_in_two_ways(tmp_path, models):
+def test_files_with_different_tags_are_joined_only_in_a_requested_mode(tmp_path, models):
     out, given = tmp_path / "a.ply", ["--join", "--preset", "fast", "-r", "0.5"]
     refused = run("simplify", *models, out, *given)
     assert refused.returncode == 2
     assert "--render-mode" in refused.stderr
     for more in ([], ["--job", tmp_path / "job"]):
-        done("simplify", *models, out, *given, *more, "--render-mode", "mip", "-w")
+        run_json("simplify", *models, out, *given, *more, "--render-mode", "mip", "-w")
         assert nanogs.load(out).render_mode is MIP
 
 
-def test_levels_are_those_of_the_right_tag(tmp_path, models):
+def test_lod_gives_the_levels_of_the_rightly_tagged_file(tmp_path, models):
     right, wrong = models
     given = ["--levels", "0.5,0.2", "--preset", "fast"]
-    done("lod", right, tmp_path / "one", *given)
-    done("lod", wrong, tmp_path / "two", *given, "--render-mode", "default")
+    run_json("lod", right, tmp_path / "one", *given)
+    run_json("lod", wrong, tmp_path / "two", *given, "--render-mode", "default")
     for level in ("level_0.ply", "level_1.ply"):
         assert (tmp_path / "two" / level).read_bytes() == (tmp_path / "one" / level).read_bytes()
 
 
-def test_pictures_are_those_of_the_right_tag(tmp_path, models):
+def test_render_gives_the_image_of_the_rightly_tagged_file(tmp_path, models):
     right, wrong = models
     for name, given in {
         "right": [right],
@@ -158,13 +158,13 @@ def test_pictures_are_those_of_the_right_tag(tmp_path, models):
         "asked": [wrong, "--render-mode", "default"],
     }.items():
         source, *more = given
-        report = done("render", source, tmp_path / f"{name}.png", "--pixels", "64", *more)
-        assert is_told(report["notes"]) == (name == "asked")
+        report = run_json("render", source, tmp_path / f"{name}.png", "--pixels", "64", *more)
+        assert has_override_note(report["notes"]) == (name == "asked")
     pictures = {path.stem: path.read_bytes() for path in tmp_path.glob("*.png")}
     assert pictures["asked"] == pictures["right"] != pictures["wrong"]
 
 
-def test_pictures_of_a_model_that_is_read_in_parts(models):
+def test_streamed_renders_use_the_requested_render_mode(models):
     right, wrong = models
     [camera] = automatic_cameras(nanogs.load(right), 1, width=48, height=48)
     with nanogs.open(wrong, render_mode="default") as source:
@@ -173,34 +173,34 @@ def test_pictures_of_a_model_that_is_read_in_parts(models):
     assert found.shown().tobytes() == wanted.tobytes()
 
 
-def test_a_comparison_is_of_models_drawn_alike(models):
+def test_compare_draws_all_models_in_the_requested_mode(models):
     right, wrong = models
     given = ["--views", "2", "--sizes", "64"]
-    tagged = done("compare", right, wrong, *given)
-    asked = done("compare", right, wrong, *given, "--render-mode", "default")
+    tagged = run_json("compare", right, wrong, *given)
+    asked = run_json("compare", right, wrong, *given, "--render-mode", "default")
     assert tagged["models"][0]["psnr"] < 60
     assert asked["models"][0]["psnr"] == "inf"
     assert [note for note in asked["notes"] if note.startswith("wrong.ply: The render mode")]
 
 
-def test_a_page_and_a_fit_are_of_the_mode_asked_for(tmp_path, models, small_views):
+def test_refit_and_view_use_the_requested_render_mode(tmp_path, models, small_views):
     from nanogs.view.bundle import is_built
 
     right, wrong = models
-    done(
+    run_json(
         "refit", right, wrong, tmp_path / "a.ply", "--render-mode", "default", "--views", "2",
         "--pixels", "32", "--rounds", "1",
     )  # fmt: skip
     assert nanogs.load(tmp_path / "a.ply").render_mode is DEFAULT
     if is_built():
-        said = done(
+        report = run_json(
             "view", right, tmp_path / "a.ply", "-o", tmp_path / "a.html", "--no-open",
             "--render-mode", "mip", "--no-psnr",
         )  # fmt: skip
-        assert all(is_told(model["notes"]) for model in said["models"])
+        assert all(has_override_note(model["notes"]) for model in report["models"])
 
 
-def test_flat_splats_are_drawn_as_usual_ones_and_never_with_antialiasing(tmp_path, models):
+def test_2dgs_models_can_be_read_as_default_but_not_as_mip(tmp_path, models):
     flat = tmp_path / "flat.ply"
     nanogs.save(replace(nanogs.load(models[0]), render_mode="2dgs"), flat)
     refused = run("convert", flat, tmp_path / "a.spz", "--render-mode", "mip")
@@ -209,11 +209,11 @@ def test_flat_splats_are_drawn_as_usual_ones_and_never_with_antialiasing(tmp_pat
     assert not (tmp_path / "a.spz").exists()
     refused = run("simplify", flat, tmp_path / "a.ply", "-r", "0.5", "--render-mode", "mip")
     assert refused.returncode == 2
-    done("convert", flat, tmp_path / "a.ply", "--render-mode", "default")
+    run_json("convert", flat, tmp_path / "a.ply", "--render-mode", "default")
     assert nanogs.load(tmp_path / "a.ply").render_mode is DEFAULT
 
 
-def test_other_names_are_refused_wherever_they_are_given(tmp_path, models):
+def test_unknown_render_modes_are_refused_everywhere(tmp_path, models):
     right, _ = models
     refused = run("convert", right, tmp_path / "a.ply", "--render-mode", "2dgs")
     assert refused.returncode == 2
@@ -230,7 +230,7 @@ def test_other_names_are_refused_wherever_they_are_given(tmp_path, models):
     assert not list(tmp_path.iterdir())
 
 
-def test_an_open_file_is_read_as_asked(models):
+def test_file_objects_are_read_in_the_requested_render_mode(models):
     file = streams.BytesIO(models[1].read_bytes())
     assert nanogs.load(file, format=".ply", render_mode="default").render_mode is DEFAULT
 
@@ -250,7 +250,7 @@ def test_info_says_where_the_tag_is(tmp_path, models, suffix, said):
     if suffix != ".ply":
         path = tmp_path / f"a{suffix}"
         nanogs.save(nanogs.load(models[1]), path)
-    assert done("info", path)["render_tag"] == said
+    assert run_json("info", path)["render_tag"] == said
     asked = run("info", path, "--render-mode", "default")
     assert "default, by the request" in asked.stdout
     assert "as requested" in asked.stderr
@@ -264,16 +264,16 @@ def test_info_says_where_the_tag_is(tmp_path, models, suffix, said):
         (("--plain",), "SplatRenderMode in the extras of its splats"),
     ],
 )
-def test_tiles_say_where_the_tag_is(tmp_path, models, flags, which):
-    """Packed ones have it in the SPZ that is in them."""
+def test_info_says_where_the_tag_of_3d_tiles_is(tmp_path, models, flags, which):
+    """Compressed tiles have it in the SPZ data that they contain."""
     tiles = tmp_path / "tiles" / "tileset.json"
     assert run("lod", models[1], tiles, "--preset", "fast", *flags).returncode == 0
     for path in (tiles, tiles.with_name("0_0.glb")):
-        found = done("info", path)
+        found = run_json("info", path)
         assert (found["render_mode"], found["render_tag"]) == ("mip", which)
 
 
-def test_a_tag_in_obj_info_counts_in_parts_as_in_whole(tmp_path, models):
+def test_a_tag_in_obj_info_is_read_with_parts_and_with_the_whole(tmp_path, models):
     path = tmp_path / "a.ply"
     start, mark, rest = models[0].read_bytes().partition(b"element vertex")
     path.write_bytes(start + b"obj_info SplatRenderMode: mip\n" + mark + rest)
@@ -282,8 +282,8 @@ def test_a_tag_in_obj_info_counts_in_parts_as_in_whole(tmp_path, models):
         assert source.info.render_mode is source.load().render_mode is MIP
 
 
-def test_bench_measures_as_asked(models, tmp_path):
-    """Originals, results and files of other tools alike; the table says so."""
+def test_bench_uses_the_requested_render_mode(models, tmp_path):
+    """For originals, results and files of other tools; the table says so."""
     right, wrong = models
     nanogs.simplify_blocks(wrong, tmp_path / "small.ply", ratio=0.1, preset="fast")
     nanogs.convert(tmp_path / "small.ply", tmp_path / "plain.ply", render_mode="default")
@@ -292,8 +292,8 @@ def test_bench_measures_as_asked(models, tmp_path):
                "--external", f"plain={tmp_path}/plain.ply")  # fmt: skip
 
     def rows(model, *more):
-        made = done("bench", f"--scene=s={model}", *options, *more)["rows"]
-        return [(row["method"], row["splats"], row["psnr"], row["ssim"]) for row in made]
+        found = run_json("bench", f"--scene=s={model}", *options, *more)["rows"]
+        return [(row["method"], row["splats"], row["psnr"], row["ssim"]) for row in found]
 
     asked = rows(wrong, "--render-mode", "default")
     assert [row[0] for row in asked] == ["original", "random", "other", "plain"]
@@ -302,12 +302,12 @@ def test_bench_measures_as_asked(models, tmp_path):
     as_tagged = rows(wrong)
     assert asked[1][2] != as_tagged[1][2]
     assert as_tagged[2][2] != as_tagged[3][2]
-    told = run("bench", f"--scene=s={wrong}", *options, "--render-mode", "default")
-    assert "All models are drawn as default, whatever their files say." in told.stdout
+    printed = run("bench", f"--scene=s={wrong}", *options, "--render-mode", "default")
+    assert "All models are drawn as default, whatever their files say." in printed.stdout
 
 
 @pytest.mark.parametrize("size", [None, 20_000])
-def test_methods_of_bench_are_given_the_model_as_asked(models, tmp_path, size):
+def test_bench_methods_get_the_model_in_the_requested_render_mode(models, tmp_path, size):
     _, wrong = models
     job = Job(wrong, "fast", 0.1, tmp_path / "a.ply", size=size, render_mode="default")
     assert do_job(job).error == ""

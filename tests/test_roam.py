@@ -1,4 +1,4 @@
-"""Roaming cameras: free space, near and far, the same however the model is moved."""
+"""Roaming cameras: free space, near and far views, and how they follow the moved model."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ def found():
     return roaming_cameras(SCENE, 6, split="test")
 
 
-def test_what_they_show_is_in_the_middle_and_nothing_hugs_the_lens(found):
+def test_roaming_views_have_opaque_content_in_their_centre(found):
     prepared = prepare(SCENE)
     for camera in found:
         view = render(prepared, camera.reduced(96), depth=True)
@@ -28,7 +28,7 @@ def test_what_they_show_is_in_the_middle_and_nothing_hugs_the_lens(found):
         assert np.isfinite(view.depth[46:50, 46:50]).any()
 
 
-def test_they_are_named_rigid_and_of_the_size_asked_for():
+def test_cameras_have_names_rigid_poses_and_the_requested_size():
     for i, camera in enumerate(roaming_cameras(SCENE, 2, width=320, height=200, fov=60)):
         turn = camera.world_to_camera[:3, :3]
         assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-12)
@@ -37,27 +37,27 @@ def test_they_are_named_rigid_and_of_the_size_asked_for():
         assert camera.name == f"fit_roam_{i:03}"
 
 
-def test_the_size_of_the_pictures_moves_no_camera(found):
+def test_image_size_does_not_change_the_poses(found):
     small = roaming_cameras(SCENE, 3, width=64, height=64, split="test")
     for one, other in zip(found[:3], small, strict=True):
         assert (one.world_to_camera == other.world_to_camera).all()
 
 
-def test_the_same_cameras_again_and_fewer_are_the_first(found):
+def test_cameras_are_deterministic_and_fewer_are_the_first_ones(found):
     for one, other in zip(roaming_cameras(SCENE, 3, split="test"), found[:3], strict=True):
         assert one.world_to_camera.tobytes() == other.world_to_camera.tobytes()
         assert one.near == other.near
 
 
-def test_nothing_is_drawn_that_judges(found):
-    """Nor for two purposes, such as to fit to and to decide by."""
+def test_cameras_of_different_splits_differ(found):
+    """Test views are used for nothing else, and no view both for fitting and for deciding."""
     sets = [found, *(roaming_cameras(SCENE, 6, split=split) for split in ("fit", "decide"))]
-    places = np.array([camera.position for cameras in sets for camera in cameras])
-    apart = np.linalg.norm(places[:, None] - places, axis=2) + 9 * np.eye(len(places))
+    positions = np.array([camera.position for cameras in sets for camera in cameras])
+    apart = np.linalg.norm(positions[:, None] - positions, axis=2) + 9 * np.eye(len(positions))
     assert apart.min() > 1e-3
 
 
-def test_distances_are_near_and_far():
+def test_cameras_are_both_near_and_far():
     points = ball(6_000)
     distances = [
         np.linalg.norm(points - camera.position, axis=1).min()
@@ -68,7 +68,7 @@ def test_distances_are_near_and_far():
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
-def test_moving_turning_and_scaling_the_scene_does_so_to_the_cameras(found, scale):
+def test_cameras_follow_a_similarity_transform_of_the_scene(found, scale):
     w, x, y, z = quat = np.array([0.5, -0.1, 0.7, 0.5])
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + 2 * (w * cross + cross @ cross) / (quat @ quat)
@@ -88,12 +88,12 @@ def test_moving_turning_and_scaling_the_scene_does_so_to_the_cameras(found, scal
         assert after.near == pytest.approx(scale * before.near, rel=1e-3)
 
 
-def test_the_hollow_inside_of_a_thing_is_not_looked_from():
+def test_no_camera_is_inside_a_hollow_object():
     for camera in roaming_cameras(cloud(ball(6_000), 0.05), 12):
         assert np.linalg.norm(camera.position) > 1
 
 
-def test_a_room_is_looked_at_from_inside():
+def test_cameras_of_a_room_are_inside_it():
     points = room(20_000)
     for camera in roaming_cameras(cloud(points, 0.06), 12):
         assert (np.abs(camera.position) < (3.0, 1.5, 2.0)).all()
@@ -106,41 +106,41 @@ def wall(distance, width=3.0, beside=0.0):
     return cloud(np.stack([x + beside, y, np.full(1600, distance)], axis=1), width / 20)
 
 
-def kept(*parts):
-    """Whether a view from 0 along z of something at a distance of 1 would be kept."""
+def accepted(*parts):
+    """Return whether a view from the origin along z is accepted, if its target is at distance 1."""
     lens = replace(roam._lens(1, 512, 512, 60), near=0.02)
     splats = prepare(concatenate(parts))
     return roam._shown(splats, roam.Candidate(lens, np.array([0.0, 0, 1]), 1.0)) is not None
 
 
-def test_a_view_is_kept_if_it_shows_its_target_large_enough_and_nothing_is_at_the_lens():
-    assert kept(wall(1))
-    assert not kept(wall(1, 0.1)), "less than a third of the picture"
-    assert not kept(wall(1.3)), "something else in the middle"
-    assert not kept(wall(1), wall(0.5, 0.1)), "hidden"
-    assert kept(wall(1), wall(0.5, 0.03, 0.2)), "something stands beside it"
-    assert not kept(wall(1), wall(0.15, 0.03, 0.06)), "at the lens"
+def test_a_view_is_accepted_if_its_target_is_visible_and_large_enough():
+    assert accepted(wall(1))
+    assert not accepted(wall(1, 0.1)), "less than a third of the picture"
+    assert not accepted(wall(1.3)), "something else in the middle"
+    assert not accepted(wall(1), wall(0.5, 0.1)), "hidden"
+    assert accepted(wall(1), wall(0.5, 0.03, 0.2)), "something stands beside it"
+    assert not accepted(wall(1), wall(0.15, 0.03, 0.06)), "at the lens"
 
 
-def free(scene, *places):
-    """Whether a camera at 0 that looks along z stands in free space, if some places do."""
+def is_free(scene, *positions):
+    """Return whether a camera at the origin is in free space, given positions that are free."""
     space = FreeSpace(prepare(scene))
-    for place in places:
-        space.add(np.array(place))
+    for position in positions:
+        space.add(np.array(position))
     return space.has(replace(roam._lens(1, 512, 512, 60), near=0.02), np.array([0.0, 0, 1]))
 
 
-def test_a_place_is_free_if_a_free_one_sees_it_and_no_splat_holds_it():
-    assert free(wall(1), (0.5, 0.0, 0.5))
-    assert free(wall(1), (0.0, 0.2, -2.0))
+def test_a_position_is_free_if_a_free_one_sees_it_and_no_splat_covers_it():
+    assert is_free(wall(1), (0.5, 0.0, 0.5))
+    assert is_free(wall(1), (0.0, 0.2, -2.0))
     between = concatenate([wall(1), wall(-1)])
-    assert not free(between, (0.0, 0.2, -2.0))
-    assert free(between, (0.0, 0.2, -0.5))
-    assert not free(wall(1))
-    assert not free(concatenate([wall(1), cloud(np.zeros((1, 3)), 0.3)]), (0.5, 0.0, 0.5))
+    assert not is_free(between, (0.0, 0.2, -2.0))
+    assert is_free(between, (0.0, 0.2, -0.5))
+    assert not is_free(wall(1))
+    assert not is_free(concatenate([wall(1), cloud(np.zeros((1, 3)), 0.3)]), (0.5, 0.0, 0.5))
 
 
-def test_a_far_sky_and_a_far_copy_move_no_camera_there():
+def test_distant_splats_do_not_mislead_the_cameras():
     sky = cloud(ball(3_000, 40.0), 2.5)
     indoors = concatenate([cloud(0.3 * room(), 0.03), sky])
     for camera in roaming_cameras(indoors, 4):
@@ -149,7 +149,7 @@ def test_a_far_sky_and_a_far_copy_move_no_camera_there():
     assert len(roaming_cameras(concatenate([SCENE, copy]), 4)) == 4
 
 
-def test_where_nothing_fills_a_picture_it_is_said():
+def test_a_scene_without_suitable_views_is_refused():
     haze = cloud(ball(300), size=0.1, logit=-3.0)
     with pytest.raises(ModelError, match="No roaming view was found in 120 tries"):
         roaming_cameras(haze, 2)

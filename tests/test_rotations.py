@@ -1,4 +1,4 @@
-"""Of the 24 ways to write a splat, the one that is turned least."""
+"""`minimise_rotation`: of the 24 equivalent rotations of a splat, the one of least angle."""
 
 import numpy as np
 from hypothesis import given
@@ -14,7 +14,7 @@ def covariances(quats, log_scales):
 
 
 @given(model=splats(max_n=30, extras=False))
-def test_the_splat_stays_the_same(model):
+def test_the_covariance_does_not_change(model):
     quats, scales = minimise_rotation(model)
     before, after = covariances(model.unit_quats(), model.log_scales), covariances(quats, scales)
     largest = np.abs(before).max(axis=(1, 2), initial=0)[:, None, None]
@@ -24,7 +24,7 @@ def test_the_splat_stays_the_same(model):
 
 
 @given(model=splats(max_n=30, extras=False))
-def test_no_other_way_is_turned_less(model):
+def test_no_equivalent_rotation_has_a_smaller_angle(model):
     quats, _ = minimise_rotation(model)
     turns = Rotation.from_quat(quats[:, [1, 2, 3, 0]])
     others = [(turns * other).magnitude() for other in Rotation.create_group("O")]

@@ -1,4 +1,4 @@
-"""Models in blocks: exact counts, one threshold, the same bytes however they were made."""
+"""Models in blocks: exact counts, one error threshold, and bytes that do not depend on the run."""
 
 import errno
 import hashlib
@@ -47,7 +47,7 @@ from nanogs.store.tables import Table, read_record, verified, write_table
 from torchfiles import File
 
 FAST = {"preset": "fast", "block": 400, "threads": 1}
-SETTLED = {**FAST, "rounds": 2}
+REASSIGNED = {**FAST, "rounds": 2}
 
 
 @pytest.fixture(scope="module")
@@ -61,22 +61,22 @@ def scene(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def expected(scene, tmp_path_factory):
-    """The bytes of the scene's result."""
+    """The bytes of the result for the scene."""
     path = tmp_path_factory.mktemp("expected") / "small.ply"
-    nanogs.simplify_blocks(scene, path, ratio=0.3, **SETTLED)
+    nanogs.simplify_blocks(scene, path, ratio=0.3, **REASSIGNED)
     return path.read_bytes()
 
 
-def names(folder):
+def names_in(folder):
     """Names of the entries of a folder."""
     return [path.name for path in folder.iterdir()]
 
 
 def settings(block, segments, **changes):
-    """Settings of a job over segments of so many rows."""
+    """Return the settings of a job whose segments have the given numbers of rows."""
     rows = sum(segments)
     bounds = np.cumsum([0, *segments])
-    given = {
+    arguments = {
         "inputs": (InputFile("scene.ply", 1, 1, rows, Access.ROWS),),
         "layout": Layout(0, False, (), "default", (), ()),
         "segments": tuple(Segment(int(a), int(b)) for a, b in pairwise(bounds)),
@@ -86,13 +86,13 @@ def settings(block, segments, **changes):
         "block": block,
         "parameters": ForestParameters(),
     }
-    return Settings(**(given | changes))
+    return Settings(**(arguments | changes))
 
 
 # ---- parts ----------------------------------------------------------------------------------
 
 
-def test_rows_of_a_table_come_back_and_a_changed_byte_is_found(tmp_path):
+def test_tables_return_their_rows_and_detect_a_changed_byte(tmp_path):
     scratch = FolderScratch(tmp_path)
     wide = np.arange(300_000, dtype=np.float32).reshape(-1, 3)
     record = write_table(scratch, "t", {"n": np.arange(7), "wide": wide}, {"fact": 1})
@@ -114,24 +114,24 @@ def test_rows_of_a_table_come_back_and_a_changed_byte_is_found(tmp_path):
 
 @pytest.mark.parametrize("kind", ["", "file://", "memory://"])
 @pytest.mark.parametrize("there", [0, 1, 3])
-def test_folders_around_go_as_far_as_they_were_made(tmp_path, kind, there):
+def test_parent_folders_are_removed_only_if_the_job_created_them(tmp_path, kind, there):
     outer = tmp_path / "a" / "b" / "c"
     if kind:
         files = pytest.importorskip("fsspec").filesystem(kind.partition(":")[0])
         files.makedirs(str(tmp_path), exist_ok=True)
     else:
         files = None
-    made = [tmp_path / "a", tmp_path / "a" / "b", outer]
+    folders = [tmp_path / "a", tmp_path / "a" / "b", outer]
     exists = files.exists if files else os.path.exists
-    for folder in made[:there]:
+    for folder in folders[:there]:
         files.makedir(str(folder)) if files else folder.mkdir()
     scratch = open_scratch(f"{kind}{outer}/nanogs-1")
     scratch.prepare()
-    open_scratch(f"{kind}{outer}/nanogs-1").prepare()  # of a run that continues the job
+    open_scratch(f"{kind}{outer}/nanogs-1").prepare()  # as a resumed run does
     write_table(scratch, "t", {"n": np.arange(7)}, {})
-    assert all(exists(str(folder)) for folder in made)
+    assert all(exists(str(folder)) for folder in folders)
     scratch.remove()
-    assert [exists(str(folder)) for folder in made] == [number < there for number in range(3)]
+    assert [exists(str(folder)) for folder in folders] == [number < there for number in range(3)]
     assert exists(str(tmp_path))
 
 
@@ -144,46 +144,46 @@ def test_a_table_without_columns_has_no_rows(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["", "file://"])
-def test_a_folder_around_goes_only_if_it_was_made(tmp_path, kind):
+def test_a_parent_folder_is_removed_only_if_the_job_created_it(tmp_path, kind):
     if kind:
         pytest.importorskip("fsspec")
-    around = tmp_path / "around"
+    parent = tmp_path / "around"
     for there in (False, True):
         if there:
-            around.mkdir()
-        open_scratch(f"{kind}{around}/nanogs-1").prepare()
-        again = open_scratch(f"{kind}{around}/nanogs-1")  # of a run that continues the job
+            parent.mkdir()
+        open_scratch(f"{kind}{parent}/nanogs-1").prepare()
+        again = open_scratch(f"{kind}{parent}/nanogs-1")  # as a resumed run does
         again.prepare()
         write_table(again, "t", {"n": np.arange(7)}, {})
         again.remove()
-        assert [*tmp_path.iterdir()] == [around] * there
-        assert not there or not [*around.iterdir()]
+        assert [*tmp_path.iterdir()] == [parent] * there
+        assert not there or not [*parent.iterdir()]
 
 
-def test_a_record_of_objects_is_as_one_that_is_damaged(tmp_path, monkeypatch):
+def test_a_record_with_an_object_dtype_is_treated_as_damaged(tmp_path, monkeypatch):
     scratch = FolderScratch(tmp_path)
-    monkeypatch.setattr(scratch, "write", objects_written(scratch.write))
+    monkeypatch.setattr(scratch, "write", with_object_dtype(scratch.write))
     write_table(scratch, "t", {"n": np.arange(7)}, {})
     assert "|O" in (tmp_path / "t.json").read_text()
     assert read_record(scratch, "t") is None
 
 
-def objects_written(write):
-    """`write` of a scratch, that calls a column in a record one of objects."""
+def with_object_dtype(write):
+    """Wrap `write` of a scratch so that records give a column the dtype object."""
 
     def changed(name, parts):
         if name.endswith(".json"):
-            whole = json.loads(next(iter(parts)).tobytes())
-            text = whole["record"].replace("<i8", "|O")
-            whole = {"record": text, "sha256": hashlib.sha256(text.encode()).hexdigest()}
-            parts = [np.frombuffer(json.dumps(whole).encode(), np.uint8)]
+            signed = json.loads(next(iter(parts)).tobytes())
+            text = signed["record"].replace("<i8", "|O")
+            signed = {"record": text, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+            parts = [np.frombuffer(json.dumps(signed).encode(), np.uint8)]
         return write(name, parts)
 
     return changed
 
 
 @given(st.lists(st.floats(width=32, allow_nan=False), min_size=1))
-def test_keys_sort_as_scores_do(scores):
+def test_keys_sort_in_the_order_of_scores(scores):
     scores = np.array(scores, np.float32)
     assert (scores[np.argsort(keys(scores), kind="stable")] == np.sort(scores)).all()
 
@@ -207,8 +207,8 @@ def test_the_budget_takes_the_lowest_scores_of_all_blocks(tmp_path_factory, bloc
         records.append(write_table(scratch, f"f{number}", columns, facts))
         pooled += [(score, number) for score in scores]
     splats = sum(len(each) + 1 for each in blocks)
-    done = [number for _, number in sorted(pooled)[: max(splats - target, 0)]]
-    left = [len(each) + 1 - done.count(number) for number, each in enumerate(blocks)]
+    merged = [number for _, number in sorted(pooled)[: max(splats - target, 0)]]
+    left = [len(each) + 1 - merged.count(number) for number, each in enumerate(blocks)]
     assert budget(scratch, records, target) == left
 
 
@@ -233,7 +233,7 @@ def test_every_row_is_in_one_block_of_bounded_size(tmp_path_factory, counts, blo
     try:
         found = partition(scratch, job, records)
     except OptionError:
-        assert spread == 50  # many in one place
+        assert spread == 50  # too many splats have the same code
         return
     assert found.splats == sum(counts)
     last = -1
@@ -246,7 +246,7 @@ def test_every_row_is_in_one_block_of_bounded_size(tmp_path_factory, counts, blo
 
 
 @given(st.integers(1, 8), st.integers(0, 30), st.integers(0, 10_000))
-def test_every_group_keeps_one_of_its_own(groups, more, seed):
+def test_every_group_keeps_at_least_one_member(groups, more, seed):
     rng = np.random.default_rng(seed)
     before = np.concatenate([np.arange(groups), rng.integers(0, groups, more)]).astype(np.int32)
     after = rng.integers(0, groups + 3, len(before)).astype(np.int32)
@@ -258,18 +258,18 @@ def test_every_group_keeps_one_of_its_own(groups, more, seed):
 
 
 def test_settings_survive_json():
-    sieve = FilterCounts((("box", (0.1, 1 / 3)), ("opacity", (0.5,))), (60, 40), (30, 10))
-    job = settings(50, [30, 40], counts=(7,), ratios=(), filters=sieve, frame=("rub", "rdf"))
+    filtered = FilterCounts((("box", (0.1, 1 / 3)), ("opacity", (0.5,))), (60, 40), (30, 10))
+    job = settings(50, [30, 40], counts=(7,), ratios=(), filters=filtered, frame=("rub", "rdf"))
     before = json.loads(json.dumps(job.to_dict()))
     assert differences(before, job) == []
     assert differences(before | {"counts": [8], "asked": None}, job) == ["counts", "asked"]
     assert (job.splats, job.read) == (40, 70)
 
 
-def test_what_differs_is_said_in_words_of_who_asked():
-    names = [*settings(50, [30]).to_dict(), "scratch"]
-    for name in names:
-        assert in_words([name])
+def test_differences_are_named_by_the_options_of_the_user():
+    fields = [*settings(50, [30]).to_dict(), "scratch"]
+    for field in fields:
+        assert in_words([field])
     assert in_words(["segments", "block"]) == "the memory for blocks, or their size"
     assert in_words(["segments", "nan", "block", "filters"]) == "`nan`, the filters"
 
@@ -278,7 +278,7 @@ def test_what_differs_is_said_in_words_of_who_asked():
     ("change", "said"),
     [({"version": 0}, "version"), ({"block": "many"}, "cannot be read"), ({}, "cannot be read")],
 )
-def test_a_manifest_that_is_not_understood_is_refused(tmp_path, change, said):
+def test_an_unreadable_manifest_is_refused(tmp_path, change, said):
     write_manifest(tmp_path, settings(50, [30]), "here")
     assert read_manifest(tmp_path)[0]["block"] == 50
     data = json.loads((tmp_path / MANIFEST).read_text())
@@ -301,7 +301,7 @@ def test_blocks_are_as_large_as_memory_allows():
 # ---- whole jobs -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("preset", [FAST, SETTLED])
+@pytest.mark.parametrize("preset", [FAST, REASSIGNED])
 @pytest.mark.parametrize("count", [1200, 500, 40, 1])
 def test_the_count_is_exact(scene, tmp_path, preset, count):
     out = tmp_path / "small.ply"
@@ -311,16 +311,16 @@ def test_the_count_is_exact(scene, tmp_path, preset, count):
     assert report.stop == "target"
     assert report.blocks.blocks > 2
     assert small.finite().all()
-    assert names(tmp_path) == ["small.ply"]
+    assert names_in(tmp_path) == ["small.ply"]
 
 
-def test_all_splats_keep_their_bytes_where_none_is_merged(scene, tmp_path):
-    nanogs.simplify_blocks(scene, tmp_path / "all.ply", ratio=1, **SETTLED)
+def test_splats_keep_their_bytes_if_none_is_merged(scene, tmp_path):
+    nanogs.simplify_blocks(scene, tmp_path / "all.ply", ratio=1, **REASSIGNED)
     whole, same = nanogs.load(scene), nanogs.load(tmp_path / "all.ply")
     assert model_bytes(same.take(np.argsort(same.extras["label"]))) == model_bytes(whole)
 
 
-def test_one_block_is_the_result_of_a_model_held_whole(scene, tmp_path):
+def test_one_block_gives_nearly_the_result_of_a_model_in_memory(scene, tmp_path):
     nanogs.simplify_blocks(scene, tmp_path / "one.ply", ratio=0.3, **(FAST | {"block": 10**6}))
     one = nanogs.load(tmp_path / "one.ply")
     whole, _ = nanogs.simplify(nanogs.load(scene), ratio=0.3, preset="fast")
@@ -329,17 +329,17 @@ def test_one_block_is_the_result_of_a_model_held_whole(scene, tmp_path):
 
 
 def test_threads_do_not_change_the_bytes(scene, tmp_path, expected):
-    nanogs.simplify_blocks(scene, tmp_path / "one.ply", ratio=0.3, **(SETTLED | {"threads": 2}))
+    nanogs.simplify_blocks(scene, tmp_path / "one.ply", ratio=0.3, **(REASSIGNED | {"threads": 2}))
     assert (tmp_path / "one.ply").read_bytes() == expected
 
 
-def test_splats_move_across_borders(scene, tmp_path):
-    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, **SETTLED)
+def test_splats_are_reassigned_across_block_borders(scene, tmp_path):
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, **REASSIGNED)
     assert 0 < report.blocks.handed < report.blocks.seen < 0.11 * 1200
     assert report.reassign_rounds == report.parameters["rounds"]
 
 
-def test_what_is_unusable_is_dropped_or_refused(tmp_path):
+def test_nonfinite_rows_are_dropped_or_refused(tmp_path):
     splats = random_splats(500)
     splats.means[[3, 77], 1] = np.nan
     nanogs.save(splats, tmp_path / "a.ply")
@@ -364,7 +364,7 @@ def test_several_files_of_different_formats_make_one_scene(tmp_path):
     assert any("SH degrees differ" in note for note in report.notes)
 
 
-def test_models_for_different_renderers_are_no_scene(tmp_path):
+def test_files_with_different_render_modes_are_not_joined(tmp_path):
     nanogs.save(random_splats(9), tmp_path / "a.ply")
     mip = replace(random_splats(9), render_mode=nanogs.RenderMode.MIP)
     nanogs.save(mip, tmp_path / "b.ply")
@@ -374,7 +374,7 @@ def test_models_for_different_renderers_are_no_scene(tmp_path):
         )
 
 
-def test_a_file_that_is_only_read_whole_must_be_small(tmp_path):
+def test_a_file_that_cannot_be_read_in_parts_must_fit_in_a_block(tmp_path):
     splats = random_splats(900)
     trained = {name: getattr(splats, name) for name in ("means", "quats")}
     trained |= {"scales": splats.log_scales, "opacities": splats.opacity_logits}
@@ -387,7 +387,7 @@ def test_a_file_that_is_only_read_whole_must_be_small(tmp_path):
         nanogs.simplify_blocks(tmp_path / "a.pt", tmp_path / "c.ply", ratio=0.5, **FAST)
 
 
-def test_other_formats_are_written_too(scene, tmp_path):
+def test_results_can_be_written_as_splat_files(scene, tmp_path):
     nanogs.simplify_blocks(scene, tmp_path / "small.splat", ratio=0.3, **FAST)
     assert len(nanogs.load(tmp_path / "small.splat")) == 360
 
@@ -395,23 +395,23 @@ def test_other_formats_are_written_too(scene, tmp_path):
 def test_presets_that_need_the_whole_model_are_refused(scene, tmp_path):
     with pytest.raises(OptionError, match="paper"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.5, preset="paper", block=100)
-    assert names(tmp_path) == []
+    assert names_in(tmp_path) == []
 
 
 def test_the_scratch_can_be_a_url(scene, tmp_path, expected):
     fsspec = pytest.importorskip("fsspec")
     out = tmp_path / "small.ply"
-    nanogs.simplify_blocks(scene, out, ratio=0.3, scratch="memory://job", **SETTLED)
+    nanogs.simplify_blocks(scene, out, ratio=0.3, scratch="memory://job", **REASSIGNED)
     assert out.read_bytes() == expected
     assert not fsspec.filesystem("memory").exists("/job")
     with pytest.raises(OptionError, match="nosuch"):
         open_scratch("nosuch://place")
 
 
-# ---- what was begun -------------------------------------------------------------------------
+# ---- resuming -------------------------------------------------------------------------------
 
 
-def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
+def test_a_job_interrupted_at_many_tasks_gives_the_same_bytes(
     scene, tmp_path, expected, monkeypatch
 ):
     out, folder, do, done = tmp_path / "small.ply", tmp_path / "small.ply.job", stages.do, []
@@ -426,7 +426,7 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
     monkeypatch.setattr(run, "do", crash)
     for _ in range(20):
         try:
-            report = nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **SETTLED)
+            report = nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **REASSIGNED)
             break
         except CrashError:
             assert (folder / MANIFEST).exists()
@@ -437,7 +437,7 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
     assert not folder.exists()
 
 
-def test_damage_to_what_was_done_is_mended(scene, tmp_path, expected, monkeypatch):
+def test_damaged_tables_are_made_again(scene, tmp_path, expected, monkeypatch):
     out, folder, do = tmp_path / "small.ply", tmp_path / "small.ply.job", stages.do
 
     def crash(context, task):
@@ -447,18 +447,18 @@ def test_damage_to_what_was_done_is_mended(scene, tmp_path, expected, monkeypatc
 
     monkeypatch.setattr(run, "do", crash)
     with pytest.raises(CrashError):
-        nanogs.simplify_blocks(scene, out, ratio=0.3, **SETTLED)
+        nanogs.simplify_blocks(scene, out, ratio=0.3, **REASSIGNED)
     monkeypatch.undo()
     tables = sorted((folder / "scratch").glob("*.npy"))
     for number, path in enumerate(tables):
         data = path.read_bytes()
         path.write_bytes(data[: len(data) // 2] if number % 2 else data[:-1] + b"\xff")
-    report = nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **SETTLED)
+    report = nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **REASSIGNED)
     assert out.read_bytes() == expected
     assert report.blocks.resumed < len(tables)
 
 
-def test_a_run_killed_as_the_result_got_its_name_ends_well(scene, tmp_path, expected, monkeypatch):
+def test_a_run_killed_after_its_output_appeared_is_resumed(scene, tmp_path, expected, monkeypatch):
     from nanogs.pipeline.job import stored as job
 
     out, folder = tmp_path / "small.ply", tmp_path / "small.ply.job"
@@ -468,127 +468,127 @@ def test_a_run_killed_as_the_result_got_its_name_ends_well(scene, tmp_path, expe
 
     monkeypatch.setattr(job.BlockJob, "_remove", crash)
     with pytest.raises(CrashError):
-        nanogs.simplify_blocks(scene, out, ratio=0.3, **SETTLED)
+        nanogs.simplify_blocks(scene, out, ratio=0.3, **REASSIGNED)
     monkeypatch.undo()
     assert out.exists()
     assert folder.exists()
-    nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **SETTLED)
+    nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **REASSIGNED)
     assert out.read_bytes() == expected
     assert not folder.exists()
 
 
-def begin(scene, out, monkeypatch, **given):
-    """Leave a job that was cut off."""
+def leave_interrupted_job(scene, out, monkeypatch, **given):
+    """Start a job and interrupt it, which leaves its folder."""
 
     def crash(context, task):
         raise CrashError
 
     monkeypatch.setattr(run, "do", crash)
     with pytest.raises(CrashError):
-        nanogs.simplify_blocks(scene, out, ratio=0.3, **(SETTLED | given))
+        nanogs.simplify_blocks(scene, out, ratio=0.3, **(REASSIGNED | given))
     monkeypatch.undo()
 
 
-def test_a_job_is_not_mistaken_for_another(scene, tmp_path, monkeypatch):
+def test_a_different_or_damaged_job_is_not_resumed(scene, tmp_path, monkeypatch):
     own, out = tmp_path / "scene.ply", tmp_path / "small.ply"
     own.write_bytes(scene.read_bytes())
-    begin(own, out, monkeypatch)
+    leave_interrupted_job(own, out, monkeypatch)
     with pytest.raises(OutputError, match="`resume=True` continues it"):
-        nanogs.simplify_blocks(own, out, ratio=0.3, **SETTLED)
+        nanogs.simplify_blocks(own, out, ratio=0.3, **REASSIGNED)
     with pytest.raises(OutputError, match=r"differs: the request \(ratio[^)]*\)\);"):
-        nanogs.simplify_blocks(own, out, ratio=0.2, resume=True, **(SETTLED | {"block": 900}))
+        nanogs.simplify_blocks(own, out, ratio=0.2, resume=True, **(REASSIGNED | {"block": 900}))
     os.utime(own, (1, 1))
     with pytest.raises(OutputError, match=r"differs: the input files\)"):
-        nanogs.simplify_blocks(own, out, ratio=0.3, resume=True, **SETTLED)
+        nanogs.simplify_blocks(own, out, ratio=0.3, resume=True, **REASSIGNED)
     (tmp_path / "small.ply.job" / MANIFEST).write_text("{")
     with pytest.raises(FormatError, match="cannot be read"):
-        nanogs.simplify_blocks(own, out, ratio=0.3, resume=True, **SETTLED)
+        nanogs.simplify_blocks(own, out, ratio=0.3, resume=True, **REASSIGNED)
 
 
-def test_two_runs_on_one_folder_are_refused(scene, tmp_path):
+def test_a_second_run_on_a_locked_folder_is_refused(scene, tmp_path):
     with locked(tmp_path / "job"):
         with pytest.raises(OutputError, match="Another run"):
             nanogs.simplify_blocks(
                 scene, tmp_path / "a.ply", ratio=0.3, job=tmp_path / "job", **FAST
             )
         assert (tmp_path / "job" / LOCK).exists()
-    assert names(tmp_path) == []
+    assert names_in(tmp_path) == []
 
 
-def test_a_folder_that_holds_something_else_is_left_alone(scene, tmp_path):
+def test_a_job_folder_with_other_files_is_refused_and_kept(scene, tmp_path):
     (tmp_path / "job").mkdir()
     (tmp_path / "job" / "thesis.txt").write_text("ten years")
     with pytest.raises(OutputError, match="holds other files"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, job=tmp_path / "job", **FAST)
-    assert names(tmp_path / "job") == ["thesis.txt"]
+    assert names_in(tmp_path / "job") == ["thesis.txt"]
 
 
-def test_an_output_that_exists_is_kept_unless_told(scene, tmp_path):
+def test_an_existing_output_is_kept_unless_overwrite_is_set(scene, tmp_path):
     out = tmp_path / "small.ply"
     out.write_text("mine")
     with pytest.raises(OutputError, match="overwrite=True"):
         nanogs.simplify_blocks(scene, out, ratio=0.3, **FAST)
-    assert (out.read_text(), names(tmp_path)) == ("mine", ["small.ply"])
+    assert (out.read_text(), names_in(tmp_path)) == ("mine", ["small.ply"])
     nanogs.simplify_blocks(scene, out, ratio=0.3, overwrite=True, **FAST)
     assert len(nanogs.load(out)) == 360
 
 
-def test_a_job_that_cannot_be_noted_leaves_nothing(scene, tmp_path, monkeypatch):
-    def full(*_):
+def test_a_job_whose_manifest_cannot_be_written_leaves_no_files(scene, tmp_path, monkeypatch):
+    def raise_disk_full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("nanogs.pipeline.job.stored.write_manifest", full)
+    monkeypatch.setattr("nanogs.pipeline.job.stored.write_manifest", raise_disk_full)
     with pytest.raises(OSError, match="No space"):
         nanogs.simplify_blocks(
             scene, tmp_path / "a.ply", ratio=0.3, scratch=str(tmp_path / "far"), **FAST
         )
-    assert names(tmp_path) == []
+    assert names_in(tmp_path) == []
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="as on Windows")
-def test_interrupts_come_again_where_no_process_can_be_started(monkeypatch):
-    def none(*_):
+def test_sigint_is_unblocked_if_no_process_can_be_started(monkeypatch):
+    def fail(*_):
         raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
 
-    monkeypatch.setattr("nanogs.pipeline.job.cluster.ProcessPoolExecutor.submit", none)
+    monkeypatch.setattr("nanogs.pipeline.job.cluster.ProcessPoolExecutor.submit", fail)
     with pytest.raises(OSError, match="unavailable"), cluster.processes(1):
         pass
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, set())
 
 
-def test_a_full_disk_is_said_and_the_job_kept(scene, tmp_path, expected, monkeypatch):
+def test_a_full_disk_is_reported_and_the_job_can_be_resumed(scene, tmp_path, expected, monkeypatch):
     out = tmp_path / "small.ply"
     real, calls = Path.replace, []
 
-    def full(self, target):
+    def replace_or_fail(self, target):
         calls.append(target)
         if len(calls) == 9:
             raise OSError(errno.ENOSPC, "No space left on device")
         return real(self, target)
 
-    monkeypatch.setattr(Path, "replace", full)
+    monkeypatch.setattr(Path, "replace", replace_or_fail)
     with pytest.raises(NanogsError, match="full"):
-        nanogs.simplify_blocks(scene, out, ratio=0.3, **SETTLED)
+        nanogs.simplify_blocks(scene, out, ratio=0.3, **REASSIGNED)
     monkeypatch.undo()
-    nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **SETTLED)
+    nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **REASSIGNED)
     assert out.read_bytes() == expected
 
 
-def test_a_disk_that_is_too_small_is_refused_at_once(scene, tmp_path, monkeypatch):
+def test_too_little_disk_space_is_refused_at_once(scene, tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: usage._replace(free=1000))
     with pytest.raises(OutputError, match="`scratch`"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, **FAST)
-    assert names(tmp_path) == []
+    assert names_in(tmp_path) == []
 
 
-def test_units_keep_every_digit():
+def test_units_survive_json_exactly():
     from nanogs.pipeline.tasks.units import units_of
 
     anchors = ((0.1, 0.2, 0.3, 1 / 7), (1e-300, 2.0, 3.0, 0.0))
     places = ((1 / 3, -1e-300, 7.0), (0.1, 0.2, 0.3))
-    for told, apart in ((places, 1 / 7), ((), 0.0)):  # with a user's cameras, and without
+    for viewers, spacing in ((places, 1 / 7), ((), 0.0)):  # with a user's cameras, and without
         units = Units(
-            (0.1, 1 / 3, 1e-300), anchors, 0.2, told, apart, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9
+            (0.1, 1 / 3, 1e-300), anchors, 0.2, viewers, spacing, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9
         )
         assert units_of(json.loads(json.dumps(units.to_dict()))) == units

@@ -1,4 +1,4 @@
-"""Filters, frames, bands and parts of scenes in blocks: as of a model that has them already."""
+"""Filters, frames, SH degrees and joined files in blocks, compared with files changed before."""
 
 import json
 
@@ -23,13 +23,13 @@ FRAME = ("rdf", "fru")
 
 @pytest.fixture(autouse=True)
 def small_pages(monkeypatch):
-    """Pages of so few rows that files have several, and segments begin within some."""
+    """Make pages so small that files have several, and that segments begin within pages."""
     monkeypatch.setattr("nanogs.source.base.PAGE_ROWS", 100)
 
 
 @pytest.fixture(scope="module", params=[".ply", ".spz", ".npz", ".usda"])
 def parts(request, tmp_path_factory):
-    """Two parts of a scene, the second of fewer bands."""
+    """Two files of one scene, the second of a lower SH degree."""
     folder = tmp_path_factory.mktemp("parts")
     models = [random_splats(900, degree=2), random_splats(500, degree=1, seed=3)]
     models[0].means[17] = np.nan if request.param in (".ply", ".npz") else 0.5
@@ -41,20 +41,20 @@ def parts(request, tmp_path_factory):
 
 @pytest.fixture
 def scene(parts, tmp_path):
-    """The filtered splats of both parts, in one file."""
+    """One file with the splats of both parts that the filters keep."""
     path = tmp_path / "scene.ply"
     with Filtered(Joined([nanogs.open(part) for part in parts]), KEPT) as left:
         nanogs.save(left, path)
     return path
 
 
-def blocks_for(parts):
-    """Files that are only read whole are no larger than a block."""
+def options_for(parts):
+    """Return the options for some files: a block must hold a file that is only read whole."""
     return GIVEN if parts[0].suffix != ".usda" else GIVEN | {"block": 900}
 
 
-def test_the_rows_are_those_of_a_file_of_what_is_left(parts, scene, tmp_path):
-    given = blocks_for(parts) | {"ratio": 0.3}
+def test_filters_give_the_result_of_a_file_filtered_before(parts, scene, tmp_path):
+    given = options_for(parts) | {"ratio": 0.3}
     one, two = tmp_path / "one.ply", tmp_path / "two.ply"
     wanted = nanogs.simplify_blocks(scene, one, **given)
     report = nanogs.simplify_blocks(parts, two, filters=KEPT, **given)
@@ -67,16 +67,16 @@ def test_the_rows_are_those_of_a_file_of_what_is_left(parts, scene, tmp_path):
     assert report.filters == filters.apply(whole, KEPT)[1]
 
 
-def test_results_are_turned_as_those_in_memory(parts, tmp_path):
-    given = blocks_for(parts) | {"ratio": 0.3}
+def test_frame_changes_results_as_change_frame_does(parts, tmp_path):
+    given = options_for(parts) | {"ratio": 0.3}
     nanogs.simplify_blocks(parts, tmp_path / "one.ply", **given)
     nanogs.simplify_blocks(parts, tmp_path / "two.ply", frame=FRAME, **given)
     turned = change_frame(nanogs.load(tmp_path / "one.ply"), *FRAME)
     assert model_bytes(nanogs.load(tmp_path / "two.ply")) == model_bytes(turned)
 
 
-def test_bands_above_a_degree_are_dropped_first(parts, scene, tmp_path):
-    given = blocks_for(parts) | {"count": 200}
+def test_sh_degree_gives_the_result_of_a_file_cut_before(parts, scene, tmp_path):
+    given = options_for(parts) | {"count": 200}
     cut = tmp_path / "cut.ply"
     nanogs.save(nanogs.load(scene).with_sh_degree(1), cut)
     nanogs.simplify_blocks(cut, tmp_path / "one.ply", **given)
@@ -86,9 +86,9 @@ def test_bands_above_a_degree_are_dropped_first(parts, scene, tmp_path):
 
 
 @pytest.mark.parametrize("layout", [Layout.FILES, Layout.TILES])
-def test_levels_are_of_what_is_left_and_turned(parts, scene, tmp_path, layout):
+def test_levels_are_made_of_filtered_splats_and_in_the_new_frame(parts, scene, tmp_path, layout):
     ratios = (0.5, 0.1)
-    given = {"preset": "fast", "max_memory": None, "block": blocks_for(parts)["block"]}
+    given = {"preset": "fast", "max_memory": None, "block": options_for(parts)["block"]}
     given |= {"layout": layout, "threads": 1} | (
         {"plain": True, "chunk": 100} if layout is Layout.TILES else {}
     )
@@ -105,9 +105,9 @@ def read_level(folder, layout, level):
     return nanogs.load(folder / "tileset.json", level=level)
 
 
-def test_another_filter_or_frame_is_another_job(parts, tmp_path):
+def test_a_job_is_not_resumed_with_another_filter_or_frame(parts, tmp_path):
     out = tmp_path / "a.ply"
-    given = blocks_for(parts) | {"ratio": 0.3, "resume": True}
+    given = options_for(parts) | {"ratio": 0.3, "resume": True}
 
     def crash(step):
         if step.stage == "grow":
@@ -127,8 +127,8 @@ def test_another_filter_or_frame_is_another_job(parts, tmp_path):
     assert fresh.read_bytes() == out.read_bytes()
 
 
-def test_what_cannot_be_done_is_refused_before_work_begins(parts, tmp_path):
-    given = blocks_for(parts) | {"ratio": 0.3}
+def test_impossible_options_are_refused_before_work_begins(parts, tmp_path):
+    given = options_for(parts) | {"ratio": 0.3}
     out = tmp_path / "a.ply"
     for changes, error, said in (
         ({"filters": [filters.in_company()]}, OptionError, "drop-floaters needs the whole"),
@@ -143,7 +143,7 @@ def test_what_cannot_be_done_is_refused_before_work_begins(parts, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_does_the_same(tmp_path):
+def test_the_command_gives_the_same_result_as_the_library(tmp_path):
     for number in range(2):
         nanogs.save(random_splats(30_000, degree=3, seed=number), tmp_path / f"{number}.ply")
     parts = [tmp_path / "0.ply", tmp_path / "1.ply"]
@@ -152,13 +152,13 @@ def test_the_command_does_the_same(tmp_path):
              "--crop", "box:-1,-1,-0.7,1,1,0.7", "--min-opacity", "0.2", "--sh-degree", "2",
              "--frame", "rdf:fru", "--max-memory", "231MB", "--json"]
     # fmt: on
-    left = filters.apply(Joined([nanogs.open(part) for part in parts]).load(), KEPT)
+    kept = filters.apply(Joined([nanogs.open(part) for part in parts]).load(), KEPT)
     planned = json.loads(run(*given, "--dry-run").stdout)
     report = json.loads(run(*given).stdout)
     assert report["blocks"]["blocks"] > 1, "the memory should be too little for the whole"
-    assert planned["blocks"]["splats"] == report["input_count"] == len(left[0])
+    assert planned["blocks"]["splats"] == report["input_count"] == len(kept[0])
     assert report["read_count"] == 60_000
-    assert [entry["left"] for entry in report["filters"]] == [each.left for each in left[1]]
+    assert [entry["left"] for entry in report["filters"]] == [each.left for each in kept[1]]
     assert report["frames"] == list(FRAME)
     nanogs.simplify_blocks(
         parts, tmp_path / "b.ply", ratio=0.1, preset="fast", filters=KEPT, frame=FRAME,

@@ -1,4 +1,4 @@
-"""Models in blocks, of every format: the bytes are those of the same model as a binary `.ply`."""
+"""Input files of all formats in blocks: results have the bytes of those for a binary `.ply`."""
 
 import gzip
 import os
@@ -27,10 +27,10 @@ from torchfiles import File
 
 COUNT = 1200
 FAST = {"preset": "fast", "block": 500, "threads": 1}
-SETTLED = {**FAST, "rounds": 1}
+REASSIGNED = {**FAST, "rounds": 1}
 
 
-def written(path, splats, **options):
+def saved(path, splats, **options):
     nanogs.save(splats, path, overwrite=True, **options)
     return path
 
@@ -43,8 +43,8 @@ def text_ply(path, splats):
     return path
 
 
-def streamed(folder, splats):
-    """Two models, of one of which only some rows are of the finest level."""
+def streamed_sog(folder, splats):
+    """Write streamed SOG of two files; only some rows of the second are of the finest level."""
     manifest = (
         '{"lodLevels": 1, "filenames": ["0_0/meta.json", "0_1.sog"], "tree": {"children":'
         ' [{"lods": {"0": {"file": 0, "offset": 0, "count": 500}}},'
@@ -52,31 +52,31 @@ def streamed(folder, splats):
         ' {"lods": {"0": {"file": 1, "offset": 340, "count": 310}}}]}}'
     )
     (folder / "0_0").mkdir()
-    written(folder / "0_0" / "meta.json", splats.span(0, 500))
-    written(folder / "0_1.sog", splats.span(500, COUNT).with_sh_degree(0))
+    saved(folder / "0_0" / "meta.json", splats.span(0, 500))
+    saved(folder / "0_1.sog", splats.span(500, COUNT).with_sh_degree(0))
     (folder / "lod-meta.json").write_text(manifest)
     return folder / "lod-meta.json"
 
 
-def sections(path):
-    made = [ksplatfiles.section(n, 1, 1, capacity=7, seed=n) for n in (700, 3, 500)]
-    path.write_bytes(ksplatfiles.ksplat(*made, mode=1))
+def ksplat_file(path):
+    parts = [ksplatfiles.section(n, 1, 1, capacity=7, seed=n) for n in (700, 3, 500)]
+    path.write_bytes(ksplatfiles.ksplat(*parts, mode=1))
     return path
 
 
-MADE = {
-    ".splat": lambda folder, splats: written(folder / "a.splat", splats),
-    ".compressed.ply": lambda folder, splats: written(folder / "a.compressed.ply", splats),
-    ".npz": lambda folder, splats: written(folder / "a.npz", splats),
-    ".spz v3": lambda folder, splats: written(folder / "a.spz", splats),
-    ".spz v4": lambda folder, splats: written(
+WRITERS = {
+    ".splat": lambda folder, splats: saved(folder / "a.splat", splats),
+    ".compressed.ply": lambda folder, splats: saved(folder / "a.compressed.ply", splats),
+    ".npz": lambda folder, splats: saved(folder / "a.npz", splats),
+    ".spz v3": lambda folder, splats: saved(folder / "a.spz", splats),
+    ".spz v4": lambda folder, splats: saved(
         folder / "a.spz", splats, format_options={"spz_version": 4}
     ),
-    ".glb": lambda folder, splats: written(folder / "a.glb", splats),
-    ".sog": lambda folder, splats: written(folder / "a.sog", splats),
-    "meta.json": lambda folder, splats: written(folder / "meta.json", splats),
-    "lod-meta.json": streamed,
-    ".ksplat": lambda folder, splats: sections(folder / "a.ksplat"),
+    ".glb": lambda folder, splats: saved(folder / "a.glb", splats),
+    ".sog": lambda folder, splats: saved(folder / "a.sog", splats),
+    "meta.json": lambda folder, splats: saved(folder / "meta.json", splats),
+    "lod-meta.json": streamed_sog,
+    ".ksplat": lambda folder, splats: ksplat_file(folder / "a.ksplat"),
     "text": lambda folder, splats: text_ply(folder / "a.ply", splats.with_sh_degree(0)),
 }
 
@@ -87,40 +87,40 @@ def splats():
 
 
 @pytest.fixture
-def few(monkeypatch):
-    """The frame looks at a few rows, as it does of large models."""
+def few_rows(monkeypatch):
+    """Let the stage `frame` sample only a few rows, as it does for large models."""
     monkeypatch.setattr(source, "_MOST_SPANS", 3)
     monkeypatch.setattr(source, "SPAN", 64)
 
 
 @pytest.fixture
 def packed(splats, tmp_path):
-    """A file that is unpacked first."""
-    return written(tmp_path / "a.spz", splats)
+    """A file of a format that is unpacked first."""
+    return saved(tmp_path / "a.spz", splats)
 
 
-def left(folder):
+def names_in(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-@pytest.mark.parametrize("name", MADE)
-def test_the_bytes_are_those_of_the_same_model_as_ply(tmp_path, splats, name, few):
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_gives_the_bytes_of_the_same_model_as_ply(tmp_path, splats, name, few_rows):
     (tmp_path / "in").mkdir()
-    path = MADE[name](tmp_path / "in", splats)
-    before = left(tmp_path / "in")
-    plain = written(tmp_path / "plain.ply", nanogs.load(path))
+    path = WRITERS[name](tmp_path / "in", splats)
+    before = names_in(tmp_path / "in")
+    plain = saved(tmp_path / "plain.ply", nanogs.load(path))
     found, expected = tmp_path / "found.ply", tmp_path / "expected.ply"
-    report = nanogs.simplify_blocks(path, found, ratio=0.3, **SETTLED)
-    nanogs.simplify_blocks(plain, expected, ratio=0.3, **SETTLED)
+    report = nanogs.simplify_blocks(path, found, ratio=0.3, **REASSIGNED)
+    nanogs.simplify_blocks(plain, expected, ratio=0.3, **REASSIGNED)
     assert report.blocks.blocks > 2
     assert found.read_bytes() == expected.read_bytes()
-    assert left(tmp_path) == ["expected.ply", "found.ply", "in", "plain.ply"]
-    assert left(tmp_path / "in") == before
+    assert names_in(tmp_path) == ["expected.ply", "found.ply", "in", "plain.ply"]
+    assert names_in(tmp_path / "in") == before
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["kitchen.spz", "chair.splat"])
-def test_a_real_scene_comes_out_as_if_it_had_been_converted(tmp_path, name):
+def test_a_real_scene_gives_the_bytes_of_its_converted_file(tmp_path, name):
     origin, plain = scene_path(name), tmp_path / "plain.ply"
     run_command("convert", origin, plain, "-q")
     outs = [tmp_path / "found.ply", tmp_path / "expected.ply"]
@@ -129,12 +129,12 @@ def test_a_real_scene_comes_out_as_if_it_had_been_converted(tmp_path, name):
     assert outs[0].read_bytes() == outs[1].read_bytes()
 
 
-def test_files_of_all_kinds_make_one_scene(tmp_path, splats, few):
-    """One read in parts, one unpacked, one small enough to be read whole, one that must be."""
+def test_files_with_different_access_are_joined(tmp_path, splats, few_rows):
+    """One is read in parts, two are packed, of which one is unpacked, and one is read whole."""
     inputs = [
-        written(tmp_path / "a.splat", splats.with_sh_degree(0)),
-        written(tmp_path / "b.spz", random_splats(900, seed=1)),
-        written(tmp_path / "c.sog", random_splats(400, seed=2)),
+        saved(tmp_path / "a.splat", splats.with_sh_degree(0)),
+        saved(tmp_path / "b.spz", random_splats(900, seed=1)),
+        saved(tmp_path / "c.sog", random_splats(400, seed=2)),
         tmp_path / "d.pt",
     ]
     last = random_splats(300, degree=0, seed=3)
@@ -142,27 +142,27 @@ def test_files_of_all_kinds_make_one_scene(tmp_path, splats, few):
     trained |= {"scales": last.log_scales, "opacities": last.opacity_logits, "sh0": last.sh}
     inputs[-1].write_bytes(File({"splats": trained}).bytes())
     settings = planned(*inputs)[0]
-    ways = [file.access for file in settings.inputs]
-    assert ways == [Access.ROWS, Access.PACKED, Access.PACKED, Access.WHOLE]
+    access = [file.access for file in settings.inputs]
+    assert access == [Access.ROWS, Access.PACKED, Access.PACKED, Access.WHOLE]
     assert settings.unpacked == (1,)
-    plain = [written(path.with_suffix(".ply"), nanogs.load(path)) for path in inputs]
+    plain = [saved(path.with_suffix(".ply"), nanogs.load(path)) for path in inputs]
     outs = [tmp_path / "found.ply", tmp_path / "expected.ply"]
     for paths, out in zip((inputs, plain), outs, strict=True):
-        report = nanogs.simplify_blocks(paths, out, ratio=0.3, **SETTLED)
+        report = nanogs.simplify_blocks(paths, out, ratio=0.3, **REASSIGNED)
     assert report.input_count == COUNT + 900 + 400 + 300
     assert outs[0].read_bytes() == outs[1].read_bytes()
 
 
-def test_a_link_is_read_by_its_own_name(tmp_path, splats):
-    """As of caches, whose files are called by their checksums."""
+def test_a_symbolic_link_is_read_by_its_own_suffix(tmp_path, splats):
+    """As in caches, where files are named by their checksums."""
     for suffix in (".ply", ".spz"):
         blob, link = tmp_path / f"blob{suffix[1:]}", tmp_path / f"a{suffix}"
-        blob.write_bytes(written(tmp_path / f"b{suffix}", splats).read_bytes())
+        blob.write_bytes(saved(tmp_path / f"b{suffix}", splats).read_bytes())
         link.symlink_to(blob)
         nanogs.simplify_blocks(link, tmp_path / "small.ply", ratio=0.3, overwrite=True, **FAST)
 
 
-def test_what_is_said_of_parts_becomes_one_sentence(tmp_path):
+def test_notes_about_parts_are_combined_into_one(tmp_path):
     row = np.zeros(COUNT, [("f", "<f4", 6), ("b", "u1", 8)])
     row["f"] = np.random.default_rng(0).uniform(0.1, 1, (COUNT, 6))
     row["b"] = 200
@@ -173,11 +173,11 @@ def test_what_is_said_of_parts_becomes_one_sentence(tmp_path):
     assert report.notes == ("3 splats have a negative scale, which became NaN.",)
 
 
-# ---- what was begun -------------------------------------------------------------------------
+# ---- resuming and damage --------------------------------------------------------------------
 
 
 def crash_at(monkeypatch, stage, times=1):
-    """Stop before a task of a stage; what was called is kept."""
+    """Interrupt the run before a task of a stage; return the list of stages that were begun."""
     do, called = stages.do, []
 
     def crash(context, task):
@@ -191,27 +191,27 @@ def crash_at(monkeypatch, stage, times=1):
 
 
 @pytest.mark.parametrize("stage", ["unpack", "frame", "segment", "part"])
-def test_a_job_that_was_cut_off_gives_the_same_bytes(packed, tmp_path, monkeypatch, stage):
+def test_an_interrupted_job_gives_the_same_bytes(packed, tmp_path, monkeypatch, stage):
     out, expected = tmp_path / "small.ply", tmp_path / "expected.ply"
-    nanogs.simplify_blocks(packed, expected, ratio=0.3, **SETTLED)
+    nanogs.simplify_blocks(packed, expected, ratio=0.3, **REASSIGNED)
     called = crash_at(monkeypatch, stage)
     with pytest.raises(CrashError):
-        nanogs.simplify_blocks(packed, out, ratio=0.3, resume=True, **SETTLED)
+        nanogs.simplify_blocks(packed, out, ratio=0.3, resume=True, **REASSIGNED)
     tables = sorted((tmp_path / "small.ply.job" / "scratch").glob("unpack*.npy"))
     assert bool(tables) == (stage != "unpack")
-    for path in tables[: stage == "segment"]:  # damage is mended
+    for path in tables[: stage == "segment"]:  # damaged tables are made again
         data = bytearray(path.read_bytes())
         data[len(data) // 2] ^= 1
         path.write_bytes(data)
-    nanogs.simplify_blocks(packed, out, ratio=0.3, resume=True, **SETTLED)
+    nanogs.simplify_blocks(packed, out, ratio=0.3, resume=True, **REASSIGNED)
     assert called.count("unpack") == (2 if stage in ("unpack", "segment") else 1)
     assert out.read_bytes() == expected.read_bytes()
 
 
 @pytest.mark.parametrize("name", [".spz v3", "lod-meta.json"])
 @pytest.mark.parametrize("stage", ["unpack", "segment"])
-def test_a_file_that_changes_is_not_read_on(tmp_path, splats, monkeypatch, name, stage):
-    path, do = MADE[name](tmp_path, splats), stages.do
+def test_a_file_that_changes_during_the_job_is_refused(tmp_path, splats, monkeypatch, name, stage):
+    path, do = WRITERS[name](tmp_path, splats), stages.do
     changing = path if name != "lod-meta.json" else tmp_path / "0_0" / "quats.webp"
 
     def change(context, task):
@@ -224,22 +224,22 @@ def test_a_file_that_changes_is_not_read_on(tmp_path, splats, monkeypatch, name,
         nanogs.simplify_blocks(path, tmp_path / "small.ply", ratio=0.3, **FAST)
 
 
-def test_a_file_that_changes_while_it_is_unpacked_is_not_read_on(packed, tmp_path, monkeypatch):
+def test_a_file_that_changes_while_it_is_unpacked_is_refused(packed, tmp_path, monkeypatch):
     real = spz.body_pieces
 
-    def pieces(*given):
+    def pieces_then_touch(*given):
         yield from real(*given)
         os.utime(packed, (1, 1))
 
-    monkeypatch.setattr(spz, "body_pieces", pieces)
+    monkeypatch.setattr(spz, "body_pieces", pieces_then_touch)
     with pytest.raises(FormatError, match="has changed since the job began"):
         nanogs.simplify_blocks(packed, tmp_path / "small.ply", ratio=0.3, **FAST)
     assert not list((tmp_path / "small.ply.job" / "scratch").glob("unpack*.json"))  # its record
 
 
 def damaged(name, folder, splats):
-    """A file whose header is whole, and whose rest is not."""
-    path = MADE[name](folder, splats)
+    """Write a file whose header is intact and whose data are damaged."""
+    path = WRITERS[name](folder, splats)
     if name == "lod-meta.json":
         path = folder / "0_1.sog"
     data = path.read_bytes()
@@ -252,7 +252,7 @@ def damaged(name, folder, splats):
 
 
 @pytest.mark.parametrize("name", [".spz v3", ".spz v4", ".npz", ".sog", "lod-meta.json", "text"])
-def test_damage_is_said_in_one_sentence(tmp_path, splats, name):
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, splats, name):
     path = damaged(name, tmp_path, splats)
     with pytest.raises(FormatError) as caught:
         nanogs.simplify_blocks(path, tmp_path / "small.ply", ratio=0.3, **FAST)
@@ -260,7 +260,7 @@ def test_damage_is_said_in_one_sentence(tmp_path, splats, name):
     assert not (tmp_path / "small.ply").exists()
 
 
-def test_damage_is_said_by_the_command(tmp_path):
+def test_the_command_reports_a_damaged_file(tmp_path):
     splats = random_splats(60_000, degree=0)
     path = damaged(".spz v3", tmp_path, splats)
     done = run_command("simplify", path, tmp_path / "b.ply", "-r", "0.1", "--preset", "fast",
@@ -270,7 +270,7 @@ def test_damage_is_said_by_the_command(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-# ---- what it takes --------------------------------------------------------------------------
+# ---- planned memory and disk space ----------------------------------------------------------
 
 
 def planned(*paths, block=500, memory=None):
@@ -281,10 +281,10 @@ def planned(*paths, block=500, memory=None):
 @pytest.mark.parametrize(
     ("name", "row"), [(".spz v3", 20 + 9), (".splat", 0), (".npz", 4 * 23), (".sog", 19)]
 )
-def test_the_plan_counts_what_is_unpacked(tmp_path, splats, name, row):
-    path = MADE[name](tmp_path, splats)
+def test_the_plan_includes_the_disk_space_of_unpacked_files(tmp_path, splats, name, row):
+    path = WRITERS[name](tmp_path, splats)
     degree = 0 if name == ".splat" else 1
-    plain = written(tmp_path / "plain.ply", splats.with_sh_degree(degree))
+    plain = saved(tmp_path / "plain.ply", splats.with_sh_degree(degree))
     more = planned(path)[1].scratch - planned(plain)[1].scratch
     palette = more - row * COUNT
     assert palette == 0 if name != ".sog" else 0 < palette < 100_000
@@ -292,7 +292,7 @@ def test_the_plan_counts_what_is_unpacked(tmp_path, splats, name, row):
 
 
 def test_textures_too_large_for_the_memory_are_refused(tmp_path, splats, monkeypatch):
-    path = MADE[".sog"](tmp_path, splats)
+    path = WRITERS[".sog"](tmp_path, splats)
     monkeypatch.setattr(sog, "_TEXEL", 1 << 20)
     assert planned(path)[1].memory > (1 << 20) * COUNT
     with pytest.raises(OptionError, match=r"at least 643 MB to unpack a\.sog; raise it, or"):

@@ -1,4 +1,4 @@
-"""Blocks that look: visibility, choice and fit of each block, on views of the whole scene."""
+"""Blocks of presets that render: visibility, candidates and fit, on views of the whole scene."""
 
 import dataclasses
 import json
@@ -36,15 +36,15 @@ from nanogs.splats import concatenate
 from nanogs.views.automatic import automatic_cameras
 
 COUNT = 1500
-LOOKING = {"preset": "default", "views": 6, "view_size": 96, "steps": 6}
-BLOCKS = {**LOOKING, "block": 500, "threads": 1}
+WITH_VIEWS = {"preset": "default", "views": 6, "view_size": 96, "steps": 6}
+BLOCKS = {**WITH_VIEWS, "block": 500, "threads": 1}
 
 
 @pytest.fixture(scope="module")
 def splats():
     given = random_splats(COUNT, degree=1, seed=7)
     label = np.arange(COUNT, dtype=np.int32)
-    larger = given.log_scales + np.float32(0.7)  # so that some hide others
+    larger = given.log_scales + np.float32(0.7)  # so that some splats hide others
     return dataclasses.replace(given, log_scales=larger, extras={"label": label})
 
 
@@ -56,15 +56,15 @@ def scene(splats, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def made(scene, tmp_path_factory):
-    """The report and the bytes of a result in blocks."""
+def blocks_result(scene, tmp_path_factory):
+    """The report and the bytes of a result that was made in blocks."""
     path = tmp_path_factory.mktemp("made") / "small.ply"
     report = nanogs.simplify_blocks(scene, path, ratio=0.2, **BLOCKS)
     return report, path.read_bytes()
 
 
-def test_what_was_looked_at_chosen_and_fitted_is_told(made):
-    report, _ = made
+def test_the_report_has_visibility_candidates_and_the_fit(blocks_result):
+    report, _ = blocks_result
     assert report.blocks.blocks > 2
     assert report.achieved_count == COUNT // 5
     assert 0 < report.shown <= 1
@@ -75,13 +75,15 @@ def test_what_was_looked_at_chosen_and_fitted_is_told(made):
     assert report.refit.count == report.achieved_count
 
 
-def test_threads_do_not_change_the_bytes(scene, made, tmp_path):
+def test_threads_do_not_change_the_bytes(scene, blocks_result, tmp_path):
     nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **(BLOCKS | {"threads": 2}))
-    assert (tmp_path / "a.ply").read_bytes() == made[1]
+    assert (tmp_path / "a.ply").read_bytes() == blocks_result[1]
 
 
 @pytest.mark.parametrize("stage", ["coarse", "views", "look", "trial", "choose", "fit"])
-def test_a_job_that_was_cut_off_gives_the_same_bytes(scene, made, tmp_path, monkeypatch, stage):
+def test_an_interrupted_job_gives_the_same_bytes(
+    scene, blocks_result, tmp_path, monkeypatch, stage
+):
     out, do, left = tmp_path / "a.ply", stages.do, [1]
 
     def crash(work, task):
@@ -98,13 +100,13 @@ def test_a_job_that_was_cut_off_gives_the_same_bytes(scene, made, tmp_path, monk
     with pytest.raises(KeyboardInterrupt):
         nanogs.simplify_blocks(scene, out, ratio=0.2, **BLOCKS)
     nanogs.simplify_blocks(scene, out, ratio=0.2, resume=True, **BLOCKS)
-    assert out.read_bytes() == made[1]
+    assert out.read_bytes() == blocks_result[1]
 
 
 def test_one_block_is_chosen_and_fitted_as_in_memory(splats, scene, tmp_path):
     given = BLOCKS | {"block": 10**6}
     blocks = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **given)
-    _, whole = nanogs.simplify(splats, ratio=0.2, **LOOKING)
+    _, whole = nanogs.simplify(splats, ratio=0.2, **WITH_VIEWS)
     assert blocks.blocks.blocks == 1
     assert blocks.reassign_rounds == whole.reassign_rounds > 0
     assert blocks.shown == pytest.approx(whole.shown, abs=1e-6)
@@ -116,17 +118,17 @@ def test_one_block_is_chosen_and_fitted_as_in_memory(splats, scene, tmp_path):
     assert gained[0] == pytest.approx(gained[1], abs=0.5)
 
 
-def test_blocks_see_nearly_what_the_whole_shows(splats, made):
-    _, whole = nanogs.simplify(splats, ratio=0.2, **LOOKING)
-    assert made[0].shown == pytest.approx(whole.shown, abs=0.05)
+def test_the_visible_share_is_nearly_that_of_the_model_in_memory(splats, blocks_result):
+    _, whole = nanogs.simplify(splats, ratio=0.2, **WITH_VIEWS)
+    assert blocks_result[0].shown == pytest.approx(whole.shown, abs=0.05)
 
 
 @pytest.mark.parametrize("preset", ["default", "best"])
 @pytest.mark.parametrize("block", [500, 10**6])
-def test_a_scene_that_shows_nothing_is_cut_as_if_nothing_looked(splats, tmp_path, preset, block):
-    faint = dataclasses.replace(splats, opacity_logits=np.full(COUNT, -12, np.float32))
+def test_an_invisible_scene_gets_the_result_of_the_preset_fast(splats, tmp_path, preset, block):
+    invisible = dataclasses.replace(splats, opacity_logits=np.full(COUNT, -12, np.float32))
     scene, given = tmp_path / "faint.ply", {"ratio": 0.2, "block": block, "threads": 1}
-    nanogs.save(faint, scene)
+    nanogs.save(invisible, scene)
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", preset=preset, **given)
     assert [note.partition(":")[0] for note in report.notes] == ["Nothing was measured"]
     assert (report.shown, report.candidates, report.refit) == (None, (), None)
@@ -135,8 +137,8 @@ def test_a_scene_that_shows_nothing_is_cut_as_if_nothing_looked(splats, tmp_path
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
-def test_where_nothing_is_measured_nothing_is_weighed_by_what_is_seen(scene, tmp_path, monkeypatch):
-    """As in memory; before the fit, the result is that of the same method without it."""
+def test_without_measured_views_no_visibility_weights_are_used(scene, tmp_path, monkeypatch):
+    """As in memory; a block without views to fit to gets the result of `steps=0`."""
     monkeypatch.setattr(Work, "fit_views", lambda *_: None)
     given = BLOCKS | {"preset": "fast", "ratio": 0.2}
     nanogs.simplify_blocks(scene, tmp_path / "a.ply", **given)
@@ -144,36 +146,36 @@ def test_where_nothing_is_measured_nothing_is_weighed_by_what_is_seen(scene, tmp
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
-def test_blocks_that_are_not_fitted_are_told_of(splats, tmp_path):
-    """A half of the scene shows nothing; and a single view cannot show whether a fit helps."""
+def test_blocks_that_are_not_fitted_are_noted_in_the_report(splats, tmp_path):
+    """Half of the scene is invisible; and with a single view none is left for validation."""
     hidden = np.where(splats.means[:, 0] > 0, np.float32(-12), splats.opacity_logits)
     nanogs.save(dataclasses.replace(splats, opacity_logits=hidden), tmp_path / "scene.ply")
 
-    def told(**given):
+    def report_of(**given):
         out, chosen = tmp_path / "a.ply", BLOCKS | {"block": 200, "overwrite": True} | given
         return nanogs.simplify_blocks(tmp_path / "scene.ply", out, ratio=0.2, **chosen)
 
-    some = told()
+    some = report_of()
     left = some.blocks.blocks - len(some.refit.groups)
     were, blocks = "was" if left == 1 else "were", some.blocks.blocks
-    said = f"{left} of {blocks} blocks {were} not fitted, because too few views show them."
+    expected = f"{left} of {blocks} blocks {were} not fitted, because too few views show them."
     assert left > 0
-    assert some.notes == (said,)
-    none = told(views=1, block=10**6)
+    assert some.notes == (expected,)
+    none = report_of(views=1, block=10**6)
     assert none.refit is None
     assert none.notes == ("The result was not fitted, because too few views show it.",)
 
 
 @pytest.mark.parametrize("given", [{"preset": "fast", "steps": 0}, {}])
 @pytest.mark.parametrize("block", [500, 10**6])
-def test_the_scratch_is_as_large_as_planned(scene, tmp_path, monkeypatch, given, block):
+def test_the_scratch_takes_the_planned_disk_space(scene, tmp_path, monkeypatch, given, block):
     remove, found = BlockJob._remove, []
 
-    def measured(job, scratch):
+    def measure_and_remove(job, scratch):
         found.append(sum(path.stat().st_size for path in job.folder.rglob("*.npy")))
         remove(job, scratch)
 
-    monkeypatch.setattr(BlockJob, "_remove", measured)
+    monkeypatch.setattr(BlockJob, "_remove", measure_and_remove)
     out, chosen = tmp_path / "a.ply", BLOCKS | {"block": block} | given
     nanogs.simplify_blocks(scene, out, ratio=0.2, **chosen)
     overrides = {name: chosen[name] for name in ("views", "view_size", "steps")}
@@ -182,7 +184,7 @@ def test_the_scratch_is_as_large_as_planned(scene, tmp_path, monkeypatch, given,
     assert plan.scratch == pytest.approx(found[0] + out.stat().st_size, rel=0.1)
 
 
-def test_levels_look_too(scene, tmp_path):
+def test_levels_are_fitted_too(scene, tmp_path):
     _, reports = nanogs.write_levels(scene, tmp_path / "levels", [0.4, 0.1], **BLOCKS)
     assert [report.achieved_count for report in reports] == [COUNT * 2 // 5, COUNT // 10]
     assert all(report.refit.psnr_after > report.refit.psnr_before for report in reports)
@@ -191,12 +193,12 @@ def test_levels_look_too(scene, tmp_path):
 # ---- parts ----------------------------------------------------------------------------------
 
 
-def test_two_models_are_drawn_as_one(splats):
+def test_concatenated_models_render_as_one(splats):
     first, second = splats.take(slice(0, 1000)), splats.take(slice(1000, COUNT)).with_sh_degree(0)
     camera = automatic_cameras(splats, 1, width=64, height=48)[0]
     both = render(concatenated(prepare(first), prepare(second)), camera)
-    bare = dataclasses.replace(first, extras={}), dataclasses.replace(second, extras={})
-    np.testing.assert_array_equal(both.color, render(concatenate(bare), camera).color)
+    without_labels = dataclasses.replace(first, extras={}), dataclasses.replace(second, extras={})
+    np.testing.assert_array_equal(both.color, render(concatenate(without_labels), camera).color)
     assert np.abs(both.color - render(first, camera).color).max() > 0.01
 
 
@@ -212,7 +214,7 @@ def test_views_survive_json(splats):
     assert len(again.deciding) == deciding_count(3) == 1
 
 
-def test_lenses_and_parts_survive_json(splats):
+def test_lenses_and_cropped_views_survive_json(splats):
     lens = Lens("OPENCV", above=(0.1, 0.0), tangential=(0.01, 0.0))
     camera = automatic_cameras(splats, 1, width=70, height=50)[0]
     part = dataclasses.replace(camera.cropped(10, 5, 32, 16), lens=lens)
@@ -221,7 +223,7 @@ def test_lenses_and_parts_survive_json(splats):
     assert again.lens == lens
 
 
-def test_blocks_say_that_lenses_are_left_out(scene, splats, tmp_path):
+def test_blocks_note_that_lens_distortion_is_left_out(scene, splats, tmp_path):
     cameras = automatic_cameras(splats, 3, width=60, height=40)
     cameras = [dataclasses.replace(each, lens=Lens("OPENCV", above=(0.1,))) for each in cameras]
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, cameras=cameras, **BLOCKS)
@@ -229,7 +231,7 @@ def test_blocks_say_that_lenses_are_left_out(scene, splats, tmp_path):
     assert [note for note in report.notes if "lens" in note] == lens_notes(cameras)
 
 
-def test_the_part_of_a_view_holds_what_a_block_draws(splats):
+def test_the_crop_of_a_view_has_nearly_all_of_a_block(splats):
     camera = automatic_cameras(splats, 1, width=400, height=300)[0]
     near = np.argsort(np.linalg.norm(splats.means - splats.means[0], axis=1))[:30]
     some = splats.take(near)
@@ -246,8 +248,8 @@ def test_the_part_of_a_view_holds_what_a_block_draws(splats):
     assert parts_of(own, np.zeros(len(some), bool), [camera]) == [None]
 
 
-def surrounded(small, original, around, cameras):
-    """The fit of a small model to views of the original, both among something else."""
+def fit_among(small, original, around, cameras):
+    """Fit a small model to views of the original, both rendered together with surroundings."""
     whole = concatenated(prepare(original), around)
     targets = [make_target(whole, camera, depth=False) for camera in cameras]
     views = Fitting(targets[1:], surroundings=around)
@@ -255,27 +257,27 @@ def surrounded(small, original, around, cameras):
     return fit(small, views, [Group("views", tuple(targets[:1]))], chosen, ignore_progress)
 
 
-def test_surroundings_are_drawn_and_stay(splats):
+def test_surroundings_are_rendered_but_not_fitted(splats):
     original = dataclasses.replace(splats, extras={})
     small, _ = nanogs.simplify(original, ratio=0.2, preset="fast")
     cameras = automatic_cameras(original, 6, width=96, height=96)
-    plain, gained = surrounded(small, original, None, cameras)
+    plain, gained = fit_among(small, original, None, cameras)
     assert gained.improved
     behind = original.take(slice(0, 300))
     away = dataclasses.replace(behind, means=behind.means + np.float32(1e6))
-    same, _ = surrounded(small, original, prepare(away), cameras)
+    same, _ = fit_among(small, original, prepare(away), cameras)
     assert model_bytes(same) == model_bytes(plain)
-    among, helped = surrounded(small, original, prepare(behind), cameras)
+    among, helped = fit_among(small, original, prepare(behind), cameras)
     assert len(among) == len(small)
     assert helped.improved
     assert model_bytes(among) != model_bytes(plain)
 
 
-def test_a_wall_in_front_leaves_nothing_to_fit(splats):
+def test_splats_hidden_by_surroundings_are_not_changed(splats):
     small = dataclasses.replace(splats, extras={}).take(slice(0, 50))
-    place = np.zeros((1, 3), np.float32)
+    centre = np.zeros((1, 3), np.float32)
     wall = dataclasses.replace(
-        small.take(slice(0, 1)), means=place, log_scales=place + np.float32(np.log(50.0)),
+        small.take(slice(0, 1)), means=centre, log_scales=centre + np.float32(np.log(50.0)),
         opacity_logits=np.array([30.0], np.float32),
     )  # fmt: skip
     pose = np.eye(4)
@@ -283,12 +285,12 @@ def test_a_wall_in_front_leaves_nothing_to_fit(splats):
     camera = Camera(64, 64, 64.0, 64.0, 32.0, 32.0, pose)
     hidden = dataclasses.replace(small, means=small.means + np.array([0, 0, 9], np.float32))
     around = concatenated(prepare(wall), prepare(wall))
-    fitted, outcome = surrounded(hidden, splats.take(slice(0, 1)), around, [camera] * 3)
+    fitted, outcome = fit_among(hidden, splats.take(slice(0, 1)), around, [camera] * 3)
     assert not outcome.improved
     assert model_bytes(fitted) == model_bytes(hidden)
 
 
-def test_memory_of_a_block_grows_with_it_and_coarse_levels_are_bounded():
+def test_block_memory_grows_with_its_size_and_coarse_levels_are_bounded():
     layout, chosen = Layout(3, False, (), "default", (), ()), nanogs.presets["best"]
     held = [max(block_stages(n, 10**8, layout, chosen, 0.1).values()) for n in (10**4, 10**6)]
     assert held[0] < held[1] < 100 * held[0]
@@ -298,7 +300,7 @@ def test_memory_of_a_block_grows_with_it_and_coarse_levels_are_bounded():
     assert most_coarse(FINE, 10**6, 1000) == 900
 
 
-def test_a_scene_that_shows_nothing_is_simplified_all_the_same(splats, tmp_path):
+def test_an_invisible_scene_is_simplified_all_the_same(splats, tmp_path):
     clear = dataclasses.replace(splats, opacity_logits=np.full(COUNT, -20, np.float32))
     nanogs.save(clear, tmp_path / "clear.ply")
     report = nanogs.simplify_blocks(tmp_path / "clear.ply", tmp_path / "a.ply", ratio=0.2, **BLOCKS)
@@ -306,8 +308,8 @@ def test_a_scene_that_shows_nothing_is_simplified_all_the_same(splats, tmp_path)
     assert any("Nothing was measured" in note for note in report.notes)
 
 
-def test_blocks_that_are_small_in_every_view_are_looked_at_from_nearer(tmp_path):
-    """Nine objects far from each other: views of all show each with few pixels."""
+def test_blocks_that_are_small_in_every_view_get_nearer_cameras(tmp_path):
+    """Nine objects far from each other: views of the whole scene show each in few pixels."""
     places = [np.array([x, y, 0], np.float32) * 60 for x in range(3) for y in range(3)]
     parts = [random_splats(200, degree=0, seed=n) for n in range(9)]
     parts = [
@@ -315,38 +317,38 @@ def test_blocks_that_are_small_in_every_view_are_looked_at_from_nearer(tmp_path)
         for part, place in zip(parts, places, strict=True)
     ]
     nanogs.save(concatenate(parts), tmp_path / "city.ply")
-    looked = []
+    found = []
 
-    def told(work, block):
-        looked.append(work.of_block("look", block).facts)
+    def noted(work, block):
+        found.append(work.of_block("look", block).facts)
         return fit_cameras(work, block)
 
     given = BLOCKS | {"block": 110, "view_size": 256}
     fit_cameras = fitting.looks_at
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "looks_at", told)
+        patch.setattr(fitting, "looks_at", noted)
         report = nanogs.simplify_blocks(
             tmp_path / "city.ply", tmp_path / "a.ply", ratio=0.2, **given
         )
-    assert len(looked) == report.blocks.blocks >= 18
-    nearer = [facts["light"] for facts in looked if len(facts["light"]) > 6]
-    assert len(nearer) > 12  # the others reach from one object to the next
+    assert len(found) == report.blocks.blocks >= 18
+    nearer = [facts["light"] for facts in found if len(facts["light"]) > 6]
+    assert len(nearer) > 12  # the other blocks extend over two objects
     for light in nearer:
         assert len(light) == 6 + 3
         assert np.mean(light[6:]) > 2 * max(light[:6])
 
 
-def test_given_cameras_are_those_that_blocks_are_looked_at_from(scene, splats, tmp_path):
+def test_given_cameras_are_those_that_blocks_are_fitted_to(scene, splats, tmp_path):
     cameras = automatic_cameras(splats, 5, width=120, height=90, split="test")
     jobs = []
 
-    def told(settings, *rest, **more):
+    def noted(settings, *rest, **more):
         jobs.append(settings)
-        return begun(settings, *rest, **more)
+        return block_job(settings, *rest, **more)
 
-    begun = job.BlockJob
+    block_job = job.BlockJob
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(job, "BlockJob", told)
+        patch.setattr(job, "BlockJob", noted)
         report = nanogs.simplify_blocks(
             scene, tmp_path / "a.ply", ratio=0.2, cameras=cameras, **BLOCKS
         )
@@ -365,7 +367,7 @@ def test_given_cameras_are_those_that_blocks_are_looked_at_from(scene, splats, t
 
 @pytest.mark.parametrize("preset", ["fast", "default", "best"])
 @pytest.mark.parametrize("degree", range(4))
-def test_the_memory_that_a_refusal_asks_for_is_enough(preset, degree):
+def test_the_memory_named_in_a_refusal_is_enough(preset, degree):
     layout, chosen = Layout(degree, False, (), "default", (), ()), nanogs.presets[preset]
     with pytest.raises(OptionError, match="must be at least") as refused:
         plan_blocks(10**7, layout, chosen, (0.1,), 10**8)

@@ -1,4 +1,4 @@
-"""Models in blocks on other machines: schedulers and workers that go, object stores."""
+"""Models in blocks on other machines: lost schedulers and workers, object stores."""
 
 import http.server
 import json
@@ -53,14 +53,14 @@ def splats():
 
 @pytest.fixture(scope="module")
 def expected(scene, tmp_path_factory):
-    """The bytes of its result."""
+    """The bytes of the result for the scene."""
     path = tmp_path_factory.mktemp("expected") / "small.ply"
     nanogs.simplify_blocks(scene, path, **GIVEN)
     return path.read_bytes()
 
 
-def started(scene, out, *more, env=None):
-    """The command, running."""
+def start_command(scene, out, *more, env=None):
+    """Start the command in a process of its own."""
     command = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1"]
     command += ["--max-memory", f"{MEMORY}B", "--threads", "1", "--job", f"{out}.job"]
     command += ["--preset", "fast", "--rounds", "2", *more]
@@ -69,8 +69,8 @@ def started(scene, out, *more, env=None):
     )
 
 
-def ended(child, code=0, seconds=200):
-    """Wait for the command to end and return its stderr: one line, if in error."""
+def stderr_at_end(child, code=0, seconds=200):
+    """Wait for the command to end with an exit code, and return its stderr."""
     try:
         text = child.communicate(timeout=seconds)[1]
     except subprocess.TimeoutExpired:
@@ -81,8 +81,8 @@ def ended(child, code=0, seconds=200):
     return text
 
 
-def until(condition, child, seconds=100, every=0.005):
-    """Wait for something to be so while a command runs."""
+def wait_until(condition, child, seconds=100, every=0.005):
+    """Wait for a condition to become true while a command runs."""
     end = time.monotonic() + seconds
     while not condition():
         assert child.poll() is None, "the command has ended"
@@ -90,13 +90,13 @@ def until(condition, child, seconds=100, every=0.005):
         time.sleep(every)
 
 
-def records(out):
-    """How many tasks are done of a job that keeps its files in its own folder."""
+def finished_tasks(out):
+    """Number of finished tasks of a job whose files are in its own folder."""
     return len(list(out.with_name(f"{out.name}.job").glob("scratch/*.json")))
 
 
 def crash_at(stage, done):
-    """A listener to progress that ends the run at a stage."""
+    """Return a progress callback that interrupts the run at a stage."""
 
     def progress(step):
         if (step.stage, step.done) == (stage, done):
@@ -110,95 +110,93 @@ def crash_at(stage, done):
 
 @contextmanager
 def dask(*arguments):
-    """A process of Dask, and the address that it says."""
+    """Run a process of Dask; gives the process and the address that it prints."""
     pytest.importorskip("distributed")
     command = [sys.executable, "-m", "dask", *map(str, arguments), "--no-dashboard"]
-    with tempfile.NamedTemporaryFile("a") as said:
-        child = subprocess.Popen(command, stdout=said, stderr=said)
+    with tempfile.NamedTemporaryFile("a") as printed:
+        child = subprocess.Popen(command, stdout=printed, stderr=printed)
 
-        def address():
-            return re.search(r"tcp://[\d.]+:\d+", Path(said.name).read_text())
+        def find_address():
+            return re.search(r"tcp://[\d.]+:\d+", Path(printed.name).read_text())
 
         try:
-            until(address, child)
-            yield child, address()[0]
+            wait_until(find_address, child)
+            yield child, find_address()[0]
         finally:
             child.kill()
             child.wait()
 
 
 def scheduler():
-    """A scheduler on loopback."""
+    """Run a scheduler on the loopback interface."""
     return dask("scheduler", "--host", "127.0.0.1", "--port", "0")
 
 
 def worker(address):
-    """A worker of it."""
+    """Run a worker of the scheduler at an address."""
     return dask("worker", address, "--nthreads", "1", "--memory-limit", "0", "--no-nanny")
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_killed_ends_the_run_and_the_job_goes_on_anywhere(
-    scene, tmp_path, expected
-):
+def test_a_job_can_be_resumed_anywhere_after_its_scheduler_was_killed(scene, tmp_path, expected):
     out = tmp_path / "small.ply"
     with scheduler() as (process, address), worker(address):
-        child = started(scene, out, "--scheduler", address)
-        until(lambda: records(out) >= 3, child)
+        child = start_command(scene, out, "--scheduler", address)
+        wait_until(lambda: finished_tasks(out) >= 3, child)
         process.kill()
         start = time.monotonic()
-        text = ended(child, code=2)
-        assert time.monotonic() - start < 60  # it takes one; machines are busy
+        text = stderr_at_end(child, code=2)
+        assert time.monotonic() - start < 60  # usually one second; a busy machine may take longer
     *stages, text = text.splitlines()
-    assert all("/" in line for line in stages)  # lines of its progress
+    assert all("/" in line for line in stages)  # lines of progress
     assert text.startswith("error: The Dask scheduler was lost")
     assert "--resume continues it" in text
-    assert records(out) >= 3
+    assert finished_tasks(out) >= 3
     assert not out.exists()
-    with pytest.raises(CrashError):  # some of it here
+    with pytest.raises(CrashError):  # some tasks in this process
         nanogs.simplify_blocks(scene, out, resume=True, progress=crash_at("grow", 2), **GIVEN)
-    with scheduler() as (_, address):  # and the rest by a worker that comes late
-        child = started(scene, out, "--scheduler", address, "--resume", "--patience", "1")
-        text = ended(child, code=2)
+    with scheduler() as (_, address):  # and the rest on a worker that connects late
+        child = start_command(scene, out, "--scheduler", address, "--resume", "--patience", "1")
+        text = stderr_at_end(child, code=2)
         assert "note: The cluster has no worker; waiting for one." in text
         assert "error: The Dask cluster has had no worker for 1 seconds" in text
-        child = started(scene, out, "--scheduler", address, "--resume", "-q")
+        child = start_command(scene, out, "--scheduler", address, "--resume", "-q")
         with worker(address):
-            assert ended(child) == ""
+            assert stderr_at_end(child) == ""
     assert out.read_bytes() == expected
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
-def test_what_is_no_scheduler_is_said_in_time(monkeypatch):
+def test_an_address_without_a_scheduler_is_refused_in_time(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(cluster, "_PATIENCE", 0.3)
-    mute = socket.create_server(("127.0.0.1", 0))
+    silent = socket.create_server(("127.0.0.1", 0))
     other = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Quiet)
     threading.Thread(target=other.serve_forever, daemon=True).start()
-    ports = [mute.getsockname()[1], other.server_port, 9]
+    ports = [silent.getsockname()[1], other.server_port, 9]
     try:
-        for place in [*(f"tcp://127.0.0.1:{port}" for port in ports), "nonsense", ""]:
+        for address in [*(f"tcp://127.0.0.1:{port}" for port in ports), "nonsense", ""]:
             start = time.monotonic()
             with (
                 pytest.raises(OptionError, match="No Dask scheduler answers"),
-                cluster.connected(place),
+                cluster.connected(address),
             ):
                 pass
             assert time.monotonic() - start < 20
     finally:
         other.shutdown()
         other.server_close()
-        mute.close()
+        silent.close()
 
 
 class Quiet(http.server.BaseHTTPRequestHandler):
-    """A server that is none of Dask's."""
+    """A web server, which is no Dask scheduler."""
 
     def log_message(self, *_):
         pass
 
 
-def test_how_a_task_ended_is_said():
+def test_failures_of_tasks_become_clear_errors():
     pytest.importorskip("distributed")
     from distributed import KilledWorker
 
@@ -225,7 +223,7 @@ def test_how_a_task_ended_is_said():
             check(future, Task("grow", 2))
 
 
-def test_a_worker_says_what_it_does_not_see(tmp_path):
+def test_a_worker_reports_files_that_it_cannot_read(tmp_path):
     from nanogs._version import __version__
     from nanogs.pipeline.job.workers import do_task
     from nanogs.pipeline.scene import Task
@@ -248,25 +246,25 @@ def test_a_worker_says_what_it_does_not_see(tmp_path):
         do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, __version__)
 
 
-# ---- stores of objects ----------------------------------------------------------------------
+# ---- object stores --------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def store():
-    """The address of a store that speaks S3, with a bucket."""
+    """The address of an S3 object store with a bucket."""
     pytest.importorskip("s3fs")
     pytest.importorskip("moto.server")
-    # Ports that no system gives away by itself, others for each worker: one that was free a moment
-    # ago may be another's by now, which would answer and be gone later.
+    # Ports below those that systems assign, and different ones for each test worker: otherwise
+    # another process could take the port that was just found free, answer, and end later.
     first = 21_000 + 100 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
     port = next(port for port in range(first, first + 100) if not answers(port))
     command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     address = f"http://127.0.0.1:{port}"
     try:
-        until(lambda: answers(port), child)
-        ask(f"{address}/bucket", "PUT")
-        ask(f"{address}/bucket/prefix/mine.json", "PUT", b"{}")
+        wait_until(lambda: answers(port), child)
+        send_request(f"{address}/bucket", "PUT")
+        send_request(f"{address}/bucket/prefix/mine.json", "PUT", b"{}")
         yield address
     finally:
         child.kill()
@@ -274,26 +272,26 @@ def store():
 
 
 def answers(port):
-    """Whether anyone listens."""
+    """Return whether a process listens on a port."""
     with socket.socket() as one:
         return one.connect_ex(("127.0.0.1", port)) == 0
 
 
-def ask(url, method="GET", data=None):
-    """The store's answer to a request."""
+def send_request(url, method="GET", data=None):
+    """Send a request to the store and return the body of the response."""
     with urllib.request.urlopen(urllib.request.Request(url, data, method=method)) as answer:
         return answer.read()
 
 
 def keys(store):
-    """Keys in the bucket, with those of unfinished uploads."""
-    text = ask(f"{store}/bucket?list-type=2") + ask(f"{store}/bucket?uploads")
+    """Return the keys in the bucket, including those of unfinished uploads."""
+    text = send_request(f"{store}/bucket?list-type=2") + send_request(f"{store}/bucket?uploads")
     return re.findall("<Key>(.*?)</Key>", text.decode())
 
 
 @pytest.fixture
-def keyed(store, monkeypatch):
-    """The environment by which the store is found."""
+def s3_store(store, monkeypatch):
+    """The address of the store, with the environment variables that clients need."""
     monkeypatch.setenv("AWS_ENDPOINT_URL", store)
     monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "test")
@@ -302,47 +300,47 @@ def keyed(store, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")  # of boto3's own
-def test_a_killed_run_with_a_store_is_resumed_and_the_store_emptied(
-    scene, tmp_path, expected, keyed
+@pytest.mark.filterwarnings("ignore")  # warnings of boto3
+def test_a_killed_run_in_a_store_can_be_resumed_and_leaves_no_objects(
+    scene, tmp_path, expected, s3_store
 ):
     out, given = tmp_path / "small.ply", ["--scratch", "s3://bucket/prefix", "-q"]
-    child = started(scene, out, *given)
-    until(lambda: sum(key.endswith(".npy") for key in keys(keyed)) >= 3, child, every=0.05)
+    child = start_command(scene, out, *given)
+    wait_until(lambda: sum(key.endswith(".npy") for key in keys(s3_store)) >= 3, child, every=0.05)
     child.kill()
     child.communicate()
-    damaged = next(key for key in keys(keyed) if key.endswith(".npy"))
+    damaged = next(key for key in keys(s3_store) if key.endswith(".npy"))
     owner = import_module("boto3").client("s3")
     owner.put_object(Bucket="bucket", Key=damaged, Body=b"damaged")
-    lost = f"{damaged.rpartition('/')[0]}/part-0-00000.0.npy"  # an upload, as a kill leaves it
+    lost = f"{damaged.rpartition('/')[0]}/part-0-00000.0.npy"  # unfinished, as a kill leaves it
     owner.create_multipart_upload(Bucket="bucket", Key=lost)
     owner.close()
-    assert lost in keys(keyed)
-    assert ended(started(scene, out, *given, "--resume")) == ""
+    assert lost in keys(s3_store)
+    assert stderr_at_end(start_command(scene, out, *given, "--resume")) == ""
     assert out.read_bytes() == expected
-    assert keys(keyed) == ["prefix/mine.json"]
+    assert keys(s3_store) == ["prefix/mine.json"]
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
 @pytest.mark.slow
-def test_a_worker_uses_a_store_too(scene, tmp_path, expected, keyed):
+def test_workers_can_use_a_store(scene, tmp_path, expected, s3_store):
     out = tmp_path / "small.ply"
     given = ["--scratch", "s3://bucket", "--workers", "1", "-q"]
-    assert ended(started(scene, out, *given)) == ""
+    assert stderr_at_end(start_command(scene, out, *given)) == ""
     assert out.read_bytes() == expected
-    assert keys(keyed) == ["prefix/mine.json"]
+    assert keys(s3_store) == ["prefix/mine.json"]
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_what_a_store_refuses_is_said_before_anything_is_done(scene, tmp_path, keyed):
+def test_a_store_that_cannot_be_written_is_refused_at_once(scene, tmp_path, s3_store):
     with pytest.raises(OutputError, match=r"s3://typo/.* cannot be written \(.*bucket"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", scratch="s3://typo/job", **GIVEN)
     assert list(tmp_path.iterdir()) == []
-    assert b"typo" not in ask(keyed)
+    assert b"typo" not in send_request(s3_store)
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_the_library_takes_a_store_too(tmp_path, keyed):
+def test_simplify_blocks_can_use_a_store(tmp_path, s3_store):
     source, given = tmp_path / "in.ply", {"ratio": 0.5, "preset": "fast", "block": 700}
     nanogs.save(random_splats(1200), source)
     nanogs.simplify_blocks(source, tmp_path / "a.ply", threads=1, **given)
@@ -350,10 +348,10 @@ def test_the_library_takes_a_store_too(tmp_path, keyed):
         source, tmp_path / "b.ply", threads=1, scratch="s3://bucket/prefix", **given
     )
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
-    assert keys(keyed) == ["prefix/mine.json"]
+    assert keys(s3_store) == ["prefix/mine.json"]
 
 
-def test_what_reaches_a_store_is_named_where_it_is_missing():
+def test_a_missing_fsspec_package_is_named():
     pytest.importorskip("fsspec")
     if find_spec("gcsfs"):
         pytest.skip("gcsfs is there")
@@ -362,25 +360,25 @@ def test_what_reaches_a_store_is_named_where_it_is_missing():
 
 
 @pytest.mark.parametrize("name", ["job", "threads"])
-def test_what_goes_missing_meanwhile_is_said_whatever_the_url(name, monkeypatch):
+def test_errors_name_the_url_if_a_file_disappears_meanwhile(name, monkeypatch):
     pytest.importorskip("fsspec")
     scratch = open_scratch(f"memory://missing/{name}")
     scratch.prepare()
     scratch.write("left.tmp", [np.zeros(1, np.uint8)])
 
-    def gone(path):
+    def raise_not_found(path):
         raise FileNotFoundError(path)
 
-    with pytest.raises(FileNotFoundError):  # which callers look for
+    with pytest.raises(FileNotFoundError):  # which callers catch
         scratch.open("nothing.bin")
-    monkeypatch.setattr(scratch.files, "rm_file", gone)
+    monkeypatch.setattr(scratch.files, "rm_file", raise_not_found)
     with pytest.raises(OutputError, match=f"^memory://missing/{name} cannot be tidied"):
         scratch.tidy()
     monkeypatch.undo()
     scratch.remove()
 
 
-def test_files_of_others_in_the_scratch_are_left_alone(tmp_path):
+def test_other_files_in_the_scratch_folder_are_kept(tmp_path):
     source, own = tmp_path / "in.ply", tmp_path / "scratch" / "mine.json"
     nanogs.save(random_splats(1200), source)
     own.parent.mkdir()
@@ -390,32 +388,32 @@ def test_files_of_others_in_the_scratch_are_left_alone(tmp_path):
     assert list(own.parent.iterdir()) == [own]
 
 
-# ---- --resume and what is there -------------------------------------------------------------
+# ---- --resume and existing files ------------------------------------------------------------
 
 
-def test_resume_says_what_it_finds(scene, tmp_path, expected):
+def test_resume_without_an_unfinished_job(scene, tmp_path, expected):
     out, folder = tmp_path / "small.ply", tmp_path / "small.ply.job"
-    nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)  # nothing there: it begins
+    nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)  # no job: a new one begins
     finished = "exists and {} holds no job, as after a finished run; add -w"
-    assert finished.format(folder) in ended(started(scene, out, "--resume"), code=2)
+    assert finished.format(folder) in stderr_at_end(start_command(scene, out, "--resume"), code=2)
     with pytest.raises(OutputError, match="nothing to resume"):
         nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)
     with pytest.raises(OutputError, match="exists already; pass overwrite=True"):
         nanogs.simplify_blocks(scene, out, **GIVEN)
     assert out.read_bytes() == expected
-    nanogs.simplify_blocks(scene, out, resume=True, overwrite=True, **GIVEN)  # anew
+    nanogs.simplify_blocks(scene, out, resume=True, overwrite=True, **GIVEN)  # a new run
 
 
-def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expected):
+def test_resume_refuses_an_existing_output_at_once(scene, tmp_path, expected):
     out = tmp_path / "small.ply"
     with pytest.raises(CrashError):
         nanogs.simplify_blocks(scene, out, progress=crash_at("grow", 1), **GIVEN)
     out.write_text("mine")
-    before = records(out)
+    before = finished_tasks(out)
     with pytest.raises(OutputError, match="exists already; pass overwrite=True"):
         nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)
-    assert (out.read_text(), records(out)) == ("mine", before)
-    with pytest.raises(OutputError, match="`resume=True` continues it"):  # -w alone does not
+    assert (out.read_text(), finished_tasks(out)) == ("mine", before)
+    with pytest.raises(OutputError, match="`resume=True` continues it"):  # overwrite alone fails
         nanogs.simplify_blocks(scene, out, overwrite=True, **GIVEN)
     other = GIVEN | {"ratio": 0.2}
     with pytest.raises(OutputError, match=r"differs: the request \(ratio"):
@@ -432,7 +430,7 @@ def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expec
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
-def test_a_relative_scratch_is_found_from_elsewhere(scene, tmp_path, expected, monkeypatch):
+def test_a_relative_scratch_is_found_from_another_folder(scene, tmp_path, expected, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     out = tmp_path / "small.ply"
@@ -448,13 +446,13 @@ def test_a_relative_scratch_is_found_from_elsewhere(scene, tmp_path, expected, m
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_models_in_a_store(tmp_path, keyed):
-    """A file that is sent is there whole or not at all; nothing is replaced unasked."""
+def test_commands_read_and_write_models_in_a_store(tmp_path, s3_store):
+    """An uploaded file is complete or absent; nothing is replaced without `-w`."""
     source, url = tmp_path / "in.ply", "s3://bucket/models/a b.spz"
     nanogs.save(random_splats(1200), source)
     nanogs.convert(source, tmp_path / "a.spz")
-    said = launch.run("convert", source, url, "--json")
-    assert json.loads(said.stdout)["output"] == url
+    converted = launch.run("convert", source, url, "--json")
+    assert json.loads(converted.stdout)["output"] == url
     with nanogs.open(url) as model:
         assert model.name == url
         assert model.path.read_bytes() == (tmp_path / "a.spz").read_bytes()
@@ -462,19 +460,19 @@ def test_models_in_a_store(tmp_path, keyed):
     assert (again.returncode, again.stderr) == (
         2, f"error: {url} exists already; add -w to replace it.\n"
     )  # fmt: skip
-    for place, word in (("s3://typo/a.spz", "typo"), ("s3://bucket/none.spz", "no such file")):
-        result = launch.run("info", place)
+    for address, word in (("s3://typo/a.spz", "typo"), ("s3://bucket/none.spz", "no such file")):
+        result = launch.run("info", address)
         assert result.returncode == 2
-        *told, error = result.stderr.splitlines()
-        assert (error.startswith(f"error: {place}"), word in error) == (True, True)
-        assert set(told) <= {"1/1 fetch"}  # where it takes more than two seconds
+        *progress, error = result.stderr.splitlines()
+        assert (error.startswith(f"error: {address}"), word in error) == (True, True)
+        assert set(progress) <= {"1/1 fetch"}  # printed if it takes more than two seconds
     result = launch.run("simplify", source, "s3://typo/a.ply", "-r", "0.5", "--dry-run")
     assert (result.returncode, "s3://typo/a.ply" in result.stderr) == (2, True)
-    large = tmp_path / "large.ply"  # in more than one part
+    large = tmp_path / "large.ply"  # uploaded in more than one part
     nanogs.save(random_splats(250_000, degree=3), large)
     nanogs.convert(large, "s3://bucket/models/large.ply")
-    assert ask(f"{keyed}/bucket/models/large.ply") == large.read_bytes()
+    assert send_request(f"{s3_store}/bucket/models/large.ply") == large.read_bytes()
     sent = ["models/a b.spz", "models/large.ply"]
-    assert sorted(keys(keyed)) == [*sent, "prefix/mine.json"]
+    assert sorted(keys(s3_store)) == [*sent, "prefix/mine.json"]
     for key in sent:
-        ask(f"{keyed}/bucket/{key.replace(' ', '%20')}", "DELETE")
+        send_request(f"{s3_store}/bucket/{key.replace(' ', '%20')}", "DELETE")

@@ -1,4 +1,4 @@
-"""Models in blocks from outside: the command, runs that are killed, workers, borders."""
+"""Models in blocks: the command, killed runs, workers, and borders between blocks."""
 
 import json
 import logging
@@ -44,7 +44,7 @@ def splats():
 
 @pytest.fixture(scope="module")
 def memory():
-    """Memory that blocks of a sixth of the scene need, as the command takes it."""
+    """Memory that blocks of a sixth of the scene need, in the syntax of `--max-memory`."""
     layout = Layout(0, False, (), "default", (), ())
     held = held_bytes(COUNT // 6, COUNT, layout, PRESETS["fast"], 0.1)
     return f"{int((LIBRARIES + held) / 0.95)}B"
@@ -55,14 +55,14 @@ def nanogs_command(*arguments):
 
 
 def run(*arguments, code=0):
-    """Run the command; its output, and what it says to people."""
+    """Run the command and return its stdout and stderr."""
     done = launch.run(*arguments, timeout=300)
     assert done.returncode == code, done.stderr
     return done.stdout, done.stderr
 
 
 @pytest.mark.slow
-def test_what_fits_is_simplified_as_ever(scene, tmp_path):
+def test_max_memory_changes_nothing_for_a_model_that_fits(scene, tmp_path):
     plain, bounded = tmp_path / "plain.ply", tmp_path / "bounded.ply"
     run("simplify", scene, plain, "--ratio", "0.1", "--preset", "fast", "-q")
     run("simplify", scene, bounded, "--ratio", "0.1", "--preset", "fast", "-q",
@@ -70,7 +70,7 @@ def test_what_fits_is_simplified_as_ever(scene, tmp_path):
     assert bounded.read_bytes() == plain.read_bytes()
 
 
-def test_what_does_not_fit_is_simplified_in_blocks(scene, tmp_path, memory):
+def test_a_model_that_does_not_fit_is_simplified_in_blocks(scene, tmp_path, memory):
     out, quick = tmp_path / "small.ply", ["--preset", "fast"]
     given = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, *quick]
     planned = json.loads(run(*given, "--dry-run", "--json")[0])["blocks"]
@@ -83,12 +83,12 @@ def test_what_does_not_fit_is_simplified_in_blocks(scene, tmp_path, memory):
 
 
 @pytest.mark.slow
-def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
+def test_lod_makes_levels_of_a_model_that_does_not_fit(scene, tmp_path, memory):
     given = ["lod", scene, tmp_path / "levels", "--levels", "0.2,0.01", "--preset", "fast"]
     run(*given, "--max-memory", memory, "-q", "--threads", "1")
-    made = json.loads((tmp_path / "levels" / "levels.json").read_text())
-    assert [level["count"] for level in made["levels"]] == [COUNT // 5, COUNT // 100]
-    for level in made["levels"]:
+    manifest = json.loads((tmp_path / "levels" / "levels.json").read_text())
+    assert [level["count"] for level in manifest["levels"]] == [COUNT // 5, COUNT // 100]
+    for level in manifest["levels"]:
         assert len(nanogs.load(tmp_path / "levels" / level["file"])) == level["count"]
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
@@ -102,21 +102,21 @@ def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
         (["--ratio", "0.1", "--workers", "2", "--scheduler", "tcp://x:1"], "not both"),
     ],
 )
-def test_what_cannot_be_done_in_blocks_is_said(scene, tmp_path, memory, more, said):
+def test_options_that_are_impossible_in_blocks_are_refused(scene, tmp_path, memory, more, said):
     given = [] if "--max-memory" in more else ["--max-memory", "215MB"]
     _, text = run("simplify", scene, tmp_path / "a.ply", *given, *more, code=2)
     assert said in " ".join(text.split())
     assert [path.name for path in tmp_path.iterdir()] == []
 
 
-def test_a_scheduler_that_does_not_answer_is_said(scene, tmp_path, monkeypatch, capsys):
-    """In this process, where patience can be short."""
+def test_a_scheduler_that_does_not_answer_is_an_error(scene, tmp_path, monkeypatch, capsys):
+    """In this process, so that the timeout can be set to a short time."""
     pytest.importorskip("distributed")
     monkeypatch.setattr("nanogs.pipeline.job.cluster._PATIENCE", 0.4)
     given = ["--ratio", "0.1", "--max-memory", "215MB", "--scheduler", "tcp://127.0.0.1:9"]
     assert launch.run_here("simplify", scene, tmp_path / "a.ply", *given) == 2
-    said = capsys.readouterr().err
-    assert "error: No Dask scheduler answers at 'tcp://127.0.0.1:9'" in " ".join(said.split())
+    printed = capsys.readouterr().err
+    assert "error: No Dask scheduler answers at 'tcp://127.0.0.1:9'" in " ".join(printed.split())
     assert [path.name for path in tmp_path.iterdir()] == []
 
 
@@ -126,7 +126,7 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
     given = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, "--resume", "-q"]
     given += ["--preset", "fast", "--rounds", "2"]
     start = time.perf_counter()
-    subprocess.run(nanogs_command(*given), check=True)  # started as those that are killed
+    subprocess.run(nanogs_command(*given), check=True)  # in the same way as those that are killed
     whole, wanted = time.perf_counter() - start, out.read_bytes()
     out.unlink()
     rng, kills = random.Random(5), 0
@@ -160,38 +160,38 @@ def client():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_workers_make_the_same_bytes_and_may_be_lost(scene, tmp_path, client):
+def test_workers_give_the_same_bytes_even_if_one_is_lost(scene, tmp_path, client):
     here, there = tmp_path / "here.ply", tmp_path / "there.ply"
     nanogs.simplify_blocks(scene, here, ratio=0.1, **BLOCK)
     workers = set(client.run(os.getpid).values())
-    told = []
+    steps = []
 
     def progress(step):
-        told.append((step.stage, step.done, step.parts))
+        steps.append((step.stage, step.done, step.parts))
         if (step.stage, step.done) == ("grow", 1):
             os.kill(workers.pop(), signal.SIGKILL)
 
     nanogs.simplify_blocks(scene, there, ratio=0.1, executor=client, progress=progress, **BLOCK)
     assert len(workers) == 1
     assert there.read_bytes() == here.read_bytes()
-    assert {("segment", 3, 3), ("part", 4, 4)} <= set(told)
+    assert {("segment", 3, 3), ("part", 4, 4)} <= set(steps)
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_workers_unpack_too(tmp_path, client):
+def test_workers_unpack_files(tmp_path, client):
     path, plain = tmp_path / "a.spz", tmp_path / "plain.ply"
     nanogs.save(random_splats(COUNT, degree=0), path)
     nanogs.save(nanogs.load(path), plain)
-    here, there, told = tmp_path / "here.ply", tmp_path / "there.ply", []
+    here, there, steps = tmp_path / "here.ply", tmp_path / "there.ply", []
     nanogs.simplify_blocks(plain, here, ratio=0.1, **BLOCK)
-    nanogs.simplify_blocks(path, there, ratio=0.1, executor=client, progress=told.append, **BLOCK)
-    assert ("unpack", 1, 1) in [(step.stage, step.done, step.parts) for step in told]
+    nanogs.simplify_blocks(path, there, ratio=0.1, executor=client, progress=steps.append, **BLOCK)
+    assert ("unpack", 1, 1) in [(step.stage, step.done, step.parts) for step in steps]
     assert there.read_bytes() == here.read_bytes()
 
 
 @pytest.mark.slow
-def test_processes_make_the_same_bytes_and_one_that_is_lost_ends_the_run(scene, tmp_path):
+def test_a_job_of_a_process_pool_can_be_resumed_after_a_process_was_lost(scene, tmp_path):
     here, there = tmp_path / "here.ply", tmp_path / "there.ply"
     nanogs.simplify_blocks(scene, here, ratio=0.1, **BLOCK)
     others = set(active_children())
@@ -204,7 +204,7 @@ def test_processes_make_the_same_bytes_and_one_that_is_lost_ends_the_run(scene, 
         given = {"ratio": 0.1, "executor": pool, **BLOCK}
         with pytest.raises(OutputError, match=r"^1 worker ended in the middle.* `resume=True`"):
             nanogs.simplify_blocks(scene, there, progress=progress, **given)
-        with pytest.raises(OutputError, match=r"^1 worker ended"):  # it stays broken
+        with pytest.raises(OutputError, match=r"^1 worker ended"):  # the pool stays broken
             nanogs.simplify_blocks(scene, there, resume=True, **given)
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         report = nanogs.simplify_blocks(scene, there, resume=True, **given | {"executor": pool})
@@ -213,14 +213,14 @@ def test_processes_make_the_same_bytes_and_one_that_is_lost_ends_the_run(scene, 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["here.ply", "there.ply"]
 
 
-def test_what_is_no_executor_is_refused(scene, tmp_path):
+def test_a_wrong_type_of_executor_is_refused(scene, tmp_path):
     with pytest.raises(OptionError, match=r"a Dask client or a concurrent.*, not int"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, executor=2, **BLOCK)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_task_that_fails_on_a_worker_is_told_here(scene, tmp_path, client):
+def test_an_error_on_a_worker_is_raised_in_the_caller(scene, tmp_path, client):
     own = tmp_path / "own.ply"
     own.write_bytes(scene.read_bytes())
 
@@ -254,7 +254,7 @@ def wall(count=9000, seed=3):
 
 
 def in_blocks(splats, folder, ratio, rounds):
-    """The wall made in blocks, and the block of each of its splats."""
+    """Simplify a model in blocks; return the result, and the block of each original splat."""
     nanogs.save(splats, folder / "in.ply")
     asked = {"preset": "fast", "overrides": {"rounds": rounds}, "output": folder / "out.ply"}
     request = Request(goal=Goal(ratio=ratio), inputs=(folder / "in.ply",), **asked)
@@ -262,11 +262,11 @@ def in_blocks(splats, folder, ratio, rounds):
     scratch, clock = FolderScratch(folder / "scratch"), StageClock()
     scratch.prepare()
     done = run_tasks(scratch, settings, InProcess(), 1, clock, Tracker(None, []), resumed=False)
-    found = done.work.partition
-    sizes = [found.count(block) for block in range(found.blocks)]
+    partition = done.work.partition
+    sizes = [partition.count(block) for block in range(partition.blocks)]
     order = np.argsort(survey(settings).codes(splats), kind="stable")
     of_block = np.empty(len(splats), np.int64)
-    of_block[order] = np.repeat(np.arange(found.blocks), sizes)
+    of_block[order] = np.repeat(np.arange(partition.blocks), sizes)
     with result_of(done.work, 0) as result:
         return result.load(), of_block
 
@@ -274,7 +274,7 @@ def in_blocks(splats, folder, ratio, rounds):
 @pytest.mark.slow
 @pytest.mark.parametrize("rounds", [0, 2])
 def test_no_seam_shows_between_blocks(tmp_path, rounds):
-    """The error of pixels near a border is that of the others, to a few hundredths."""
+    """The error near borders is at most a tenth larger than elsewhere."""
     from nanogs.raster.camera import Camera
     from nanogs.raster.rendering import prepare, render
 
@@ -283,12 +283,12 @@ def test_no_seam_shows_between_blocks(tmp_path, rounds):
     assert of_block.max() >= 3
     pose = np.eye(4)
     pose[2, 3] = 2.0
-    camera = Camera(160, 160, 160.0, 160.0, 80.0, 80.0, pose)  # what it sees is 2 x 2
+    camera = Camera(160, 160, 160.0, 160.0, 80.0, 80.0, pose)  # its view is 2 x 2 units wide
     shown, other = (render(prepare(each), camera).shown() for each in (original, small))
     errors = ((shown - other) ** 2).mean(axis=2)[12:-12, 12:-12]
     rows, columns = np.mgrid[12:148, 12:148]
-    places = np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1) / 80 - 1
-    _, near = cKDTree(original.means[:, :2]).query(places, 30)  # those of three groups
+    points = np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1) / 80 - 1
+    _, near = cKDTree(original.means[:, :2]).query(points, 30)  # the splats of about three groups
     border = (of_block[near] != of_block[near[:, :1]]).any(axis=1).reshape(errors.shape)
     assert 0.05 < border.mean() < 0.5
     assert errors[border].mean() < 1.1 * errors[~border].mean()

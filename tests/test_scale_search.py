@@ -1,4 +1,4 @@
-"""Counts that are searched for in blocks: of a PSNR, and of a size that only writing tells."""
+"""Searches in blocks: for the count of a PSNR, and for that of a compressed file's size."""
 
 import json
 
@@ -31,21 +31,21 @@ def scene(tmp_path_factory):
 
 def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
     out = tmp_path / "a.spz"
-    told = []
+    stages = []
     report = nanogs.simplify_blocks(
-        scene, out, psnr=26.0, progress=lambda step: told.append(step.stage), **LOOKS
+        scene, out, psnr=26.0, progress=lambda step: stages.append(step.stage), **LOOKS
     )
     assert report.stop is StopReason.TARGET
     last = ["measure", "search", "guess", "pack", "deliver", "write"]
-    assert [*dict.fromkeys(told)][-6:] == last
+    assert [*dict.fromkeys(stages)][-6:] == last
     assert 26.0 <= report.judged.psnr <= 26.0 + SPAN
     assert report.judged == file_judge(nanogs.load(scene), ".spz").of(out)
     assert report.blocks.blocks > 2
     assert report.asked_psnr == 26.0
     assert report.achieved_count == report.asked_count == nanogs.open(out).count
-    quick, made = ([p for p in report.probes if p.quick is q] for q in (True, False))
+    quick, complete = ([p for p in report.probes if p.quick is q] for q in (True, False))
     assert quick
-    assert (report.achieved_count, report.judged.psnr) in [(p.count, p.psnr) for p in made]
+    assert (report.achieved_count, report.judged.psnr) in [(p.count, p.psnr) for p in complete]
     assert [*tmp_path.iterdir()] == [out]
 
 
@@ -59,19 +59,19 @@ def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
         (LOOKS, {"size": 40_000}, ["guess", "pack", "deliver"], {"encode", "measure"}),
     ],
 )
-def test_stages_are_told_and_timed_by_their_names(scene, tmp_path, preset, wish, stages, timed):
-    told, out = [], tmp_path / "a.spz"
+def test_stages_of_a_search_are_reported_and_timed(scene, tmp_path, preset, wish, stages, timed):
+    reported, out = [], tmp_path / "a.spz"
     report = nanogs.simplify_blocks(
-        scene, out, progress=lambda step: told.append(step.stage), **wish, **preset
+        scene, out, progress=lambda step: reported.append(step.stage), **wish, **preset
     )
     first = ["segment", "partition", "rough", "outline", "coarse", "views", "look", "grow"]
     first = ["frame", *(first if preset is LOOKS else ["segment", "partition", "grow"])]
-    assert [*dict.fromkeys(told)] == [*first, *stages, "write"]
+    assert [*dict.fromkeys(reported)] == [*first, *stages, "write"]
     plain = nanogs.simplify_blocks(scene, out, overwrite=True, ratio=0.5, **preset)
     assert {*report.seconds} - {*plain.seconds} == timed
 
 
-def test_it_is_measured_in_the_frame_of_the_input(scene, tmp_path):
+def test_the_psnr_is_measured_in_the_frame_of_the_input(scene, tmp_path):
     given = {"psnr": 20.0, **QUICK, "filters": [nanogs.filters.box((-9, -9, -9), (0.5, 9, 9))]}
     out, frame = tmp_path / "a.spz", ("rdf", "rub")
     report = nanogs.simplify_blocks(scene, out, frame=frame, **given)
@@ -81,16 +81,16 @@ def test_it_is_measured_in_the_frame_of_the_input(scene, tmp_path):
     assert report.judged.psnr > 2 + file_judge(original, ".spz").of(out).psnr
 
 
-def test_one_that_is_out_of_reach_gives_the_whole_model(scene, tmp_path):
+def test_an_unreachable_psnr_gives_the_whole_model(scene, tmp_path):
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", psnr=300.0, **QUICK)
     assert report.stop is StopReason.UNREACHED
     assert report.achieved_count == SPLATS
 
 
 @pytest.mark.parametrize("suffix", [".spz", ".sog"])
-def test_a_size_that_only_writing_tells_is_kept(scene, tmp_path, suffix):
+def test_the_size_of_a_compressed_format_is_met(scene, tmp_path, suffix):
     size, out = 40_000, tmp_path / f"a{suffix}"
-    # Of fewer steps one splat more takes 1,500 bytes more at this size, which a note says.
+    # With fewer steps, one more splat takes 1,500 bytes more at this size, which a note says.
     report = nanogs.simplify_blocks(scene, out, size=size, **LOOKS | {"further": 16, "steps": 28})
     assert out.stat().st_size == report.achieved_size <= size
     assert report.achieved_size >= ENOUGH * size
@@ -105,13 +105,13 @@ def test_a_size_for_the_whole_model_merges_nothing(scene, tmp_path):
     assert "The whole model fits into the requested size; nothing was merged." in report.notes
 
 
-def test_one_too_small_for_any_splat_leaves_nothing(scene, tmp_path):
+def test_a_size_too_small_for_one_splat_is_refused_and_leaves_no_files(scene, tmp_path):
     with pytest.raises(TooSmallError, match="a file of one splat of this model takes"):
         nanogs.simplify_blocks(scene, tmp_path / "a.spz", size=20, **QUICK)
     assert [*tmp_path.iterdir()] == []
 
 
-def test_a_model_that_shows_nothing_has_no_psnr(tmp_path):
+def test_a_psnr_of_an_invisible_model_is_refused(tmp_path):
     splats = random_splats(600)
     splats.opacity_logits[:] = -40
     nanogs.save(splats, tmp_path / "in.ply")
@@ -121,29 +121,29 @@ def test_a_model_that_shows_nothing_has_no_psnr(tmp_path):
 
 
 class Killed(BaseException):
-    """The end of a process, as far as files are concerned."""
+    """A simulated end of the process, which leaves its files as they are."""
 
 
 def kill_after(monkeypatch, marks):
-    """Have a search end after so many results have been marked, before the next is kept."""
+    """Make a search end after `marks` results were marked, before the next one is kept."""
     marked, left = JobResults.marked, [marks]
 
-    def ends(results, *given):
+    def mark_or_kill(results, *given):
         if left[0] == 0:
             raise Killed
         left[0] -= 1
         return marked(results, *given)
 
-    monkeypatch.setattr(JobResults, "marked", ends)
+    monkeypatch.setattr(JobResults, "marked", mark_or_kill)
 
 
 def levels_in(job):
-    """Levels of which splats are in the files of a job."""
+    """Return the levels whose splats are in the files of a job."""
     return {path.name.split("-")[1] for path in (job / "scratch").glob("part-*.npy")}
 
 
 @pytest.mark.parametrize("wish", [{"psnr": 26.0}, {"size": 40_000}], ids=str)
-def test_a_search_that_is_killed_ends_the_same(scene, tmp_path, monkeypatch, wish):
+def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, monkeypatch, wish):
     marked, seen = JobResults.marked, []
     with monkeypatch.context() as patch:
         patch.setattr(JobResults, "marked", lambda *given: seen.append(1) or marked(*given))
@@ -160,7 +160,7 @@ def test_a_search_that_is_killed_ends_the_same(scene, tmp_path, monkeypatch, wis
         assert len([*job.rglob(f"{MARKED}-*.json")]) == marks
         assert len(levels_in(job)) <= 2
         assert not out.exists()
-    (job / "scratch" / f"{TRIED}.spz").touch()  # what a kill in the middle of a mark may leave
+    (job / "scratch" / f"{TRIED}.spz").touch()  # a kill while a result is marked may leave these
     (job / f"{TRIED}.spz").touch()
     resumed = nanogs.simplify_blocks(scene, out, resume=True, **wish, **LOOKS)
     assert out.read_bytes() == (tmp_path / "a.spz").read_bytes()
@@ -170,7 +170,7 @@ def test_a_search_that_is_killed_ends_the_same(scene, tmp_path, monkeypatch, wis
     assert resumed.blocks.resumed > whole.blocks.resumed == 0
 
 
-def test_results_that_are_not_kept_go_from_a_far_scratch_too(scene, tmp_path, monkeypatch):
+def test_discarded_results_are_removed_from_a_remote_scratch(scene, tmp_path, monkeypatch):
     fsspec = pytest.importorskip("fsspec")
     marked, seen = JobResults.marked, []
 
@@ -190,20 +190,20 @@ def test_results_that_are_not_kept_go_from_a_far_scratch_too(scene, tmp_path, mo
     assert fsspec.filesystem("memory").find("/search") == []
 
 
-def killed_at_the_end(scene, out, monkeypatch, **wish):
-    """A job whose search has ended."""
+def killed_at_the_end(scene, out, monkeypatch, **target):
+    """Leave a job that was killed at the end of its search, and return its folder."""
 
-    def ends(*_):
+    def kill(*_):
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr(JobResults, "verify", ends)
+        patch.setattr(JobResults, "verify", kill)
         with pytest.raises(Killed):
-            nanogs.simplify_blocks(scene, out, **wish, **QUICK)
+            nanogs.simplify_blocks(scene, out, **target, **QUICK)
     return out.with_name(f"{out.name}.job")
 
 
-def test_a_result_that_was_damaged_since_is_made_again(scene, tmp_path, monkeypatch):
+def test_a_damaged_result_is_made_again(scene, tmp_path, monkeypatch):
     nanogs.simplify_blocks(scene, tmp_path / "a.spz", size=40_000, **QUICK)
     out = tmp_path / "b.spz"
     job = killed_at_the_end(scene, out, monkeypatch, size=40_000)
@@ -215,12 +215,12 @@ def test_a_result_that_was_damaged_since_is_made_again(scene, tmp_path, monkeypa
     assert out.read_bytes() == (tmp_path / "a.spz").read_bytes()
 
 
-def test_another_search_is_another_job(scene, tmp_path, monkeypatch):
+def test_a_job_is_not_resumed_with_another_target(scene, tmp_path, monkeypatch):
     out = tmp_path / "a.spz"
     killed_at_the_end(scene, out, monkeypatch, size=40_000)
-    for wish in ({"size": 50_000}, {"psnr": 20.0}, {"ratio": 0.5}):
+    for target in ({"size": 50_000}, {"psnr": 20.0}, {"ratio": 0.5}):
         with pytest.raises(OutputError, match="holds another job"):
-            nanogs.simplify_blocks(scene, out, resume=True, **wish, **QUICK)
+            nanogs.simplify_blocks(scene, out, resume=True, **target, **QUICK)
     options = {"spz_version": 2}
     with pytest.raises(OutputError, match="holds another job"):
         nanogs.simplify_blocks(
@@ -229,7 +229,7 @@ def test_another_search_is_another_job(scene, tmp_path, monkeypatch):
 
 
 def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
-    """As if the model had been measured otherwise by then."""
+    """As if the model had been measured differently since."""
     out = tmp_path / "a.spz"
     job = killed_at_the_end(scene, out, monkeypatch, size=40_000)
     monkeypatch.setattr("nanogs.pipeline.search.packer.guess_count", lambda *_: 123)
@@ -239,7 +239,7 @@ def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
     assert json.loads(record["record"])["facts"][COUNT] != 123
 
 
-def test_what_is_too_large_to_be_written_whole_is_said(scene, tmp_path, monkeypatch):
+def test_a_result_too_large_to_be_written_whole_is_refused(scene, tmp_path, monkeypatch):
     monkeypatch.setattr("nanogs.pipeline.search.in_blocks.row_bytes", lambda _: 10**9)
     given = {"size": 40_000, "preset": "fast", "job": tmp_path / "job", "max_memory": "1GB"}
     with pytest.raises(OptionError, match=r"a\.sog: \.sog is not written block by block"):

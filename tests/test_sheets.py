@@ -1,4 +1,4 @@
-"""Growth of merged splats on flat sheets, behind which there is nothing."""
+"""Growth of merged splats on flat sheets, behind which there are no other splats."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def nodes_at(points, covariance):
 
 
 def twin_growth(nodes):
-    """The growth of `sheet_growths`, of all nodes as one group, by NumPy's eigenvectors."""
+    """Return the growth of all nodes as one group, as `sheet_growths` does, with NumPy's `eigh`."""
     shares = nodes.weights / nodes.weights.sum()
     offsets = nodes.means - shares @ nodes.means
     between = (shares[:, None] * offsets).T @ offsets
@@ -68,7 +68,7 @@ def test_growth_equals_the_twin(thickness, size):
     assert growths(nodes) == pytest.approx(twin_growth(nodes), rel=1e-9)
 
 
-def test_only_sheets_grow():
+def test_only_groups_on_sheets_grow():
     rng = np.random.default_rng(4)
     small = 1e-4 * np.eye(3)
     sheet = rng.normal(size=(20, 3)) * [1, 1, 0]
@@ -81,7 +81,7 @@ def test_only_sheets_grow():
 @pytest.mark.parametrize(
     ("times", "larger"), [(0.5, 1), (2, 2), (3.2, 3.2), (3.3, 1.8**2), (10, 1.8**2)]
 )
-def test_a_sheet_grows_to_the_coverage_of_its_members_or_as_far_as_it_may(times, larger):
+def test_sheets_grow_up_to_their_members_coverage_within_a_limit(times, larger):
     sheet = np.random.default_rng(4).normal(size=(20, 3)) * [1, 1, 0]
     nodes, labels = nodes_at(sheet, 1e-4 * np.eye(3)), np.zeros(20, np.int32)
     merged, areas = gather(nodes, labels, 1), np.array([nodes.coverages.sum() / times])
@@ -106,7 +106,7 @@ def test_a_plane_of_one_colour_has_no_holes(ratio, least):
 
 
 def test_splats_of_alpha_zero_leave_no_holes():
-    """Such as those whose alpha a format of eight bits has rounded to 0."""
+    """For example splats whose alpha was rounded to 0 by a format with 8 bits."""
     alive = plane(3000)
     dead = replace(alive.take(np.arange(1000)), opacity_logits=np.full(1000, -np.inf, np.float32))
     cameras = automatic_cameras(alive, 4, width=128, height=128)

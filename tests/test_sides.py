@@ -1,4 +1,4 @@
-"""Growth of merged splats that others cover on all sides."""
+"""Growth of merged splats that are covered by others on all sides."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from nanogs.views.automatic import automatic_cameras
 
 
 def nodes_of(means, scales, turns):
-    """Nodes, the scales and the quaternions, wxyz, of splats turned by (G, 3, 3)."""
+    """Return nodes, scales and wxyz quaternions of splats with rotations (G, 3, 3)."""
     covariances = np.array([twins.pack(t @ np.diag(s**2) @ t.T)
                             for s, t in zip(scales, turns, strict=True)])  # fmt: skip
     ones, rows = np.ones(len(means)), np.arange(len(means), dtype=np.int32)
@@ -32,7 +32,7 @@ def cover(nodes, alphas=1.0):
 
 
 def twin(means, scales, turns, alphas, k):
-    """(G,) as the kernel says it, by NumPy's solver."""
+    """Compute the coverage (G,) as the kernel does, with NumPy's solver."""
     neighbours = nearest_neighbours(means, k)
     shares = []
     for own in range(len(means)):
@@ -54,7 +54,7 @@ def twin(means, scales, turns, alphas, k):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_covers_the_sides_equals_the_twin(seed):
+def test_coverage_of_the_sides_matches_the_twin(seed):
     rng = np.random.default_rng(seed)
     count = 60
     means = rng.normal(size=(count, 3)) * [1, 1, 0.1]
@@ -69,11 +69,11 @@ def test_what_covers_the_sides_equals_the_twin(seed):
     assert 0 < expected.mean() < 1
 
 
-def test_those_in_the_middle_are_covered_and_those_at_the_edge_are_not():
-    places = np.arange(-4.0, 5.0)
-    x, y = (axis.ravel() for axis in np.meshgrid(places, places))
+def test_splats_in_the_middle_are_covered_and_those_at_the_edge_are_not():
+    coordinates = np.arange(-4.0, 5.0)
+    x, y = (axis.ravel() for axis in np.meshgrid(coordinates, coordinates))
     means = np.stack([x, y, 0 * x], axis=1)
-    scales = np.tile([0.29, 0.28, 0.01], (len(means), 1))  # those of squares of side 1
+    scales = np.tile([0.29, 0.28, 0.01], (len(means), 1))  # about the deviations of a unit square
     nodes, stored, quats = nodes_of(means, scales, np.tile(np.eye(3), (len(means), 1, 1)))
     rows = np.arange(len(means), dtype=np.int32)
     found = covered_around(cover(nodes), rows, stored, quats)
@@ -84,7 +84,7 @@ def test_those_in_the_middle_are_covered_and_those_at_the_edge_are_not():
     assert (faint[~edge] < 0.5).all()
 
 
-def test_one_group_alone_is_covered_by_none():
+def test_a_single_group_is_not_covered():
     nodes, stored, quats = nodes_of(np.zeros((1, 3)), np.ones((1, 3)), np.eye(3)[None])
     one = np.zeros(1, np.int32)
     assert covered_around(cover(nodes), one, stored, quats).tolist() == [0.0]
@@ -111,25 +111,25 @@ def shell(count):
     )
 
 
-def test_a_rough_wall_lets_less_light_through(monkeypatch):
+def test_growth_of_covered_splats_keeps_a_rough_wall_opaque(monkeypatch):
     splats = shell(20_000)
     cameras = automatic_cameras(splats, 4, width=128, height=128)
     before = [render(prepare(splats), camera).alpha for camera in cameras]
 
-    def lost():
+    def lost_alpha():
         small = prepare(nanogs.simplify(splats, ratio=0.02, preset="fast")[0])
         after = [render(small, camera).alpha for camera in cameras]
         pairs = zip(before, after, strict=True)
         return np.mean([(a - b)[a > 0.98].mean() for a, b in pairs])
 
-    with_it = lost()
+    with_growth = lost_alpha()
     monkeypatch.setattr(
         "nanogs.method.store.covered_around", lambda *given: np.zeros(len(given[1]))
     )
-    assert with_it < 0.5 * lost()
+    assert with_growth < 0.5 * lost_alpha()
 
 
-def test_the_covered_may_grow_more_and_others_as_much_as_all():
+def test_the_growth_limit_rises_with_coverage():
     needed, covered = np.array([4.0, 4.0, 4.0, 1.1]), np.array([0.0, 0.5, 1.0, 1.0])
     model = shell(4)
     scales = np.exp(model.log_scales)
@@ -146,14 +146,14 @@ def test_the_covered_may_grow_more_and_others_as_much_as_all():
 
 @pytest.fixture(scope="module")
 def wall(tmp_path_factory):
-    """A rough wall, as a model and in a file."""
+    """A rough wall, as a model and as a file."""
     path, splats = tmp_path_factory.mktemp("wall") / "wall.ply", shell(20_000)
     nanogs.save(splats, path)
     return splats, path
 
 
 def in_blocks(path, **changes):
-    """A fiftieth of a file, made in five blocks or so."""
+    """Simplify a file to a fiftieth in at least five blocks, and return the result."""
     out = path.with_name("small.ply")
     given = {"ratio": 0.02, "preset": "fast", "block": 4000, "overwrite": True} | changes
     report = nanogs.simplify_blocks(path, out, **given)
@@ -161,7 +161,7 @@ def in_blocks(path, **changes):
     return nanogs.load(out)
 
 
-def test_a_block_sees_the_groups_of_others_as_they_are_delivered(wall, monkeypatch):
+def test_blocks_use_the_delivered_groups_of_neighbouring_blocks(wall, monkeypatch):
     seen = []
 
     def noted(cover, *given):
@@ -178,29 +178,29 @@ def test_a_block_sees_the_groups_of_others_as_they_are_delivered(wall, monkeypat
         assert cover.means.shape == (len(cover.alphas), 3)
         assert cover.covariances.shape == (len(cover.alphas), 6)
         distances, rows = tree.query(cover.means + shift)
-        # A block that sees no more of a third one cannot know all that comes from there.
+        # A block does not have all splats that could move to its neighbours from a third block.
         same = distances < 1e-6
         assert same.mean() > 0.75
-        assert distances.max() < 0.05  # of 0.18 between groups
+        assert distances.max() < 0.05  # groups are about 0.18 apart
         assert len(np.unique(rows[same])) == same.sum()
         assert cover.alphas[same] == pytest.approx(alphas[rows[same]], abs=1e-5)
         others += len(rows)
     assert others > 1.2 * len(small)
 
 
-def test_walls_in_blocks_let_hardly_more_light_through(wall, monkeypatch):
+def test_walls_stay_nearly_as_opaque_in_blocks(wall, monkeypatch):
     splats, path = wall
     cameras = automatic_cameras(splats, 4, width=128, height=128)
     before = [render(prepare(splats), camera).alpha for camera in cameras]
 
-    def lost(small):
+    def lost_alpha(small):
         drawn = prepare(small)
         after = [render(drawn, camera).alpha for camera in cameras]
         return np.mean([(a - b)[a > 0.98].mean() for a, b in zip(before, after, strict=True)])
 
-    whole = lost(nanogs.simplify(splats, ratio=0.02, preset="fast")[0])
-    together = lost(in_blocks(path))
+    whole = lost_alpha(nanogs.simplify(splats, ratio=0.02, preset="fast")[0])
+    with_neighbours = lost_alpha(in_blocks(path))
     monkeypatch.setattr("nanogs.pipeline.work.near_groups", lambda *_given: [])
-    apart = lost(in_blocks(path))
-    assert together < 1.1 * whole
-    assert apart > 1.2 * whole
+    without_neighbours = lost_alpha(in_blocks(path))
+    assert with_neighbours < 1.1 * whole
+    assert without_neighbours > 1.2 * whole

@@ -1,4 +1,4 @@
-"""Kernels in vectors and the plain ones: which are taken, and that both do the same."""
+"""SIMD kernels and plain ones: which are chosen, and that both give the same results."""
 
 import json
 import os
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def python(code, **variables):
-    """Run code in a process of its own, and return its stdout and stderr."""
+    """Run code in a separate process and return its stdout and stderr."""
     environment = {k: v for k, v in os.environ.items() if k != choice.VARIABLE}
     run = subprocess.run(
         [sys.executable, "-c", code], env=environment | variables, capture_output=True, text=True
@@ -50,33 +50,33 @@ print(choice.chosen().value, choice.reason())
 def simplified(folder, *arguments, first="", **variables):
     folder.mkdir()
     code = f"import sys; sys.argv[1:] = {[str(folder), *arguments]!r}\n{first}\n{SIMPLIFY}"
-    said, told = python(code, **variables)
-    return said.strip(), told
+    printed, warned = python(code, **variables)
+    return printed.strip(), warned
 
 
 @pytest.fixture(scope="module")
-def in_vectors(tmp_path_factory):
-    """A folder with what the vectors give."""
+def simd_results(tmp_path_factory):
+    """A folder with the results of the SIMD kernels."""
     folder = tmp_path_factory.mktemp("simd") / "simd"
     assert simplified(folder, "default", NANOGS_SIMD="1")[0] == "simd None"
     return folder
 
 
 @pytest.mark.slow
-def test_both_ways_give_the_same(in_vectors, tmp_path):
-    said, told = simplified(tmp_path / "plain", "default", NANOGS_SIMD="0")
-    assert said == "plain None"
-    assert "lower" not in told  # who asks for it knows
-    same = [(one / "fast.ply").read_bytes() for one in (in_vectors, tmp_path / "plain")]
+def test_simd_and_plain_kernels_give_the_same_result(simd_results, tmp_path):
+    printed, warned = simplified(tmp_path / "plain", "default", NANOGS_SIMD="0")
+    assert printed == "plain None"
+    assert "lower" not in warned  # no warning about plain kernels that were asked for
+    same = [(one / "fast.ply").read_bytes() for one in (simd_results, tmp_path / "plain")]
     assert same[0] == same[1]
     scene = make_scene(3000, seed=2)
-    models = [one / "default.ply" for one in (in_vectors, tmp_path / "plain")]
+    models = [one / "default.ply" for one in (simd_results, tmp_path / "plain")]
     one, other = nanogs.compare(scene, *models, views=3, pixels=96).models
     assert one.psnr == pytest.approx(other.psnr, abs=0.05)
 
 
-def test_pictures_are_the_same_both_ways(tmp_path):
-    """To the last bit where operations are fused; elsewhere the ways round apart."""
+def test_simd_and_plain_kernels_render_nearly_the_same_images(tmp_path):
+    """Bit for bit if both use fused operations; otherwise their rounding differs."""
     code = (
         "import sys, numpy as np, nanogs\n"
         "from nanogs.datasets.synthetic import make_scene\n"
@@ -86,12 +86,12 @@ def test_pictures_are_the_same_both_ways(tmp_path):
         python(f"import sys; sys.argv[1:] = [{str(tmp_path / way)!r}]\n{code}", NANOGS_SIMD=way)
     plain, simd = (np.load(tmp_path / f"{way}.npy") for way in "01")
     assert plain.std() > 0.05
-    far = abs(plain - simd) > 1e-5  # where alpha is 1/255 to the last digit
+    far = abs(plain - simd) > 1e-5  # where alpha is at the threshold of 1/255
     assert far.mean() < 1e-4
 
 
 @pytest.mark.slow
-def test_plain_functions_compiled_do_as_their_python_says():
+def test_compiled_plain_kernels_match_their_twins():
     files = [str(ROOT / "tests" / name) for name in ("test_blocks.py", "test_knn.py")]
     files.append(f"{ROOT}/tests/test_refit.py::test_pulls_match_their_twin")
     run = subprocess.run(
@@ -124,7 +124,7 @@ vectors.Table.load = vectors.read = changed
     [(UNTRIED, "0.62 to 0.68, and this is 0.99.0"), (BROKEN, "do not compile with Numba")],
     ids=["untried", "broken"],
 )
-def test_where_the_vectors_cannot_be_trusted_the_plain_way_is_taken_and_said(first, why):
+def test_plain_kernels_are_used_with_a_warning_if_simd_is_untried_or_broken(first, why):
     code = (
         f"{first}\n"
         "import numpy as np\n"
@@ -134,13 +134,13 @@ def test_where_the_vectors_cannot_be_trusted_the_plain_way_is_taken_and_said(fir
         "print(choice.chosen().value, choice.reason())\n"
         "print(nearest_neighbours(means, 6, 1).tolist())\n"
     )
-    said, told = python(code)
-    chosen, found = said.strip().split("\n")
+    printed, warned = python(code)
+    chosen, found = printed.strip().split("\n")
     assert chosen.startswith("plain ")
     assert why in chosen
-    assert told.count("Slower kernels are used") == 1
-    assert why in told
-    assert "NANOGS_SIMD=1 forces the fast ones" in told
+    assert warned.count("Slower kernels are used") == 1
+    assert why in warned
+    assert "NANOGS_SIMD=1 forces the fast ones" in warned
     means = np.random.default_rng(0).normal(size=(500, 3))
     assert json.loads(found) == nearest_neighbours(means, 6, 1).tolist()
 
@@ -156,7 +156,7 @@ when_compiling(lambda: told.append(1))
 print("compiled" if told else "loaded")
 """
 SORTS = "radix_sort(np.arange(4, dtype=np.uint64), np.empty(4, np.uint64))"
-# Of the kernels that have vectors the one that is compiled soonest.
+# The kernel with a SIMD version that compiles fastest.
 SPANS = """span_tiles(
     np.empty((0, 8)), np.empty(0, np.int64), np.empty(0, np.int64), 16, 16, np.empty(0, np.uint64),
     np.empty((16, 1), np.int64),
@@ -164,19 +164,19 @@ SPANS = """span_tiles(
 
 
 @pytest.mark.parametrize(("call", "second"), [(SORTS, "loaded"), (SPANS, "compiled")])
-def test_kernels_of_each_way_are_kept_apart(tmp_path, call, second):
-    """Those that have vectors; of the others there is one way."""
+def test_simd_and_plain_kernels_are_cached_separately(tmp_path, call, second):
+    """Only kernels that have a SIMD version; the others are cached once."""
     cache, code = {"NUMBA_CACHE_DIR": str(tmp_path)}, LOAD.format(call=call)
-    said = [python(code, NANOGS_SIMD=way, **cache)[0].strip() for way in "1001"]
-    assert said == ["compiled", second, "loaded", "loaded"]
+    printed = [python(code, NANOGS_SIMD=way, **cache)[0].strip() for way in "1001"]
+    assert printed == ["compiled", second, "loaded", "loaded"]
 
 
-def test_who_insists_gets_the_vectors_of_any_version():
+def test_simd_can_be_forced_with_any_version_of_numba():
     code = f"{UNTRIED}\nprint(choice.chosen().value)"
     assert python(code, NANOGS_SIMD="1") == ("simd\n", "")
 
 
-def test_a_variable_that_means_nothing_is_refused(tmp_path):
+def test_an_invalid_value_of_nanogs_simd_is_refused(tmp_path):
     nanogs.save(make_scene(100), tmp_path / "a.ply")
     run = subprocess.run(
         [sys.executable, "-m", "nanogs", "simplify", "a.ply", "b.ply", "-r", "0.5"],
@@ -191,7 +191,7 @@ def test_a_variable_that_means_nothing_is_refused(tmp_path):
     assert not (tmp_path / "b.ply").exists()
 
 
-def test_the_versions_that_were_tried_are_those_that_are_installed():
+def test_tried_numba_versions_are_those_that_pyproject_allows():
     text = (ROOT / "pyproject.toml").read_text()
     wanted = tomllib.loads(text)["project"]["dependencies"]
     [bounds] = [one for one in wanted if one.startswith("numba")]

@@ -1,6 +1,6 @@
-"""Every preset through the library's front door: hazards by name, then properties.
+"""`nanogs.simplify` with each preset: difficult inputs first, then general properties.
 
-What `simplify` promises holds for all presets; what only the published method does says so.
+Promises of `simplify` are tested with all presets; tests of the published method alone say so.
 """
 
 import itertools
@@ -23,26 +23,26 @@ from nanogs.pipeline.options.target import target_count
 from nanogs.report import StopReason
 from nanogs.splats import ExtraElement, Splats
 
-# What is rendered and fitted is not the matter here.
+# The quality of renders and fits is not tested here, so small views will do.
 pytestmark = pytest.mark.usefixtures("small_views")
 
 every_preset = pytest.mark.parametrize("preset", PRESETS)
-# A fit takes a large part of a second, too long for many examples.
+# Presets of which many examples can be run: the long fit of `best` takes too much time.
 not_fitted = pytest.mark.parametrize("preset", ["default", "fast", "paper"])
 QUICK = settings(max_examples=8)  # for each preset
 
 
 def unpruned(preset):
-    """Options for which no splat is dropped for its opacity."""
+    """Options with which no splat is pruned for its opacity."""
     return {"tau": 0} if preset == "paper" else {}
 
 
 def unfitted(preset):
-    """Options for which no splat moves after it was merged."""
+    """Options with which the result is not fitted, so that no splat moves after merging."""
     return {} if preset == "paper" else {"steps": 0}
 
 
-def one_place(count):
+def coincident_splats(count):
     """Splats that all have the same centre."""
     splats = random_splats(count, seed=1)
     splats.means[:] = splats.means[0]
@@ -70,12 +70,12 @@ def test_every_count_is_met_exactly(preset, n, data):
     assert len(small) == report.achieved_count == count
 
 
-def test_ratio_is_the_decimal_that_is_written():
-    assert math.ceil(0.07 * 100) == 8  # binary fractions alone would give this
+def test_ratio_is_taken_as_the_decimal_number_given():
+    assert math.ceil(0.07 * 100) == 8  # binary floating point alone would give this
     assert target_count(100, 0.07, None) == 7
 
 
-def test_pruning_stops_at_the_count_and_says_so():
+def test_pruning_stops_at_the_count_and_is_reported():
     splats = random_splats(100)
     splats.opacity_logits[:] = np.linspace(-8, -3, 100)
     small, report = nanogs.simplify(splats, ratio=0.9, preset="paper")
@@ -85,14 +85,14 @@ def test_pruning_stops_at_the_count_and_says_so():
     assert np.array_equal(small.opacity_logits, splats.opacity_logits[10:])
 
 
-def test_prune_keeps_alpha_at_the_threshold_and_takes_the_smaller_of_tau_and_median():
+def test_prune_keeps_alphas_from_the_smaller_of_tau_and_median_up():
     alphas = np.array([0.1, 0.0999, 0.5, 0.9, 0.2])
     assert prune(alphas, 0.1, 1).keep.tolist() == [0, 2, 3, 4]
     assert prune(np.array([0.01, 0.02, 0.03]), 0.1, 1).keep.tolist() == [1, 2]
     assert prune(np.array([0.3, 0.3, 0.3]), 0.1, 2).keep.tolist() == [0, 1, 2]
 
 
-def test_prune_limited_keeps_the_most_opaque_ties_by_row():
+def test_limited_pruning_keeps_the_most_opaque_and_breaks_ties_by_row():
     pruning = prune(np.array([0.1, 0.1, 0.9, 0.8]), 0.5, 3)
     assert pruning.keep.tolist() == [0, 2, 3]
     assert pruning.limited
@@ -103,7 +103,7 @@ def test_ratio_one_returns_the_same_bytes(preset):
     splats = random_splats(50, degree=3)
     small, report = nanogs.simplify(splats, ratio=1, preset=preset)
     assert model_bytes(small) == model_bytes(splats)
-    assert report.passes == () or preset != "paper"  # a forest does not know the count
+    assert report.passes == () or preset != "paper"  # a forest is grown without regard to the count
 
 
 @not_fitted
@@ -120,7 +120,7 @@ def test_ratio_one_returns_the_same_bytes(preset):
     ]
     + [(None, 0), (None, -1), (None, 11)],
 )
-def test_wishes_that_make_no_sense_are_refused(preset, ratio, count):
+def test_invalid_ratios_and_counts_are_refused(preset, ratio, count):
     with pytest.raises(OptionError):
         nanogs.simplify(random_splats(10), ratio=ratio, count=count, preset=preset)
 
@@ -136,7 +136,7 @@ def test_parameters_out_of_range_are_refused(override):
         nanogs.simplify(random_splats(10), ratio=0.5, **override)
 
 
-# Hazards
+# Difficult inputs
 
 
 @every_preset
@@ -157,7 +157,7 @@ def test_k_larger_than_the_count(preset):
 @not_fitted
 @pytest.mark.parametrize("count", [2, 10, 40, 3000])
 def test_coincident_centres_merge_down_to_one(preset, count):
-    small, report = nanogs.simplify(one_place(count), count=1, preset=preset)
+    small, report = nanogs.simplify(coincident_splats(count), count=1, preset=preset)
     assert len(small) == 1
     assert report.stop == StopReason.TARGET
 
@@ -165,7 +165,7 @@ def test_coincident_centres_merge_down_to_one(preset, count):
 @pytest.mark.parametrize("preset", ["fast", "paper"])
 def test_a_hundred_thousand_coincident_centres_finish(preset):
     """A k-d tree cannot split them: each query would visit all."""
-    splats = one_place(10).take(np.arange(100_000) % 10)
+    splats = coincident_splats(10).take(np.arange(100_000) % 10)
     assert len(nanogs.simplify(splats, ratio=0.1, preset=preset)[0]) == 10_000
 
 
@@ -191,7 +191,7 @@ def test_zero_scales_and_zero_quaternions(preset):
 
 
 @every_preset
-def test_flyaways_a_million_extents_out(preset):
+def test_outliers_a_million_extents_away_give_finite_results(preset):
     splats = random_splats(500)
     splats.means[:5] *= 1e6
     small, _ = nanogs.simplify(splats, count=50, preset=preset)
@@ -200,7 +200,7 @@ def test_flyaways_a_million_extents_out(preset):
 
 @every_preset
 @pytest.mark.parametrize("opacity", [np.inf, -np.inf])
-def test_infinite_opacities_are_data(preset, opacity):
+def test_infinite_opacity_logits_are_valid_data(preset, opacity):
     splats = random_splats(40)
     splats.opacity_logits[:] = opacity
     small, report = nanogs.simplify(splats, count=4, preset=preset)
@@ -214,9 +214,9 @@ def test_infinite_opacities_are_data(preset, opacity):
 @pytest.mark.parametrize(
     ("column", "value"),
     [*itertools.product(["means", "log_scales", "quats", "sh"], [np.nan, np.inf])]
-    + [("opacity_logits", np.nan)],  # an infinite opacity logit is data
+    + [("opacity_logits", np.nan)],  # an infinite opacity logit is valid
 )
-def test_bad_rows_are_left_out_and_reported(preset, column, value):
+def test_nonfinite_rows_are_dropped_and_reported(preset, column, value):
     splats = random_splats(50)
     array = getattr(splats, column).reshape(50, -1)
     array[7, 0] = value
@@ -229,7 +229,7 @@ def test_bad_rows_are_left_out_and_reported(preset, column, value):
 
 
 @every_preset
-def test_bad_rows_are_refused_on_request(preset):
+def test_nonfinite_rows_are_refused_on_request(preset):
     splats = random_splats(50)
     splats.means[7] = np.nan
     with pytest.raises(ModelError, match="row 7"):
@@ -237,21 +237,21 @@ def test_bad_rows_are_refused_on_request(preset):
 
 
 @every_preset
-def test_a_scale_that_overflows_is_a_bad_row(preset):
+def test_a_row_whose_scale_overflows_is_dropped(preset):
     splats = random_splats(20)
     splats.log_scales[3] = 1000
     assert nanogs.simplify(splats, count=5, preset=preset)[1].dropped_nonfinite == 1
 
 
 @every_preset
-def test_all_opacities_nan(preset):
+def test_a_model_with_only_nan_opacities_is_refused(preset):
     splats = random_splats(20)
     splats.opacity_logits[:] = np.nan
     with pytest.raises(ModelError, match="No splat is usable"):
         nanogs.simplify(splats, ratio=0.5, preset=preset)
 
 
-def test_costs_without_a_number_end_the_loop_and_the_report_says_why(monkeypatch):
+def test_nan_costs_end_the_loop_with_the_reason_in_the_report(monkeypatch):
     monkeypatch.setattr(
         passes, "pair_costs", lambda g, pairs, *_: np.full(len(pairs), np.nan, np.float32)
     )
@@ -262,24 +262,24 @@ def test_costs_without_a_number_end_the_loop_and_the_report_says_why(monkeypatch
 
 
 def test_a_pass_that_merges_nothing_ends_the_loop(monkeypatch):
-    def nothing(pairs, costs, rows, limit):
+    def match_nothing(pairs, costs, rows, limit):
         return match_stage.MergePlan(pairs[:0], costs[:0], 0)
 
-    monkeypatch.setattr(passes, "match", nothing)
+    monkeypatch.setattr(passes, "match", match_nothing)
     assert (
         nanogs.simplify(random_splats(20), count=5, preset="paper")[1].stop
         == StopReason.NO_PROGRESS
     )
 
 
-def test_the_report_says_in_how_many_rounds_splats_were_reassigned():
+def test_the_report_has_the_number_of_reassignment_rounds():
     splats = random_splats(400, seed=5)
     reports = [
         nanogs.simplify(splats, count=80, preset="fast", rounds=rounds)[1] for rounds in (0, 1, 100)
     ]
-    none, one, settled = (report.reassign_rounds for report in reports)
+    none, one, converged = (report.reassign_rounds for report in reports)
     assert (none, one) == (None, 1)
-    assert 1 < settled < 100
+    assert 1 < converged < 100
     _, paper = nanogs.simplify(splats, count=80, preset="paper")
     assert paper.reassign_rounds is None
     _, whole = nanogs.simplify(splats, count=400, preset="fast")
@@ -292,7 +292,7 @@ def test_merge_cap_bounds_every_pass():
     assert all(p.merged <= max(1, p.count_before // 10) for p in report.passes)
 
 
-# What is carried
+# Data that is passed through
 
 
 @every_preset
@@ -309,7 +309,7 @@ def test_extra_columns_come_from_the_dominant_member(preset):
 
 
 @every_preset
-def test_tag_comments_and_elements_are_carried(preset):
+def test_render_mode_comments_and_elements_are_kept(preset):
     element = ExtraElement("camera", np.array([(1.5,)], dtype=[("fx", "f4")]))
     base = random_splats(20)
     splats = Splats(
@@ -342,7 +342,7 @@ def test_rows_that_were_not_merged_keep_their_bytes_and_order(preset):
     assert (np.diff(rows) > 0).all()
     same = [model_bytes(small.take(np.array([i]))) == model_bytes(splats.take(np.array([row])))
             for i, row in enumerate(rows)]  # fmt: skip
-    # 30 merges of pairs leave 240; larger groups touch fewer rows of the result.
+    # 30 merges of pairs leave 240 rows unmerged; with larger groups, more are left.
     assert 240 <= sum(same) < 270
     assert preset != "paper" or sum(same) == 240
 
@@ -356,7 +356,7 @@ def test_the_input_is_not_changed(preset):
 
 
 @every_preset
-def test_double_centres_keep_their_digits_far_from_zero(preset):
+def test_float64_centres_keep_their_precision_far_from_the_origin(preset):
     base = random_splats(100)
     far = np.array([5e6, -3e6, 100.0])
     splats = Splats(
@@ -445,8 +445,8 @@ def test_the_same_bytes_again(preset):
     assert model_bytes(first) == model_bytes(second)
 
 
-def test_the_plan_is_pinned():
-    """Which rows merge in the first pass, as integers; a change of the method changes this."""
+def test_the_merges_of_a_small_scene_are_pinned():
+    """The rows that the first pass merges are fixed: only a change of the method changes them."""
     means = np.array([[0, 0, 0], [1, 0, 0], [10, 0, 0], [11.5, 0, 0], [30, 0, 0]])
     splats = Splats(
         means=means.astype(np.float32),
@@ -462,8 +462,8 @@ def test_the_plan_is_pinned():
     assert [p.merged for p in report.passes] == [2]
 
 
-def test_a_result_that_cannot_be_fitted_is_delivered_as_it_is():
-    """One splat can hardly be fitted to show what two do: the promise holds."""
+def test_a_result_that_the_fit_cannot_improve_is_returned_unchanged():
+    """The fit can hardly make one splat look like two; one splat must be returned all the same."""
     best, report = nanogs.simplify(random_splats(2), count=1, preset="best")
     assert len(best) == 1
     unfitted, _ = nanogs.simplify(random_splats(2), count=1, preset="best", steps=0)

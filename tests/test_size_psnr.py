@@ -1,4 +1,4 @@
-"""A size or a PSNR in place of a count: `simplify(size=...)`, `simplify(psnr=...)`."""
+"""A file size or a PSNR as the target: `simplify(size=...)`, `simplify(psnr=...)`."""
 
 import math
 from pathlib import Path
@@ -32,7 +32,7 @@ def splats():
 
 
 def awkward_splats():
-    """Everything that a header or a row can hold beside the splats' own columns."""
+    """A model with all that a file can have besides the usual columns of splats."""
     extras = {"label": np.arange(120, dtype=np.int16), "weight": np.ones(120, np.float64)}
     rows = np.zeros(7, dtype=[("a", "f8"), ("b", "u1")])
     base = random_splats(120, degree=2, extras=extras)
@@ -52,8 +52,8 @@ def awkward_splats():
 # Size
 
 
-def test_a_page_of_a_size_is_made_of_a_model_whose_first_splat_is_transparent(splats, tmp_path):
-    """That splat alone was written to see what one takes, and no page shows nothing."""
+def test_a_page_size_works_if_the_first_splat_is_transparent(splats, tmp_path):
+    """Once, this splat alone was written to measure its size, and a page needs a visible splat."""
     require_bundle()
     clear = splats.take(np.arange(len(splats)))
     clear.opacity_logits[0] = -30
@@ -66,8 +66,8 @@ def test_a_page_of_a_size_is_made_of_a_model_whose_first_splat_is_transparent(sp
 
 
 @pytest.mark.parametrize("count", [1, 9, 10, 99, 100, 120])
-def test_the_size_is_that_of_the_file(tmp_path, count):
-    """Down to the digits of the count in the header."""
+def test_the_computed_ply_size_is_that_of_the_file(tmp_path, count):
+    """To the byte, including the digits of the count in the header."""
     model = awkward_splats()
     path = tmp_path / "a.ply"
     nanogs.save(model.take(np.arange(count)), path)
@@ -75,7 +75,7 @@ def test_the_size_is_that_of_the_file(tmp_path, count):
 
 
 @pytest.mark.parametrize("preset", ["fast", "default", "paper"])
-def test_the_file_is_as_large_as_it_may_be(splats, tmp_path, preset, small_views):
+def test_the_file_is_as_large_as_the_size_allows(splats, tmp_path, preset, small_views):
     size = 20_000
     small, report = nanogs.simplify(splats, size=size, preset=preset)
     path = tmp_path / "a.ply"
@@ -86,8 +86,8 @@ def test_the_file_is_as_large_as_it_may_be(splats, tmp_path, preset, small_views
     assert model_bytes(small) == model_bytes(by_count)
 
 
-def test_every_size_around_a_new_digit():
-    """9 to 10 and 99 to 100 splats: the header grows by a byte."""
+def test_sizes_are_met_where_the_header_grows_by_a_digit():
+    """From 9 to 10 splats and from 99 to 100, the header grows by a byte."""
     model = awkward_splats()
     sizes = {count: ply_write.file_bytes(model, count) for count in range(1, 122)}
     for count in (9, 10, 99, 100):
@@ -96,14 +96,14 @@ def test_every_size_around_a_new_digit():
             assert count_for_size(120, size, lambda n: ply_write.file_bytes(model, n)) == expected
 
 
-def test_a_size_for_less_than_one_splat_is_refused(splats):
+def test_a_size_too_small_for_one_splat_is_refused(splats):
     smallest = ply_write.file_bytes(splats, 1)
     assert len(nanogs.simplify(splats, size=smallest, preset="fast")[0]) == 1
     with pytest.raises(OptionError, match=f"takes {smallest:,} B"):
         nanogs.simplify(splats, size=smallest - 1, preset="fast")
 
 
-def test_a_model_that_fits_is_delivered_whole(splats):
+def test_a_model_that_fits_is_returned_unchanged(splats):
     size = ply_write.file_bytes(splats, len(splats))
     small, report = nanogs.simplify(splats, size=size, preset="fast")
     assert model_bytes(small) == model_bytes(splats)
@@ -111,13 +111,13 @@ def test_a_model_that_fits_is_delivered_whole(splats):
     assert nanogs.simplify(splats, size=size - 1, preset="fast")[1].notes == ()
 
 
-def test_the_format_must_be_one_that_is_written(splats):
+def test_a_format_that_is_not_written_is_refused(splats):
     with pytest.raises(OptionError, match="does not write"):
         nanogs.simplify(splats, size=10_000, format=".obj")
 
 
-def test_without_a_formula_the_same_count_is_found_by_writing(splats, monkeypatch):
-    """A .ply whose size is taken as unknown: every count that fits better is among the tried."""
+def test_without_a_size_formula_the_count_is_found_by_writing(splats, monkeypatch):
+    """A .ply file whose size is treated as unknown until it is written."""
     written_only = [registry.Format(".ply", None, ply_write.write)]
     monkeypatch.setattr(registry, "formats", lambda: written_only)
     with pytest.raises(OptionError, match="only known once it is written"):
@@ -140,7 +140,7 @@ def test_without_a_formula_the_same_count_is_found_by_writing(splats, monkeypatc
         (".sog", "fast", {}),
     ],
 )
-def test_a_compressed_file_is_no_larger_than_asked(
+def test_a_compressed_file_is_no_larger_than_requested(
     splats, tmp_path, suffix, preset, options, small_views
 ):
     size = {".spz": 6_000, ".sog": 12_000}[suffix]
@@ -159,19 +159,19 @@ def test_a_compressed_file_is_no_larger_than_asked(
     close = too_many and min(too_many) <= max((1 + CLOSE) * len(small), len(small) + 1)
     assert written >= ENOUGH * size or close
     assert bool(report.notes) is (written < ENOUGH * size)
-    if "palette" not in options:  # which is looked for before the fit
+    if "palette" not in options:  # a palette is searched for before the fit
         by_count, _ = nanogs.simplify(splats, count=len(small), **given)
         assert model_bytes(small) == model_bytes(by_count)
 
 
-def test_a_model_whose_compressed_file_fits_is_delivered_whole(splats):
+def test_a_model_whose_compressed_file_fits_is_returned_unchanged(splats):
     small, report = nanogs.simplify(splats, size=10**6, preset="fast", format=".spz")
     assert model_bytes(small) == model_bytes(splats)
     assert "whole model fits" in report.notes[-1]
     assert report.achieved_size < 10**6
 
 
-def test_a_size_that_compresses_nothing_is_refused(splats):
+def test_impossible_compressed_sizes_are_refused(splats):
     with pytest.raises(OptionError, match="a file of one splat of this model takes"):
         nanogs.simplify(splats, size=30, preset="fast", format=".spz")
     with pytest.raises(OptionError, match=r"paper cannot search for the size of a \.spz file"):
@@ -180,7 +180,7 @@ def test_a_size_that_compresses_nothing_is_refused(splats):
 
 @pytest.mark.parametrize("seed", range(40))
 def test_the_search_for_a_size_never_exceeds_it(seed):
-    """Bytes with noise and leaps, from good guesses and bad ones."""
+    """With noise and jumps of the size, and from good and bad first guesses."""
     rng = np.random.default_rng(seed)
     available = int(10 ** rng.uniform(0, 6))
     each, leaps = rng.uniform(4, 40), rng.uniform(0, 3)
@@ -207,7 +207,7 @@ def test_the_search_for_a_size_never_exceeds_it(seed):
     assert bool(found.leap(size, available)) is not best
 
 
-def test_the_search_for_a_size_is_refused_what_the_fewest_exceed():
+def test_a_size_below_that_of_the_lowest_count_is_refused():
     with pytest.raises(OptionError, match="the fewest that this model can be merged to"):
         search_fit(lambda count: 1000 + count, 900, 500, 7, 1000)
 
@@ -215,11 +215,11 @@ def test_the_search_for_a_size_is_refused_what_the_fewest_exceed():
 # PSNR
 
 
-FEW = {"steps": 4, "views": 4, "view_size": 48}  # a fit for every probe
+FEW = {"steps": 4, "views": 4, "view_size": 48}  # so few because each probe is fitted
 
 
 @pytest.mark.parametrize(("preset", "overrides"), [("fast", {}), ("default", FEW), ("fast", FEW)])
-def test_the_result_reaches_the_psnr_and_is_that_of_its_count(splats, preset, overrides):
+def test_the_result_reaches_the_psnr_and_equals_that_of_its_count(splats, preset, overrides):
     asked = 24.0
     small, report = nanogs.simplify(splats, psnr=asked, preset=preset, **overrides)
     assert report.stop is StopReason.TARGET
@@ -236,7 +236,7 @@ def test_the_result_reaches_the_psnr_and_is_that_of_its_count(splats, preset, ov
 
 
 @pytest.mark.parametrize("suffix", [".spz", ".sog", ".compressed.ply"])
-def test_of_a_packed_file_the_psnr_is_that_of_the_file(splats, tmp_path, suffix):
+def test_for_compressed_formats_the_psnr_is_that_of_the_file(splats, tmp_path, suffix):
     small, report = nanogs.simplify(splats, psnr=24.0, preset="fast", format=suffix)
     nanogs.save(small, tmp_path / f"small{suffix}")
     packed = nanogs.load(tmp_path / f"small{suffix}")
@@ -245,7 +245,7 @@ def test_of_a_packed_file_the_psnr_is_that_of_the_file(splats, tmp_path, suffix)
     assert held_out(splats).judge(small).psnr != report.judged.psnr
 
 
-def test_a_psnr_out_of_reach_delivers_the_whole_model_soon(splats):
+def test_an_unreachable_psnr_gives_the_whole_model_in_few_probes(splats):
     small, report = nanogs.simplify(splats, psnr=100, preset="fast")
     assert report.stop is StopReason.UNREACHED
     assert model_bytes(small) == model_bytes(splats)
@@ -253,36 +253,36 @@ def test_a_psnr_out_of_reach_delivers_the_whole_model_soon(splats):
     assert report.probes[-1].count == 594
     assert all(probe.psnr < 100 for probe in report.probes)
     assert len(report.probes) <= 3
-    # Where a quick result is far from it, none is chosen among others and fitted.
+    # If a quick result is far below the PSNR, no candidates are compared and none is fitted.
     best = nanogs.simplify(splats, psnr=120, preset="best")[1]
     assert best.stop is StopReason.UNREACHED
     assert best.refit is None
     assert all(probe.quick for probe in best.probes)
 
 
-def test_a_psnr_of_nothing_is_one_splat(splats):
+def test_a_psnr_near_zero_gives_one_splat(splats):
     small, report = nanogs.simplify(splats, psnr=0.1, preset="fast")
     assert (len(small), report.stop) == (1, StopReason.STEP)
     assert report.stop.met
 
 
-def test_a_psnr_needs_something_to_see():
-    dark = random_splats(50)
-    dark.opacity_logits[:] = -np.inf
+def test_a_psnr_of_an_invisible_model_is_refused():
+    invisible = random_splats(50)
+    invisible.opacity_logits[:] = -np.inf
     for preset in ("fast", "default"):
         with pytest.raises(ModelError, match="cannot be measured"):
-            nanogs.simplify(dark, psnr=30, preset=preset)
+            nanogs.simplify(invisible, psnr=30, preset=preset)
 
 
-def test_the_published_method_is_not_asked_for_a_psnr(splats):
+def test_the_preset_paper_refuses_a_psnr(splats):
     with pytest.raises(OptionError, match="paper"):
         nanogs.simplify(splats, psnr=30, preset="paper")
 
 
 @pytest.mark.parametrize("wanted", [2, 3, 50, 99, 1000, 54_321, 99_000])
 @pytest.mark.parametrize("guess", [1, 10_000, 99_999])
-def test_a_step_is_found_to_a_hundredth(wanted, guess):
-    """No count lies within the span: what is found reaches it, and hardly less misses it."""
+def test_a_jump_of_the_psnr_is_located_to_a_hundredth(wanted, guess):
+    """No count is within the span: the one found reaches the PSNR, and 1 % fewer do not."""
     tried = []
 
     def psnr_of(count):
@@ -296,8 +296,8 @@ def test_a_step_is_found_to_a_hundredth(wanted, guess):
     assert len(set(tried)) == len(tried) <= MOST_PROBES + STEPS
 
 
-def test_below_a_step_the_search_goes_on():
-    """Of two candidates one is chosen here and the other there; the steps are as high as theirs."""
+def test_the_search_continues_below_a_jump_of_the_psnr():
+    """Such jumps arise where the choice between two candidates changes with the count."""
 
     def psnr_of(count):
         return 20 + 3 * math.log(count / 100) + (0.8 if count // 50 % 2 else 0.0)
@@ -310,7 +310,7 @@ def test_below_a_step_the_search_goes_on():
 
 @pytest.mark.parametrize("seed", range(40))
 def test_a_search_along_a_curve_ends_within_the_span(seed):
-    """Bent and uneven curves, good guesses and bad ones."""
+    """On bent and noisy curves, with good and bad first guesses."""
     rng = np.random.default_rng(seed)
     available = int(10 ** rng.uniform(3, 6))
     slope, bend, noise = rng.uniform(1.5, 5), rng.uniform(0, 0.3), rng.uniform(0, 0.05, 97)
@@ -326,12 +326,12 @@ def test_a_search_along_a_curve_ends_within_the_span(seed):
     assert len(found.probes) <= 8
 
 
-def test_a_quick_search_ends_on_either_side():
+def test_a_quick_search_accepts_a_psnr_just_below_the_target():
     found = search_count(lambda count: 29.8 + count / 1e6, 30.0, 1, 1000, 100, quick=True)
     assert [(probe.count, probe.quick) for probe in found.probes] == [(100, True)]
 
 
-def test_the_search_stays_between_the_fewest_and_the_whole():
+def test_the_search_stays_between_the_lowest_count_and_the_whole_model():
     found = search_count(lambda count: 40.0, 30.0, 7, 1000, 100)
     assert (found.count, found.stop) == (7, StopReason.STEP)
     assert all(probe.count >= 7 for probe in found.probes)
@@ -342,12 +342,12 @@ def test_the_search_stays_between_the_fewest_and_the_whole():
     assert (alone.probes, alone.stop) == ((), StopReason.UNREACHED)
 
 
-def test_the_search_is_bounded():
+def test_the_number_of_probes_is_limited():
     found = search_count(lambda count: 90.0, 30.0, 1, 10**300, 10**299)
     assert (found.stop, len(found.probes)) == (StopReason.PROBES, MOST_PROBES)
 
 
-def test_a_ratio_of_one_grows_nothing(splats, monkeypatch):
+def test_a_ratio_of_one_grows_no_forest(splats, monkeypatch):
     monkeypatch.setattr(pipeline_run, "grow_forest", None)
     bad = splats.take(np.arange(len(splats)))
     bad.means[7] = np.nan
@@ -359,7 +359,7 @@ def test_a_ratio_of_one_grows_nothing(splats, monkeypatch):
     assert model_bytes(level) == model_bytes(splats)
 
 
-# What is refused
+# Refused targets
 
 
 @pytest.mark.parametrize(
@@ -375,6 +375,6 @@ def test_a_ratio_of_one_grows_nothing(splats, monkeypatch):
         {"psnr": -1.0},
     ],
 )
-def test_exactly_one_goal_in_its_range(given):
+def test_anything_but_one_valid_target_is_refused(given):
     with pytest.raises(OptionError):
         Goal(**given)

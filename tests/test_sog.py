@@ -27,7 +27,7 @@ def load(tmp_path, described=None, **replaced):
     return io.load(sogfiles.folder(tmp_path / "m", sogfiles.files(described, **replaced)))
 
 
-def test_version_2_by_hand(tmp_path):
+def test_version_2_values_computed_by_hand(tmp_path):
     model = load(tmp_path)
     e = math.e
     assert model.means[0] == pytest.approx([1 - e, 0, e - 1])
@@ -41,12 +41,12 @@ def test_version_2_by_hand(tmp_path):
     assert model.opacity_logits[2] == pytest.approx(math.log(0.25))
     assert model.quats[0] == pytest.approx([0, HALF, -HALF, -HALF / 255], abs=1e-6)
     assert model.quats[1] == pytest.approx([HALF / 255] * 3 + [1], abs=1e-4)
-    assert model.quats[2].tolist() == [1, 0, 0, 0]  # a tag that names no part
+    assert model.quats[2].tolist() == [1, 0, 0, 0]  # a tag that names no component
     assert model.render_mode is RenderMode.DEFAULT
     assert model.notes == ()
 
 
-def test_version_1_by_hand(tmp_path):
+def test_version_1_values_computed_by_hand(tmp_path):
     model = load(tmp_path, sogfiles.meta_1())
     assert model.means[1] == pytest.approx([math.e - 1, 0, math.e**2 - 1])
     assert model.log_scales[1] == pytest.approx([-2 / 255, -2 / 255, 0])
@@ -56,7 +56,7 @@ def test_version_1_by_hand(tmp_path):
 
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_palette(tmp_path, version, degree):
+def test_palette_entries_are_looked_up_by_label(tmp_path, version, degree):
     names = ["shN_centroids.webp", "shN_labels.webp"]
     if version == 2:
         shn = {"count": 70, "bands": degree, "codebook": sogfiles.RAMP, "files": names}
@@ -73,7 +73,7 @@ def test_palette(tmp_path, version, degree):
             assert rgb == pytest.approx(book[[entry, entry + 1, coefficient]])
 
 
-def test_zip_and_folder_hold_the_same(tmp_path):
+def test_zip_and_folder_give_the_same_model(tmp_path):
     contents = sogfiles.files()
     model = io.load(sogfiles.folder(tmp_path / "m", contents))
     for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -89,7 +89,7 @@ def test_zip_and_folder_hold_the_same(tmp_path):
     ("name", "mode"),
     [("default", "default"), ("antialiased", "mip"), ("2dgs", "2dgs"), ("new", "default")],
 )
-def test_render_mode(tmp_path, name, mode):
+def test_render_mode_is_read_and_unknown_ones_are_noted(tmp_path, name, mode):
     path = sogfiles.folder(tmp_path, sogfiles.files(sogfiles.meta(model=name)))
     model = io.load(path)
     assert model.render_mode == io.inspect(path).render_mode == mode
@@ -155,14 +155,14 @@ def test_bad_descriptions_are_refused(tmp_path, case):
     "name",
     ["../quats.webp", "/etc/passwd", "a/quats.webp", "..", ".", "", "C:x", "a\\b", "a\0b", 7],
 )
-def test_names_that_lead_elsewhere_are_refused(tmp_path, name):
+def test_file_names_outside_the_folder_are_refused(tmp_path, name):
     (tmp_path / "quats.webp").write_bytes(sogfiles.textures()["quats.webp"])
     with pytest.raises(FormatError, match="must name a file in the same folder"):
         load(tmp_path, changed(quats={"files": [name]}))
 
 
 def bomb(width, height):
-    """A WebP file that states a size, and holds nothing."""
+    """A WebP file whose header states a size, and that has no data."""
     body = struct.pack("<BI", 0x2F, width - 1 | height - 1 << 14) + b"\0" * 8
     chunk = b"VP8L" + struct.pack("<I", len(body)) + body
     return b"RIFF" + struct.pack("<I", 4 + len(chunk)) + b"WEBP" + chunk
@@ -209,8 +209,8 @@ def test_zip_entries_are_checked(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.sog", "a.npz"])
-def test_damage_is_told_in_a_sentence_and_not_in_pages(tmp_path, name):
-    """Python quotes as many bytes as a damaged entry states for the length of its name."""
+def test_damage_is_reported_in_a_short_message(tmp_path, name):
+    """Python's own message quotes a name of the length that a damaged entry states."""
     io.save(random_splats(2_000), tmp_path / name)
     data = bytearray((tmp_path / name).read_bytes())
     for at in (m.start() for m in re.finditer(rb"PK\x03\x04", bytes(data))):
@@ -238,8 +238,8 @@ def test_damaged_bundles_give_an_error_or_a_model(tmp_path):
     assert min(outcomes.values()) > 5, outcomes
 
 
-def test_as_many_texels_are_read_as_are_written(tmp_path, monkeypatch, recwarn):
-    """Pillow warns of pictures of more pixels than a web page has, and refuses twice that."""
+def test_large_textures_are_read_without_pillows_warning(tmp_path, monkeypatch, recwarn):
+    """Pillow warns above `MAX_IMAGE_PIXELS`, and refuses twice that."""
     path = tmp_path / "a.sog"
     splats = random_splats(2000, degree=0)
     io.save(splats, path)
@@ -270,7 +270,7 @@ def leaf(**lods):
 
 @pytest.fixture
 def streamed(tmp_path):
-    """A scene whose levels 0 and 1 lie in two models and one, and its environment in one more."""
+    """A writer of a manifest for level 0 in two models, level 1 in one, and an environment."""
     for name, colour in (("0_0", 1), ("0_1", 2), ("1_0", 3), ("env", 4)):
         own = {"sh0.webp": sogfiles.webp([[colour, row, 0, 255] for row in range(3)])}
         sogfiles.folder(tmp_path / name, sogfiles.files(**own))
@@ -333,7 +333,7 @@ def test_the_environment_belongs_to_every_level(streamed, tmp_path, bundled):
     assert colours(io.load(tmp_path / "all.ply"))[-3:] == sky
 
 
-def test_a_model_without_levels_has_none_to_choose_from(tmp_path):
+def test_a_model_without_levels_has_only_level_0(tmp_path):
     io.save(random_splats(3), tmp_path / "a.ply")
     assert len(io.load(tmp_path / "a.ply", level=0)) == 3
     with pytest.raises(OptionError, match="has no levels of detail, so there is no level 1"):
@@ -399,7 +399,7 @@ def test_real_scene_agrees_with_gsply():
     assert np.array_equal(model.sh[:, 1:], other.shN)
     assert model.means == pytest.approx(other.means, abs=1e-6)
     assert model.quats == pytest.approx(other.quats, abs=1e-6)
-    # It keeps alpha a millionth away from 0 and 1.
+    # gsply keeps alpha a millionth away from 0 and 1.
     assert model.opacity_logits.clip(-13.8, 13.8) == pytest.approx(
         other.opacities.clip(-13.8, 13.8), abs=1e-5
     )

@@ -1,4 +1,4 @@
-"""Encoding SOG: what comes back, and what the codebooks and palettes cost."""
+"""Encoding SOG: round trips, and the errors of codebooks and palettes."""
 
 import itertools
 import json
@@ -41,21 +41,21 @@ def saved(tmp_path, model, name="a.sog", **options):
 
 
 def in_order_of(model, other):
-    """The other model's splats, put in this one's order by where they are, and axes likewise."""
+    """Return `other` in the order of `model`, matched by centres, with the most similar axes."""
     rows = cKDTree(other.means).query(model.means)[1]
     assert sorted(rows) == list(range(len(model)))
     return with_axes_of(model, other.take(rows))
 
 
 def product(a, b):
-    """Of quaternions, wxyz."""
+    """Product of quaternions, wxyz."""
     w, v, x, u = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
     real = w * x - (v * u).sum(axis=1, keepdims=True)
     return np.hstack([real, w * u + x * v + np.cross(v, u)])
 
 
 def with_axes_of(model, other):
-    """The other model, of the 24 ways to write each splat the one nearest to this model's."""
+    """Return `other` with each splat written in the one of 24 ways that is nearest to `model`."""
     own = model.unit_quats().astype(float)
     between = product(own * [1, -1, -1, -1], other.unit_quats().astype(float))
     turned, scales = minimise_rotation(replace(other, quats=between.astype(np.float32)))
@@ -63,7 +63,7 @@ def with_axes_of(model, other):
 
 
 def angle(a, b):
-    """Between rotations, in radians."""
+    """Angles between the rotations of two models, in radians."""
     cosine = np.abs((a.unit_quats().astype(float) * b.unit_quats()).sum(axis=1))
     return 2 * np.arccos(cosine.clip(0, 1))
 
@@ -75,7 +75,7 @@ def test_round_trip_is_within_the_quantisation(tmp_path_factory, model):
     logarithms = [np.log1p(np.abs(m.means)) for m in (model, back)]
     assert np.abs(logarithms[0] - logarithms[1]).max() < 3e-3
     assert angle(model, back).max() < 0.034  # half a step of 4 / 255 √2 in three parts
-    # So few values that each has its own entry.
+    # So few values that each has its own codebook entry.
     scales = np.where(np.isneginf(model.log_scales), back.log_scales, model.log_scales)
     assert np.array_equal(scales, back.log_scales)
     assert np.array_equal(model.sh[:, 0], back.sh[:, 0])
@@ -87,7 +87,7 @@ def test_round_trip_is_within_the_quantisation(tmp_path_factory, model):
     assert back.render_mode is model.render_mode
 
 
-def test_scale_of_zero_stays_far_below_all_others(tmp_path):
+def test_a_scale_of_zero_stays_far_below_all_others(tmp_path):
     model = random_model(500, 0)
     model.log_scales[7, 1] = -np.inf
     back = in_order_of(model, saved(tmp_path, model))
@@ -95,28 +95,28 @@ def test_scale_of_zero_stays_far_below_all_others(tmp_path):
     assert back.log_scales[7, 1] == pytest.approx(others.min() - 20, abs=0.5)
 
 
-def test_a_second_pass_changes_no_value(tmp_path):
+def test_saving_a_loaded_file_again_changes_no_value(tmp_path):
     once = saved(tmp_path, random_model())
     twice = in_order_of(once, saved(tmp_path, once))
     assert np.array_equal(once.log_scales, twice.log_scales)
     assert np.array_equal(once.sh, twice.sh)
     assert np.array_equal(once.opacity_logits, twice.opacity_logits)
     assert np.abs(once.means - twice.means).max() < 1e-4
-    # Where two ways to write a rotation are as good, it may be the other one the second time.
+    # If two ways to write a rotation are equally good, the second file may have the other one.
     assert angle(once, twice).max() < 0.034
     assert angle(once, twice).mean() < 1e-3
 
 
 @pytest.mark.parametrize("n", [1, 2, 15, 16, 17, 1025])
 @pytest.mark.parametrize("degree", [0, 3])
-def test_any_count(tmp_path, n, degree):
+def test_any_count_can_be_written(tmp_path, n, degree):
     model = random_model(n, degree)
     back = saved(tmp_path, model)
     assert len(back) == n
     assert back.sh_degree == degree
 
 
-def test_coincident_splats_stay(tmp_path):
+def test_coincident_splats_keep_their_position(tmp_path):
     model = replace(random_model(50, 1), means=np.ones((50, 3), np.float32))
     assert saved(tmp_path, model).means == pytest.approx(np.ones((50, 3)))
 
@@ -126,7 +126,7 @@ def test_render_mode_is_kept(tmp_path, mode):
     assert saved(tmp_path, replace(random_model(9), render_mode=mode)).render_mode is mode
 
 
-def test_what_is_left_out_is_said(tmp_path):
+def test_losses_are_reported(tmp_path):
     model = random_model(20, 4)
     extras = {"label": np.arange(20)}
     camera = ExtraElement("camera", np.zeros(1, [("x", "f4")]))
@@ -151,7 +151,7 @@ def test_what_is_left_out_is_said(tmp_path):
         ("sh", 1e30, "1 splat holds colour coefficients or log-scales beyond .*write .ply"),
     ],
 )
-def test_what_cannot_be_stored_is_refused_before_anything_is_written(
+def test_values_that_cannot_be_stored_are_refused_before_writing(
     tmp_path, name, column, value, said
 ):
     model = random_model(3, 1)
@@ -180,7 +180,7 @@ def test_values_at_the_limit_are_kept(tmp_path):
     assert back.means[:, 1].min() == pytest.approx(-3.4e38, rel=1e-3)
 
 
-def test_same_bytes_again_and_for_any_number_of_threads(tmp_path):
+def test_bytes_do_not_depend_on_the_number_of_threads(tmp_path):
     model = random_model(5000, 3)
     written = []
     for threads in (1, 2, None):
@@ -193,7 +193,7 @@ def test_same_bytes_again_and_for_any_number_of_threads(tmp_path):
     assert written[0] == written[1] == written[2]
 
 
-def test_bundle_is_stored_and_dateless(tmp_path):
+def test_zip_entries_are_uncompressed_and_have_a_fixed_date(tmp_path):
     saved(tmp_path, random_model(100))
     with zipfile.ZipFile(tmp_path / "a.sog") as bundle:
         assert bundle.namelist()[-1] == "meta.json"
@@ -202,7 +202,7 @@ def test_bundle_is_stored_and_dateless(tmp_path):
             assert entry.date_time == (1980, 1, 1, 0, 0, 0)
 
 
-def test_unused_entries_of_codebooks_take_a_byte(tmp_path):
+def test_unused_codebook_entries_are_zeros(tmp_path):
     saved(tmp_path, random_model(5))
     with zipfile.ZipFile(tmp_path / "a.sog") as bundle:
         meta = json.loads(text := bundle.read("meta.json"))
@@ -215,7 +215,7 @@ def test_unused_entries_of_codebooks_take_a_byte(tmp_path):
     assert len(text) < 4000
 
 
-def test_folder(tmp_path):
+def test_write_folder_replaces_only_folders_made_by_nanogs(tmp_path):
     model, path = random_model(100), tmp_path / "m"
     sog_write.write_folder(model, path)
     assert_same(io.load(path / "meta.json"), saved(tmp_path, model))
@@ -233,7 +233,7 @@ def test_folder(tmp_path):
         sog_write.write_folder(model, foreign, overwrite=True)
 
 
-def test_save_makes_a_folder(tmp_path):
+def test_saving_as_meta_json_makes_a_folder(tmp_path):
     model = random_model(100, 1)
     io.save(model, tmp_path / "m" / "meta.json")
     assert_same(io.load(tmp_path / "m" / "meta.json"), saved(tmp_path, model))
@@ -256,7 +256,7 @@ def test_save_makes_a_folder(tmp_path):
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a.sog", "m"]
 
 
-def test_a_changed_description_leads_to_no_file_elsewhere(tmp_path):
+def test_ours_lists_no_files_outside_the_folder(tmp_path):
     described = {"asset": {"generator": "nanogs"}, "means": {"files": ["../a", "b.webp", 5]}}
     (tmp_path / "meta.json").write_text(json.dumps(described))
     assert sog_write.ours(tmp_path) == {"meta.json", "b.webp", "5"}
@@ -280,7 +280,7 @@ def squared_error(values, runs):
 
 
 @given(seed=st.integers(0, 2**32 - 1), bins=st.integers(1, 9), data=st.data())
-def test_cuts_are_optimal(seed, bins, data):
+def test_cuts_minimise_the_squared_error(seed, bins, data):
     from nanogs.kernels.quantise import optimal_cuts
 
     runs = data.draw(st.integers(1, bins))
@@ -293,7 +293,7 @@ def test_cuts_are_optimal(seed, bins, data):
     assert squared_error(centres, cuts) == pytest.approx(best, abs=1e-9)
 
 
-def test_codebook_bears_an_outlier():
+def test_an_outlier_does_not_spoil_the_codebook():
     values = np.random.default_rng(1).normal(size=100_000).astype(np.float32)
     values[0] = 1000  # an outlier must not take the entries from all others
     book = codebook(values)
@@ -303,7 +303,7 @@ def test_codebook_bears_an_outlier():
     assert (np.diff(book) >= 0).all()
 
 
-def test_nearest_entry_is_the_nearest():
+def test_nearest_finds_the_nearest_codebook_entry():
     rng = np.random.default_rng(2)
     book = np.sort(rng.normal(size=256)).astype(np.float32)
     values = rng.normal(size=(500, 3)).astype(np.float32)
@@ -313,7 +313,7 @@ def test_nearest_entry_is_the_nearest():
 
 
 def lloyd(points, size, rounds=10):
-    """The plain method, from random points on."""
+    """Return the squared error of plain k-means, started from random points."""
     rng = np.random.default_rng(0)
     centres = points[rng.choice(len(points), size, replace=False)].astype(float)
     for _ in range(rounds):
@@ -326,8 +326,8 @@ def lloyd(points, size, rounds=10):
 @pytest.mark.parametrize("dimensions", [9, 24])
 def test_palette_is_about_as_good_as_plain_k_means(dimensions):
     rng = np.random.default_rng(4)
-    places = rng.normal(size=(40, dimensions)) * 2
-    points = (places[rng.integers(40, size=4000)] + rng.normal(size=(4000, dimensions))) / 9
+    clusters = rng.normal(size=(40, dimensions)) * 2
+    points = (clusters[rng.integers(40, size=4000)] + rng.normal(size=(4000, dimensions))) / 9
     points = points.astype(np.float32)
     found = palette(points, 600)
     assert len(found.entries) <= 600
@@ -335,7 +335,7 @@ def test_palette_is_about_as_good_as_plain_k_means(dimensions):
     assert error < 1.06 * lloyd(points, 600)
 
 
-def test_palette_keeps_what_fits():
+def test_palette_is_exact_if_all_points_fit():
     rng = np.random.default_rng(5)
     points = rng.normal(size=(300, 9)).astype(np.float32)[rng.integers(300, size=2000)]
     found = palette(points, 512)
@@ -345,7 +345,7 @@ def test_palette_keeps_what_fits():
 
 
 @pytest.mark.parametrize("size", [1, 7, 100, 1000, 1100])
-def test_the_palette_has_as_many_entries_as_asked_for(tmp_path, size):
+def test_the_palette_has_the_requested_number_of_entries(tmp_path, size):
     model = random_model(1100, 1)
     options = {"palette": size}
     io.save(model, tmp_path / "a.sog", format_options=options)
@@ -360,7 +360,7 @@ def test_the_palette_has_as_many_entries_as_asked_for(tmp_path, size):
     )
 
 
-def test_by_default_the_palette_grows_with_the_model():
+def test_the_default_palette_size_grows_with_the_model():
     counts = [1, 1000, 1500, 1650, 98_304, 10**7]
     sizes = [sog_write.usual_palette(count) for count in counts]
     assert sizes == [1024, 1024, 1024, 1100, 65_536, 65_536]
@@ -373,7 +373,7 @@ def test_a_palette_beyond_the_format_is_refused(tmp_path, size):
     assert not list(tmp_path.iterdir())
 
 
-def test_heavy_points_are_served_better():
+def test_points_of_higher_weight_get_smaller_errors():
     rng = np.random.default_rng(6)
     points = rng.normal(size=(4000, 9)).astype(np.float32)
     heavy = np.arange(4000) < 400
@@ -387,12 +387,12 @@ def test_invisible_splats_are_written_too(tmp_path):
     assert len(saved(tmp_path, model)) == 900
 
 
-def test_palette_entries_never_exceed_the_points_of_a_cell():
+def test_a_palette_of_unevenly_spaced_points_has_a_small_error():
     points = np.zeros((5000, 9), np.float32)
     points[:, 0] = np.arange(5000) ** 3 / 1e9  # crowded at one end
     found = palette(points, 4096)
     assert len(found.entries) <= 4096
-    assert np.square(points - found.entries[found.labels]).sum() < 2  # all alike would be 4e5
+    assert np.square(points - found.entries[found.labels]).sum() < 2  # one entry for all: 4e5
 
 
 def test_real_scene_is_written_smaller(tmp_path):
@@ -421,7 +421,7 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
         np.abs(model.opacities() - back.opacities()).max()
         < 0.5 / min(2 ** (bits + 1) - 1, 255) + 0.002
     )
-    # Of splats that count, a step of the centre is a small share of the size.
+    # For visible splats, a step of the centre is a small share of the size.
     sizes = np.sort(model.scales(), axis=1)[:, 1]
     moved = np.abs(model.means - back.means).max(axis=1) / sizes
     assert 0.001 * step < np.average(moved, weights=visibility(model)) < 0.02 * step
@@ -436,7 +436,7 @@ def test_bits_beyond_the_format_are_refused(tmp_path, bits):
         io.save(random_model(9, 1), tmp_path / "a.sog", format_options={"bits": bits})
 
 
-def test_centres_do_without_as_many_bits_as_asked_for(tmp_path):
+def test_spare_bits_reduce_the_precision_of_centres(tmp_path):
     model, errors, sizes = random_model(), [], []
     for spare in range(7):
         again = saved(tmp_path, model, spare_bits=spare)
@@ -447,11 +447,11 @@ def test_centres_do_without_as_many_bits_as_asked_for(tmp_path):
     assert sizes == sorted(sizes, reverse=True)
 
 
-def test_bits_that_follow_from_a_model_can_be_given():
+def test_derived_options_can_be_given_explicitly():
     assert_written_alike(random_model(), "a.sog", most=5)
 
 
-def test_other_readers_agree(tmp_path):
+def test_gaussforge_reads_the_same_values(tmp_path):
     gaussforge = pytest.importorskip("gaussforge")
     back = saved(tmp_path, random_model(2000, 3))
     data = (tmp_path / "a.sog").read_bytes()
@@ -464,7 +464,7 @@ def test_other_readers_agree(tmp_path):
     assert other.opacity_logits[finite] == pytest.approx(back.opacity_logits[finite], abs=1e-4)
 
 
-def test_gsply_agrees(tmp_path):
+def test_gsply_reads_the_same_values(tmp_path):
     pytest.importorskip("imagecodecs")
     gsply = pytest.importorskip("gsply")
     back = saved(tmp_path, random_model(2000, 2))

@@ -1,4 +1,4 @@
-"""Sorting on all threads, held against NumPy's own stable sort."""
+"""Parallel sorting, compared with NumPy's stable sort."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def test_the_order_is_that_of_a_stable_sort(count, different, threads):
 
 
 @given(st.lists(st.integers(0, 20) | st.integers(0, 2**64 - 1), max_size=200))
-def test_a_few_keys_in_parts(keys):
+def test_few_keys_in_several_parts_are_sorted_stably(keys):
     array = np.array(keys, np.uint64)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sorting, "_LEAST", 8)
@@ -43,13 +43,13 @@ def test_quantiles_are_those_of_numpy_to_the_last_bit(count, seed, exponent):
     st.lists(st.sampled_from([0.0, -0.0, 1.0, -3.0, np.nan, np.inf]) | st.floats(), max_size=60),
     st.integers(0, 70),
 )
-def test_rows_come_by_value_and_those_of_equal_ones_by_row(values, first):
+def test_ascending_gives_rows_by_value_and_ties_by_row(values, first):
     array = np.array(values)
     assert list(_ascending(array, first)) == np.argsort(array, kind="stable").tolist()
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7])
-def test_each_part_is_done_once(count):
+def test_for_each_does_each_part_once(count):
     done = []
     with use_threads(2):
         parallel.for_each(range(count), done.append)

@@ -1,4 +1,4 @@
-"""Models of which some rows are read: the rows of the whole, however they are come by."""
+"""`Source`: rows that are read in parts or by number are those of the whole model."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ KEPT = [filters.box((-1, -1, -0.5), (1, 1, 0.5)), filters.opaque_enough(0.3)]
 
 @pytest.fixture
 def small_pages(monkeypatch):
-    """Pages of so few rows that a filtered model has several, some of them empty."""
+    """Make pages so small that a filtered model has several, some of them empty."""
     monkeypatch.setattr(base, "PAGE_ROWS", 32)
     monkeypatch.setattr(base, "BLOCK_ROWS", 100)
 
@@ -33,41 +33,41 @@ def model_of(count=700, **given):
     return random_splats(count, degree=2, extras=extras, **given)
 
 
-def assert_is(source, whole):
-    """Rows and runs of a source are those of the whole, and so is all of it."""
+def assert_source_equals(source, whole):
+    """Check that ranges, single rows and the whole of a source are those of a model."""
     assert source.count == len(source) == len(whole)
     assert source.columns.sh_degree == whole.sh_degree
     assert dict(source.columns.extras) == {n: c.dtype.str for n, c in whole.extras.items()}
     count = len(whole)
     for start, stop in [(0, count), (0, 1), (count - 1, count), (count // 3, count // 2)]:
-        assert_same(bare(source.read(start, stop)), bare(whole.span(start, stop)))
+        assert_same(columns_only(source.read(start, stop)), columns_only(whole.span(start, stop)))
     blocks = list(source.blocks())
-    assert_same(bare(sources.joined_rows(blocks)), bare(whole))
+    assert_same(columns_only(sources.joined_rows(blocks)), columns_only(whole))
     rows = np.random.default_rng(3).permutation(count)[: count // 2 + 1]
-    assert_same(bare(source.take(rows)), bare(whole.take(rows)))
+    assert_same(columns_only(source.take(rows)), columns_only(whole.take(rows)))
     assert len(source.take(rows[:0])) == 0
-    assert_same(bare(source.load()), bare(whole))
+    assert_same(columns_only(source.load()), columns_only(whole))
 
 
-def bare(splats):
+def columns_only(splats):
     return replace(splats, elements=(), comments=(), notes=())
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_file_that_is_opened_is_the_one_that_is_loaded(tmp_path, suffix, small_pages):
+def test_an_opened_file_equals_the_loaded_one(tmp_path, suffix, small_pages):
     path = tmp_path / f"a{suffix}"
     nanogs.save(model_of(), path)
     with nanogs.open(path) as source:
         whole = nanogs.load(path)
-        assert_is(source, whole)
+        assert_source_equals(source, whole)
         assert source.info == nanogs.io.inspect(path)
         assert source.load().notes == whole.notes
         assert source.load().comments == whole.comments
 
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES, None])
-def test_rows_that_there_are_not_are_refused(tmp_path, suffix):
-    """They came from beside the rows in the file, or as zeros."""
+def test_rows_out_of_range_are_refused(tmp_path, suffix):
+    """Once, other bytes of the file were returned for them, or zeros."""
     path, source = tmp_path / f"a{suffix}", InMemory(model_of())
     if suffix is not None:
         nanogs.save(model_of(), path)
@@ -86,7 +86,7 @@ def test_rows_that_there_are_not_are_refused(tmp_path, suffix):
         assert len(source.take([3, 1, 3])) == 3
 
 
-def test_functions_that_take_a_model_take_a_source_of_it(tmp_path):
+def test_functions_that_take_a_model_accept_a_source(tmp_path):
     nanogs.save(model_of(), tmp_path / "a.ply")
     with nanogs.open(tmp_path / "a.ply") as source:
         assert repr(source) == f"<Source {tmp_path / 'a.ply'}>"
@@ -95,20 +95,20 @@ def test_functions_that_take_a_model_take_a_source_of_it(tmp_path):
     assert_same(small, nanogs.simplify(tmp_path / "a.ply", ratio=0.1, preset="fast")[0])
 
 
-def test_what_is_counted_in_a_whole_file_is_counted_once(tmp_path, small_pages):
+def test_notes_about_a_whole_file_are_given_once_for_its_blocks(tmp_path, small_pages):
     path = tmp_path / "a.usda"
     nanogs.save(model_of(), path)
     before, scales, after = path.read_text().partition("scales = [(")
     path.write_text(f"{before}{scales}-{after}")
-    said = nanogs.load(path).notes
-    assert said == ("1 splat has a negative scale, which became NaN.",)
+    expected = nanogs.load(path).notes
+    assert expected == ("1 splat has a negative scale, which became NaN.",)
     with nanogs.open(path) as source:
         blocks = list(source.blocks())
     assert len(blocks) == 7
-    assert sources.joined_rows(blocks).notes == said
+    assert sources.joined_rows(blocks).notes == expected
 
 
-def test_elements_are_read_apart(tmp_path):
+def test_elements_are_read_separately_from_rows(tmp_path):
     rows = np.zeros(5, [("a", "<f4"), ("b", "<i2")])
     rows["a"] = range(5)
     model = replace(model_of(), elements=[ExtraElement("camera", rows)])
@@ -121,15 +121,15 @@ def test_elements_are_read_apart(tmp_path):
         assert source.columns == InMemory(nanogs.load(tmp_path / "a.ply")).columns
 
 
-def test_what_a_packed_file_is_unpacked_to_goes_with_the_source(tmp_path):
+def test_unpacked_data_are_removed_when_the_source_is_closed(tmp_path):
     nanogs.save(model_of(), tmp_path / "a.spz")
     source = nanogs.open(tmp_path / "a.spz")
     source.read(1, 2)
-    held = source._unpacked.columns
+    read_columns = source._unpacked.columns
     source.close()
     with pytest.raises(ValueError, match="closed file"):
-        held("alphas", 0, 1)
-    assert len(source.read(1, 3)) == 2  # it is unpacked anew
+        read_columns("alphas", 0, 1)
+    assert len(source.read(1, 3)) == 2  # it is unpacked again
     source.close()
 
 
@@ -145,21 +145,21 @@ def test_open_refuses_what_load_refuses(tmp_path):
         assert source.count == 700
 
 
-def test_filters_leave_what_they_leave_in_memory(small_pages):
+def test_filters_of_a_source_keep_the_same_splats_as_in_memory(small_pages):
     model = model_of()
-    left, reports = filters.apply(model, KEPT)
+    kept, reports = filters.apply(model, KEPT)
     source = Filtered(InMemory(model), KEPT)
-    assert 20 < len(left) < 400
+    assert 20 < len(kept) < 400
     assert source.reports == reports
-    assert_is(source, left)
-    assert_is(Filtered(InMemory(model), KEPT, source.kept), left)
-    assert sum(source.kept) == len(left)
+    assert_source_equals(source, kept)
+    assert_source_equals(Filtered(InMemory(model), KEPT, source.kept), kept)
+    assert sum(source.kept) == len(kept)
     assert len(source.kept) == 22
     far = Filtered(InMemory(model), [filters.sphere(model.means[650], 1e-3)])
-    assert_is(far, model.take(slice(650, 651)))  # most pages keep nothing
+    assert_source_equals(far, model.take(slice(650, 651)))  # most pages keep nothing
 
 
-def test_filters_in_parts_refuse_what_they_refuse_in_memory(small_pages):
+def test_filters_of_a_source_refuse_the_same_as_in_memory(small_pages):
     model = model_of()
     with pytest.raises(ModelError, match="leaves none of 700 splats"):
         _ = Filtered(InMemory(model), [filters.sphere((1e6, 0, 0), 1)]).count
@@ -171,7 +171,7 @@ def test_filters_in_parts_refuse_what_they_refuse_in_memory(small_pages):
         _ = Filtered(InMemory(with_rows), KEPT).count
 
 
-def test_filters_are_made_again_of_what_is_recorded():
+def test_filters_can_be_restored_from_their_record():
     model = model_of()
     for each in [
         *KEPT,
@@ -184,14 +184,14 @@ def test_filters_are_made_again_of_what_is_recorded():
 
 
 @pytest.mark.parametrize("target", ["rub", "fru", "rdf"])
-def test_turning_in_parts_is_turning_the_whole(target, small_pages):
+def test_turned_equals_the_turned_model(target, small_pages):
     model = model_of()
-    assert_is(Turned(InMemory(model), "rdf", target), change_frame(model, "rdf", target))
+    assert_source_equals(Turned(InMemory(model), "rdf", target), change_frame(model, "rdf", target))
     with pytest.raises(OptionError, match="A frame says"):
         Turned(InMemory(model), "rdf", "up")
 
 
-def test_parts_are_joined_by_the_columns_that_all_have(tmp_path, small_pages):
+def test_joined_files_have_the_columns_common_to_all(tmp_path, small_pages):
     second = replace(random_splats(300, degree=1, seed=5), comments=("second",))
     nanogs.save(model_of(), tmp_path / "a.ply")
     nanogs.save(second, tmp_path / "b.spz")
@@ -200,7 +200,7 @@ def test_parts_are_joined_by_the_columns_that_all_have(tmp_path, small_pages):
         one, two = map(nanogs.load, parts)
         assert source.columns.extras == ()
         whole = source.load()
-        assert_is(source, whole)
+        assert_source_equals(source, whole)
         assert np.array_equal(whole.means, np.concatenate([one.means, two.means]))
         assert np.array_equal(whole.sh[:700], one.sh)
         assert np.array_equal(whole.sh[700:, :4], two.sh)
@@ -213,26 +213,26 @@ def test_parts_are_joined_by_the_columns_that_all_have(tmp_path, small_pages):
         Joined([InMemory(one), InMemory(replace(one, render_mode="mip"))])
 
 
-def test_comments_of_further_inputs_are_said_to_be_left_out():
+def test_left_out_comments_of_further_inputs_are_noted():
     first = replace(model_of(), comments=("a", "b"))
     others = [replace(first, comments=lines) for lines in ((), ("b",), ("b", "c"), ("d", "c"))]
     with Joined([InMemory(first), *map(InMemory, others)]) as source:
         assert source.columns.comments == source.read(0, 1).comments == ("a", "b")
-        said = "2 comment lines are left out: of several inputs only the first one's are kept."
-        assert source.columns.notes == source.load().notes == (said,)
+        note = "2 comment lines are left out: of several inputs only the first one's are kept."
+        assert source.columns.notes == source.load().notes == (note,)
     assert Joined([InMemory(first), InMemory(others[1])]).columns.notes == ()
 
 
-def test_bands_above_a_degree_are_left_out(small_pages):
+def test_reduced_leaves_out_higher_sh_bands(small_pages):
     model = model_of()
-    assert_is(Reduced(InMemory(model), 1), model.with_sh_degree(1))
-    assert_is(Reduced(InMemory(model), 3), model)
+    assert_source_equals(Reduced(InMemory(model), 1), model.with_sh_degree(1))
+    assert_source_equals(Reduced(InMemory(model), 3), model)
 
 
-def test_changes_of_changes_are_those_in_memory(tmp_path, small_pages):
+def test_nested_sources_equal_the_same_changes_in_memory(tmp_path, small_pages):
     model = model_of()
     nanogs.save(model.span(0, 301), tmp_path / "a.ply")
     nanogs.save(model.span(301, 700), tmp_path / "b.ply")
     files = [nanogs.open(tmp_path / name) for name in ("a.ply", "b.ply")]
     with Turned(Filtered(Joined(files), KEPT), "rdf", "luf") as source:
-        assert_is(source, change_frame(filters.apply(model, KEPT)[0], "rdf", "luf"))
+        assert_source_equals(source, change_frame(filters.apply(model, KEPT)[0], "rdf", "luf"))

@@ -34,7 +34,7 @@ def load(tmp_path):
     return load
 
 
-def test_one_row(load):
+def test_one_row_is_decoded(load):
     model = load(row())
     assert model.means.tolist() == [[1, 2, 3]]
     assert model.log_scales[0] == pytest.approx([0, -math.log(2), math.log(2)])
@@ -57,7 +57,7 @@ def test_negative_scale_is_noted(load):
     assert model.notes == ("1 splat has a negative scale, which became NaN.",)
 
 
-def test_blocks_agree(load, monkeypatch):
+def test_a_file_read_in_blocks_gives_the_same_model(load, monkeypatch):
     data = b"".join(row(mean=(i, 0, 0)) for i in range(20))
     monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 3)
     assert load(data).means[:, 0].tolist() == list(range(20))
@@ -103,7 +103,7 @@ def test_one_row_is_written_back(load, saved):
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(quats=hnp.arrays(np.float32, (20, 4), elements=st.floats(-4, 4, width=32)))
 def test_unit_quaternions_keep_their_bytes(load, saved, tmp_path, quats):
-    """Those any writer makes of unit quaternions; others are made unit once."""
+    """Other quaternions are normalised when they are first written."""
     model = replace(random_splats(20, degree=0), quats=quats)
     once = saved(model)
     assert saved(load(once)) == once
@@ -134,7 +134,7 @@ def test_order_is_kept_across_blocks(saved, load, monkeypatch):
     assert np.array_equal(load(whole).means, model.means)
 
 
-def test_losses_are_said(tmp_path):
+def test_losses_are_reported(tmp_path):
     model = random_splats(3, degree=2, extras={"label": np.arange(3)})
     model.sh[:, 0] = 0
     model.sh[1, 0, 2] = 2
@@ -182,9 +182,9 @@ def test_gaussforge_reads_the_same_values(saved, tmp_path):
 
 
 def test_normals_of_zero_are_no_loss(tmp_path):
-    none, some = np.zeros(4, np.float32), np.ones(4, np.float32)
+    zeros, ones = np.zeros(4, np.float32), np.ones(4, np.float32)
     model = replace(random_splats(4, degree=0), comments=())
     path = tmp_path / "model.splat"
-    assert io.losses(replace(model, extras={"nx": none, "ny": none}), path) == ()
-    assert "ny" in io.losses(replace(model, extras={"nx": none, "ny": some}), path)[0]
-    assert "label" in io.losses(replace(model, extras={"label": none}), path)[0]
+    assert io.losses(replace(model, extras={"nx": zeros, "ny": zeros}), path) == ()
+    assert "ny" in io.losses(replace(model, extras={"nx": zeros, "ny": ones}), path)[0]
+    assert "label" in io.losses(replace(model, extras={"label": zeros}), path)[0]

@@ -1,4 +1,4 @@
-"""The model: what it takes, its rows, how it is copied, and how it shows itself."""
+"""`Splats`: accepted input, rows, copies and display."""
 
 import copy
 import pickle
@@ -29,7 +29,7 @@ ROWS = {
 
 
 class Tensor:
-    """As PyTorch's: no array while it may need a gradient or is on another device."""
+    """Like a tensor of PyTorch: no array if it needs a gradient or is on another device."""
 
     def __init__(self, array, *, grad=True, device="cuda"):
         self.array, self.grad, self.device = array, grad, device
@@ -57,7 +57,7 @@ def arrays_of(model):
 
 
 @pytest.mark.parametrize("rows", ROWS.values(), ids=ROWS)
-def test_every_column_is_taken_with_its_row(rows):
+def test_indexing_takes_the_rows_of_every_column(rows):
     labels = np.arange(12, dtype=">u2")
     model = random_splats(12, extras={"label": labels})
     for some in (model.take(rows), model[rows]):
@@ -70,12 +70,12 @@ def test_every_column_is_taken_with_its_row(rows):
 
 
 @pytest.mark.parametrize("row", [0, 11, -1, -2, -12, np.int8(3), np.array(5)])
-def test_a_number_is_a_model_of_one_splat(row):
+def test_indexing_by_a_number_gives_a_model_of_one_splat(row):
     model = random_splats(12, extras={"label": np.arange(12)})
     assert model[row].extras["label"].tolist() == [np.arange(12)[row]]
 
 
-def test_a_row_that_is_not_there_is_refused():
+def test_rows_out_of_range_are_refused():
     for rows in (np.array([12]), [12], 12, -13):
         with pytest.raises(IndexError):
             random_splats(12)[rows]
@@ -85,7 +85,7 @@ def test_a_row_that_is_not_there_is_refused():
 
 @st.composite
 def models_and_rows(draw):
-    """A model, and rows of it in any of the ways to name them."""
+    """A model, and an index of its rows of any accepted type."""
     model = draw(splats())
     n = len(model)
     row = st.integers(-n, n - 1)
@@ -103,7 +103,7 @@ def models_and_rows(draw):
 
 
 @given(models_and_rows())
-def test_any_way_to_name_rows_is_that_of_numpy(drawn):
+def test_any_index_selects_the_rows_that_numpy_selects(drawn):
     model, rows = drawn
     some = model[rows]
     empty = isinstance(rows, list) and not rows
@@ -119,17 +119,17 @@ def test_any_way_to_name_rows_is_that_of_numpy(drawn):
 
 
 @given(splats())
-def test_all_rows_are_the_model(model):
+def test_a_full_slice_equals_the_model(model):
     assert_same(model[:], model)
 
 
 @given(splats(extras=False))
-def test_the_splats_in_turn_are_the_model(model):
+def test_iterating_gives_models_of_one_splat_each(model):
     assert [len(one) for one in model] == [1] * len(model)
     assert_same(nanogs.splats.concatenate(list(model)), model)
 
 
-def test_an_element_of_one_row_a_splat_follows_and_others_stay():
+def test_elements_with_one_row_per_splat_are_indexed_and_others_kept():
     one_each = ExtraElement("marks", np.arange(5.0).view([("a", "f8")]))
     other = ExtraElement("camera", np.zeros(2, [("x", "f4")]))
     model = replace(random_splats(5), elements=[one_each, other])
@@ -152,14 +152,14 @@ def test_an_element_of_one_row_a_splat_follows_and_others_stay():
         ([[1], [2, 3]], "not list"),
     ],
 )
-def test_what_names_no_rows_is_refused(rows, message):
+def test_invalid_indices_are_refused(rows, message):
     with pytest.raises(IndexError, match=message):
         random_splats(12)[rows]
     with pytest.raises(IndexError, match=message):
         random_splats(12).take(rows)
 
 
-# ---- what is taken --------------------------------------------------------------------------
+# ---- accepted input -------------------------------------------------------------------------
 
 
 def test_lists_and_other_numbers_become_float32():
@@ -185,7 +185,7 @@ def test_lists_and_other_numbers_become_float32():
             assert getattr(taken, name).dtype == (np.float64 if double else np.float32)
 
 
-def test_a_render_mode_may_be_its_value():
+def test_a_render_mode_can_be_given_as_text():
     model = replace(random_splats(2), render_mode="mip")
     assert model.render_mode is RenderMode.MIP
     taken = Splats.from_gsplat(model.to_gsplat(), render_mode="2dgs")
@@ -206,7 +206,7 @@ def test_tensors_are_detached_and_brought_to_the_cpu():
     assert_same(model, other)
 
 
-def test_tensors_of_pytorch_are_taken():
+def test_tensors_of_pytorch_are_accepted():
     torch = pytest.importorskip("torch")
     other = random_splats(6)
     leaves = {n: torch.nn.Parameter(torch.from_numpy(a)) for n, a in arrays_of(other).items()}
@@ -242,12 +242,12 @@ def test_tensors_of_pytorch_are_taken():
         ({"extras": {"label": [1, 2]}}, r"extra column 'label' must be \(4,\), not \(2,\)"),
     ],
 )
-def test_what_is_no_model_is_said_in_one_sentence(changes, message):
+def test_invalid_arrays_are_refused_with_a_clear_message(changes, message):
     with pytest.raises(ModelError, match=message):
         Splats(**arrays_of(random_splats(4)) | changes)
 
 
-def test_a_model_is_no_array():
+def test_converting_a_model_to_an_array_is_refused():
     with pytest.raises(TypeError, match=r"splats\.means"):
         np.asarray(random_splats(4))
 
@@ -256,7 +256,7 @@ def test_a_model_is_no_array():
 
 
 @given(splats(extras=False))
-def test_gsplat_and_back(model):
+def test_to_gsplat_and_from_gsplat_round_trip(model):
     tensors = model.to_gsplat()
     assert list(tensors) == ["means", "scales", "quats", "opacities", "sh0", "shN"]
     assert tensors["sh0"].shape == (len(model), 1, 3)
@@ -266,14 +266,14 @@ def test_gsplat_and_back(model):
     assert_same(back, same)
 
 
-def test_what_gsplat_gets_is_a_copy():
+def test_to_gsplat_copies_the_arrays():
     model = random_splats(3)
     before = model.means.copy()
     model.to_gsplat()["means"] += 1
     np.testing.assert_array_equal(model.means, before)
 
 
-def test_gsplat_gives_tensors_colours_and_less():
+def test_from_gsplat_accepts_tensors_colours_and_missing_harmonics():
     model = random_splats(5, degree=2)
     tensors = model.to_gsplat()
     assert_same(Splats.from_gsplat({n: Tensor(a) for n, a in tensors.items()}), model)
@@ -300,17 +300,17 @@ def test_gsplat_gives_tensors_colours_and_less():
         ({"scales": np.zeros(4)}, "log_scales must be"),
     ],
 )
-def test_other_dictionaries_are_refused(changes, message):
+def test_invalid_gsplat_dictionaries_are_refused(changes, message):
     tensors = random_splats(4).to_gsplat() | changes
     with pytest.raises(ModelError, match=message):
         Splats.from_gsplat({name: array for name, array in tensors.items() if array is not None})
 
 
-# ---- copies and looks -----------------------------------------------------------------------
+# ---- copies and display ---------------------------------------------------------------------
 
 
 @given(splats())
-def test_copies_are_the_same_model(model):
+def test_copies_and_pickles_equal_the_model(model):
     for back in (pickle.loads(pickle.dumps(model)), copy.deepcopy(model), copy.copy(model)):
         assert_same(back, model)
         assert back.elements == () or back.elements[0].name == model.elements[0].name
@@ -328,7 +328,7 @@ def test_a_deep_copy_shares_nothing():
     assert model.extras["label"].tolist() == [0, 1, 2]
 
 
-def test_a_model_shows_itself_in_one_line():
+def test_repr_describes_the_model_in_one_line():
     model = random_splats(1234, degree=3, extras={"label": np.arange(1234)})
     model.means[0] = np.nan
     model.means[1:] = np.clip(model.means[1:], -0.5, 0.25)
@@ -342,11 +342,11 @@ def test_a_model_shows_itself_in_one_line():
     assert repr(model[5]).startswith("Splats(1 splat; ")
 
 
-def test_a_notebook_shows_a_picture_that_is_made_once(monkeypatch):
+def test_a_notebook_shows_an_image_that_is_rendered_once(monkeypatch):
     model = random_splats(300)
     png = model._repr_png_()
     assert png[:4] == b"\x89PNG"
-    monkeypatch.setattr(summary, "_render", None)  # would be called for another
+    monkeypatch.setattr(summary, "_render", None)  # rendering again would fail
     assert model._repr_png_() is png
     text = model._repr_html_()
     assert text.startswith('<img src="data:image/png;base64,iVBOR')
@@ -365,7 +365,7 @@ def test_the_picture_shows_the_model():
     assert (image[:, :40] > 20).any(axis=2).mean() < 0.1
 
 
-def test_a_model_without_a_picture_is_a_line_and_says_why(monkeypatch):
+def test_without_an_image_a_notebook_shows_text_and_the_reason(monkeypatch):
     nothing = random_splats(3)[:0]
     assert nothing._repr_png_() is None
     assert "No picture: The model shows nothing" in nothing._repr_html_()

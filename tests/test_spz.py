@@ -42,14 +42,14 @@ def load(tmp_path):
     return load
 
 
-def written(model, path, version=3):
+def round_trip(model, path, version=3):
     with path.open("wb") as file:
         spz_write.write(model, file, version=version)
     return io.load(path)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_hand_made_file(load, version):
+def test_values_computed_by_hand(load, version):
     model = load(encode([row(sh=(0, 128, 255, *[129] * 6))] * 3, version, degree=1))
     assert model.means.tolist() == [[1.5, -2.25, 0.0625]] * 3
     assert model.log_scales[0].tolist() == [-10, 0, 5.9375]
@@ -64,8 +64,8 @@ def test_hand_made_file(load, version):
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("turn", range(8))
-def test_rotations(load, version, turn):
-    """Every place of the largest part, either sign; -q turns like q."""
+def test_rotations_are_decoded(load, version, turn):
+    """For each position and sign of the largest component; -q is the same rotation as q."""
     quat = np.roll([0.8, -0.4, 0.2, 0.4], turn) * (-1 if turn > 3 else 1)
     stored = quat if version > 2 or quat[3] > 0 else -quat
     decoded = load(encode([row(xyzw=tuple(stored))], version)).quats[0]
@@ -73,7 +73,7 @@ def test_rotations(load, version, turn):
 
 
 def unpacked(data):
-    """The same file without its gzip."""
+    """Return the bytes of a file without gzip compression."""
     return gzip.decompress(data)
 
 
@@ -100,13 +100,13 @@ def test_extreme_alphas_are_infinite(load):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_antialiased_flag(load, version, tmp_path):
+def test_the_antialiased_flag_is_read_as_mip(load, version, tmp_path):
     assert load(encode([row()], version, flags=1)).render_mode is RenderMode.MIP
     assert io.inspect(tmp_path / "a.spz").render_mode is RenderMode.MIP
 
 
 @pytest.mark.parametrize("bits", [0, 5, 24])
-def test_fraction_bits(load, bits):
+def test_centres_are_decoded_with_any_number_of_fraction_bits(load, bits):
     mean = np.array([1, -3, 2**22]) / 2**bits
     assert load(encode([row(mean=mean)], 3, bits=bits)).means[0].tolist() == mean.tolist()
 
@@ -122,27 +122,27 @@ def test_extension_records_are_noted(load, version):
         load(encode([row()], version, flags=2, records=records[:-1]))
 
 
-def stated(path):
-    """The frame that a file states."""
+def stated_frame(path):
+    """Return the frame that a file states."""
     with io.open(path) as source:
         return source.frame
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])
 @pytest.mark.parametrize(("number", "frame"), [(0, "rub"), (4, "rub"), (6, "rdf"), (16, "rbu")])
-def test_a_stated_frame_is_told(load, version, number, frame, tmp_path):
+def test_a_stated_frame_is_read(load, version, number, frame, tmp_path):
     records = struct.pack("<II3s", 0x12340001, 3, b"abc") + struct.pack(
         "<III", 0xADBE0003, 4, number
     )
     data = encode([row()] * 3, version, flags=2, records=records)
     plain = load(encode([row()] * 3, version))
-    assert stated(tmp_path / "a.spz") == ""
+    assert stated_frame(tmp_path / "a.spz") == ""
     assert np.array_equal(load(data).means, plain.means)  # axes stay as stored
-    assert stated(tmp_path / "a.spz") == frame
+    assert stated_frame(tmp_path / "a.spz") == frame
 
 
 def test_opening_does_not_inflate_the_body_for_the_frame(tmp_path, monkeypatch):
-    """Records follow the columns there, and every block of a job opens the file anew."""
+    """Records follow the columns in version 3, and each block of a job opens the file again."""
     records = struct.pack("<III", 0xADBE0003, 4, 6)
     rows = [row(mean=(i / 8, i / 3, 0)) for i in range(3000)]
     (tmp_path / "a.spz").write_bytes(encode(rows, 3, flags=2, records=records))
@@ -158,18 +158,18 @@ def test_opening_does_not_inflate_the_body_for_the_frame(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("payload", [b"\x11\0\0\0", b"\x04\0", b""])
-def test_a_frame_that_is_none_is_refused(load, payload):
+def test_an_unknown_frame_is_refused(load, payload):
     records = struct.pack("<II", 0xADBE0003, len(payload)) + payload
     with pytest.raises(FormatError, match="names an unknown one"):
         load(encode([row()], 4, flags=2, records=records))
 
 
-def test_a_frame_is_written_where_the_version_can(tmp_path):
+def test_a_frame_is_written_in_version_4_only(tmp_path):
     model, path = random_splats(30, degree=1), tmp_path / "a.spz"
     for frame in ("rdf", "lub", "rbu"):
         given = {"spz_version": 4, "frame": frame}
         io.save(model, path, overwrite=True, format_options=given)
-        assert stated(path) == frame
+        assert stated_frame(path) == frame
         io.save(model, tmp_path / "b.spz", overwrite=True, format_options={"spz_version": 4})
         assert_same(io.load(path), io.load(tmp_path / "b.spz"))
     with pytest.raises(OptionError, match="version 4"):
@@ -184,8 +184,8 @@ UNKNOWN = struct.pack("<II5s", 0x12340001, 5, b"hello")
 SHARES = struct.pack("<II8s", 0x12340002, 8, bytes(range(8)))  # two bytes for each of four splats
 
 
-def recorded(tmp_path, records, count=4):
-    """A file of version 4 with such records, its splats apart from each other."""
+def with_records(tmp_path, records, count=4):
+    """Write a file of version 4 with extension records; its splats do not coincide."""
     rows = [row(mean=(i, i % 3, 0), alpha=200) for i in range(count)]
     path = tmp_path / "more.spz"
     path.write_bytes(encode(rows, 4, flags=2, records=records))
@@ -199,9 +199,9 @@ def records_in(path):
     return data[32 : struct.unpack_from("<I", data, 16)[0]]
 
 
-def test_records_are_kept_where_the_splats_are(tmp_path):
-    """By way of a .ply too, where they are elements."""
-    path = recorded(tmp_path, CAMERA + UNKNOWN + SHARES)
+def test_records_are_kept_if_no_splats_are_removed(tmp_path):
+    """Also through a .ply file, in which they are elements."""
+    path = with_records(tmp_path, CAMERA + UNKNOWN + SHARES)
     assert ("spz_record_12340002", 4) in io.inspect(path).elements
     for first, second in (("a.spz", "a.spz"), ("b.ply", "b.spz")):
         for source, target in ((path, first), (tmp_path / first, second))[: 1 + (first != second)]:
@@ -209,34 +209,34 @@ def test_records_are_kept_where_the_splats_are(tmp_path):
             assert done.returncode == 0, done.stderr
             assert "spz_record" not in done.stderr
         assert records_in(tmp_path / second) == CAMERA + UNKNOWN + SHARES
-    told = run("convert", path, tmp_path / "c.splat")
-    assert "spz_record_ADBE0002" in told.stderr
+    converted = run("convert", path, tmp_path / "c.splat")
+    assert "spz_record_ADBE0002" in converted.stderr
     refused = run("convert", path, tmp_path / "d.spz", "--spz-version", "3")
     assert refused.returncode == 2
     assert "Only .spz of version 4 holds the extension records" in refused.stderr
     assert not (tmp_path / "d.spz").exists()
 
 
-def test_records_of_the_whole_stay_when_splats_go(tmp_path):
-    path, halved = recorded(tmp_path, CAMERA + UNKNOWN, 40), ("--preset", "fast", "-r", "0.5")
+def test_simplify_keeps_records_that_belong_to_the_whole_model(tmp_path):
+    path, halved = with_records(tmp_path, CAMERA + UNKNOWN, 40), ("--preset", "fast", "-r", "0.5")
     done = run("simplify", path, tmp_path / "a.spz", *halved)
     assert done.returncode == 0, done.stderr
     assert records_in(tmp_path / "a.spz") == CAMERA + UNKNOWN
-    refused = run("simplify", recorded(tmp_path, SHARES), tmp_path / "b.spz", *halved)
+    refused = run("simplify", with_records(tmp_path, SHARES), tmp_path / "b.spz", *halved)
     assert refused.returncode == 2
     assert "'spz_record_12340002' has one row for each splat" in refused.stderr
 
 
-def test_a_stated_frame_stays_stated_where_nothing_is_turned(tmp_path):
-    path = recorded(tmp_path, struct.pack("<III", 0xADBE0003, 4, 3), 40)
+def test_convert_and_simplify_keep_a_stated_frame_or_note_its_loss(tmp_path):
+    path = with_records(tmp_path, struct.pack("<III", 0xADBE0003, 4, 3), 40)
     halved = ("--preset", "fast", "-r", "0.5")
-    for made in (
+    for command in (
         ("convert", path, tmp_path / "a.spz"),
         ("simplify", path, tmp_path / "b.spz", *halved),
     ):
-        done = run(*made)
+        done = run(*command)
         assert done.returncode == 0, done.stderr
-        assert stated(made[2]) == "lub"
+        assert stated_frame(command[2]) == "lub"
     for name, words in {
         "c.ply": "but .ply files have the axes rdf; the model was not turned",
         "d.spz": "cannot state its axes",
@@ -266,15 +266,15 @@ def test_a_stated_frame_stays_stated_where_nothing_is_turned(tmp_path):
         ("turned", ("--format", "spz", "--frame", "lub:rdf"), ""),
     ],
 )
-def test_levels_say_that_a_stated_frame_is_left_out(tmp_path, name, more, words):
-    path = recorded(tmp_path, struct.pack("<III", 0xADBE0003, 4, 3), 40)
+def test_lod_notes_that_a_stated_frame_is_left_out(tmp_path, name, more, words):
+    path = with_records(tmp_path, struct.pack("<III", 0xADBE0003, 4, 3), 40)
     done = run("lod", path, tmp_path / name, "--levels", "1,0.5", "--preset", "fast", *more)
     assert done.returncode == 0, done.stderr
     assert ("states that its axes are lub" in done.stderr) == bool(words)
     assert words in done.stderr
     if name == "levels" and not words:
         files = sorted((tmp_path / name).glob("*.spz"))
-        assert [stated(path) for path in files] == ["lub", "lub"]
+        assert [stated_frame(path) for path in files] == ["lub", "lub"]
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -290,8 +290,8 @@ def test_inspect_agrees_with_the_model(load, version, tmp_path):
 # --- writing
 
 
-def steps(model, bits):
-    """Half a step of each array's quantisation, and a little for single precision."""
+def half_steps(model, bits):
+    """Return half a quantisation step of each array."""
     band = np.repeat([1.0, *[4 / 128] * 3, *[8 / 128] * 21], 1)[: model.sh.shape[1], None]
     band[0] = 0.5 / 255 / 0.15
     return {"means": 0.5 / 2**bits, "log_scales": 1 / 32, "sh": band}
@@ -301,8 +301,8 @@ def steps(model, bits):
 @given(model=splats(wild=False, extras=False), version=st.sampled_from(WRITTEN))
 def test_round_trip_within_half_a_step(tmp_path, model, version):
     model = replace(model, sh=np.clip(model.sh, -0.99, 0.99), comments=())
-    again = written(model, tmp_path / "a.spz", version)
-    for name, step in steps(model, spz_write.fraction_bits(model)).items():
+    again = round_trip(model, tmp_path / "a.spz", version)
+    for name, step in half_steps(model, spz_write.fraction_bits(model)).items():
         error = np.abs(getattr(again, name).astype(np.float64) - getattr(model, name))
         assert (error <= step + 1e-6).all(), name
     assert np.abs(again.opacities() - model.opacities()).max() <= 0.5 / 255 + 1e-7
@@ -315,9 +315,9 @@ def test_round_trip_within_half_a_step(tmp_path, model, version):
 
 @SHARED
 @given(model=splats(extras=False), version=st.sampled_from(WRITTEN))
-def test_what_was_read_is_written_unchanged(tmp_path, model, version):
-    once = written(model, tmp_path / "a.spz", version)
-    twice = written(once, tmp_path / "b.spz", version)
+def test_values_that_were_read_are_written_unchanged(tmp_path, model, version):
+    once = round_trip(model, tmp_path / "a.spz", version)
+    twice = round_trip(once, tmp_path / "b.spz", version)
     for name in ("means", "log_scales", "opacity_logits", "sh"):
         assert getattr(once, name).tobytes() == getattr(twice, name).tobytes(), name
     assert spz_write.losses(once) == ()
@@ -326,31 +326,31 @@ def test_what_was_read_is_written_unchanged(tmp_path, model, version):
 @pytest.mark.parametrize("version", WRITTEN)
 def test_same_model_same_bytes(tmp_path, version):
     model = random_splats(100, degree=3)
-    written(model, tmp_path / "a.spz", version)
-    written(model, tmp_path / "b.spz", version)
+    round_trip(model, tmp_path / "a.spz", version)
+    round_trip(model, tmp_path / "b.spz", version)
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
 
 
 @pytest.mark.parametrize("version", WRITTEN)
-def test_blocks_agree(tmp_path, version, monkeypatch):
+def test_the_block_size_does_not_change_the_model(tmp_path, version, monkeypatch):
     model = random_splats(20, degree=1)
-    whole = written(model, tmp_path / "a.spz", version)
+    whole = round_trip(model, tmp_path / "a.spz", version)
     monkeypatch.setattr("nanogs.io.spz.read.BLOCK_ROWS", 3)
     monkeypatch.setattr("nanogs.source.base.BLOCK_ROWS", 7)
-    assert_same(whole, written(model, tmp_path / "b.spz", version))
+    assert_same(whole, round_trip(model, tmp_path / "b.spz", version))
 
 
 @pytest.mark.parametrize("version", WRITTEN)
 def test_many_equal_splats_can_be_read_again(tmp_path, version):
     model = random_splats(1, degree=3).take(np.zeros(200_000, np.int64))
-    assert len(written(model, tmp_path / "a.spz", version)) == 200_000
+    assert len(round_trip(model, tmp_path / "a.spz", version)) == 200_000
 
 
 def test_save_writes_version_3(tmp_path):
     io.save(random_splats(3), tmp_path / "a.spz")
     assert gzip.decompress((tmp_path / "a.spz").read_bytes())[:8] == b"NGSP\3\0\0\0"
     with pytest.raises(OutputError, match="choose 2, 3 or 4"):
-        written(random_splats(3), tmp_path / "b.spz", 1)
+        round_trip(random_splats(3), tmp_path / "b.spz", 1)
     with pytest.raises(OptionError, match="only known once it is written"):
         registry.sizer(tmp_path / "a.spz")
 
@@ -358,31 +358,31 @@ def test_save_writes_version_3(tmp_path):
 @pytest.mark.parametrize(
     ("reach", "bits"), [(1e-9, 20), (0.9, 16), (10, 12), (2047, 12), (2048, 11), (8388607, 0)]
 )
-def test_fraction_bits_follow_the_scene(tmp_path, reach, bits):
+def test_fraction_bits_depend_on_the_extent_of_the_scene(tmp_path, reach, bits):
     model = random_splats(2)
     model.means[:] = [[reach, 0, 0], [0, -reach, 0]]
     model.log_scales[:] = -20
     assert spz_write.fraction_bits(model) == bits
-    again = written(model, tmp_path / "a.spz")
+    again = round_trip(model, tmp_path / "a.spz")
     assert np.abs(again.means - model.means).max() <= 0.5 / 2**bits
-    told = any("are rounded to" in loss for loss in spz_write.losses(model))
-    assert told == (bits < 12)
+    reported = any("are rounded to" in loss for loss in spz_write.losses(model))
+    assert reported == (bits < 12)
 
 
 @pytest.mark.parametrize(("size", "bits"), [(1e-5, 12), (0.03, 11), (0.1, 9), (0.5, 7), (9, 6)])
 def test_centres_of_large_splats_have_fewer_fraction_bits(tmp_path, size, bits):
-    """Steps of 1/4096, or of a fiftieth of the size, but no fewer than six bits less."""
+    """A step is 1/4096 or about a fiftieth of the size; at most six bits are left out."""
     model = random_splats(50)
     model.means[:] *= np.float32(10)
     model.log_scales[:] = np.log(size)
     assert spz_write.fraction_bits(model) == bits
-    again = written(model, tmp_path / "a.spz")
+    again = round_trip(model, tmp_path / "a.spz")
     assert 0.4 / 2**bits < np.abs(again.means - model.means).max() <= 0.5 / 2**bits + 1e-6
 
 
 @pytest.mark.parametrize("bits", [6, 8])
 @pytest.mark.parametrize("spare", [0, 3, 6])
-def test_centres_do_without_as_many_bits_as_asked_for(tmp_path, bits, spare):
+def test_spare_bits_reduce_the_precision_of_centres(tmp_path, bits, spare):
     model = random_splats(50)
     model.means[:] *= np.float32(10)
     options = {"bits": bits, "spare_bits": spare}
@@ -393,14 +393,14 @@ def test_centres_do_without_as_many_bits_as_asked_for(tmp_path, bits, spare):
     assert 0.3 / 2 ** (12 - spare) < error <= 0.5 / 2 ** (12 - spare) + 1e-6
 
 
-def test_bits_that_follow_from_a_model_can_be_given():
+def test_derived_options_can_be_given_explicitly():
     model = random_splats(500, degree=1)
     assert_written_alike(model, "a.spz", most=6)
     assert io.derived_options(model, "a.spz", {"spare_bits": 0}) == {}
     assert io.derived_options(model, "a.ply", {}) == {}
 
 
-def test_centres_of_a_large_scene_cannot_do_without_what_they_lack(tmp_path):
+def test_more_spare_bits_than_fraction_bits_are_refused(tmp_path):
     model = random_splats(2)
     model.means[:] = 2**21
     assert io.derived_options(model, "a.spz", {}) == {"spare_bits": 0}
@@ -410,7 +410,7 @@ def test_centres_of_a_large_scene_cannot_do_without_what_they_lack(tmp_path):
 
 
 @pytest.mark.parametrize("version", WRITTEN)
-def test_coefficients_have_as_many_bits_as_asked_for(tmp_path, version):
+def test_sh_bits_set_the_precision_of_coefficients(tmp_path, version):
     model = random_splats(2000, degree=2)
     model.sh[:, 1:] = np.clip(model.sh[:, 1:], -0.95, 0.9)
     sizes = []
@@ -427,7 +427,7 @@ def test_coefficients_have_as_many_bits_as_asked_for(tmp_path, version):
 
 
 def columns_of(path):
-    """The version, and the columns but the harmonics of a file of version 2 or 3, as bytes."""
+    """Return the version of a file, 2 or 3, and its columns without harmonics, as bytes."""
     data = gzip.decompress(path.read_bytes())
     version, count = struct.unpack_from("<II", data, 4)
     widths = spz_header.column_widths(version, 0)
@@ -438,8 +438,8 @@ def columns_of(path):
     }
 
 
-def along_y(model, bits):
-    """The rows in the order in which a file has them, in which values are rounded."""
+def order_by_y(model, bits):
+    """Return the order of rows in a file whose values are rounded: by y, then by x."""
     codes = np.rint(np.ldexp(model.means.astype(np.float64), bits))
     return np.lexsort((codes[:, 0], codes[:, 1]))
 
@@ -463,9 +463,9 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
         assert len(np.unique(inside)) > 60 / each
     again = io.load(tmp_path / "a.spz")
     fraction = spz_write.fraction_bits(model, Precision(bits))
-    model = model.take(along_y(model, fraction))
+    model = model.take(order_by_y(model, fraction))
     assert np.abs(again.means - model.means).max() <= 0.5 / 2**fraction + 1e-6
-    quats, log_scales = minimise_rotation(model)  # which axes come first is told apart by nothing
+    quats, log_scales = minimise_rotation(model)  # axes may be in any order
     assert np.abs(again.log_scales - log_scales).max() <= step.scales / 32 + 1e-6
     assert np.abs(again.opacities() - model.opacities()).max() <= step.alphas / 510 + 1e-6
     inside = np.abs(model.sh[:, 0]) < 3
@@ -478,7 +478,7 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
 
 
 @pytest.mark.parametrize("bits", [4, 5, 6, 7, 8])
-def test_what_nobody_sees_stays_so_and_what_is_opaque_too(tmp_path, bits):
+def test_invisible_and_opaque_splats_stay_so_with_fewer_bits(tmp_path, bits):
     logits = np.repeat(np.float32([-np.inf, -7, np.inf]), 100)
     model = replace(random_splats(300), opacity_logits=logits)
     io.save(model, tmp_path / "a.spz", format_options={"bits": bits})
@@ -486,7 +486,7 @@ def test_what_nobody_sees_stays_so_and_what_is_opaque_too(tmp_path, bits):
     assert np.bincount(alphas[:, 0], minlength=256)[[0, 255]].tolist() == [200, 100]
 
 
-def test_alphas_of_one_half_round_up_as_ever(tmp_path):
+def test_an_alpha_of_one_half_rounds_up(tmp_path):
     model = replace(random_splats(10), opacity_logits=np.zeros(10, np.float32))
     io.save(model, tmp_path / "a.spz")
     assert (columns_of(tmp_path / "a.spz")[1]["alphas"] == 128).all()
@@ -503,7 +503,7 @@ def test_rotations_of_other_versions_are_rounded_too(tmp_path, version):
         again = io.load(tmp_path / "a.spz")
         if bits < 8:
             fraction = spz_write.fraction_bits(model, Precision(bits))
-            quats, _ = minimise_rotation(model.take(along_y(model, fraction)))
+            quats, _ = minimise_rotation(model.take(order_by_y(model, fraction)))
         else:
             quats = model.unit_quats()
         turned = 2 * np.arccos(np.abs((again.unit_quats() * quats).sum(axis=1)).clip(0, 1)).max()
@@ -512,7 +512,7 @@ def test_rotations_of_other_versions_are_rounded_too(tmp_path, version):
     assert sizes == sorted(sizes, reverse=True)
 
 
-def test_rows_are_sorted_where_values_are_rounded_alone(tmp_path):
+def test_rows_are_sorted_only_if_values_are_rounded(tmp_path):
     model = random_splats(500, degree=1)
     io.save(model, tmp_path / "a.spz")
     fraction = spz_write.fraction_bits(model)
@@ -522,18 +522,18 @@ def test_rows_are_sorted_where_values_are_rounded_alone(tmp_path):
     sets = np.unique(back.sh[:, 1:].reshape(500, -1), axis=0, return_inverse=True)[1].ravel()
     for each in range(sets.max() + 1):
         rows = np.flatnonzero(sets == each)
-        assert (np.diff(rows) == 1).all()  # they follow each other, along y
+        assert (np.diff(rows) == 1).all()  # contiguous, and sorted by y
         assert (np.diff(back.means[rows, 1]) >= 0).all()
 
 
-def test_large_files_are_packed_as_they_come(tmp_path, monkeypatch):
+def test_large_files_are_compressed_in_the_given_order(tmp_path, monkeypatch):
     model, given = random_splats(500, degree=1), {"format_options": {"bits": 6}}
     io.save(model, tmp_path / "a.spz", **given)
     monkeypatch.setattr("nanogs.io.spz.packing.WHOLE", 500 * 28 - 1)
     io.save(model, tmp_path / "b.spz", **given)
     fraction = spz_write.fraction_bits(model, Precision(6))
     first, second = io.load(tmp_path / "a.spz"), io.load(tmp_path / "b.spz")
-    assert_same(first, replace(second.take(along_y(model, fraction)), notes=first.notes))
+    assert_same(first, replace(second.take(order_by_y(model, fraction)), notes=first.notes))
     assert np.abs(second.means - model.means).max() <= 0.5 / 2**fraction
     monkeypatch.setattr("nanogs.io.spz.packing.WHOLE", 500 * 28)
     io.save(model, tmp_path / "c.spz", **given)
@@ -551,10 +551,10 @@ def test_a_source_gives_the_bytes_of_the_model(tmp_path, version):
 
 
 @pytest.mark.parametrize("options", [{"bits": 5}, {"palette": 2}])
-def test_rows_stay_where_a_record_may_belong_to_them(tmp_path, options):
+def test_rows_keep_their_order_if_a_record_may_refer_to_them(tmp_path, options):
     given = random_splats(4, degree=1)
     for records, moved in ((SHARES, False), (UNKNOWN, True)):
-        model = io.load(recorded(tmp_path, records))
+        model = io.load(with_records(tmp_path, records))
         model = replace(given, elements=model.elements)
         io.save(model, tmp_path / "b.spz", overwrite=True, format_options=options)
         assert records_in(tmp_path / "b.spz") == records
@@ -563,8 +563,8 @@ def test_rows_stay_where_a_record_may_belong_to_them(tmp_path, options):
         assert kept != moved
 
 
-def sharing(count: int, sets: int):
-    """Splats in no order of theirs, whose harmonics are a few sets apart from a little noise."""
+def splats_with_shared_harmonics(count: int, sets: int):
+    """Splats in random order whose harmonics are one of a few sets, plus a little noise."""
     model, random = random_splats(count, degree=3), np.random.default_rng(5)
     own = random.uniform(-0.9, 0.9, (sets, 15, 3))
     rest = own[random.integers(sets, size=count)] + random.normal(0, 0.01, (count, 15, 3))
@@ -572,17 +572,17 @@ def sharing(count: int, sets: int):
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])
-def test_splats_that_share_harmonics_follow_each_other(tmp_path, version):
-    model, options = sharing(3000, 60), {"spz_version": version}
+def test_splats_of_the_same_palette_entry_are_contiguous(tmp_path, version):
+    model, options = splats_with_shared_harmonics(3000, 60), {"spz_version": version}
     usual = io.encoded_bytes(model, tmp_path / "a.spz", options)
     io.save(model, tmp_path / "a.spz", format_options=options | {"palette": 100})
     back = io.load(tmp_path / "a.spz")
     rows = back.sh[:, 1:].reshape(len(back), -1)
     changes = 1 + int((rows[1:] != rows[:-1]).any(axis=1).sum())
-    # Each set in one run; some round to the same.
+    # Each set is one run of rows; some sets round to the same values.
     assert 60 <= len(np.unique(rows, axis=0)) <= changes <= 100
     assert (tmp_path / "a.spz").stat().st_size < 0.75 * usual
-    # The same splats as without a palette, in another order, but for the harmonics.
+    # Apart from the harmonics and the order, these are the splats written without a palette.
     io.save(model, tmp_path / "b.spz", format_options=options)
     plain = io.load(tmp_path / "b.spz")
     found, expected = (
@@ -592,10 +592,10 @@ def test_splats_that_share_harmonics_follow_each_other(tmp_path, version):
     order, right = (np.lexsort(columns.T) for columns in (found, expected))
     assert np.array_equal(found[order], expected[right])
     errors = np.abs(rows[order] - plain.sh[right, 1:].reshape(len(rows), -1)).max(axis=1)
-    assert np.median(errors) < 0.2  # faint splats may be given to another set
+    assert np.median(errors) < 0.2  # faint splats may get another set
 
 
-def test_a_palette_with_room_for_all_changes_nothing(tmp_path):
+def test_a_palette_as_large_as_the_model_changes_nothing(tmp_path):
     model = random_splats(300, degree=2)
     options = {"palette": 300}
     wide = io.encoded_bytes(model, tmp_path / "a.spz", options)
@@ -609,7 +609,7 @@ def test_a_palette_with_room_for_all_changes_nothing(tmp_path):
     )
 
 
-def test_a_palette_of_what_cannot_be_written_is_refused(tmp_path):
+def test_palettes_of_nan_harmonics_or_invalid_size_are_refused(tmp_path):
     model = random_splats(20, degree=1)
     model.sh[3, 2] = np.nan
     with pytest.raises(OutputError):
@@ -632,7 +632,7 @@ def test_bits_beyond_the_format_are_refused(tmp_path, options):
 def test_a_centre_just_below_a_power_of_two_does_not_wrap(tmp_path):
     model = random_splats(1)
     model.means[:] = 2048 - 2**-14
-    assert np.abs(written(model, tmp_path / "a.spz").means - model.means).max() < 2**-11
+    assert np.abs(round_trip(model, tmp_path / "a.spz").means - model.means).max() < 2**-11
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e7])
@@ -669,7 +669,7 @@ def test_losses_are_counted(tmp_path):
         "1 splat has base colours outside ±3.33, the range of .spz; they were clamped to it.",
         f"2 splats have higher SH coefficients {outside}",
     )
-    clamped = written(model, tmp_path / "a.spz")
+    clamped = round_trip(model, tmp_path / "a.spz")
     assert clamped.log_scales[1].tolist() == [-10, -10, 5.9375]
 
 
@@ -709,7 +709,7 @@ def test_wrong_headers_are_refused(load, version, changes, message):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_every_cut_and_every_extra_byte_is_refused(load, version):
+def test_every_truncated_file_and_every_extra_byte_is_refused(load, version):
     data = encode(GOOD, version, degree=1)
     for size in range(1, len(data)):
         with pytest.raises(FormatError):
@@ -737,8 +737,8 @@ def test_zstd_streams_of_other_sizes_are_refused(load):
             load(bytes(new + data[32 + 5 * 16 + sizes[0] :]))
 
 
-def test_a_bomb_is_not_inflated(load):
-    """More than the header counts is never expanded, whatever follows."""
+def test_a_decompression_bomb_is_not_inflated(load):
+    """No more data are expanded than the header states."""
     data = encode([row()], 3, records=bytes(100_000_000))
     tracemalloc.start()
     with pytest.raises(FormatError, match="more data than 1 splat has"):
@@ -748,19 +748,25 @@ def test_a_bomb_is_not_inflated(load):
     assert peak < 10_000_000
 
 
-def mostly_ahead(rng, data):
-    """Mutated, mostly in the header."""
+def mutate_header(rng, data):
+    """Mutate a file, mostly in its header."""
     return mutate(rng, data, header=140, anywhere=0.4)
 
 
-def inside(rng, data):
-    """Mutated within the gzip stream, its checksum right again."""
-    return gzip.compress(mostly_ahead(rng, gzip.decompress(data)), 1, mtime=0)
+def mutate_gzipped(rng, data):
+    """Mutate the contents of a gzip stream, whose checksum is then right."""
+    return gzip.compress(mutate_header(rng, gzip.decompress(data)), 1, mtime=0)
 
 
 @pytest.mark.parametrize(
     ("version", "damage"),
-    [(1, mostly_ahead), (3, mostly_ahead), (4, mostly_ahead), (1, inside), (3, inside)],
+    [
+        (1, mutate_header),
+        (3, mutate_header),
+        (4, mutate_header),
+        (1, mutate_gzipped),
+        (3, mutate_gzipped),
+    ],
 )
 def test_damaged_files_give_a_format_error_or_a_model(tmp_path, version, damage):
     rng, path = np.random.default_rng(version), tmp_path / "fuzz.spz"
@@ -774,7 +780,7 @@ def test_damaged_files_give_a_format_error_or_a_model(tmp_path, version, damage)
 
 @SHARED
 @given(data=st.binary(max_size=200), start=st.sampled_from([b"", b"NGSP", b"\x1f\x8b\x08"]))
-def test_noise_is_refused(tmp_path, data, start):
+def test_random_bytes_are_refused(tmp_path, data, start):
     (tmp_path / "a.spz").write_bytes(start + data)
     with pytest.raises(FormatError):
         io.load(tmp_path / "a.spz")
@@ -788,8 +794,8 @@ def test_real_scenes():
     assert (len(kitchen), kitchen.render_mode) == (213_944, RenderMode.MIP)
     assert np.isinf(kitchen.opacity_logits).sum() == 257
     assert (len(biker), np.isinf(biker.opacity_logits).sum()) == (152_746, 198)
-    # The same model in another format, which turned it by half about x: y up in one, down in the
-    # other. Neither file says so.
+    # The same model in another format, turned by 180 degrees about x: y is up in one file and down
+    # in the other. Neither file states it.
     other = io.load(scene_path("biker.compressed.ply"))
     assert np.abs(biker.means * (1, -1, -1) - other.means).max() < 0.6 / 4096
 
@@ -798,7 +804,7 @@ ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
 def assert_close(a, b, alphas=1e-5, quats=1e-6):
-    """Equal but for the last bits; other tools make large logits of alpha 0 and 1."""
+    """Check equality but for rounding; other tools store alphas of 0 and 1 as large logits."""
     for name in ("means", "log_scales", "sh"):
         assert np.abs(getattr(a, name) - getattr(b, name)).max() < 1e-6, name
     assert np.abs(a.quats - b.quats).max() < quats
@@ -808,7 +814,7 @@ def assert_close(a, b, alphas=1e-5, quats=1e-6):
 @pytest.mark.parametrize("version", WRITTEN)
 def test_gsply_reads_the_same_values(tmp_path, version):
     gsply = pytest.importorskip("gsply")
-    ours = written(random_splats(500, degree=3), tmp_path / "a.spz", version)
+    ours = round_trip(random_splats(500, degree=3), tmp_path / "a.spz", version)
     theirs = gsply.read_spz(tmp_path / "a.spz")
     sh = np.concatenate([theirs.sh0[:, None], theirs.shN], axis=1)
     columns = (theirs.means, theirs.scales, theirs.quats, theirs.opacities, sh)
@@ -831,7 +837,7 @@ def test_splat_transform_reads_files_of_few_bits(tmp_path, bits):
 def test_gaussforge_agrees_both_ways(tmp_path, version, degree):
     forge = pytest.importorskip("gaussforge").GaussForge()
     model = random_splats(500, degree=degree)
-    ours = written(model, tmp_path / "a.spz", version)
+    ours = round_trip(model, tmp_path / "a.spz", version)
     theirs = forge.convert((tmp_path / "a.spz").read_bytes(), "spz", "ply")["data"]
     (tmp_path / "theirs.ply").write_bytes(theirs)
     assert_close(ours, io.load(tmp_path / "theirs.ply"))
@@ -842,12 +848,12 @@ def test_gaussforge_agrees_both_ways(tmp_path, version, degree):
     again = io.load(tmp_path / "theirs.spz")
     assert np.abs(again.means - model.means).max() <= 0.5 / 2**12 + 1e-6
     for name in ARRAYS[1:4]:
-        # They write all ten bits of rotations, of which ours have eight.
+        # gaussforge writes all ten bits of rotations, of which ours have eight.
         off = 0.006 if name == "quats" else 0
         np.testing.assert_allclose(getattr(again, name), getattr(ours, name), 0, off)
 
 
-def test_options_that_do_not_go_together_are_refused_before_any_work(tmp_path):
+def test_incompatible_options_are_refused_before_writing(tmp_path):
     options = {"spz_version": 2, "frame": "rub"}
     with pytest.raises(OptionError, match="leave `spz_version=2` out"):
         io.check_writable(tmp_path / "a.spz", format_options=options)

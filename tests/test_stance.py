@@ -1,4 +1,4 @@
-"""How a model stands, told from the model alone: the same answer however it is turned."""
+"""Up and camera placement found from the model alone: they follow any rotation of the model."""
 
 from dataclasses import replace
 
@@ -23,20 +23,20 @@ def matrix(quat):
 
 
 def turned(model, quat):
-    """The model's geometry turned, in double precision; its colours do not matter here."""
+    """Return the model's geometry rotated, in double precision; its colours do not matter here."""
     quats = product(np.array(quat) / np.linalg.norm(quat), model.quats.astype(np.float64))
     return replace(model, means=model.means @ matrix(quat).T, quats=quats.astype(np.float32))
 
 
 def land(seed=0):
-    """A wide and uneven layer of balls without a ground, with something tall on it in x."""
+    """A wide, uneven layer of round splats without a flat ground; its heights are along x."""
     rng = np.random.default_rng(seed)
     heights = rng.gamma(1.5, 0.15, 6_000)
     return cloud(np.stack([heights, *rng.uniform(-1, 1, (2, 6_000))], axis=1), 0.05)
 
 
 def flat_room():
-    """`room` of flat splats, each lying in its wall; what stands in it is round."""
+    """`room` with flat splats that lie in its walls; the splats of the table are round."""
     points = room()
     axis = np.argmax(np.abs(points) / (3.0, 1.5, 2.0), axis=1)
     thin = np.full((len(points), 3), 0.05)
@@ -59,14 +59,14 @@ def degrees(one, other):
     ],
     ids=["ground", "land", "room"],
 )
-def test_up_is_found_in_any_direction(model, up, kind, quat):
+def test_up_is_found_for_any_rotation_of_the_model(model, up, kind, quat):
     found = survey(turned(model, quat), habit=False)
     assert degrees(found.turn[2, :3], matrix(quat) @ up) < 6
     assert (found.kind, found.band) == (kind, UPRIGHT)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 3), (1, 2, 3)])
-def test_around_what_does_not_tell_cameras_stand_everywhere(shape):
+def test_cameras_surround_a_model_without_a_clear_up(shape):
     model = cloud(ball() * shape)
     assert frame_from_model(sample(model), room=True).band == ALL_AROUND
     places = np.array([c.position for c in automatic_cameras(model, 24, habit=False)])
@@ -89,7 +89,7 @@ def test_around_what_does_not_tell_cameras_stand_everywhere(shape):
     ],
     ids=["ground", "ground inside", "land", "ball", "room", "room orbit"],
 )
-def test_turning_any_model_turns_its_cameras(model, kind):
+def test_cameras_turn_with_the_model(model, kind):
     quat = TURNS[1]
     exact = replace(model, means=model.means.astype(np.float64))
     before = automatic_cameras(exact, 6, kind=kind, habit=False)
@@ -112,7 +112,7 @@ REAL = {
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_real_scenes_stand_as_people_see_them_or_do_not_tell(name):
+def test_real_scenes_have_the_expected_up_or_none(name):
     found = survey(load(scene_path(name)), habit=False)
     if REAL[name] is None:
         assert found.band == ALL_AROUND

@@ -1,4 +1,4 @@
-"""Placeholders that downloads leave in a file's place are named, whatever format was asked for."""
+"""Git LFS pointers and web pages in the place of a model are recognised for every format."""
 
 import pytest
 
@@ -28,7 +28,7 @@ def test_a_git_lfs_pointer_says_how_to_get_the_file(tmp_path, suffix, use):
 
 @pytest.mark.parametrize("page", PAGES)
 @pytest.mark.parametrize("suffix", READABLE)
-def test_a_web_page_is_no_model(tmp_path, suffix, page):
+def test_a_web_page_in_place_of_a_model_is_refused(tmp_path, suffix, page):
     path = tmp_path / (suffix if suffix.endswith("json") else f"a{suffix}")
     path.write_bytes(page)
     with pytest.raises(FormatError, match="is a web page, not a model"):
@@ -36,13 +36,13 @@ def test_a_web_page_is_no_model(tmp_path, suffix, page):
 
 
 @pytest.mark.parametrize("name", ["transforms.json", "cameras.json"])
-def test_camera_files_too(tmp_path, name):
+def test_a_pointer_in_place_of_a_camera_file_is_recognised(tmp_path, name):
     (tmp_path / name).write_bytes(POINTER)
     with pytest.raises(FormatError, match="Git LFS pointer"):
         cameras_from_file(tmp_path / name)
 
 
-def test_a_file_of_a_folder_too(tmp_path):
+def test_a_pointer_in_place_of_a_file_of_a_folder_is_recognised(tmp_path):
     """A scene that was cloned without Git LFS has its text, but not its pictures."""
     io.save(random_splats(9), tmp_path / "scene" / "meta.json")
     (tmp_path / "scene" / "sh0.webp").write_bytes(POINTER)

@@ -1,4 +1,4 @@
-"""Formulas between stored values and those that are drawn."""
+"""Conversions between stored and rendered values."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from nanogs.activations import quaternions, rotations
 
 
-def test_quaternions_give_their_rotations_back_whatever_their_largest_part():
+def test_rotations_become_quaternions_whatever_their_largest_component():
     rng = np.random.default_rng(0)
     quats = np.concatenate([rng.normal(size=(500, 4)), np.eye(4), np.full((1, 4), 0.5)])
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Pictures of a source, some rows at a time: bit for bit those of the model held whole."""
+"""Rendering a source some rows at a time: the same pixels as with the whole model in memory."""
 
 import json
 from dataclasses import replace
@@ -19,7 +19,7 @@ from nanogs.raster.rendering import prepare
 from nanogs.scoring.held_out import held_out
 from nanogs.source import InMemory
 from nanogs.splats import RenderMode, concatenate
-from nanogs.views import decimated as standing
+from nanogs.views import decimated as decimation
 from nanogs.views import streamed
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.cameras import cameras_for
@@ -30,12 +30,12 @@ from test_free_memory import command
 
 
 def squeezed(capsys):
-    """All of stderr on one line."""
+    """Return stderr on one line."""
     return " ".join(capsys.readouterr().err.split())
 
 
 class Counted(InMemory):
-    """A model of which it is counted how often it is read, as a number of its rows."""
+    """A model that counts the rows that are read from it."""
 
     rows = 0
 
@@ -44,7 +44,7 @@ class Counted(InMemory):
         return super().read(start, stop)
 
 
-def same(some, others):
+def assert_same(some, others):
     some, others = list(some), list(others)
     assert len(some) == len(others)
     for one, other in zip(some, others, strict=True):
@@ -53,12 +53,12 @@ def same(some, others):
         assert (one.drawn, one.skipped, one.notes) == (other.drawn, other.skipped, other.notes)
 
 
-def held(splats, cameras, **options):
+def render_whole(splats, cameras, **options):
     return list(renderings(prepare(splats), cameras, depth=True, **options))
 
 
-def read(splats, cameras, budget, **options):
-    """The pictures from a source, and how often that was read."""
+def render_streamed(splats, cameras, budget, **options):
+    """Return the pictures rendered from a source, and the number of passes over its rows."""
     source = Counted(splats)
     made = list(renderings(Streamed(source, budget), cameras, depth=True, **options))
     return made, source.rows / len(splats)
@@ -66,7 +66,7 @@ def read(splats, cameras, budget, **options):
 
 @pytest.fixture(scope="module")
 def splats():
-    """Small and large ones, some twice, so that depths tie, and two that are not finite."""
+    """Small and large splats, some twice so that depths tie, and two that are not finite."""
     some = random_splats(900, degree=2, spread=1.0)
     large = random_splats(60, degree=2, seed=1)
     large = replace(large, log_scales=large.log_scales + np.float32(1.5))
@@ -85,10 +85,10 @@ def cameras(splats):
 
 @pytest.mark.parametrize("rows", [100, 1 << 15])
 @pytest.mark.parametrize("budget", [120_000, 150_000, 600_000, 10_000_000])
-def test_pictures_are_those_of_the_model_held_whole(splats, cameras, budget, rows, monkeypatch):
+def test_a_source_renders_like_the_whole_model(splats, cameras, budget, rows, monkeypatch):
     monkeypatch.setattr(streamed, "BLOCK_ROWS", rows)
-    made, passes = read(splats, cameras, budget, background=(0.2, 0.5, 1.0))
-    same(made, held(splats, cameras, background=(0.2, 0.5, 1.0)))
+    made, passes = render_streamed(splats, cameras, budget, background=(0.2, 0.5, 1.0))
+    assert_same(made, render_whole(splats, cameras, background=(0.2, 0.5, 1.0)))
     assert any(each.alpha.any() for each in made)
     assert (passes == 1) == (budget == 10_000_000)
 
@@ -98,58 +98,60 @@ def test_pictures_are_those_of_the_model_held_whole(splats, cameras, budget, row
     st.integers(0, 5), st.integers(1, 300), st.integers(3_000, 200_000), st.integers(1, 90),
     st.integers(1, 90), st.sampled_from(RenderMode),
 )  # fmt: skip
-def test_any_budget_and_any_blocks_give_the_same_bytes(seed, rows, budget, width, height, mode):
+def test_any_budget_and_block_size_render_the_same_pixels(seed, rows, budget, width, height, mode):
     splats = random_splats(300, degree=1, seed=seed)
     splats = replace(splats, render_mode=mode)
     cameras = automatic_cameras(splats, 2, width=width, height=height)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(streamed, "BLOCK_ROWS", rows)
         try:
-            made, _ = read(splats, cameras, budget)
+            made, _ = render_streamed(splats, cameras, budget)
         except NotEnoughMemoryError:
             assert budget < 170 * len(splats)
             return
-    same(made, held(splats, cameras))
+    assert_same(made, render_whole(splats, cameras))
 
 
 @pytest.mark.parametrize("kind", ["auto", "roam"])
-def test_a_real_scene_is_drawn_alike(kind):
+def test_a_real_scene_renders_like_the_whole_model(kind):
     path = scene_path("guitar.compressed.ply")
     splats = nanogs.load(path)
     find = automatic_cameras if kind == "auto" else roaming_cameras
     cameras = find(splats, 3, width=320, height=200, split="test")
     with nanogs.open(path) as source:
         made = list(renderings(Streamed(source, 4_000_000), cameras, depth=True))
-    same(made, held(splats, cameras))
+    assert_same(made, render_whole(splats, cameras))
 
 
-def test_views_share_a_pass_as_far_as_there_is_room(splats, cameras):
+def test_views_share_a_pass_as_far_as_memory_allows(splats, cameras):
     every = [camera for camera in cameras for _ in range(4)]
-    made, passes = read(splats, every, 1_000_000)
+    made, passes = render_streamed(splats, every, 1_000_000)
     assert 1 < passes < len(every)
-    same(made, held(splats, every))
+    assert_same(made, render_whole(splats, every))
 
 
-def test_what_is_told_never_goes_back_and_ends_with_all(splats, cameras):
-    told = []
-    read(splats, cameras, 150_000, tell=lambda done, parts: told.append((done, parts)))
-    done = [each for each, _ in told]
+def test_progress_never_decreases_and_ends_with_all_views(splats, cameras):
+    reported = []
+    render_streamed(
+        splats, cameras, 150_000, tell=lambda done, parts: reported.append((done, parts))
+    )
+    done = [each for each, _ in reported]
     assert done == sorted(done)
-    assert told[-1] == (len(cameras), len(cameras))
+    assert reported[-1] == (len(cameras), len(cameras))
 
 
-def test_too_many_splats_in_one_tile_are_refused_in_a_sentence():
+def test_too_many_splats_in_one_tile_are_refused():
     dot = random_splats(1, degree=0)
     heap = concatenate([dot] * 500)
     camera = Camera(16, 16, 10.0, 10.0, 8.0, 8.0, np.eye(4), "near")
     camera.world_to_camera[:3, 3] = -heap.means[0] + [0, 0, 3.0]
     with pytest.raises(NotEnoughMemoryError, match=r"view 'near' draws 500 splats.*max_memory"):
-        read(heap, [camera], 8_000)
-    made, _ = read(heap, [camera], 200_000)
-    same(made, held(heap, [camera]))
+        render_streamed(heap, [camera], 8_000)
+    made, _ = render_streamed(heap, [camera], 200_000)
+    assert_same(made, render_whole(heap, [camera]))
 
 
-def test_no_camera_is_no_work_and_a_bad_one_is_refused_before_anything_is_read(splats, cameras):
+def test_without_cameras_or_with_an_invalid_one_nothing_is_read(splats, cameras):
     source = Counted(splats)
     assert list(renderings(Streamed(source, 10_000), [])) == []
     with pytest.raises(OptionError, match="focal lengths"):
@@ -157,22 +159,22 @@ def test_no_camera_is_no_work_and_a_bad_one_is_refused_before_anything_is_read(s
     assert source.rows == 0
 
 
-def test_what_a_part_does_not_show_is_not_read_again(splats, cameras, monkeypatch):
-    """Blocks that lie to the left and to the right, in a picture of several parts."""
+def test_blocks_outside_a_part_of_the_picture_are_not_read_again(splats, cameras, monkeypatch):
+    """Rows are sorted from left to right, and the picture is rendered in several parts."""
     monkeypatch.setattr(streamed, "BLOCK_ROWS", 50)
     finite = splats.take(splats.finite() & (splats.log_scales.max(axis=1) < -1.5))
     across = finite.means @ cameras[0].world_to_camera[0, :3]
     ordered = finite.take(np.argsort(across, kind="stable"))
     wide = replace(cameras[0].resized(400, 100), name="wide")
-    made, once = read(ordered, [wide], 50_000)
-    same(made, held(ordered, [wide]))
-    mixed, often = read(finite, [wide], 50_000)
-    same(mixed, held(finite, [wide]))
+    made, once = render_streamed(ordered, [wide], 50_000)
+    assert_same(made, render_whole(ordered, [wide]))
+    mixed, often = render_streamed(finite, [wide], 50_000)
+    assert_same(mixed, render_whole(finite, [wide]))
     assert 2 < once < 0.8 * often
 
 
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(1, 90))
-def test_parts_cover_the_whole_once(across, down, pieces):
+def test_parts_cover_each_tile_of_the_picture_once(across, down, pieces):
     parts = Part(0, 0, 0, across, down).divided(pieces)
     assert len(parts) >= min(pieces, across * down, 2)
     assert len(parts) > pieces * 0.6 or len(parts) > across * down * 0.6
@@ -183,10 +185,10 @@ def test_parts_cover_the_whole_once(across, down, pieces):
 
 
 @pytest.mark.parametrize("kind", ["auto", "orbit", "inside", "roam"])
-def test_a_source_is_looked_at_from_where_the_model_is(splats, kind, monkeypatch):
+def test_a_source_gets_the_same_cameras_as_the_model(splats, kind, monkeypatch):
     monkeypatch.setattr("nanogs.source.base.BLOCK_ROWS", 70)
     monkeypatch.setattr("nanogs.views.occupancy.MAX_SAMPLE", 300)  # of 1,258: one in 5
-    monkeypatch.setattr(standing, "LIMIT", 500)
+    monkeypatch.setattr(decimation, "LIMIT", 500)
     size = {"count": 4, "width": 64, "height": 48}
     for one, other in zip(
         cameras_for(splats, kind, **size), cameras_for(InMemory(splats), kind, **size), strict=True
@@ -195,41 +197,44 @@ def test_a_source_is_looked_at_from_where_the_model_is(splats, kind, monkeypatch
         assert (one.name, one.near, one.fx) == (other.name, other.near, other.fx)
 
 
-def test_a_stand_in_covers_as_much_as_the_model():
-    """Of one in nine splats, each three times as long; below the limit it is the model, bare."""
+def test_a_decimated_model_covers_as_much_as_the_model():
+    """It has one in nine splats, each three times as long; below the limit all, at degree 0."""
     splats = random_splats(20_000, degree=1, spread=1.0)
     splats = replace(splats, log_scales=np.full_like(splats.log_scales, np.log(0.015)))
     cameras = automatic_cameras(splats, 2, width=256, height=256)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(standing, "LIMIT", 2_300)
+        patch.setattr(decimation, "LIMIT", 2_300)
         few = decimated(splats)
     assert len(few) == -(-20_000 // 9)
-    for whole, some in zip(held(splats, cameras), held(few, cameras), strict=True):
+    for whole, some in zip(render_whole(splats, cameras), render_whole(few, cameras), strict=True):
         assert some.alpha.mean() == pytest.approx(whole.alpha.mean(), rel=0.1)
     thin = replace(few, log_scales=splats.log_scales[: len(few)])
-    assert held(thin, cameras)[0].alpha.mean() < 0.5 * held(splats, cameras)[0].alpha.mean()
+    assert (
+        render_whole(thin, cameras)[0].alpha.mean()
+        < 0.5 * render_whole(splats, cameras)[0].alpha.mean()
+    )
     bare = decimated(splats)
     assert bare.sh_degree == 0
     np.testing.assert_array_equal(bare.log_scales, splats.log_scales)
 
 
-# ---- what is told of models: the same numbers ----------------------------------------------------
+# ---- compare, held-out views and render in little memory -----------------------------------------
 
 
 @pytest.fixture
 def little(monkeypatch):
-    """Blocks and tiles are planned with next to nothing; the rooms for splats that are taken."""
+    """Plan with tiny fixed amounts of memory; return the budgets of all arenas made since."""
     monkeypatch.setattr("nanogs.memory_estimates._STREAMED", 10_000)
     monkeypatch.setattr("nanogs.views.plan.LEAST", 100_000)
-    rooms = []
+    budgets = []
 
     class Arena(streamed.Arena):
         def __init__(self, budget, *others):
-            rooms.append(budget)
+            budgets.append(budget)
             super().__init__(budget, *others)
 
     monkeypatch.setattr(streamed, "Arena", Arena)
-    return rooms
+    return budgets
 
 
 @pytest.fixture(scope="module")
@@ -264,7 +269,7 @@ def test_a_comparison_has_the_same_numbers_in_little_memory(pair, kind, little):
     assert found == expected
 
 
-def test_a_comparison_that_fits_in_no_way_is_refused_before_work(pair, monkeypatch):
+def test_a_comparison_that_cannot_fit_into_memory_is_refused(pair, monkeypatch):
     monkeypatch.setattr("nanogs.views.plan.LEAST", 10**9)
     with pytest.raises(NotEnoughMemoryError, match=r"Comparing these models takes about 1\.\d+ GB"):
         nanogs.compare(*pair, pixels=32, max_memory="211MB")
@@ -282,21 +287,21 @@ def test_the_command_compares_in_little_memory(pair, tmp_path, little, capsys):
     given = ["compare", *pair, "--max-memory", f"{LIBRARIES + 1_300_000}", "--views", "2"]
     assert command(*given, "--sizes", "48", "--report", page, "--no-interactive", "-q") == 0
     assert page.read_text().count("data:image/") == 6
-    monkey = [*given, "--sizes", "48", "--report", tmp_path / "b.html"]
-    assert command(*monkey) == 2
+    interactive = [*given, "--sizes", "48", "--report", tmp_path / "b.html"]
+    assert command(*interactive) == 2
     assert "or leave the models out of the page (--no-interactive)" in squeezed(capsys)
     assert not (tmp_path / "b.html").exists()
 
 
 @pytest.mark.parametrize("how", [nanogs.open, InMemory])
-def test_views_that_are_held_out_judge_sources_alike(pair, how, little):
+def test_held_out_views_score_sources_like_models(pair, how, little):
     splats, small = map(nanogs.load, pair)
     expected = held_out(splats)
     opened = [how(path if how is nanogs.open else nanogs.load(path)) for path in pair]
-    told = []
+    reported = []
     most = LIBRARIES + 122 * 512**2 * 8
-    found = held_out(opened[0], lambda done, parts: told.append((done, parts)), max_memory=most)
-    assert told[-1] == (8, 8)
+    found = held_out(opened[0], lambda done, parts: reported.append((done, parts)), max_memory=most)
+    assert reported[-1] == (8, 8)
     assert found.judge(opened[1]) == expected.judge(small)
     assert found.psnr(opened[1]) == expected.psnr(small) == found.psnr(small)
     for one, other in zip(found.views, expected.views, strict=True):
@@ -312,10 +317,10 @@ def test_pictures_are_the_same_in_little_memory(pair, how, cameras, little):
     expected = nanogs.render(pair[0], cameras, **options)
     assert not little
     most = LIBRARIES + (2_100_000 if how is nanogs.load else 1_500_000)
-    told = []
-    found = nanogs.render(how(pair[0]), cameras, max_memory=most, progress=told.append, **options)
+    steps = []
+    found = nanogs.render(how(pair[0]), cameras, max_memory=most, progress=steps.append, **options)
     assert 100_000 < little[0] < 1_000_000
-    assert told[-1].fraction == 1
+    assert steps[-1].fraction == 1
     for one, other in zip(found, expected, strict=True):
         assert one.tobytes() == other.tobytes()
     with pytest.raises(NotEnoughMemoryError, match=r"Rendering .*smaller pictures \(`pixels`\)"):

@@ -1,4 +1,4 @@
-"""`convert` some rows at a time: the bytes of the model held whole, in little memory."""
+"""`convert` some rows at a time: the same bytes as with the whole model, in little memory."""
 
 import dataclasses
 import json
@@ -17,12 +17,12 @@ from nanogs.datasets.synthetic import make_scene
 from nanogs.frames import change_frame
 from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
 
-ENDS = [".ply", ".splat", ".npz", ".spz", ".glb", ".compressed.ply"]
+SUFFIXES = [".ply", ".splat", ".npz", ".spz", ".glb", ".compressed.ply"]
 COUNT = 500_000
-MOST = 100e6  # bytes of the whole process
+MOST_BYTES = 100e6  # bytes of the whole process
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-# Of a process: the most that it ever took.
-PEAK = """
+# Runs a command and prints the peak memory of its process.
+PRINT_PEAK = """
 import re, sys
 from pathlib import Path
 from nanogs.cli import main
@@ -46,7 +46,7 @@ def scene(tmp_path, monkeypatch):
 
 
 class Strict(Source):
-    """A file of which nothing is read but blocks."""
+    """A file that may only be read in blocks."""
 
     def __init__(self, path):
         self._source = nanogs.open(path)
@@ -65,9 +65,11 @@ class Strict(Source):
 
 
 @pytest.mark.parametrize("options", [{}, {"spz_version": 2}, {"spz_version": 4}])
-@pytest.mark.parametrize("target", ENDS)
-@pytest.mark.parametrize("start", ENDS)
-def test_the_bytes_are_those_of_the_model_held_whole(scene, tmp_path, start, target, options):
+@pytest.mark.parametrize("target", SUFFIXES)
+@pytest.mark.parametrize("start", SUFFIXES)
+def test_a_source_is_written_with_the_bytes_of_the_whole_model(
+    scene, tmp_path, start, target, options
+):
     if options and target != ".spz":
         return
     nanogs.save(nanogs.load(scene), tmp_path / f"b{start}")
@@ -82,7 +84,7 @@ def test_the_bytes_are_those_of_the_model_held_whole(scene, tmp_path, start, tar
     assert io.losses(changed, f"a{target}") == io.losses(whole, f"a{target}")
 
 
-def test_what_cannot_be_written_is_counted_over_all_blocks(scene, tmp_path):
+def test_splats_that_cannot_be_written_are_counted_over_all_blocks(scene, tmp_path):
     model = nanogs.load(scene)
     model.means[[130, 131, 800]] = np.nan
     nanogs.save(model, scene, overwrite=True)
@@ -93,14 +95,14 @@ def test_what_cannot_be_written_is_counted_over_all_blocks(scene, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
 
 
-def test_a_source_is_written_to_formats_that_need_the_whole(scene, tmp_path):
+def test_a_source_is_written_to_formats_that_need_the_whole_model(scene, tmp_path):
     for target in ("b.glb", "folder/meta.json"):
         nanogs.save(nanogs.open(scene), tmp_path / target)
         assert nanogs.io.inspect(tmp_path / target).splats == 900
     assert len(io.losses(InMemory(nanogs.load(scene)), "a.glb")) == 1
 
 
-def test_a_file_takes_its_own_place(scene, tmp_path):
+def test_a_file_can_be_converted_onto_itself(scene, tmp_path):
     before = nanogs.load(scene)
     run = launch.run("convert", scene, scene, "-w", "--crop", "box:-1,-1,-1,0,1,1", "--json")
     report = json.loads(run.stdout)
@@ -109,7 +111,7 @@ def test_a_file_takes_its_own_place(scene, tmp_path):
     assert nanogs.load(scene).means.tobytes() == left.means.tobytes()
 
 
-def test_the_planner_refuses_before_work_begins_what_needs_the_whole(large, tmp_path):
+def test_conversions_that_need_too_much_memory_are_refused_before_work(large, tmp_path):
     allowed = ("--max-memory", "110MB")
     refused = [("b.usda",), ("b.sog",), ("b.ply", "--drop-floaters")]
     for target, *rest in refused:
@@ -123,7 +125,7 @@ def test_the_planner_refuses_before_work_begins_what_needs_the_whole(large, tmp_
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory):
-    """Colours are those of a scene of a tenth, ten times: to make them all takes seconds."""
+    """A large scene, whose colours repeat a tenth of them, because making all takes seconds."""
     splats, colours = make_scene(COUNT, sh_degree=0), make_scene(COUNT // 10, sh_degree=3).sh
     splats = dataclasses.replace(splats, sh=np.tile(colours, (10, 1, 1)))
     path = tmp_path_factory.mktemp("large") / "a.ply"
@@ -132,10 +134,10 @@ def large(tmp_path_factory):
 
 
 def assert_peaks(runs, folder, most):
-    """Modules are compiled first: a fresh clone's first run takes memory for that."""
+    """Check peak memory; modules are compiled first, which takes memory in a fresh clone."""
     subprocess.run([sys.executable, "-m", "nanogs", "info", *map(str, runs[0][1:2])], cwd=folder)
     for run in runs:
-        command = [sys.executable, "-c", PEAK, *map(str, run)]
+        command = [sys.executable, "-c", PRINT_PEAK, *map(str, run)]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
         assert int(done.stdout.split()[-1]) < most, run
 
@@ -143,29 +145,29 @@ def assert_peaks(runs, folder, most):
 @LINUX
 @pytest.mark.slow
 def test_half_a_million_splats_are_converted_within_a_hundred_megabytes(large, tmp_path):
-    """From each format to the next; .splat apart, which has no colours of degree 3 to pass on."""
-    others = [f"b{end}" for end in ENDS if end not in (".ply", ".splat")]
+    """From each format to the next, except .splat, which cannot hold colours of degree 3."""
+    others = [f"b{end}" for end in SUFFIXES if end not in (".ply", ".splat")]
     runs = [["convert", large, "b.splat"], ["convert", "b.splat", "c.ply"]]
     runs += [["convert", a, b] for a, b in pairwise([large, *others, "b.ply"])]
     runs += [["info", large], ["info", "b.spz"]]
-    assert_peaks(runs, tmp_path, MOST)
+    assert_peaks(runs, tmp_path, MOST_BYTES)
 
 
 @LINUX
 @pytest.mark.slow
-def test_splats_that_are_chosen_and_turned_are_not_held_either(tmp_path):
-    """Half as many: held whole, with the libraries, they would take 120 MB."""
+def test_filtered_and_turned_splats_are_converted_in_little_memory(tmp_path):
+    """Half as many splats: the whole model and the libraries would take 120 MB."""
     nanogs.save(make_scene(250_000, sh_degree=3), tmp_path / "a.ply")
     changes = ["--crop", "sphere:0,0,0,1000", "--min-opacity", "0.01", "--frame", "rub:rdf"]
-    turned = [end for end in ENDS if end != ".glb"]  # whose frame is its own
-    runs = [["convert", "a.ply", f"b{end}", *changes] for end in turned]
-    assert_peaks(runs, tmp_path, MOST)
+    suffixes = [end for end in SUFFIXES if end != ".glb"]  # which has a fixed frame
+    runs = [["convert", "a.ply", f"b{end}", *changes] for end in suffixes]
+    assert_peaks(runs, tmp_path, MOST_BYTES)
 
 
 @LINUX
 @pytest.mark.slow
-def test_a_model_is_rendered_and_compared_within_what_is_allowed(large, tmp_path):
-    """Held whole, rendering it takes half as much again, and comparing it twice as much."""
+def test_a_model_is_rendered_and_compared_within_max_memory(large, tmp_path):
+    """With the whole model in memory, rendering takes 1.5 times and comparing twice as much."""
     render = ["render", large, "a", "--views", "2", "--pixels", "400", "-q", "--max-memory"]
     assert_peaks([[*render, "320MB"]], tmp_path, 320e6)
     compare = ["compare", large, large, "--views", "1", "--sizes", "400", "--max-memory", "330MB"]

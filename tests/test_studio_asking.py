@@ -1,4 +1,4 @@
-"""Answers without a server: drafts of newer requests, and counts that wishes come to."""
+"""Answers without a server: drafts of newer requests, and counts found for sizes and PSNRs."""
 
 import math
 import threading
@@ -20,8 +20,8 @@ from nanogs.studio.held import FilteredScene
 from nanogs.views.opening import opening_for
 
 
-class Told:
-    """A job that keeps what it is told."""
+class RecordingJob:
+    """A job that records the events that are sent to it."""
 
     page, pace = "p", None
 
@@ -48,7 +48,7 @@ class Told:
 
 
 class Forest:
-    """A forest whose results are measured once a newer request has its draft."""
+    """A fake forest that measures a result only once a newer request has its draft."""
 
     available, fewest = 400, 1
 
@@ -88,8 +88,8 @@ def answers(forest):
     return RequestHandler(held, opening_for(forest.splats))
 
 
-def test_a_newer_request_has_its_draft_while_an_older_one_is_measured(answers, forest):
-    first, second = Told(1), Told(2)
+def test_a_newer_request_gets_its_draft_while_an_older_one_is_measured(answers, forest):
+    first, second = RecordingJob(1), RecordingJob(2)
     one, two = (choice_of({"wish": {"splats": count}}) for count in (50, 60))
     asked = threading.Thread(target=answers.ask, args=(one, first))
     asked.start()
@@ -104,55 +104,55 @@ def test_a_newer_request_has_its_draft_while_an_older_one_is_measured(answers, f
     assert second.events == ["draft", "made", "point", "measured"]  # and no second draft
 
 
-def test_a_result_is_sent_once_and_measured_then(answers, forest):
+def test_a_result_is_sent_once_and_measured_afterwards(answers, forest):
     forest.go_on.set()
-    answers.ask(choice_of({"wish": {"splats": 50}}), told := Told(1))
-    made, measured = (shown for kind, shown in told.shown if kind != "draft")
+    answers.ask(choice_of({"wish": {"splats": 50}}), job := RecordingJob(1))
+    made, measured = (shown for kind, shown in job.shown if kind != "draft")
     assert list(made.models) == [made.entry["id"]]
     assert measured.entry == made.entry
     assert measured.models == {}
 
 
-def test_what_is_shown_is_drawn_before_others_compute(answers, forest):
+def test_the_worker_waits_until_the_page_has_drawn(answers, forest):
     forest.go_on.set()
-    told = Told(1)
-    told.pace = 0.1
-    answers.ask(choice_of({"wish": {"splats": 50}}), told)
-    draft, made, _ = (shown.entry for _, shown in told.shown)
-    rests = [(event["model"], event["most"]) for event in told.said if event["type"] == "rest"]
+    job = RecordingJob(1)
+    job.pace = 0.1
+    answers.ask(choice_of({"wish": {"splats": 50}}), job)
+    draft, made, _ = (shown.entry for _, shown in job.shown)
+    rests = [(event["model"], event["most"]) for event in job.said if event["type"] == "rest"]
     assert rests == [(draft["id"], UNSEEN), (made["id"], UNSEEN + 5.0)]
 
 
-def test_a_page_that_draws_slowly_gets_few_splats_at_once(answers, forest, monkeypatch):
+def test_a_slow_page_gets_drafts_of_fewer_splats(answers, forest, monkeypatch):
     monkeypatch.setattr(asking, "FEWEST_DRAFTED", 10)
     forest.go_on.set()
     sizes = []
     for number, pace in enumerate((None, 1e-9, QUICK / 40, 1.0), 1):
-        told = Told(number)
-        told.pace = pace
-        answers.ask(choice_of({"wish": {"splats": 50}}), told)
-        drafted, made = (shown.entry["splats"] for kind, shown in told.shown if kind != "measured")
-        assert made == told.said[0]["splats"] == 50
+        job = RecordingJob(number)
+        job.pace = pace
+        answers.ask(choice_of({"wish": {"splats": 50}}), job)
+        drafted, made = (shown.entry["splats"] for kind, shown in job.shown if kind != "measured")
+        assert made == job.said[0]["splats"] == 50
         sizes.append(drafted)
     assert sizes == [50, 50, 40, 10]
 
 
-def test_a_page_that_sees_another_model_gets_it_and_the_points_of_its_curve(answers, forest):
+def test_a_page_that_shows_another_model_gets_it_and_its_curve_points(answers, forest):
     forest.go_on.set()
     stays, splats = np.arange(len(forest.splats)) > 0, forest.splats.take(slice(1, None))
     answers._held.sifted = lambda choice: FilteredScene(splats, stays, ())
-    wish = {"wish": {"splats": 50}}
-    for number, told in ((1, Told(1)), (2, Told(2))):
-        told.page = f"page {number}"
-        answers.ask(choice_of(wish | {"filters": {"min_opacity": 0.1}}), told)
-        others = ["point"] * (number - 1)  # which the page before has asked for
-        assert told.events == ["filtered", *others, "draft", "made", "point", "measured"]
+    data = {"wish": {"splats": 50}}
+    for number, job in ((1, RecordingJob(1)), (2, RecordingJob(2))):
+        job.page = f"page {number}"
+        answers.ask(choice_of(data | {"filters": {"min_opacity": 0.1}}), job)
+        others = ["point"] * (number - 1)  # measured for the page before
+        assert job.events == ["filtered", *others, "draft", "made", "point", "measured"]
         filtered = {"type": "filtered", "took": [], "left": len(splats), "preview": False}
-        assert told.said[0] == filtered
-        assert told.shown[0][1].entry["splats"] == len(splats)
-        points = [event for event in told.said if event["type"] == "point"]
+        assert job.said[0] == filtered
+        assert job.shown[0][1].entry["splats"] == len(splats)
+        points = [event for event in job.said if event["type"] == "point"]
         assert [(event["splats"], event["format"]) for event in points] == [(50, ".ply")] * number
-        answers.ask(choice_of(wish), again := Told(number + 2))
+        answers.ask(choice_of(data), again := RecordingJob(number + 2))
         assert "filtered" not in again.events, "that page shows the whole scene"
 
 
@@ -170,7 +170,7 @@ POINTS = st.lists(
     st.dictionaries(st.integers(1, 2000), st.integers(0, 50_000), min_size=1, max_size=6),
     st.integers(1, 30_000),
 )
-def test_estimated_sizes_never_fall_however_measured_ones_lie(measured, size):
+def test_estimated_sizes_never_decrease_for_any_measured_sizes(measured, size):
     curve = Curve(2000, 1, lambda n: round(10.4 * n), exact=False)
     for count, found in measured.items():
         curve.add(Point(count, found, 30.0, True))
@@ -184,7 +184,7 @@ def test_estimated_sizes_never_fall_however_measured_ones_lie(measured, size):
 
 
 @given(points=POINTS, count=COUNTS, size=st.integers(1, 10**7), psnr=st.floats(0.1, 90))
-def test_wishes_come_to_counts_that_there_are(points, count, size, psnr):
+def test_goals_lead_to_valid_counts(points, count, size, psnr):
     curve = Curve(10_000, 7, lambda n: 41 * n, exact=False)
     for point in points:
         curve.add(point)
@@ -206,7 +206,7 @@ def test_the_largest_count_that_fits_is_taken():
     assert counts == [10, 10, 499, 500, 500, 1000]
 
 
-def test_counts_to_measure_are_none_below_the_fewest():
+def test_no_count_below_the_fewest_is_measured():
     curve, found = Curve(1000, 60, lambda n: n, exact=True), []
     while (count := curve.missing()) is not None:
         found.append(count)
@@ -214,7 +214,7 @@ def test_counts_to_measure_are_none_below_the_fewest():
     assert found == [60, 200, 500, 100]
 
 
-def test_what_was_measured_lifts_what_plain_cuts_show():
+def test_measured_results_raise_the_curve_of_plain_cuts():
     curve = Curve(1000, 1, lambda n: n, exact=True)
     for count, mark in ((10, 20.0), (100, 30.0), (1000, 40.0)):
         curve.add(Point(count, count, mark, coarse=True))
@@ -228,7 +228,7 @@ def test_what_was_measured_lifts_what_plain_cuts_show():
     assert curve.psnr_of(10_000) == pytest.approx(55)
 
 
-def test_a_result_that_equals_the_model_says_nothing_of_smaller_ones():
+def test_a_result_with_infinite_psnr_does_not_change_the_curve():
     curve, whole = Curve(1000, 1, lambda n: n, exact=True), Point(1000, 1000, math.inf, False)
     guessed = curve.count_for(Goal(psnr=30))
     curve.add(whole)
@@ -247,22 +247,22 @@ def test_a_result_that_equals_the_model_says_nothing_of_smaller_ones():
     available=st.integers(1000, 10**6), at_all=st.floats(28, 60), slope=st.floats(1.5, 6),
     share=st.floats(0.02, 0.9),
 )  # fmt: skip
-def test_a_psnr_is_come_near_in_few_results_from_nothing(available, at_all, slope, share):
+def test_a_psnr_is_approached_in_few_results_without_earlier_ones(available, at_all, slope, share):
     def truth(count):
         return at_all + slope * math.log(count / available)
 
-    wish = Goal(psnr=max(truth(math.ceil(share * available)), 1.0))
+    goal = Goal(psnr=max(truth(math.ceil(share * available)), 1.0))
     curve = Curve(available, 1, lambda n: n, exact=True)
     misses = []
     for _ in range(TRIES):
-        count = curve.count_for(wish)
-        misses.append(abs(truth(count) - wish.psnr))
+        count = curve.count_for(goal)
+        misses.append(abs(truth(count) - goal.psnr))
         curve.add(Point(count, count, truth(count), coarse=False))
     assert misses[1] <= max(misses[0], 0.01)
     assert misses[-1] <= max(0.2, 0.1 * misses[0]), "the line through two results leads there"
 
 
-def test_two_results_that_lie_close_do_not_lead_far_away():
+def test_two_close_results_are_not_extrapolated_far():
     curve = Curve(100_000, 1, lambda n: n, exact=True)
     for count, mark in ((7046, 30.7), (7100, 30.6)):
         curve.add(Point(count, count, mark, coarse=False))
@@ -270,13 +270,13 @@ def test_two_results_that_lie_close_do_not_lead_far_away():
     assert 7100 < curve.count_for(Goal(psnr=31.0)) < 12_000
 
 
-def test_of_several_results_the_one_that_keeps_the_wish_is_shown(answers, forest):
+def test_of_several_results_the_one_that_meets_the_psnr_is_shown(answers, forest):
     forest.go_on.set()
     marks = iter([33.0, 29.0, 31.0])
     forest.measure = lambda *_, **__: SimpleNamespace(
         bytes=10, judged=SimpleNamespace(psnr=next(marks), ssim=0.9)
     )
-    told = Told(1)
-    answers.ask(choice_of({"wish": {"psnr": 30.0}}), told)
-    assert told.events == ["draft", *["made", "point"] * 3, "measured"]
-    assert told.said[-1]["psnr"] == 31.0
+    job = RecordingJob(1)
+    answers.ask(choice_of({"wish": {"psnr": 30.0}}), job)
+    assert job.events == ["draft", *["made", "point"] * 3, "measured"]
+    assert job.said[-1]["psnr"] == 31.0

@@ -1,4 +1,4 @@
-"""A page's choices as the library and as the command take them: the same, whatever is chosen."""
+"""Any choice on a studio page makes the same request through the library and the command."""
 
 import dataclasses
 import math
@@ -59,7 +59,7 @@ def scene(tmp_path_factory):
 
 
 def caught(monkeypatch, where, call):
-    """The request with which a function of a module is called."""
+    """Return the request that `call` passes to the function named `where`."""
     taken = []
 
     def take(request, *_rest, **_more):
@@ -74,7 +74,7 @@ def caught(monkeypatch, where, call):
 
 
 def comparable(request):
-    """Fields that decide the bytes, with the two ways to say nothing as one."""
+    """Return the fields that decide the output, with equivalent defaults made equal."""
     plain = {field.name: getattr(request, field.name) for field in dataclasses.fields(request)}
     plain["filters"] = [each.plain for each in request.filters]
     plain["cameras"] = None if request.cameras == "auto" else request.cameras
@@ -87,7 +87,7 @@ def comparable(request):
 
 @settings(max_examples=60, deadline=None)
 @given(data=CHOICES)
-def test_the_command_asks_the_library_for_the_same(scene, data, monkeypatch_module):
+def test_the_shown_command_makes_the_same_request_as_the_studio(scene, data, monkeypatch_module):
     data = dict(data)
     if data.get("levels"):
         data["format"] = sorted(LAYOUTS)[len(str(data)) % len(LAYOUTS)]
@@ -157,7 +157,7 @@ def monkeypatch_module():
         ({"wish": {"splats": 5}, "format": 3}, "must be a text"),
     ],
 )
-def test_what_makes_no_sense_is_refused_in_a_sentence(data, said):
+def test_invalid_choices_are_refused(data, said):
     with pytest.raises(OptionError, match=said):
         choice_of(data)
 
@@ -172,18 +172,18 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(data, said):
         ({"wish": {"psnr": 30}, "preset": "fast", "sh_degree": 0}, "lower SH degree"),
     ],
 )
-def test_what_the_scene_cannot_give_is_refused(scene, data, said):
+def test_choices_that_the_scene_cannot_meet_are_refused(scene, data, said):
     with pytest.raises(OptionError, match=said):
         refuse_unfit(scene, choice_of(data))
 
 
 @pytest.mark.parametrize("path", ["out", "out.sog", "out.compressed.ply", "a/out.html"])
-def test_the_name_of_a_file_says_its_format(scene, path):
+def test_file_names_that_do_not_match_the_format_are_refused(scene, path):
     with pytest.raises(OptionError, match="is no"):
         SaveRequest(scene, StudioSettings(), choice_of({"wish": {"splats": 5}}), Path(path))
 
 
-def test_a_model_whose_file_says_its_frame_is_not_turned(tmp_path):
+def test_up_cannot_be_changed_if_the_file_states_its_frame(tmp_path):
     path = tmp_path / "a.glb"
     nanogs.save(random_splats(9, degree=0), path)
     choice = choice_of({"wish": {"splats": 5}, "up": "+z"})
@@ -193,18 +193,18 @@ def test_a_model_whose_file_says_its_frame_is_not_turned(tmp_path):
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_frames_by_up_are_turns_that_put_it_up(up):
+def test_each_up_has_a_frame_that_rotates_it_upwards(up):
     change = change_between(turning.FRAMES[up], "rdf")
     assert np.linalg.det(change.matrix) == 1
     assert (change.matrix @ turning.direction_of(up) == turning.direction_of("-y")).all()
     assert turning.up_of(turning.direction_of(up)) == up
 
 
-def test_paths_that_look_like_options_are_typed_as_paths(scene):
+def test_paths_that_look_like_options_are_written_as_paths(scene):
     order = SaveRequest(scene, StudioSettings(), choice_of({"wish": {"splats": 5}}), Path("-w.ply"))
     assert order.words()[3] == "./-w.ply"
 
 
-def test_the_studio_has_no_preset_without_a_forest():
+def test_the_studio_refuses_the_preset_paper():
     with pytest.raises(OptionError, match="fast, default, best"):
         StudioSettings(preset="paper")

@@ -21,18 +21,18 @@ pytestmark = [
 ]
 SPLATS = 300
 SEQUENCES, LENGTH = 10, 20
-# What browsers say of an answer that is no success; the page says it in a sentence.
+# Browsers log these statuses as errors; the page shows a message for each.
 REFUSED = ("409", "422")
 names = st.sampled_from(["splats", "bytes", "psnr"])
-places = st.integers(0, 1000)
-typed = st.sampled_from(["100", "50k", "0", "-3", "no number", "0.004", "1e9", "30", "", "40.5"])
+positions = st.integers(0, 1000)
+entries = st.sampled_from(["100", "50k", "0", "-3", "no number", "0.004", "1e9", "30", "", "40.5"])
 faces = st.sampled_from([f"{axis}-{end}" for axis in "xyz" for end in ("low", "high")])
-ways = st.integers(-80, 80)  # CSS pixels
+offsets = st.integers(-80, 80)  # CSS pixels
 sizes = st.sampled_from([(1280, 800), (390, 844), (700, 500)])
 gestures = st.one_of(
-    st.tuples(st.just("slide"), names, places),
-    st.tuples(st.just("slide"), names, places),
-    st.tuples(st.just("type"), names, typed),
+    st.tuples(st.just("slide"), names, positions),
+    st.tuples(st.just("slide"), names, positions),
+    st.tuples(st.just("type"), names, entries),
     st.tuples(st.just("click"), st.sampled_from(["undo", "redo", "heat", "first-view"])),
     st.tuples(
         st.just("key"), st.sampled_from(["Control+z", "Control+Shift+z", "e", "0", "Escape"])
@@ -42,10 +42,12 @@ gestures = st.one_of(
     st.tuples(st.just("press"), st.just("up"), st.sampled_from(["+z", "-y"])),
     st.tuples(st.just("format"), st.sampled_from([".sog", ".spz", ".ply"])),
     st.tuples(st.just("harmonics"), st.sampled_from(["", "0"])),
-    st.tuples(st.just("opacity"), places),
+    st.tuples(st.just("opacity"), positions),
     st.tuples(st.just("check"), st.sampled_from(["floaters", "crop"]), st.booleans()),
-    st.tuples(st.just("corner"), st.sampled_from("xyz"), st.sampled_from(["low", "high"]), places),
-    st.tuples(st.just("drag"), faces, ways, ways),
+    st.tuples(
+        st.just("corner"), st.sampled_from("xyz"), st.sampled_from(["low", "high"]), positions
+    ),
+    st.tuples(st.just("drag"), faces, offsets, offsets),
     st.tuples(st.just("click"), st.sampled_from(["take", "untake"])),
     st.tuples(
         st.just("save"), st.sampled_from(["a.sog", "b.spz", "sub/c.ply", "no", "../out.ply"])
@@ -75,19 +77,19 @@ def seen(tmp_path_factory):
 
 
 class Hand:
-    """Does what a gesture says as soon as it can be done; nothing waits for answers."""
+    """Performs gestures as soon as the page allows it, without waiting for answers."""
 
     def __init__(self, seen):
         self.seen = seen
 
-    def slide(self, name, place):
-        self.seen.slide(name, place)
+    def slide(self, name, position):
+        self.seen.slide(name, position)
 
     def type(self, name, words):
         self.seen.type(name, words)
 
     def click(self, name):
-        """Look and click in one step: an answer may hide or disable the button between two."""
+        """Check and click in one step, because an answer may hide the button in between."""
         self.seen.at(name).evaluate("(button) => button.checkVisibility() && button.click()")
 
     def key(self, keys):
@@ -102,15 +104,15 @@ class Hand:
     def harmonics(self, degree):
         self.seen.at("harmonics").select_option(degree)
 
-    def opacity(self, place):
-        self.seen.at("opacity-range").fill(str(place))
+    def opacity(self, position):
+        self.seen.at("opacity-range").fill(str(position))
 
     def check(self, name, on):
         self.seen.at(name).set_checked(on)
 
-    def corner(self, axis, end, place):
+    def corner(self, axis, end, position):
         if self.seen.at("crop").is_checked():
-            self.seen.at(f"{axis}-{end}-range").fill(str(place))
+            self.seen.at(f"{axis}-{end}-range").fill(str(position))
 
     def drag(self, face, right, down):
         handle = self.seen.page.locator(f".nv-handle[data-face={face}]")
@@ -134,7 +136,7 @@ class Hand:
             self.seen.unfold(name)
 
     def save(self, name):
-        """To the end, whichever that is: a dialogue that saves is not closed by accident."""
+        """Save, wait until that has succeeded or failed, and then close the dialogue."""
         seen = self.seen
         seen.at("save-open").click()
         suffix = re.search(r"\.\w+$", name)
@@ -146,15 +148,15 @@ class Hand:
             || document.getElementById('save-said').textContent.endsWith('.')""",
             name,
         )
-        for _ in range(2):  # the second time where it replaces
-            self.click("save-go")  # a check of the name may yet say no to it
+        for _ in range(2):  # the second click confirms that a file is replaced
+            self.click("save-go")  # the check of the name may still refuse it
             seen.until("() => document.getElementById('save-cancel').hidden")
         assert seen.text("save-said")
         seen.at("save-close").click()
 
 
-def judge(seen):
-    """The latest request has come to an end, and says so; nothing went wrong beside it."""
+def assert_settled(seen):
+    """Check that the latest request has ended and says so, and that nothing else failed."""
     seen.until(f"() => ({studiopage.SETTLED})() || document.getElementById('said')"
                ".textContent === 'Cancelled'")  # fmt: skip
     seen.still()
@@ -163,8 +165,8 @@ def judge(seen):
     assert seen.unexpected == [], seen.unexpected
 
 
-def test_no_gestures_bring_an_error_or_lose_a_job(seen):
-    # One example is many gestures: what fails is told whole, and no time goes into smaller ones.
+def test_random_gestures_cause_no_error_and_lose_no_job(seen):
+    # One example is many gestures; failures are shown whole, without shrinking.
     @settings(max_examples=SEQUENCES, phases=[Phase.generate], suppress_health_check=HealthCheck)
     @given(st.lists(gestures, min_size=LENGTH, max_size=LENGTH))
     def do(sequence):
@@ -172,10 +174,10 @@ def test_no_gestures_bring_an_error_or_lose_a_job(seen):
         hand.reload()
         for name, *arguments in sequence:
             getattr(hand, name)(*arguments)
-        judge(seen)
+        assert_settled(seen)
         if (box := seen.at("untake")).is_enabled():
             box.click()
         hand.slide("splats", 700 if seen.at("splats-range").input_value() != "700" else 600)
-        judge(seen)
+        assert_settled(seen)
 
     do()

@@ -1,4 +1,4 @@
-"""Who is answered by a studio, and what it gives out: its own page alone, and its own folder."""
+"""HTTP security of the studio: it answers only its own page, and shows only its own folder."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def studio(tmp_path_factory):
 ASK = {"page": "p", "number": 1, "choice": {"wish": {"splats": 50}}}
 
 
-def test_the_page_has_headers_that_let_nothing_else_in(studio):
+def test_the_page_has_strict_security_headers(studio):
     status, headers, body = studio.request("GET")
     assert status == 200
     assert b"scene.ply" in body
@@ -51,7 +51,7 @@ def test_the_page_has_headers_that_let_nothing_else_in(studio):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are UTF-8 elsewhere")
-def test_a_scene_whose_name_is_no_utf8_has_a_page_and_a_command(tmp_path):
+def test_a_scene_whose_name_is_not_utf8_has_a_page_and_a_command(tmp_path):
     scene = os.fsdecode(b"\xff.ply")
     nanogs.save(random_splats(100), tmp_path / scene)
     with running(scene, cwd=tmp_path) as studio:
@@ -62,7 +62,7 @@ def test_a_scene_whose_name_is_no_utf8_has_a_page_and_a_command(tmp_path):
     assert json.loads(body)["command"].startswith(f"nanogs simplify '{scene}' out.ply")
 
 
-def test_it_listens_on_this_machine_alone(studio):
+def test_the_studio_listens_only_on_this_machine(studio):
     assert urlsplit(studio.url).hostname == "127.0.0.1"
     assert len(urlsplit(studio.url).path) > 30
 
@@ -74,14 +74,14 @@ def test_it_listens_on_this_machine_alone(studio):
      "/{token}/static/%2e%2e%2fserver.py", "/{token}/static/", "/{token}/server.py",
      "/{token}/models/..%2f..%2fscene.spz", "/x/../{token}/"],
 )  # fmt: skip
-def test_other_paths_are_not_there(studio, path):
+def test_other_paths_are_not_found(studio, path):
     token = urlsplit(studio.url).path.strip("/")
     status, headers, _ = studio.request("GET", path.format(token=token), whole=True)
     assert status == 404
     assert headers["x-frame-options"] == "DENY"
 
 
-def test_a_model_that_is_not_kept_is_nothing_and_no_error(studio):
+def test_a_discarded_model_gives_an_empty_answer(studio):
     token = urlsplit(studio.url).path.strip("/")
     status, _, body = studio.request("GET", f"/{token}/models/x.spz", whole=True)
     assert (status, body) == (204, b"")
@@ -90,14 +90,14 @@ def test_a_model_that_is_not_kept_is_nothing_and_no_error(studio):
 @pytest.mark.parametrize(
     "host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost", "", "[::1]:{port}", None]
 )
-def test_another_host_is_another_site(studio, host):
+def test_requests_to_another_host_name_are_refused(studio, host):
     port = urlsplit(studio.url).port
     status, _, body = studio.request("GET", headers={"Host": host and host.format(port=port)})
     assert status in (400, 421)
     assert b"scene" not in body
 
 
-def test_localhost_is_this_machine_too(studio):
+def test_localhost_is_accepted_as_host_name(studio):
     port = urlsplit(studio.url).port
     names = {"Host": f"localhost:{port}", "Origin": f"http://localhost:{port}"}
     assert studio.request("GET", headers=names)[0] == 200
@@ -119,7 +119,7 @@ def test_localhost_is_this_machine_too(studio):
         ({"Content-Type": "application/json; charset=utf-8"}, 200),
     ],
 )
-def test_only_the_page_itself_may_ask(studio, headers, status):
+def test_only_the_page_itself_may_send_requests(studio, headers, status):
     for path, body in (("ask", ASK), ("cancel", {"page": "p"})):
         found = studio.request("POST", path, body, headers=headers)[0]
         assert found == (204 if (status, path) == (200, "cancel") else status)
@@ -130,7 +130,7 @@ def test_other_methods_are_refused(studio, method):
     assert studio.request(method, "ask")[0] == 405
 
 
-def test_what_is_asked_is_not_read_by_address(studio):
+def test_requests_cannot_be_sent_by_get(studio):
     assert studio.request("GET", "ask")[0] == 405
     assert studio.request("GET", "save")[0] == 405
 
@@ -141,33 +141,33 @@ def test_what_is_asked_is_not_read_by_address(studio):
      json.dumps(ASK | {"number": "1"}).encode(), json.dumps(ASK | {"path": "x"}).encode(),
      b'{"page": "p", "choice": {"wish": {"splats": NaN}}}'],
 )  # fmt: skip
-def test_what_is_no_request_is_refused_in_a_sentence(studio, body):
+def test_malformed_requests_are_refused_with_a_message(studio, body):
     status, _, answer = studio.request("POST", "ask", body)
     assert status == 422
     assert json.loads(answer)["message"].endswith(".")
 
 
 @pytest.mark.parametrize("pace", [None, 1e-6, 1])
-def test_a_page_says_how_fast_it_draws(studio, pace):
+def test_a_page_may_report_its_drawing_speed(studio, pace):
     body = {"page": "p", "model": "m", "pace": pace}
     assert studio.request("POST", "seen", body)[0] == 204
 
 
 @pytest.mark.parametrize("pace", [0, -1, "1", True, float("nan"), float("inf"), []])
-def test_a_pace_is_a_time(studio, pace):
+def test_invalid_drawing_speeds_are_refused(studio, pace):
     status, _, answer = studio.request("POST", "seen", {"page": "p", "model": "m", "pace": pace})
     assert status == 422
     assert "seconds" in json.loads(answer)["message"]
 
 
 @pytest.mark.parametrize("model", [None, 1, ["m"]])
-def test_what_was_drawn_has_a_name(studio, model):
+def test_reports_of_drawn_models_need_a_name(studio, model):
     status, _, answer = studio.request("POST", "seen", {"page": "p", "model": model})
     assert status == 422
     assert "name" in json.loads(answer)["message"]
 
 
-def test_long_requests_are_not_read(studio):
+def test_too_long_requests_are_refused(studio):
     assert studio.request("POST", "ask", b" " * 70_000)[0] == 413
     assert studio.request("POST", "ask", b"", headers={"Content-Length": "x"})[0] in (400, 411)
 
@@ -177,7 +177,7 @@ def listed(studio, folder):
     return status, json.loads(body)
 
 
-def test_the_dialogue_lists_the_folder_and_what_is_below(studio):
+def test_the_dialogue_lists_the_folder_and_its_subfolders(studio):
     status, found = listed(studio, "")
     assert status == 200
     assert (found["folder"], found["parent"]) == ("", None)
@@ -209,14 +209,14 @@ if os.name != "nt":
 
 
 @pytest.mark.parametrize("path", SAVES)
-def test_nothing_outside_is_saved_to(studio, path):
+def test_nothing_is_saved_outside_the_folder(studio, path):
     body = ASK | {"path": path, "overwrite": True}
     status, _, answer = studio.request("POST", "save", body)
     assert status == 422
     assert json.loads(answer)["message"].endswith(".")
 
 
-def test_the_scene_itself_and_what_exists_are_not_replaced_unasked(studio):
+def test_saving_over_the_scene_or_to_invalid_paths_is_refused(studio):
     for path, overwrite, said in (
         ("scene.ply", True, "scene that is open"),
         ("sub/../scene.ply", True, "out of the folder"),
@@ -229,30 +229,33 @@ def test_the_scene_itself_and_what_exists_are_not_replaced_unasked(studio):
         assert said in json.loads(answer)["message"]
 
 
-def test_a_save_is_a_command_before_it_is_wanted(studio):
-    def told(path, **choice):
+def test_the_command_of_a_save_is_available_before_saving(studio):
+    def command_answer(path, **choice):
         body = {"page": "p", "choice": ASK["choice"] | choice, "path": path}
         status, _, answer = studio.request("POST", "command", body)
         assert status == 200
         return json.loads(answer)
 
-    assert told("sub/a b.ply") == {
+    assert command_answer("sub/a b.ply") == {
         "command": "nanogs simplify scene.ply 'sub/a b.ply' --count 50", "message": None,
         "exists": False,
     }  # fmt: skip
     (studio.folder / "there.ply").write_bytes(b"something")
-    assert told("there.ply")["exists"]
-    assert told("there.ply")["command"].endswith("there.ply --count 50")
-    assert "nanogs lod" in told("x/tileset.json", format="tileset.json", levels="1,0.5")["command"]
-    shown = told(None, preset="fast")["command"]
+    assert command_answer("there.ply")["exists"]
+    assert command_answer("there.ply")["command"].endswith("there.ply --count 50")
+    assert (
+        "nanogs lod"
+        in command_answer("x/tileset.json", format="tileset.json", levels="1,0.5")["command"]
+    )
+    shown = command_answer(None, preset="fast")["command"]
     assert shown == "nanogs simplify scene.ply out.ply --count 50 --preset fast"
     for path in (*filter(None, SAVES), "x.sog", "scene.ply", ""):
-        found = told(path)
+        found = command_answer(path)
         assert found["command"] is None
         assert found["message"].endswith(".")
 
 
-def test_a_folder_is_made_of_names_below_it(tmp_path):
+def test_paths_inside_the_folder_are_resolved(tmp_path):
     folder = Folder(tmp_path.resolve())
     assert folder.inside("") == tmp_path.resolve()
     assert folder.inside("a/b.ply") == tmp_path.resolve() / "a" / "b.ply"
@@ -260,9 +263,9 @@ def test_a_folder_is_made_of_names_below_it(tmp_path):
         folder.listed("nowhere")
 
 
-def test_pages_have_names_and_are_not_too_many(studio):
+def test_page_names_are_checked_and_many_pages_are_accepted(studio):
     for name in ("", "a b", "x" * 65, "../x"):
         assert studio.request("GET", f"events?page={name.replace(' ', '%20')}")[0] == 422
-    for number in range(40):  # those that nobody looks at give way
+    for number in range(40):  # pages without a connection are dropped
         body = {"page": f"page{number}"}
         assert studio.request("POST", "cancel", body)[0] == 204

@@ -1,4 +1,4 @@
-"""Which request is next, which are dropped, and what the worker waits for."""
+"""The job queue of the studio: order, dropped requests, and what the worker waits for."""
 
 import contextlib
 import threading
@@ -15,7 +15,7 @@ from nanogs.studio.worker import Inbox
 KINDS = ("ask", "save", "curve")
 
 
-def test_the_newest_of_a_kind_takes_the_place_of_what_waits_and_of_what_runs():
+def test_a_new_request_replaces_waiting_and_running_ones_of_its_kind():
     queue = Queue()
     first, second, third = (Job("ask", "a", n) for n in range(3))
     assert queue.put(first) == []
@@ -29,7 +29,7 @@ def test_the_newest_of_a_kind_takes_the_place_of_what_waits_and_of_what_runs():
     assert not queue.dropped
 
 
-def test_no_ask_ends_a_save():
+def test_a_running_save_is_not_replaced():
     queue = Queue()
     save, ask = Job("save", "a"), Job("ask", "a")
     queue.put(save)
@@ -49,7 +49,7 @@ def test_pages_do_not_disturb_each_other():
     assert not queue.dropped
 
 
-def test_a_page_that_cancels_has_its_running_job_dropped_once():
+def test_cancelling_drops_the_running_job_of_a_page_once():
     queue = Queue()
     running, waiting, kept = Job("ask", "a"), Job("filter", "a"), Job("save", "a")
     for job in (running, waiting, kept):
@@ -76,7 +76,7 @@ def test_pages_take_turns():
     assert served == [("open", ""), ("ask", "a"), ("ask", "b"), ("save", "a")]
 
 
-def test_what_is_measured_while_nobody_asks_gives_way():
+def test_background_measurements_give_way_to_requests():
     queue = Queue()
     curve = Job("curve", "a")
     queue.put(curve)
@@ -92,7 +92,7 @@ def test_what_is_measured_while_nobody_asks_gives_way():
     )
 )  # fmt: skip
 def test_no_request_is_lost(steps):
-    """Each one that was put is dropped or done, and not both; one of a page and kind waits."""
+    """Each request is either dropped or done, and at most one of a page and kind waits."""
     queue, put, dropped, done = Queue(), [], [], []
     for step, page, kind in steps:
         if step == "put":
@@ -114,20 +114,20 @@ def test_no_request_is_lost(steps):
 
 
 @contextlib.contextmanager
-def hearing():
-    """An inbox, and how to say something to it."""
-    said, idle = SimpleQueue(), threading.Event()
+def listening_inbox():
+    """An inbox, and a function that sends messages to it."""
+    messages, idle = SimpleQueue(), threading.Event()
 
     def recv():
         idle.set()
-        return said.get()
+        return messages.get()
 
     inbox = Inbox(SimpleNamespace(recv=recv))
 
     def tell(*message):
         assert idle.wait(20)
         idle.clear()
-        said.put(message)
+        messages.put(message)
         assert idle.wait(20), "it was not heard"
 
     yield inbox, tell
@@ -139,9 +139,9 @@ def seconds_of(act, *arguments):
     return time.monotonic() - begun
 
 
-def test_a_job_rests_until_its_model_was_seen():
+def test_a_job_waits_until_its_model_was_drawn():
     job, later = Job("ask", "a", 7), Job("ask", "a", 8)
-    with hearing() as (inbox, tell):
+    with listening_inbox() as (inbox, tell):
         tell("seen", ("b", "new", 1e-6))
         tell("seen", ("a", "old", None))
         assert seconds_of(inbox.rest, job, "new", 0.0, 0.2) >= 0.2, "another page, an older model"

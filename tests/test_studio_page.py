@@ -1,4 +1,4 @@
-"""The page of `nanogs studio` in a real browser; what the server would say is said by the test."""
+"""The page of `nanogs studio` in a real browser, with a fake server that the tests control."""
 
 import contextlib
 import io
@@ -18,7 +18,7 @@ pytestmark = [
     pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed"),
     pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
 ]
-PATIENCE = 60_000  # milliseconds; machines of tests are busy
+PATIENCE = 60_000  # milliseconds; test machines may be busy
 BARE = (
     "#view > :not(canvas), .over, #legend { opacity: 0 !important; }"
     " canvas { outline: none !important; }"
@@ -46,33 +46,35 @@ def chromium():
 
 
 class Studio:
-    """A page, and the fake that it talks to."""
+    """A page and the fake server that it talks to."""
 
     def __init__(self, page, fake):
         self.page, self.fake = page, fake
         self.errors = []
         page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.on("console", lambda said: said.type == "error" and self.errors.append(said.text))
+        page.on(
+            "console", lambda message: message.type == "error" and self.errors.append(message.text)
+        )
 
     def state(self, name, number=None):
         numbered = "" if number is None else f'[data-number="{number}"]'
         self.page.wait_for_selector(f"body[data-state={name}]{numbered}", timeout=PATIENCE)
 
     def pixels(self):
-        """(H, W, 3) float32 of the models alone, when nothing moves."""
+        """Return the pixels of the models alone once nothing moves, (H, W, 3) float32."""
         self.page.wait_for_selector("#view[data-state=still]", timeout=PATIENCE)
         picture = self.page.locator("#view canvas").screenshot(style=BARE)
         return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=np.float32) / 255
 
     def share(self, color, side):
-        """Which part of a half of the picture has about that colour."""
+        """Return the share of one half of the picture that has about this colour."""
         pixels = self.pixels()
         half = pixels.shape[1] // 2
         part = pixels[:, :half] if side == "left" else pixels[:, half:]
         return float((np.abs(part - color).max(axis=-1) < 0.2).mean())
 
     def becomes(self, condition):
-        """Wait until it holds; an input takes time to arrive."""
+        """Wait until the condition holds; an input takes time to arrive."""
         end = time.monotonic() + PATIENCE / 2000
         while not condition():
             assert time.monotonic() < end, "it did not become what it should be"
@@ -82,7 +84,7 @@ class Studio:
         self.becomes(lambda: self.share(color, side) > 0.05)
 
     def measured(self, model="blue", **more):
-        """Answer the latest ask, and wait until it is seen."""
+        """Answer the latest request, and wait until the page shows the answer."""
         number = self.fake.asked[-1][1]["number"]
         self.fake.answer("draft", number, model, **more)
         self.fake.answer("measured", number, model, **more)
@@ -97,7 +99,7 @@ class Studio:
 
 @contextlib.contextmanager
 def opened(chromium, width=900, height=700, answered=True, **options):
-    """A page whose first ask has been answered, with no error in it at the end."""
+    """Open a page, by default with its first request answered; check for errors at the end."""
     with faked(MODELS) as (fake, address):
         size = {"width": width, "height": height}
         context = chromium.new_context(viewport=size, **options)
@@ -124,14 +126,14 @@ def studio(chromium):
         yield seen
 
 
-def test_a_rough_model_is_seen_and_then_the_measured_one(chromium):
+def test_a_draft_is_shown_before_the_measured_result(chromium):
     with opened(chromium, answered=False) as studio:
         studio.shows(RED, "left")
         assert studio.page.get_attribute("body", "data-state") == "opening"
         ask = studio.fake.wait("ask")
         assert ask["choice"]["wish"] == {"splats": 30}
         assert ask["choice"]["format"] == ".sog"
-        studio.fake.answer("draft", ask["number"] - 1, "magenta")  # of a request before this one
+        studio.fake.answer("draft", ask["number"] - 1, "magenta")  # of an older request
         studio.fake.answer("draft", ask["number"], "green", psnr=None)
         studio.state("measuring", ask["number"])
         studio.shows(GREEN, "right")
@@ -147,7 +149,7 @@ def test_a_rough_model_is_seen_and_then_the_measured_one(chromium):
         assert "SSIM 0.9000" in studio.page.inner_text("#result")
 
 
-def test_a_result_is_seen_before_it_is_measured_and_fetched_once(studio):
+def test_a_result_is_shown_before_it_is_measured_and_fetched_once(studio):
     studio.page.get_by_role("button", name="best").click()
     number = studio.fake.wait("ask", 2)["number"]
     studio.fake.answer("draft", number, "blue")
@@ -162,7 +164,7 @@ def test_a_result_is_seen_before_it_is_measured_and_fetched_once(studio):
     assert studio.fake.fetched.count("green") == 1
 
 
-def test_a_result_that_is_told_with_its_numbers_ends_measured(studio):
+def test_a_result_sent_together_with_its_scores_ends_as_measured(studio):
     studio.page.get_by_role("button", name="best").click()
     number = studio.fake.wait("ask", 2)["number"]
     for kind in ("draft", "made", "measured"):
@@ -197,23 +199,23 @@ def test_a_reload_keeps_the_choice(studio):
     assert page.get_by_role("button", name="best").get_attribute("aria-pressed") == "true"
 
 
-def test_the_server_is_told_what_was_drawn(studio):
+def test_the_page_reports_the_models_that_it_has_drawn(studio):
     studio.becomes(lambda: [body["model"] for body in studio.fake.seen][-1:] == ["blue"])
     assert [body["model"] for body in studio.fake.seen] in (["blue"], ["original", "blue"])
-    assert all(body["pace"] is None for body in studio.fake.seen)  # too few splats to tell
+    assert all(body["pace"] is None for body in studio.fake.seen)  # too few splats to measure it
     studio.page.get_by_role("button", name="best").click()
     number = studio.fake.wait("ask", 2)["number"]
     studio.fake.answer("draft", number, "magenta")
     studio.becomes(lambda: studio.fake.seen[-1]["model"] == "magenta")
     studio.fake.answer("made", number, "green")
     studio.becomes(lambda: studio.fake.seen[-1]["model"] == "green")
-    told = len(studio.fake.seen)
+    reported = len(studio.fake.seen)
     studio.fake.answer("measured", number, "green")
     studio.state("measured", number)
-    assert len(studio.fake.seen) == told
+    assert len(studio.fake.seen) == reported
 
 
-def test_a_new_model_is_drawn_once_and_the_former_one_no_more(studio):
+def test_a_new_model_is_drawn_once_and_the_old_one_no_longer(studio):
     studio.shows(BLUE, "right")
     studio.page.evaluate(
         """() => {
@@ -256,16 +258,16 @@ def test_the_three_sliders_move_together(studio):
     assert studio.asked(5)["wish"] == {"splats": 150}
 
 
-def test_drafts_of_a_slider_that_moves_are_seen_on_the_way(studio):
+def test_drafts_are_shown_while_a_slider_moves(studio):
     studio.page.focus("#splats-range")
     for _ in range(2):
         studio.page.keyboard.press("PageUp")
         studio.page.wait_for_timeout(100)
     older, newer = (studio.fake.wait("ask", count)["number"] for count in (2, 3))
-    wish = studio.page.input_value("#splats")
+    requested = studio.page.input_value("#splats")
     studio.fake.answer("draft", older, "green", splats=31)
     studio.shows(GREEN, "right")
-    assert studio.page.input_value("#splats") == wish
+    assert studio.page.input_value("#splats") == requested
     studio.state("coarse", newer)
     studio.fake.answer("draft", newer, "blue")
     studio.state("measuring", newer)
@@ -276,7 +278,7 @@ def test_drafts_of_a_slider_that_moves_are_seen_on_the_way(studio):
 
 
 @pytest.mark.parametrize(("words", "said"), [("lots", "“lots”"), ("5,000", "300"), ("-1", "“-1”")])
-def test_a_field_with_nonsense_says_so_and_asks_nothing(studio, words, said):
+def test_an_invalid_entry_shows_an_error_and_sends_no_request(studio, words, said):
     studio.page.fill("#splats", words)
     studio.page.press("#splats", "Enter")
     assert said in studio.page.get_by_role("alert").inner_text()
@@ -284,7 +286,7 @@ def test_a_field_with_nonsense_says_so_and_asks_nothing(studio, words, said):
     assert len(studio.fake.asked) == 1
 
 
-def test_choices_are_undone_and_done_again(studio):
+def test_choices_can_be_undone_and_redone(studio):
     page = studio.page
     assert page.is_disabled("#undo")
     page.get_by_role("button", name="best").click()
@@ -303,7 +305,7 @@ def test_choices_are_undone_and_done_again(studio):
     assert page.locator("#preset [aria-pressed=true]").inner_text() == "best"
 
 
-def test_what_would_go_is_magenta_before_it_is_taken(studio):
+def test_splats_to_be_removed_are_magenta_before_the_filter_is_applied(studio):
     page = studio.page
     page.click("#sift summary")
     page.check("#crop")
@@ -341,19 +343,19 @@ def test_what_would_go_is_magenta_before_it_is_taken(studio):
 
 
 @pytest.mark.parametrize("face", ["x-high", "y-low", "z-high"])
-def test_a_face_of_the_box_is_dragged_in_the_picture(studio, face):
+def test_a_face_of_the_crop_box_can_be_dragged_in_the_picture(studio, face):
     page = studio.page
     page.click("#sift summary")
     page.check("#crop")
     low, high = np.split(np.array(studio.fake.wait("filter")["choice"]["filters"]["box"]), 2)
-    studio.pixels()  # it stands still
+    studio.pixels()  # wait until nothing moves
 
-    def place(name):
+    def centre(name):
         box = page.locator(f".nv-handle[data-face={name}]").bounding_box()
         return np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
 
     other = face.replace("high", "low") if "high" in face else face.replace("low", "high")
-    start, end = place(face), place(other)
+    start, end = centre(face), centre(other)
     page.mouse.move(*start)
     page.mouse.down()
     page.mouse.move(*(start + 0.3 * (end - start)), steps=3)
@@ -367,10 +369,10 @@ def test_a_face_of_the_box_is_dragged_in_the_picture(studio, face):
     share = (moved[int(is_high), axis] - (high if is_high else low)[axis]) / (high - low)[axis]
     assert 0.15 < (-share if is_high else share) < 0.45
     moved[int(is_high), axis] = (high if is_high else low)[axis]
-    assert np.array_equal(moved, [low, high])  # no other face
+    assert np.array_equal(moved, [low, high])  # no other face moved
     assert float(page.input_value(f"#{face}")) == sent[-1][axis + 3 * is_high]
-    assert np.abs(place(face) - (start + 0.3 * (end - start))).max() < 30
-    # At once, not with the next drawing: a dot of no box could still be taken hold of until then.
+    assert np.abs(centre(face) - (start + 0.3 * (end - start))).max() < 30
+    # At once, not with the next frame: until then, a handle of the removed box could be dragged.
     hidden = "[...document.querySelectorAll('.nv-handle')].every((dot) => dot.hidden)"
     assert page.evaluate(f"() => {{ document.getElementById('untake').click(); return {hidden}; }}")
 
@@ -383,7 +385,7 @@ def test_the_error_map_is_bright_where_the_sides_differ(studio):
     pixels = studio.pixels()
     half = pixels.shape[1] // 2
     assert np.array_equal(pixels[:, :half], first[:, :half])
-    # Red against blue is 0.14 of luma, which lies at 0.75 of the colours.
+    # Red and blue differ by 0.14 in luma, which is at 0.75 of the colour map.
     assert studio.share((249 / 255, 140 / 255, 10 / 255), "right") > 0.05
     assert page.is_visible("#legend")
     page.fill("#splats", "300")
@@ -396,7 +398,7 @@ def test_the_error_map_is_bright_where_the_sides_differ(studio):
     assert not page.is_visible("#legend")
 
 
-def test_another_up_turns_the_picture_and_undo_turns_it_back(studio):
+def test_another_up_turns_the_picture_and_the_old_one_restores_it(studio):
     page = studio.page
     first = studio.pixels()
     page.click("#scene summary")
@@ -413,7 +415,7 @@ def test_another_up_turns_the_picture_and_undo_turns_it_back(studio):
     studio.becomes(lambda: np.array_equal(studio.pixels(), first))
 
 
-def test_a_model_is_replaced_under_the_same_camera(studio):
+def test_a_new_model_keeps_the_camera(studio):
     page = studio.page
     page.locator("#view canvas").focus()
     page.keyboard.press("ArrowRight")
@@ -428,7 +430,7 @@ def test_a_model_is_replaced_under_the_same_camera(studio):
     assert np.array_equal(studio.pixels()[:, :half], turned[:, :half])
 
 
-def test_saving_asks_before_it_replaces_and_shows_the_command(studio):
+def test_saving_asks_before_it_replaces_a_file_and_shows_the_command(studio):
     page, fake = studio.page, studio.fake
     page.keyboard.press("Control+s")
     page.wait_for_selector("#entries >> text=old/")
@@ -472,18 +474,18 @@ def test_saving_asks_before_it_replaces_and_shows_the_command(studio):
     studio.state("measured")
 
 
-def test_a_browser_that_cannot_draw_is_told(chromium):
+def test_a_browser_without_webgl_gets_a_message(chromium):
     with faked(MODELS) as (_, address):
         page = chromium.new_page()
         page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
         page.goto(address)
         page.wait_for_selector("body[data-state=failed]", timeout=PATIENCE)
-        said = page.get_by_role("alert").inner_text()
-        assert said == "The studio cannot draw: this browser has no WebGL 2, or it is switched off."
+        text = page.get_by_role("alert").inner_text()
+        assert text == "The studio cannot draw: this browser has no WebGL 2, or it is switched off."
         page.close()
 
 
-def test_what_fails_is_said_in_a_sentence(studio):
+def test_a_failure_is_shown_as_a_message(studio):
     page, fake = studio.page, studio.fake
     page.click("#format")
     page.select_option("#format", ".ply")
@@ -519,7 +521,7 @@ def test_work_is_cancelled_by_a_button_and_by_a_key(studio):
     ("width", "height", "scheme"),
     [(1280, 800, "dark"), (390, 844, "light"), (844, 390, "dark")],
 )
-def test_the_page_fits_any_screen_and_says_what_everything_is(chromium, width, height, scheme):
+def test_the_page_fits_any_screen_and_every_control_has_a_label(chromium, width, height, scheme):
     touch = width < 1000
     with opened(chromium, width, height, color_scheme=scheme, has_touch=touch) as studio:
         page = studio.page

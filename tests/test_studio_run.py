@@ -1,4 +1,4 @@
-"""A studio at work: what a page is told, what is saved, and what ends."""
+"""A running studio: events to the page, saved files, cancelling, and shutting down."""
 
 import filecmp
 import json
@@ -58,7 +58,7 @@ def worker_of(studio):
     return found
 
 
-def test_a_page_is_told_of_the_scene(page, tmp_path):
+def test_a_page_receives_the_facts_of_the_scene(page, tmp_path):
     scene = page.scene
     assert (scene["name"], scene["stem"], scene["splats"]) == ("scene.ply", "scene", 4000)
     assert scene["sh_degree"] == 1
@@ -76,7 +76,7 @@ def test_a_page_is_told_of_the_scene(page, tmp_path):
     assert np.abs(whole.means.min(axis=0) - low).max() < 0.01
 
 
-def test_a_count_is_answered_at_once_and_then_measured(page, folder, tmp_path):
+def test_a_count_gets_a_draft_and_then_a_measured_result(page, folder, tmp_path):
     number, command = page.ask(wish={"splats": 500}, **FAST)
     assert command == "nanogs simplify scene.ply out.ply --count 500 --preset fast"
     draft = page.wait("draft", number=number)
@@ -93,12 +93,12 @@ def test_a_count_is_answered_at_once_and_then_measured(page, folder, tmp_path):
 
 
 def coarse_points(page):
-    """PSNR by count of the points that a page was told, some of them as its line began."""
-    told = [event for event in page.seen if event["type"] == "point"]
-    return {point["splats"]: point["psnr"] for point in told if point["kind"] == "coarse"}
+    """Return PSNR by count of the coarse points that a page received, some on connecting."""
+    points = [event for event in page.seen if event["type"] == "point"]
+    return {point["splats"]: point["psnr"] for point in points if point["kind"] == "coarse"}
 
 
-def test_the_plot_has_points_while_nobody_asks(page):
+def test_the_plot_gets_points_while_no_request_runs(page):
     number, _ = page.ask(wish={"splats": 700}, **FAST)
     page.wait("measured", number=number)
     until = time.monotonic() + 60
@@ -108,7 +108,7 @@ def test_the_plot_has_points_while_nobody_asks(page):
     assert sorted(points.values()) == [points[count] for count in sorted(points)]
 
 
-def test_a_size_and_a_psnr_come_to_a_count(page):
+def test_a_size_and_a_psnr_are_met_by_finding_a_count(page):
     number, command = page.ask(wish={"bytes": 60_000}, **FAST)
     assert "--size 60000" in command
     measured = page.wait("measured", number=number)
@@ -118,7 +118,7 @@ def test_a_size_and_a_psnr_come_to_a_count(page):
     assert abs(page.wait("measured", number=number)["psnr"] - 25) < 1
 
 
-def test_filters_say_what_they_take_and_the_scene_is_without_it(page, folder, tmp_path):
+def test_filters_report_the_removed_splats_and_the_scene_lacks_them(page, folder, tmp_path):
     filters = {"box": [-1, -1, -1, 0.5, 1, 1], "min_opacity": 0.5, "floaters": True}
     number, command = page.ask(wish={"splats": 300}, filters=filters, **FAST)
     filtered = page.wait("filtered", number=number)
@@ -129,8 +129,8 @@ def test_filters_say_what_they_take_and_the_scene_is_without_it(page, folder, tm
             nanogs.filters.in_company(),
         ],
     )  # fmt: skip
-    told = [(each["name"], each["removed"], each["left"]) for each in filtered["took"]]
-    assert told == [(each.name, each.removed, each.left) for each in report.filters]
+    reported = [(each["name"], each["removed"], each["left"]) for each in filtered["took"]]
+    assert reported == [(each.name, each.removed, each.left) for each in report.filters]
     assert not filtered["preview"]
     shown = loaded(page, filtered, tmp_path)
     assert len(shown) == filtered["left"] < 4000
@@ -148,13 +148,13 @@ def magenta(shown):
     return (shown.sh[:, 0, 1] < -1.5) & (shown.sh[:, 0, [0, 2]] > 1.5).all(axis=1)
 
 
-def test_each_page_has_the_scene_without_what_its_own_filters_take(page):
+def test_each_page_shows_the_scene_with_its_own_filters(page):
     filters = {"min_opacity": 0.5}
     number, _ = page.ask(wish={"splats": 300}, filters=filters, **FAST)
     left = page.wait("filtered", number=number)["left"]
     page.wait("draft", number=number)
     other = page.studio.page()
-    number, _ = other.ask(wish={"splats": 200}, filters=filters, **FAST)  # as it is there already
+    number, _ = other.ask(wish={"splats": 200}, filters=filters, **FAST)  # filtered already
     assert other.wait("filtered", number=number)["left"] == left
     other.wait("draft", number=number)
     other.close()
@@ -162,7 +162,7 @@ def test_each_page_has_the_scene_without_what_its_own_filters_take(page):
     assert page.wait("filtered", number=number)["left"] == 4000
 
 
-def test_filters_are_shown_without_being_taken(page, tmp_path):
+def test_filters_can_be_previewed_without_being_applied(page, tmp_path):
     number, _ = page.ask(wish={"splats": 300}, **FAST)
     page.wait("measured", number=number)
     choice = {"wish": {"splats": 300}, "filters": {"min_opacity": 0.9}} | FAST
@@ -180,7 +180,7 @@ def test_filters_are_shown_without_being_taken(page, tmp_path):
     assert not [e for e in page.seen if e["type"] == "filtered" and not e.get("preview")]
 
 
-def test_a_filter_that_leaves_nothing_is_a_sentence_and_the_studio_goes_on(page):
+def test_a_filter_that_leaves_no_splats_fails_and_the_studio_goes_on(page):
     number, _ = page.ask(wish={"splats": 3}, filters={"box": [90, 90, 90, 91, 91, 91]}, **FAST)
     assert "leaves none" in page.wait("failed", number=number)["message"]
     number, _ = page.ask(wish={"splats": 300}, **FAST)
@@ -202,7 +202,7 @@ SAVED = [
 
 
 @pytest.mark.parametrize(("name", "choice"), SAVED, ids=str)
-def test_what_is_saved_is_what_the_shown_command_writes(page, folder, tmp_path, name, choice):
+def test_saved_files_equal_those_of_the_shown_command(page, folder, tmp_path, name, choice):
     number, command = page.save(name, **{**FAST, **choice})
     saved = page.wait("saved", number=number)
     assert (saved["path"], saved["command"], saved["replaced"]) == (name, command, False)
@@ -226,7 +226,7 @@ def test_what_is_saved_is_what_the_shown_command_writes(page, folder, tmp_path, 
 
 
 def assert_same_levels(mine, theirs, names):
-    """All files alike, but for the seconds that the manifest tells."""
+    """Check that all files but `levels.json` are the same."""
     for name in names:
         if name != "levels.json":
             assert (mine / name).read_bytes() == (theirs / name).read_bytes(), name
@@ -275,7 +275,7 @@ def test_two_pages_do_not_disturb_each_other(page, studio):
     other.close()
 
 
-def test_cancel_cancels_a_save_and_nothing_is_left(page, folder):
+def test_cancelling_a_save_leaves_no_file(page, folder):
     before = sorted(path.name for path in folder.iterdir())
     number, _ = page.save("long.sog", wish={"splats": 3000}, format=".sog", preset="best")
     page.wait("progress", number=number)
@@ -290,7 +290,7 @@ def test_cancel_cancels_a_save_and_nothing_is_left(page, folder):
 
 
 @posix
-def test_a_worker_that_is_killed_in_a_save_is_told_of_and_started_again(page, studio, folder):
+def test_a_worker_killed_during_a_save_is_reported_and_restarted(page, studio, folder):
     before = sorted(path.name for path in folder.iterdir())
     number, _ = page.save("killed.sog", wish={"splats": 3000}, format=".sog", preset="best")
     page.wait("progress", number=number)
@@ -307,7 +307,7 @@ def test_a_worker_that_is_killed_in_a_save_is_told_of_and_started_again(page, st
 
 @posix
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_ends_it_at_once(folder, number):
+def test_ctrl_c_and_sigterm_end_the_studio_at_once(folder, number):
     with running("scene.ply", "--preset", "fast", cwd=folder) as started:
         page = started.page()
         page.wait("scene")
@@ -316,29 +316,29 @@ def test_ctrl_c_ends_it_at_once(folder, number):
         children = psutil.Process(started.process.pid).children(recursive=True)
         start = time.monotonic()
         started.process.send_signal(number)
-        _, said = started.process.communicate(timeout=20)
+        _, stderr = started.process.communicate(timeout=20)
         assert time.monotonic() - start < 5
         page.close()
         assert started.process.returncode == 128 + number
-        assert "Traceback" not in said
+        assert "Traceback" not in stderr
         assert not psutil.wait_procs(children, timeout=5)[1]
     assert not [path.name for path in folder.iterdir() if "ended" in path.name]
     assert not list(folder.glob(".nanogs*"))
 
 
-def test_it_ends_a_while_after_the_last_page_was_closed(folder):
+def test_the_studio_ends_some_time_after_the_last_page_closes(folder):
     with running("scene.ply", "--idle", 1, cwd=folder) as started:
         page = started.page()
         page.wait("scene")
         time.sleep(2.5)
         assert started.process.poll() is None
         page.close()
-        _, said = started.process.communicate(timeout=20)
+        _, stderr = started.process.communicate(timeout=20)
         assert started.process.returncode == 0
-        assert "Traceback" not in said
+        assert "Traceback" not in stderr
 
 
-def test_a_scene_that_cannot_be_read_is_a_sentence(tmp_path):
+def test_an_unreadable_scene_gives_a_one_line_error(tmp_path):
     (tmp_path / "bad.ply").write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
     for path in ("bad.ply", "missing.ply", "scene.xyz"):
         done = run("studio", path, "--no-open", cwd=tmp_path)
@@ -347,20 +347,20 @@ def test_a_scene_that_cannot_be_read_is_a_sentence(tmp_path):
         assert path in done.stderr
 
 
-def test_without_its_extra_a_sentence_says_what_to_install(folder, monkeypatch, capfd):
+def test_without_the_extra_an_error_says_what_to_install(folder, monkeypatch, capfd):
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     assert run_here("studio", folder / "scene.ply", "--no-open") == 2
     assert "pip install nanogs[studio]" in capfd.readouterr().err
 
 
-def test_a_port_that_is_taken_is_a_sentence(studio, folder):
+def test_a_port_in_use_gives_an_error(studio, folder):
     port = studio.url.split(":")[2].split("/")[0]
     done = run("studio", "scene.ply", "--no-open", "--port", port, cwd=folder)
     assert done.returncode == 2
     assert f"Port {port} cannot be used" in done.stderr
 
 
-def test_help_needs_neither_the_server_nor_numba():
+def test_help_imports_neither_the_server_nor_numba():
     code = (
         "import sys, json; sys.argv = ['nanogs', 'studio', '--help'];"
         "import nanogs.cli\n"

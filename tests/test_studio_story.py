@@ -1,4 +1,4 @@
-"""The whole story of `nanogs studio` in a real browser: from a scene to files that others open."""
+"""Whole sessions of `nanogs studio` in a real browser: from a scene to files for other programs."""
 
 import contextlib
 import os
@@ -41,7 +41,7 @@ def chromium():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Where the studio is started: a scene of some quality in a few splats, and nothing else."""
+    """The folder that the studio is started in, with nothing but a small synthetic scene."""
     folder = tmp_path_factory.mktemp("work")
     nanogs.save(make_scene(SPLATS, sh_degree=1), folder / "scene.ply")
     return folder
@@ -54,8 +54,8 @@ def studio(folder):
 
 
 @pytest.fixture
-def look(chromium, studio):
-    """Opens pages of the studio and waits for their first answer; closes them in the end."""
+def open_studio(chromium, studio):
+    """A function that opens a page of the studio and waits for its first answer."""
     with contextlib.ExitStack() as stack:
 
         def open_page(width=1280, **options):
@@ -70,43 +70,43 @@ def look(chromium, studio):
 
 
 def quick(seen):
-    """The preset that renders nothing, which tests have the time for."""
+    """Choose the preset `fast`, which renders nothing and is quick enough for tests."""
     fast = seen.at("preset").get_by_text("fast", exact=True)
     if fast.get_attribute("aria-pressed") != "true":
         seen.measured(fast.click)
 
 
 def sliders(seen):
-    """Splats, megabytes and PSNR as the page has them."""
+    """Return splats, megabytes and PSNR as the page shows them."""
     return np.array([seen.value(name) for name in ("splats", "bytes", "psnr")])
 
 
 def picture(seen, name):
-    """The canvas, (H, W, 3) in [0, 1], without what lies over it."""
+    """Return the pixels of the canvas without its overlays, (H, W, 3) in [0, 1]."""
     seen.still()
     return pixels_of(seen.page.locator("#view canvas"), name, style=BARE)
 
 
 def differ(one, other):
-    """The share of pixels that are others."""
+    """Return the share of pixels that differ."""
     return (np.abs(one - other).max(axis=-1) > 0.06).mean()
 
 
 def magenta(pixels):
-    """The share of pixels in the colour of what would go."""
+    """Return the share of magenta pixels, the colour of splats that a filter would remove."""
     red, green, blue = np.moveaxis(pixels, -1, 0)
     return ((red > 0.45) & (blue > 0.45) & (green < 0.3)).mean()
 
 
 def command_of(seen):
-    """The words of the line that does the same, after the program's name."""
+    """Return the arguments of the command that the page shows."""
     first, *words = shlex.split(seen.text("save-command"))
     assert first == "nanogs"
     return words
 
 
 def open_dialogue(seen, name, suffix=None):
-    """The dialogue of saving, with a format and a name."""
+    """Open the save dialogue and enter a format and a name."""
     seen.at("save-open").click()
     if suffix:
         seen.at("save-format").select_option(suffix)
@@ -115,7 +115,7 @@ def open_dialogue(seen, name, suffix=None):
 
 
 def save(seen, name, suffix):
-    """Save a file or levels; the words of the command that does the same."""
+    """Save a file or levels, and return the arguments of the equivalent command."""
     open_dialogue(seen, name, suffix)
     seen.at("save-go").click()
     seen.until("() => /^Saved|stopped/.test(document.getElementById('save-said').textContent)")
@@ -127,15 +127,15 @@ def save(seen, name, suffix):
 
 
 def contents(path):
-    """The bytes of a file, or of all files of a folder by name."""
+    """Return the bytes of a file, or of all files of a folder by name."""
     if path.is_file():
         return path.read_bytes()
     files = (each for each in path.rglob("*") if each.is_file())
     return {each.relative_to(path).as_posix(): each.read_bytes() for each in files}
 
 
-def by_hand(scene, words, folder):
-    """Run the command in an empty folder with the scene alone; names and bytes of its files."""
+def files_of_command(scene, words, folder):
+    """Run the command in a new folder with only the scene; return the written files by name."""
     folder.mkdir()
     shutil.copy(scene, folder)
     done = run(*words, cwd=folder)
@@ -144,15 +144,15 @@ def by_hand(scene, words, folder):
     return contents(folder)
 
 
-def elsewhere(path, out):
-    """The splats of a model as another program reads it; skips the test without that."""
+def read_elsewhere(path, out):
+    """Return a model as splat-transform reads it; skip the test if that is not installed."""
     splat_transform(path, out)
     return nanogs.load(out)
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
-def test_the_whole_story(look, folder, tmp_path, width, scheme):
-    seen = look(width, color_scheme=scheme)
+def test_a_whole_session(open_studio, folder, tmp_path, width, scheme):
+    seen = open_studio(width, color_scheme=scheme)
     assert "2,500 splats" in seen.text("scene-facts")
 
     # Each slider moves the other two.
@@ -172,13 +172,13 @@ def test_the_whole_story(look, folder, tmp_path, width, scheme):
     assert seen.text("how") == "measured"
     assert len(seen.page.locator("#plot svg circle").all()) > 2
 
-    # Left is the scene, right what it becomes; and where they differ.
-    line = seen.page.locator("#view [role=slider]")
-    line.focus()
+    # The scene on the left, the result on the right, and the error map.
+    divider = seen.page.locator("#view [role=slider]")
+    divider.focus()
     seen.page.keyboard.press("End")
-    assert line.get_attribute("aria-valuenow") == "100"
+    assert divider.get_attribute("aria-valuenow") == "100"
     whole = picture(seen, f"studio-scene-{width}")
-    line.focus()
+    divider.focus()
     seen.page.keyboard.press("Home")
     small = picture(seen, f"studio-small-{width}")
     assert 0.001 < differ(whole, small) < 0.9
@@ -189,8 +189,8 @@ def test_the_whole_story(look, folder, tmp_path, width, scheme):
     assert not seen.at("legend").is_visible()
     assert differ(small, picture(seen, f"studio-small-again-{width}")) < 0.001
 
-    # What a box takes is seen before it is taken; and is there again after an undo.
-    line.focus()
+    # A crop box is previewed before it is applied, and can be undone.
+    divider.focus()
     seen.page.keyboard.press("End")
     seen.unfold("sift")
     seen.at("crop").check()
@@ -209,38 +209,38 @@ def test_the_whole_story(look, folder, tmp_path, width, scheme):
     assert seen.text("taken") == ""
     seen.measured(seen.at("redo").click)
 
-    # Mode and up are corrected by a click.
+    # Render mode and up can be changed by a click.
     seen.unfold("scene")
     seen.measured(seen.at("mode").get_by_text("mip").click)
     seen.measured(seen.at("up").get_by_text("+z").click)
     assert "--render-mode mip" in seen.text("command")
     assert "--frame rfu:" in seen.text("command")
 
-    # What is saved is what the command writes, and others open it.
+    # Saved files equal those of the shown command, and another program opens them.
     scene = folder / "scene.ply"
     for suffix in ("sog", "spz"):
         name = f"small-{width}.{suffix}"
         words = save(seen, name, f"file .{suffix}")
         assert {"--crop", "--render-mode", "--frame"} < set(words)
-        written = by_hand(scene, words, tmp_path / suffix)
+        written = files_of_command(scene, words, tmp_path / suffix)
         assert written == {name: (folder / name).read_bytes()}
     name = f"levels-{width}/lod-meta.json"
     words = save(seen, name, "levels lod-meta.json")
     assert words[0] == "lod"
-    written = by_hand(scene, words, tmp_path / "levels")
+    written = files_of_command(scene, words, tmp_path / "levels")
     saved = contents(folder / f"levels-{width}")
     assert written == {f"levels-{width}/{path}": data for path, data in saved.items()}
     for path in (f"small-{width}.sog", f"small-{width}.spz"):
         own = nanogs.load(folder / path)
-        theirs = elsewhere(folder / path, tmp_path / "theirs.ply")
+        theirs = read_elsewhere(folder / path, tmp_path / "theirs.ply")
         assert len(theirs) == len(own) == 400
-    assert len(elsewhere(folder / name, tmp_path / "theirs.ply")) > 400
+    assert len(read_elsewhere(folder / name, tmp_path / "theirs.ply")) > 400
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", SIZES)
-def test_the_page_fits_its_window_and_the_colours_of_the_system(look, width, scheme):
-    seen = look(width, color_scheme=scheme)
+def test_the_page_fits_its_window_and_follows_the_system_colours(open_studio, width, scheme):
+    seen = open_studio(width, color_scheme=scheme)
     assert seen.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     outside = """() => [...document.querySelectorAll('button, input, select, summary, p, h1, h2')]
         .filter((element) => element.checkVisibility() && !element.closest('dialog'))
@@ -264,8 +264,8 @@ def test_the_page_fits_its_window_and_the_colours_of_the_system(look, width, sch
     pixels_of(seen.page, f"studio-save-{width}-{scheme}")
 
 
-def test_what_exists_is_replaced_only_when_that_is_said(look, folder):
-    seen = look()
+def test_an_existing_file_is_replaced_only_after_confirmation(open_studio, folder):
+    seen = open_studio()
     seen.measured(lambda: seen.type("splats", "100"))
     save(seen, "again.spz", "file .spz")
     before = (folder / "again.spz").read_bytes()
@@ -282,7 +282,7 @@ def test_what_exists_is_replaced_only_when_that_is_said(look, folder):
 
 
 def begin_long_save(seen, name):
-    """Ten levels of a preset that renders, until it says how far it is."""
+    """Start saving ten levels with a preset that renders, and wait for the first progress."""
     seen.at("preset").get_by_text("default", exact=True).click()
     open_dialogue(seen, f"{name}/lod-meta.json", "levels lod-meta.json")
     seen.at("ratios").fill("1,0.9,0.8,0.7,0.6,0.5,0.4,0.3,0.2,0.1")
@@ -291,8 +291,8 @@ def begin_long_save(seen, name):
     seen.until("() => document.getElementById('save-said').textContent.startsWith('Saving:')")
 
 
-def test_a_save_that_is_cancelled_leaves_nothing(look, folder):
-    seen = look()
+def test_a_cancelled_save_leaves_no_file(open_studio, folder):
+    seen = open_studio()
     before = sorted(contents(folder))
     begin_long_save(seen, "cancelled")
     assert seen.state == "saving"
@@ -302,12 +302,12 @@ def test_a_save_that_is_cancelled_leaves_nothing(look, folder):
     assert not (folder / "cancelled").exists()
     assert list(folder.glob(".nanogs*")) == []
     seen.at("save-close").click()
-    quick(seen)  # which is answered as ever
+    quick(seen)  # the studio still answers
     seen.measured(lambda: seen.type("splats", "150"))
 
 
-def test_work_that_is_cancelled_stops(look):
-    seen = look()
+def test_cancelled_work_stops(open_studio):
+    seen = open_studio()
     before = seen.number
     seen.at("preset").get_by_text("best", exact=True).click()
     seen.until("() => !document.getElementById('cancel').hidden")
@@ -318,8 +318,8 @@ def test_work_that_is_cancelled_stops(look):
     quick(seen)
 
 
-def test_two_pages_do_not_disturb_each_other(look):
-    one, other = look(), look()
+def test_two_pages_do_not_disturb_each_other(open_studio):
+    one, other = open_studio(), open_studio()
     one.measured(lambda: one.type("splats", "300"))
     shown = [one.text("result"), one.text("command"), one.number]
     other.measured(lambda: other.type("splats", "120"))
@@ -339,7 +339,7 @@ def test_two_pages_do_not_disturb_each_other(look):
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGKILL"])
-def test_a_studio_that_is_killed_in_the_middle_of_a_save_leaves_nothing(chromium, tmp_path, number):
+def test_a_studio_killed_during_a_save_leaves_no_file(chromium, tmp_path, number):
     nanogs.save(make_scene(SPLATS, sh_degree=1), tmp_path / "scene.ply")
     with running("scene.ply", "--preset", "fast", cwd=tmp_path) as started:
         seen = StudioPage(chromium, started.url)
@@ -356,7 +356,7 @@ def test_a_studio_that_is_killed_in_the_middle_of_a_save_leaves_nothing(chromium
         time.sleep(0.05)
 
 
-def test_a_real_scene_of_a_wanted_size(chromium, tmp_path):
+def test_a_real_scene_is_saved_at_a_given_size(chromium, tmp_path):
     shutil.copy(scene_path("biker.spz"), tmp_path)
     with running("biker.spz", "--preset", "fast", cwd=tmp_path) as started:
         seen = StudioPage(chromium, started.url)
@@ -368,4 +368,4 @@ def test_a_real_scene_of_a_wanted_size(chromium, tmp_path):
         seen.close()
     small = tmp_path / "small.sog"
     assert 190_000 < small.stat().st_size <= 200_000
-    assert len(elsewhere(small, tmp_path / "theirs.ply")) == len(nanogs.load(small))
+    assert len(read_elsewhere(small, tmp_path / "theirs.ply")) == len(nanogs.load(small))

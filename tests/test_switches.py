@@ -1,4 +1,4 @@
-"""Where viewers begin to draw a level, and how it looks there."""
+"""Switches between levels: from where viewers draw a level, and its quality there."""
 
 import json
 import math
@@ -37,19 +37,19 @@ def camera(splats):
     return automatic_cameras(splats, 1, width=96, height=64, split="test")[0]
 
 
-def test_levels_of_a_streamed_sog_come_at_the_distances_of_the_engine():
+def test_levels_of_a_streamed_sog_switch_at_the_distances_of_the_engine():
     assert [streamed_distance(level) for level in (1, 2, 3)] == [5, 15, 45]
     pixel = StreamedSog(100).switch_pixel(2, 0.3)
     assert pixel * SCREEN == pytest.approx(2 * 15 * math.tan(math.pi / 8))
     assert distance_of(pixel) == pytest.approx(15)
 
 
-def test_tiles_come_where_their_error_is_sixteen_pixels():
+def test_tiles_switch_where_their_error_is_sixteen_pixels():
     assert Tiles(100).switch_pixel(1, 0.5) == pytest.approx(4 * 0.5 / 16)
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.75, 1.0])
-def test_from_farther_away_pictures_are_smaller(splats, camera, factor):
+def test_pictures_from_farther_away_are_smaller(splats, camera, factor):
     far = magnified(camera, factor)
     assert (far.width, far.height) == (96 * factor, 64 * factor)
     assert far.fx == camera.fx * factor
@@ -59,14 +59,14 @@ def test_pictures_stay_large_enough_for_ssim(camera):
     assert magnified(camera, 1e-6).height == LEAST_PIXELS
 
 
-def test_from_nearer_the_middle_is_drawn(splats, camera):
+def test_from_nearer_only_the_middle_of_the_picture_is_rendered(splats, camera):
     near, larger = magnified(camera, 3), camera.resized(288, 192)
     model = prepare(splats)
     whole = render(model, larger).color
     assert np.array_equal(render(model, near).color, whole[64:128, 96:192])
 
 
-def test_pictures_follow_from_what_a_pixel_shows(splats, camera):
+def test_pictures_are_scaled_by_the_size_of_a_pixel_in_the_scene(splats, camera):
     views = switch_views(splats, [camera])
     depth = render(prepare(splats), camera, depth=True)
     own = np.median(depth.depth[depth.alpha > 0.5]) / camera.fx
@@ -76,7 +76,7 @@ def test_pictures_follow_from_what_a_pixel_shows(splats, camera):
     assert not found.seen
 
 
-def test_marks_are_those_of_pictures_from_there(splats, camera):
+def test_scores_are_those_of_pictures_from_the_switch_distance(splats, camera):
     small, _ = nanogs.simplify(splats, ratio=0.1, preset="fast")
     views = switch_views(splats, [camera])
     found = views.judge(small, views.pixels[0] / 2)
@@ -98,38 +98,38 @@ def test_the_typical_deviation_is_that_along_the_longest_axis(splats):
         (None, 1, False),
     ],
 )
-def test_a_switch_that_is_seen_is_said(splats, psnr, ssim, seen):
+def test_a_visible_switch_is_noted(splats, psnr, ssim, seen):
     _, report = nanogs.simplify(splats, ratio=0.5, preset="fast")
     level = Written(3, ("a",), 5, switch=(12.4, psnr, ssim, 8, 200.0))
     manifest = describe_levels("a.ply", [report, report], [level._replace(switch=None), level])
     assert manifest.levels[0].switch is None
     assert manifest.levels[1].switch.seen is seen
-    said = [
+    notes = [
         note for note in manifest.notes if note.startswith("Level 1: the switch to it is visible")
     ]
-    assert len(said) == seen
-    assert not said or "12.4 units" in said[0]
+    assert len(notes) == seen
+    assert not notes or "12.4 units" in notes[0]
 
 
 @pytest.mark.parametrize("name", ["a/lod-meta.json", "a/tileset.json", "a.ssog", "a.rad"])
-def test_each_level_says_how_it_looks_where_a_viewer_comes_to_it(scene, tmp_path, name):
+def test_each_level_reports_its_quality_at_the_switch(scene, tmp_path, name):
     given = ["--preset", "fast", "--levels", "1,0.2,0.04", "--measure"]
     result = run("lod", scene, tmp_path / name, *given, "--json")
     assert result.returncode == 0, result.stderr
-    said = json.loads(result.stdout)
-    first, *others = (level["switch"] for level in said["levels"])
+    report = json.loads(result.stdout)
+    first, *others = (level["switch"] for level in report["levels"])
     assert first is None
     assert all(each["psnr"] > 0 and each["ssim"] <= 1 and each["views"] == 8 for each in others)
     if name.endswith(("lod-meta.json", ".ssog")):
         assert [each["distance"] for each in others] == pytest.approx([5, 15])
     seen = [SwitchQuality(**each).seen for each in others]
-    notes = [note[:36] for note in said["notes"] if "switch to it" in note]
+    notes = [note[:36] for note in report["notes"] if "switch to it" in note]
     assert notes == [
         f"Level {n}: the switch to it is visible" for n, each in enumerate(seen, 1) if each
     ]
 
 
-def test_the_command_shows_it(scene, tmp_path):
+def test_the_command_shows_the_switches(scene, tmp_path):
     given = ["--preset", "fast", "--levels", "1,0.2", "--measure"]
     result = run("lod", scene, tmp_path / "a/lod-meta.json", *given)
     assert "from" in result.stderr
@@ -137,7 +137,7 @@ def test_the_command_shows_it(scene, tmp_path):
     assert " dB / 0." in result.stderr
 
 
-def test_levels_made_in_blocks_say_it_too(scene, tmp_path):
+def test_levels_made_in_blocks_report_their_switches(scene, tmp_path):
     made, _ = nanogs.write_levels(
         scene, tmp_path / "l", [1, 0.2], preset="fast", layout="streamed sog", block=150,
         measured=True,
@@ -151,7 +151,7 @@ def test_levels_made_in_blocks_say_it_too(scene, tmp_path):
 
 
 @pytest.mark.parametrize("block", [None, 300])
-def test_levels_of_a_faint_model_are_kept_without(tmp_path, block):
+def test_levels_of_an_almost_transparent_model_are_kept_unmeasured(tmp_path, block):
     """From afar no view shows anything opaque."""
     splats = random_splats(300)
     splats.opacity_logits[:] = -5
@@ -166,7 +166,7 @@ def test_levels_of_a_faint_model_are_kept_without(tmp_path, block):
     assert len(nanogs.load(tmp_path / "l/lod-meta.json", level=1)) == 150
 
 
-def test_files_that_no_viewer_chooses_among_have_none(splats, tmp_path):
+def test_plain_level_files_have_no_switches(splats, tmp_path):
     made, _ = nanogs.write_levels(splats, tmp_path / "l", [1, 0.1], preset="fast", measured=True)
     assert "switch" not in made.to_dict()["levels"][1]
     quick, _ = nanogs.write_levels(

@@ -22,7 +22,7 @@ def test_count_is_exact_and_values_finite(count):
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
-def test_degree_is_the_one_asked_for(degree):
+def test_degree_is_as_requested(degree):
     assert make_scene(50, sh_degree=degree).sh_degree == degree
 
 

@@ -1,4 +1,4 @@
-"""Names and comments in any encoding, and none, through every format and onto the terminal."""
+"""Names and comments in any encoding or none, in every format and on the terminal."""
 
 import json
 import os
@@ -16,9 +16,9 @@ from nanogs import io
 from nanogs.errors import OutputError
 from nanogs.splats import ExtraElement, Splats
 
-LATIN = "caf\udce9"  # as bytes that are not UTF-8 are held
-NEVER = "a\ud800b"  # which is of no file, and which JSON can hold
-JSON_FORMATS = [".rad", ".glb", ".gltf"]  # whose descriptions are UTF-8, and hold comments
+LATIN = "caf\udce9"  # how Python represents bytes that are not UTF-8
+UNENCODABLE = "a\ud800b"  # cannot come from a file, but JSON can hold it
+JSON_FORMATS = [".rad", ".glb", ".gltf"]  # their JSON is UTF-8 and holds comments
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_comments_that_are_not_utf_8_are_read_back_as_latin_1(latin, tmp_path, s
 
 @pytest.mark.parametrize("suffix", [".ply", *JSON_FORMATS])
 def test_comments_that_no_file_can_hold_are_refused(tmp_path, suffix):
-    model = replace(random_splats(3), comments=[NEVER])
+    model = replace(random_splats(3), comments=[UNENCODABLE])
     with pytest.raises(OutputError, match=r"'a\\ud800b' cannot be encoded"):
         io.save(model, tmp_path / f"a{suffix}")
     assert list(tmp_path.iterdir()) == []
@@ -58,13 +58,13 @@ def test_obj_info_is_kept_in_blocks_too(latin, tmp_path):
     assert io.load(tmp_path / "b.rad").comments == ("café", "é", "num 3")
 
 
-def test_comments_of_gltf_that_are_no_text_are_left_out(tmp_path):
+def test_comments_of_gltf_that_utf_8_cannot_hold_are_left_out(tmp_path):
     """JSON can hold what UTF-8 cannot; extras may be anything, by specification."""
     io.save(replace(random_splats(3), comments=["first", "second"]), tmp_path / "a.glb")
     data = (tmp_path / "a.glb").read_bytes()
     (size,) = struct.unpack_from("<I", data, 12)
     content = json.loads(data[20 : 20 + size])
-    content["meshes"][0]["primitives"][0]["extras"]["comments"] = ["first", NEVER, LATIN]
+    content["meshes"][0]["primitives"][0]["extras"]["comments"] = ["first", UNENCODABLE, LATIN]
     text = json.dumps(content, separators=(",", ":")).encode().ljust(size)
     assert len(text) == size
     (tmp_path / "a.glb").write_bytes(data[:20] + text + data[20 + size :])
@@ -74,12 +74,12 @@ def test_comments_of_gltf_that_are_no_text_are_left_out(tmp_path):
         assert io.load(tmp_path / f"b{suffix}").comments == ("first",)
 
 
-def test_sentences_on_losses_can_be_printed(latin, tmp_path):
+def test_notes_on_losses_can_be_printed(latin, tmp_path):
     losses = nanogs.convert(latin, tmp_path / "a.spz").losses
     assert "Extra columns are left out, .spz has no room for them: café." in losses
     assert "Further elements are left out, .spz has no room for them: café." in losses
     assert nanogs.info(latin).losses[".spz"] == losses
-    never = replace(random_splats(3), extras={NEVER: np.zeros(3, np.float32)})
+    never = replace(random_splats(3), extras={UNENCODABLE: np.zeros(3, np.float32)})
     "".join(io.losses(never, tmp_path / "a.spz")).encode()
 
 
@@ -93,8 +93,8 @@ def test_every_extra_column_keeps_its_name(latin, tmp_path):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text elsewhere")
 @pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict"])
-def test_info_shows_what_stdout_cannot(latin, encoding):
-    """In a terminal of UTF-8 Python refuses lone bytes; where LANG=C it lets them pass."""
+def test_info_escapes_what_stdout_cannot_encode(latin, encoding):
+    """With UTF-8, Python refuses lone surrogates on stdout; with LANG=C it lets them pass."""
     path = latin.with_name(f"{LATIN}.ply")
     latin.rename(path)
     done = subprocess.run(
@@ -102,8 +102,8 @@ def test_info_shows_what_stdout_cannot(latin, encoding):
         env=os.environ | {"PYTHONIOENCODING": encoding},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    said = done.stdout.decode(encoding.partition(":")[0])
+    stdout = done.stdout.decode(encoding.partition(":")[0])
     shown = "café" if encoding.startswith("utf") else r"caf\xe9"
-    assert r"caf\udce9.ply (ply, " in said
-    assert f"extra columns       {shown}" in said
-    assert f"elements            {shown} (1 row)" in said
+    assert r"caf\udce9.ply (ply, " in stdout
+    assert f"extra columns       {shown}" in stdout
+    assert f"elements            {shown} (1 row)" in stdout

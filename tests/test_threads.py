@@ -1,4 +1,4 @@
-"""The number of `--threads` holds for all of a command."""
+"""`--threads` limits the threads of every part of a command."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""3D Tiles: structure, frame, contents, and what other tools say of them."""
+"""3D Tiles: structure, frame, contents, and the checks of other tools."""
 
 import hashlib
 import json
@@ -36,7 +36,7 @@ def splats():
 
 @pytest.fixture(scope="module", params=["plain", "spz"])
 def made(request, splats, tmp_path_factory):
-    """The `tileset.json` that the command makes of a scene, and in which form the contents are."""
+    """The `tileset.json` that the command writes, and the form of its contents, plain or spz."""
     folder = tmp_path_factory.mktemp("tiles")
     nanogs.save(splats, folder / "scene.ply")
     path = folder / "levels" / "tileset.json"
@@ -58,7 +58,7 @@ def tileset(path):
 
 
 def tiles(path):
-    """Every tile with its parent."""
+    """Yield every tile with its parent."""
     waiting = [(tileset(path)["root"], None)]
     while waiting:
         tile, parent = waiting.pop()
@@ -67,7 +67,7 @@ def tiles(path):
 
 
 def glb(path):
-    """The JSON and the body of a file, by the specification of glTF."""
+    """Return the JSON and the binary chunk of a file, as the glTF specification defines them."""
     data = path.read_bytes()
     magic, version, size, length, kind = struct.unpack_from("<4sIII4s", data)
     assert (magic, version, size, kind) == (b"glTF", 2, len(data), b"JSON")
@@ -78,7 +78,7 @@ def glb(path):
 
 
 def content(path, tile):
-    """The splats of a tile's content, in the frame of the model."""
+    """Return the splats of a tile's content, in the frame of the model."""
     return io.load(path.parent / tile["content"]["uri"])
 
 
@@ -87,14 +87,14 @@ def level_of(tile):
 
 
 def corners(tile):
-    """The lowest and the highest corner of a tile's box, whose axes are those of the tileset."""
+    """Return the lowest and highest corner of a tile's box; check that it is axis-aligned."""
     box = np.array(tile["boundingVolume"]["box"])
     axes = box[3:].reshape(3, 3)
     assert (axes == np.diag(np.diag(axes))).all()
     return box[:3] - np.diag(axes), box[:3] + np.diag(axes)
 
 
-def test_the_tree_by_the_specification(made):
+def test_the_tile_tree_follows_the_specification(made):
     path, form = made
     data = tileset(path)
     assert data["asset"]["version"] == "1.1"
@@ -121,7 +121,7 @@ def test_the_tree_by_the_specification(made):
     assert files == {"tileset.json"} | {tile["content"]["uri"] for tile, _ in tiles(path)}
 
 
-def test_errors_fall_from_level_to_level(made):
+def test_geometric_errors_are_smaller_for_finer_levels(made):
     path, _ = made
     errors = {}
     for tile, _ in tiles(path):
@@ -130,8 +130,8 @@ def test_errors_fall_from_level_to_level(made):
     assert 0 == means[0] < means[1] < means[2]
 
 
-def test_the_tiles_of_a_level_are_the_level(splats, made):
-    """Uncompressed bit for bit, so that nothing is twice or missing."""
+def test_the_tiles_of_a_level_contain_exactly_its_splats(splats, made):
+    """Bit for bit if uncompressed, so that no splat is missing or duplicated."""
     path, form = made
     parts = {}
     for tile, _ in tiles(path):
@@ -153,8 +153,8 @@ def test_the_tiles_of_a_level_are_the_level(splats, made):
             assert np.abs(sh[rows, 0] - small.sh[:, 0]).max() < 0.5 / 255 / 0.15 + 1e-6
 
 
-def test_contents_lie_in_their_boxes_once_the_frames_are_turned(made):
-    """The file's contents, turned by the node's transform and then from y up to z up."""
+def test_contents_are_inside_their_boxes_after_all_transforms(made):
+    """Contents are transformed by the node's transform and then from y up to z up."""
     path, _ = made
     for tile, _ in tiles(path):
         document, _ = glb(path.parent / tile["content"]["uri"])
@@ -180,8 +180,8 @@ def test_contents_lie_in_their_boxes_once_the_frames_are_turned(made):
             assert ((means.min(axis=0) - low) <= reach + 1e-4).all()
 
 
-def test_the_up_of_the_model_is_z(tmp_path):
-    """A tower against -y, which is up in a 3DGS file, becomes one along z."""
+def test_up_of_the_model_becomes_z(tmp_path):
+    """A model high above the origin, along -y in a 3DGS file, is high along z in the tileset."""
     splats = random_splats(200)
     splats.means[:, 1] -= 50
     write(splats, tmp_path / "t", ratios=[1.0])
@@ -190,7 +190,7 @@ def test_the_up_of_the_model_is_z(tmp_path):
     assert high[2] < 60
 
 
-def test_more_than_one_top_tile_share_a_root_without_content(splats, tmp_path):
+def test_several_top_tiles_share_a_root_without_content(splats, tmp_path):
     write(splats, tmp_path / "t", ratios=[0.9, 0.5], chunk=100)
     data = tileset(tmp_path / "t" / "tileset.json")
     root = data["root"]
@@ -204,7 +204,7 @@ def test_more_than_one_top_tile_share_a_root_without_content(splats, tmp_path):
 
 
 def laid_out(folder, layout, levels):
-    """The `tileset.json` of given levels, whatever they were made of."""
+    """Write a tileset of the given levels, and return the path of its `tileset.json`."""
     _, report = nanogs.simplify(random_splats(20), ratio=0.5, preset="fast")
     with LevelsFolder(folder, overwrite=False, source="a.ply", chunks=layout).filled() as out:
         for level in levels:
@@ -213,15 +213,15 @@ def laid_out(folder, layout, levels):
     return folder / "tileset.json"
 
 
-def test_no_tile_is_more_exact_than_its_children(tmp_path):
-    """A coarser level whose splats are smaller than those of a finer one has its error."""
+def test_no_tile_has_a_smaller_error_than_its_children(tmp_path):
+    """A coarser level whose splats are smaller than a finer level's takes that level's error."""
     splats = random_splats(30)
     wide = replace(splats, log_scales=splats.log_scales + np.float32(3))
     root = tileset(laid_out(tmp_path / "levels", Tiles(100), (splats, wide, splats)))["root"]
     assert root["geometricError"] == root["children"][0]["geometricError"] > 10
 
 
-def test_a_cell_that_a_level_leaves_empty_has_no_content_but_is_refined(tmp_path):
+def test_a_tile_without_splats_has_no_content_but_has_children(tmp_path):
     """Merging has moved all of a coarser level's splats to one side."""
     rng = np.random.default_rng(0)
     means = rng.normal(0, 0.1, (40, 3)).astype(np.float32)
@@ -236,7 +236,8 @@ def test_a_cell_that_a_level_leaves_empty_has_no_content_but_is_refined(tmp_path
     assert "content" not in empty
     assert 0 < empty["geometricError"] <= root["geometricError"]
     assert [tile["content"]["uri"] for tile in empty["children"]] == ["0_1.glb"]
-    assert len(io.load(path.parent / "1_0.glb")) == 25  # more than asked for, but of one finer cell
+    # More than the chunk size, but all of one finer cell.
+    assert len(io.load(path.parent / "1_0.glb")) == 25
 
 
 @pytest.mark.parametrize("plain", [False, True])
@@ -253,7 +254,7 @@ def test_same_bytes_for_any_number_of_threads(splats, tmp_path, plain):
     assert digests[0] == digests[1]
 
 
-def test_a_tileset_is_replaced_but_nothing_else(splats, tmp_path):
+def test_overwriting_replaces_only_the_files_of_a_tileset(splats, tmp_path):
     write(splats, tmp_path / "t", chunk=CHUNK)
     with pytest.raises(OutputError, match="overwrite=True"):
         write(splats, tmp_path / "t")
@@ -264,7 +265,7 @@ def test_a_tileset_is_replaced_but_nothing_else(splats, tmp_path):
         write(splats, tmp_path / "t", overwrite=True)
 
 
-def test_a_changed_tileset_leads_to_no_file_elsewhere(tmp_path):
+def test_a_modified_tileset_never_names_files_elsewhere_as_its_own(tmp_path):
     data = {
         "asset": {"extras": {"generator": "nanogs 1"}},
         "root": {
@@ -280,7 +281,7 @@ def test_a_changed_tileset_leads_to_no_file_elsewhere(tmp_path):
 
 
 @pytest.mark.parametrize("plain", [False, True])
-def test_what_is_left_out_is_said(tmp_path, plain):
+def test_notes_name_what_is_left_out(tmp_path, plain):
     label = {"label": np.arange(60, dtype=np.int32)}
     splats = replace(
         random_splats(60, degree=4, extras=label), comments=["mine"], render_mode=RenderMode.SURFEL
@@ -314,7 +315,7 @@ def test_packed_contents_name_the_attributes_of_the_draft(made):
 
 
 def test_the_khronos_validator_finds_no_fault(made):
-    """It does not know the extension yet, and so neither the names of its attributes."""
+    """The validator does not know the extension yet, and so neither its attribute names."""
     package("gltf-validator")
     path, _ = made
     script = (
@@ -331,11 +332,11 @@ def test_the_khronos_validator_finds_no_fault(made):
             for issue in issues
             if not issue["pointer"].split("/")[-1].startswith(PREFIX)
         ]
-        # Data that only the extension refers to are not used, for all that it knows.
+        # To the validator, data that only the extension refers to are unused.
         assert set(other) <= {"UNSUPPORTED_EXTENSION", "UNUSED_OBJECT"}
 
 
-def test_real_scene(tmp_path):
+def test_a_real_scene_keeps_its_counts_in_tiles(tmp_path):
     model = io.load(scene_path("biker.compressed.ply"))
     manifest, reports = write(model, tmp_path / "biker", ratios=[0.5, 0.1, 0.01], plain=True)
     counts = dict.fromkeys(range(3), 0)

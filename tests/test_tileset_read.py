@@ -1,4 +1,4 @@
-"""Reading 3D Tiles: our own come back, and other trees are read as a viewer draws them."""
+"""Reading 3D Tiles: those that nanogs wrote, and other trees as a viewer draws them."""
 
 import json
 
@@ -23,21 +23,21 @@ def splats():
 
 
 @pytest.mark.parametrize("plain", [True, False])
-def test_our_own_levels_come_back(splats, tmp_path, plain):
+def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, plain):
     options = {"source": "a", "preset": "fast", "layout": Layout.TILES, "chunk": 100}
     write_levels(splats, tmp_path / "t", RATIOS, plain=plain, **options)
     path = tmp_path / "t" / "tileset.json"
     for level, (small, _) in enumerate(nanogs.levels(splats, RATIOS, preset="fast")):
-        again, wanted = io.load(path, level=level), small
+        again, expected = io.load(path, level=level), small
         assert len(again) == len(small)
-        # Centres are as fine as splats are large, so their order is not that of coordinates.
-        apart = np.linalg.norm(again.means[:, None] - wanted.means, axis=2)
+        # Centres are rounded by the size of their splats, so sorting does not match the rows.
+        apart = np.linalg.norm(again.means[:, None] - expected.means, axis=2)
         nearest = apart.argmin(axis=0)
         assert np.array_equal(np.sort(nearest), np.arange(len(small)))
         assert apart.min(axis=0).max() < (1e-9 if plain else 2e-3)
         again = again.take(nearest)
         step = 0.5 / 255 / 0.15 + 1e-6
-        assert np.abs(again.sh[:, 0] - wanted.sh[:, 0]).max() < (1e-9 if plain else step)
+        assert np.abs(again.sh[:, 0] - expected.sh[:, 0]).max() < (1e-9 if plain else step)
         assert any(f"Level {level} of 3 was read" in note for note in again.notes)
     with pytest.raises(OptionError, match="levels 0 to 2; level 3"):
         io.load(path, level=3)
@@ -60,9 +60,9 @@ def test_commands_read_what_lod_packs_as_spz(splats, tmp_path):
         (tmp_path / "t" / "tileset.json", 450, ("--level", "1")),
         (one, io.inspect(one).splats, ()),
     ):
-        told = run("info", model)
-        assert told.returncode == 0, told.stderr
-        assert "gzip; columns: 1 int24" in told.stdout
+        info = run("info", model)
+        assert info.returncode == 0, info.stderr
+        assert "gzip; columns: 1 int24" in info.stdout
         done = run("convert", model, tmp_path / "b.ply", "-w", *more)
         assert done.returncode == 0, done.stderr
         assert io.inspect(tmp_path / "b.ply").splats == count
@@ -83,7 +83,7 @@ def tile(*children, uri=None, error=1, **more):
 
 @pytest.fixture
 def tileset(tmp_path):
-    """Writes a tileset over models of 1, 2, 4 and 8 splats, called after their number."""
+    """A function that writes a tileset; there are models of 1, 2, 4 and 8 splats, named so."""
 
     def write(root, name="tileset.json"):
         path = tmp_path / name
@@ -96,7 +96,7 @@ def tileset(tmp_path):
 
 
 def counts(path):
-    """Splats of each level."""
+    """Return the number of splats of each level."""
     found = []
     while True:
         try:
@@ -105,7 +105,7 @@ def counts(path):
             return found
 
 
-def test_a_level_is_what_a_viewer_draws_that_goes_no_deeper(tileset):
+def test_a_level_is_what_a_viewer_draws_down_to_that_depth(tileset):
     replacing = tile(tile(uri="1.glb"), tile(tile(uri="4.glb"), uri="2.glb"), uri="8.glb")
     assert counts(tileset(replacing)) == [5, 3, 8]
     assert counts(tileset(replacing | {"refine": "ADD"})) == [15, 11, 8]
@@ -121,7 +121,7 @@ def test_tiles_without_contents_are_passed_through(tileset):
     ]
 
 
-def test_other_tilesets_stand_where_they_are_named(tileset, tmp_path):
+def test_nested_tilesets_are_read_in_place_of_the_tile_that_names_them(tileset, tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "4.glb").write_bytes((tmp_path / "4.glb").read_bytes())
     tileset(tile(tile(uri="4.glb"), uri="../8.glb"), "sub/inner.json")
@@ -131,7 +131,7 @@ def test_other_tilesets_stand_where_they_are_named(tileset, tmp_path):
     assert counts(tileset(tile(tile(uri="sub/inner.json"), tile(uri="1.glb")))) == [5, 5]
 
 
-def test_several_contents_of_one_tile(tileset):
+def test_a_tile_may_have_several_contents(tileset):
     both = {"contents": [{"uri": "1.glb"}, {"url": "./2.glb?v=3"}]}
     assert counts(tileset(tile() | both)) == [3]
 
@@ -142,8 +142,8 @@ def matrix(rotation, shift):
     return whole.T.ravel().tolist()
 
 
-def test_transforms_are_applied_but_for_the_place_on_earth(tileset, tmp_path):
-    """A step along z, up in the tileset, is one along -y in the model."""
+def test_transforms_are_applied_except_the_place_on_earth(tileset, tmp_path):
+    """A shift along z, up in the tileset, is one along -y in the model."""
     before = io.load(tmp_path / "2.glb")
     quarter = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # about z: x becomes y
     inner = tile(uri="2.glb", transform=matrix(np.eye(3), [0, 0, 5]))
@@ -157,8 +157,8 @@ def test_transforms_are_applied_but_for_the_place_on_earth(tileset, tmp_path):
     assert not any("Earth" in note for note in io.load(tileset(tile(uri="1.glb"))).notes)
 
 
-def test_a_place_below_the_root_is_left_out_as_well(tileset, tmp_path):
-    """As in a tileset that only names others, each with a place of its own."""
+def test_a_place_on_earth_below_the_root_is_left_out_too(tileset, tmp_path):
+    """For example in a tileset of other tilesets, each with a place of its own."""
     before = io.load(tmp_path / "2.glb").means
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "2.glb").write_bytes((tmp_path / "2.glb").read_bytes())
@@ -170,7 +170,7 @@ def test_a_place_below_the_root_is_left_out_as_well(tileset, tmp_path):
     assert any("position of the scene on Earth was left out" in note for note in again.notes)
 
 
-def test_a_root_near_by_is_applied(tileset, tmp_path):
+def test_a_root_transform_with_a_small_shift_is_applied(tileset, tmp_path):
     before = io.load(tmp_path / "2.glb").means
     again = io.load(tileset(tile(uri="2.glb", transform=matrix(2 * np.eye(3), [0, 0, 5]))))
     assert again.means == pytest.approx(2 * before - [0, 5, 0], abs=1e-5)
@@ -210,7 +210,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_read_is_refused(tileset, name):
+def test_unreadable_tilesets_are_refused(tileset, name):
     root, words = REFUSED[name]
     with pytest.raises(FormatError, match=words):
         io.load(tileset(root))
@@ -231,7 +231,7 @@ def test_transforms_that_overflow_together_are_refused(tileset, shift):
             read(tileset(root))
 
 
-def test_nobody_writes_one_with_save_or_convert(tileset, tmp_path):
+def test_save_refuses_to_write_a_tileset_and_convert_reads_one(tileset, tmp_path):
     path = tileset(tile(uri="4.glb"))
     with pytest.raises(OptionError, match="make them with `nanogs lod`"):
         io.save(random_splats(3), tmp_path / "b" / "tileset.json")

@@ -38,7 +38,7 @@ nanogs.save(small, "small.ply", overwrite=True)
 
 
 @pytest.mark.slow
-def test_a_typed_program_may_make_models_of_any_arrays(tmp_path):
+def test_a_type_checker_accepts_models_of_any_arrays(tmp_path):
     pytest.importorskip("mypy")
     (tmp_path / "program.py").write_text(PROGRAM)
     words = ("-m", "mypy", "--strict", "--no-incremental", "program.py")

@@ -12,7 +12,7 @@ from nanogs.views.occupancy import find_core, sample
 from nanogs.views.up import detect_up
 
 SCENE = make_scene(6_000)  # on a floor, up is (0, -1, 0)
-# Rotations wxyz, and where they take (0, -1, 0).
+# Rotations wxyz, and the direction that each turns (0, -1, 0) to.
 HALF = 0.5**0.5
 TURNS = {
     (1, 0, 0, 0): (0, -1, 0),
@@ -31,7 +31,7 @@ def matrix(quat) -> np.ndarray:
 
 
 def turned(splats: Splats, quat) -> Splats:
-    """The model's geometry turned; its colours do not matter here."""
+    """Return the model's geometry rotated; its colours do not matter here."""
     a, v = quat[0], np.array(quat[1:])
     b, w = splats.quats[:, :1], splats.quats[:, 1:]
     quats = np.hstack([a * b - w @ v[:, None], a * w + b * v + np.cross(v, w)])
@@ -43,12 +43,12 @@ def turned(splats: Splats, quat) -> Splats:
 
 
 def up_of(splats: Splats) -> np.ndarray:
-    matter = sample(splats)
-    return detect_up(matter, find_core(matter))
+    sampled = sample(splats)
+    return detect_up(sampled, find_core(sampled))
 
 
 @pytest.mark.parametrize(("quat", "up"), TURNS.items())
-def test_a_scene_on_a_floor_tells_which_way_is_up(quat, up):
+def test_up_is_found_for_a_scene_on_a_floor(quat, up):
     assert np.allclose(matrix(quat) @ (0, -1, 0), up)
     model = turned(SCENE, quat)
     assert (up_of(model) == up).all()
@@ -56,7 +56,7 @@ def test_a_scene_on_a_floor_tells_which_way_is_up(quat, up):
         assert camera.world_to_camera[1, :3] @ np.array(up) < -0.8, "y of an image points down"
 
 
-def test_up_does_not_depend_on_place_and_size():
+def test_up_does_not_depend_on_position_and_size():
     model = turned(SCENE, (HALF, -HALF, 0, 0))
     moved = replace(
         model,
@@ -66,7 +66,7 @@ def test_up_does_not_depend_on_place_and_size():
     assert (up_of(moved) == (0, 0, 1)).all()
 
 
-def test_without_a_ground_up_is_the_habit():
+def test_without_a_ground_up_is_the_usual_direction():
     rng = np.random.default_rng(0)
     ball = rng.normal(size=(4_000, 3)).astype(np.float32)
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
@@ -76,7 +76,7 @@ def test_without_a_ground_up_is_the_habit():
         assert (up_of(replace(part, means=points, log_scales=scales)) == (0, -1, 0)).all()
 
 
-def test_a_table_top_amid_things_is_no_ground():
+def test_a_table_top_among_other_things_is_not_taken_for_the_ground():
     rng = np.random.default_rng(1)
     n = 2_000
     top = rng.uniform(-1, 1, (n, 3)) * (1, 1, 0.01)  # lies in z
@@ -90,8 +90,8 @@ def test_a_table_top_amid_things_is_no_ground():
     assert (up_of(model) == (0, -1, 0)).all()
 
 
-def test_the_side_of_a_thick_hedge_is_no_ground():
-    """Leaves that face z, the most of them amid it: no layer of it is thin, nor is one beneath."""
+def test_the_side_of_a_thick_hedge_is_not_taken_for_the_ground():
+    """Leaves face z, most of them inside: no layer is thin, and the lowest is no ground either."""
     rng = np.random.default_rng(3)
     layers = [*range(240, 300, 6), *range(300, 0, -30)]  # leaves in each
     n = sum(layers)
@@ -106,7 +106,7 @@ def test_the_side_of_a_thick_hedge_is_no_ground():
     assert (up_of(model) == (0, -1, 0)).all()
 
 
-def test_a_ceiling_of_more_area_than_the_floor_does_not_turn_a_room():
+def test_a_ceiling_of_more_area_than_the_floor_is_not_taken_for_it():
     """A plain ceiling has few large splats, a floor with a pattern many small ones."""
     rng = np.random.default_rng(2)
     n = 2_000
@@ -128,5 +128,5 @@ def test_a_ceiling_of_more_area_than_the_floor_does_not_turn_a_room():
 @pytest.mark.parametrize(
     "name", ["biker.compressed.ply", "guitar.compressed.ply", "plant.splat", "seal.splat"]
 )
-def test_real_scenes_that_lie_by_habit_are_left_so(name):
+def test_real_scenes_with_the_usual_up_keep_it(name):
     assert (up_of(load(scene_path(name))) == (0, -1, 0)).all()

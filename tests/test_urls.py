@@ -1,4 +1,4 @@
-"""URLs in place of files: fetched first, sent at the end, and no secret of theirs told anywhere."""
+"""URLs as inputs and outputs: downloaded first, uploaded at the end, never shown with secrets."""
 
 import gzip
 import json
@@ -69,7 +69,7 @@ def host(folder):
 
 @pytest.fixture
 def memory():
-    """The store of fsspec that is in memory, with nothing in it."""
+    """An empty in-memory file system of fsspec."""
     fsspec = pytest.importorskip("fsspec")
     files = fsspec.filesystem("memory")
     files.store.clear()
@@ -84,7 +84,7 @@ def ran(*arguments, **kwargs):
 
 
 def refused(result, *words):
-    """Exit code 2, one sentence, no secret, no temporary file."""
+    """Check for exit code 2 and a one-sentence error without secrets or temporary paths."""
     text = result.stderr
     assert (result.returncode, result.stdout) == (2, ""), text
     assert text.startswith("error: ")
@@ -96,7 +96,7 @@ def refused(result, *words):
         assert word not in text, text
 
 
-def test_info_of_a_url_is_that_of_its_file(folder, host, temporary):
+def test_info_of_a_url_equals_info_of_the_file(folder, host, temporary):
     by_url = json.loads(ran("info", f"{host}/scene.ply{QUERY}", "--json").stdout)
     by_path = json.loads(ran("info", folder / "scene.ply", "--json").stdout)
     assert by_url.pop("path") == f"{host}/scene.ply"
@@ -106,8 +106,8 @@ def test_info_of_a_url_is_that_of_its_file(folder, host, temporary):
     assert f"{host}/scene.ply (ply" in text
 
 
-def test_a_name_that_says_nothing(host, temporary):
-    """The first bytes say the format, or --from does."""
+def test_the_format_of_a_url_without_suffix_comes_from_content_or_option(host, temporary):
+    """The first bytes of the file decide, or --from."""
     assert "(ply" in ran("info", f"{host}/download?id=7").stdout
     refused(launch.run("info", f"{host}/blob{QUERY}"), f"{host}/blob", "--from splat")
     assert "(splat" in ran("info", f"{host}/blob", "--from", "splat").stdout
@@ -115,7 +115,7 @@ def test_a_name_that_says_nothing(host, temporary):
     refused(launch.run("info", f"{host}/page"), f"{host}/page is a web page")
 
 
-def test_names_are_unquoted(host, temporary, tmp_path):
+def test_file_names_from_urls_are_unquoted(host, temporary, tmp_path):
     result = ran(
         "convert", f"{host}/my%20scene.spz", "--out-dir", tmp_path / "o", "--format", "ply"
     )
@@ -123,14 +123,14 @@ def test_names_are_unquoted(host, temporary, tmp_path):
     assert (tmp_path / "o" / "my scene.ply").exists()
 
 
-def test_a_folder_of_textures_is_fetched(folder, host, temporary):
-    told = json.loads(ran("info", f"{host}/sog/meta.json{QUERY}", "--json").stdout)
-    assert told["file_bytes"] == sum(each.stat().st_size for each in (folder / "sog").iterdir())
+def test_a_sog_folder_is_downloaded_through_its_meta_json(folder, host, temporary):
+    info = json.loads(ran("info", f"{host}/sog/meta.json{QUERY}", "--json").stdout)
+    assert info["file_bytes"] == sum(each.stat().st_size for each in (folder / "sog").iterdir())
     for name in ("lod-meta.json", "tileset.json", "levels.json", "scan.lcc"):
         refused(launch.run("info", f"{host}/{name}"), f"{host}/{name}", "download the whole folder")
 
 
-def test_levels_in_one_file_are_fetched(folder, host, temporary, tmp_path):
+def test_levels_in_one_file_are_downloaded(folder, host, temporary, tmp_path):
     for name in ("levels.ssog", "tree.rad"):
         levels = ("--levels", "1,0.5", "--preset", "fast")
         ran("lod", folder / "scene.ply", folder / name, *levels)
@@ -140,7 +140,7 @@ def test_levels_in_one_file_are_fetched(folder, host, temporary, tmp_path):
         assert (tmp_path / "url.ply").read_bytes() == (tmp_path / "file.ply").read_bytes()
 
 
-def test_simplify_convert_and_lod_make_the_bytes_of_files(folder, host, temporary, tmp_path):
+def test_commands_give_the_same_bytes_for_urls_and_files(folder, host, temporary, tmp_path):
     url, options = f"{host}/scene.ply{QUERY}", ("--ratio", "0.1", "--preset", "fast")
     first = ran("simplify", url, tmp_path / "a.ply", *options, "-v", "--json")
     ran("simplify", folder / "scene.ply", tmp_path / "b.ply", *options)
@@ -158,7 +158,7 @@ def test_simplify_convert_and_lod_make_the_bytes_of_files(folder, host, temporar
             assert not any(secret.encode() in path.read_bytes() for secret in SECRETS), path
 
 
-def test_commands_that_look(folder, host, temporary, tmp_path):
+def test_commands_that_render_take_urls(folder, host, temporary, tmp_path):
     url, views = f"{host}/scene.ply{QUERY}", ("--views", "1", "--pixels", "32")
     result = ran("compare", url, f"half={url}", *views, "--report", tmp_path / "r.html", "--json")
     assert [model["name"] for model in json.loads(result.stdout)["models"]] == ["half"]
@@ -175,7 +175,7 @@ def test_commands_that_look(folder, host, temporary, tmp_path):
     assert not (tmp_path / "bench").exists()
 
 
-def test_view(host, temporary, tmp_path):
+def test_view_takes_a_url(host, temporary, tmp_path):
     from nanogs.view.bundle import is_built
 
     if not is_built():
@@ -184,7 +184,7 @@ def test_view(host, temporary, tmp_path):
     assert not any(word in (tmp_path / "scene.html").read_text() for word in SECRETS)
 
 
-def test_what_cannot_be_read(host, temporary, tmp_path):
+def test_urls_that_cannot_be_read_or_written_are_refused(host, temporary, tmp_path):
     refused(launch.run("info", f"{host}/none.ply{QUERY}"), f"{host}/none.ply", "404")
     refused(launch.run("info", "http://host.invalid/a.ply"), "there is no host host.invalid")
     refused(launch.run("info", "http://127.0.0.1:1/a.ply"), "127.0.0.1:1 cannot be reached")
@@ -212,7 +212,7 @@ def test_what_cannot_be_read(host, temporary, tmp_path):
     assert not (tmp_path / "b.ply").exists()
 
 
-def test_several_of_which_one_fails(host, temporary, tmp_path):
+def test_if_one_of_several_urls_fails_the_others_are_converted(host, temporary, tmp_path):
     out = tmp_path / "out"
     result = launch.run("convert", f"{host}/scene.ply{QUERY}", f"{host}/none.ply{QUERY}",
                         "--out-dir", out, "--format", "spz")  # fmt: skip
@@ -223,7 +223,7 @@ def test_several_of_which_one_fails(host, temporary, tmp_path):
 
 
 class Odd(BaseHTTPRequestHandler):
-    """Answers that servers give, by the path that is asked for."""
+    """A server that gives unusual answers, selected by the requested path."""
 
     data = b""
     seen: list[tuple[str, str | None]] = []  # noqa: RUF012
@@ -290,7 +290,7 @@ def odd(folder):
         yield url
 
 
-def test_what_servers_answer(odd, temporary):
+def test_unusual_server_answers_are_read_or_refused(odd, temporary):
     refused(launch.run("info", f"{odd}/broken.ply{QUERY}"), "connection broke after 100 of")
     refused(launch.run("info", f"{odd}/huge.ply{QUERY}"), "TMPDIR", "free")
     refused(launch.run("info", f"{odd}/halved.ply"), "the download was cut short")
@@ -300,7 +300,7 @@ def test_what_servers_answer(odd, temporary):
         assert len(nanogs.load(f"{odd}/{name}.ply")) == 300
 
 
-def test_a_password_is_for_its_host_and_told_to_nobody_else(odd, temporary):
+def test_a_password_is_sent_only_to_the_url_it_was_given_for(odd, temporary):
     url = odd.replace("http://", "http://me:PASSWORD@")
     result = ran("info", f"{url}/locked.ply", "--json")
     assert json.loads(result.stdout)["path"] == f"{odd}/locked.ply"
@@ -311,23 +311,23 @@ def test_a_password_is_for_its_host_and_told_to_nobody_else(odd, temporary):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are otherwise there")
-def test_nothing_is_left_of_what_is_cancelled(odd, temporary):
+def test_a_cancelled_download_leaves_no_temporary_file(odd, temporary):
     command = [sys.executable, "-m", "nanogs", "info", f"{odd}/endless.ply{QUERY}"]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
     deadline = time.monotonic() + 60
     while not list(temporary.rglob("endless.ply")):
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    time.sleep(2.5)  # until something is shown
-    run.send_signal(signal.SIGTERM)  # what runs in the background may ignore the other one
-    said = run.communicate(timeout=30)[1]
+    time.sleep(2.5)  # until progress is shown
+    run.send_signal(signal.SIGTERM)  # a background process may ignore SIGINT
+    stderr = run.communicate(timeout=30)[1]
     assert run.returncode == 143
-    assert "1/1 fetch" in said
-    assert "cancelled" in said
-    assert not any(word in said for word in SECRETS)
+    assert "1/1 fetch" in stderr
+    assert "cancelled" in stderr
+    assert not any(word in stderr for word in SECRETS)
 
 
-def test_open_keeps_the_file_until_it_is_closed(folder, host, temporary):
+def test_open_keeps_the_downloaded_file_until_the_source_is_closed(folder, host, temporary):
     whole = nanogs.load(folder / "my scene.spz")
     source = nanogs.open(f"{host}/my%20scene.spz{QUERY}")
     assert len(list(temporary.iterdir())) == 1
@@ -344,7 +344,7 @@ def test_open_keeps_the_file_until_it_is_closed(folder, host, temporary):
         nanogs.open(f"{host}/none.ply")
 
 
-def test_python(folder, host, temporary, memory, tmp_path):
+def test_library_functions_take_urls(folder, host, temporary, memory, tmp_path):
     url = f"{host}/scene.ply{QUERY}"
     report = nanogs.convert(url, "memory://x/out.spz")
     assert (report.input, report.output) == (f"{host}/scene.ply", "memory://x/out.spz")
@@ -375,7 +375,7 @@ def test_python(folder, host, temporary, memory, tmp_path):
     assert len(nanogs.load(tmp_path / "a b.ply")) == 30
 
 
-def test_outputs_of_commands(folder, host, temporary, memory, capfd, tmp_path):
+def test_commands_write_to_urls(folder, host, temporary, memory, capfd, tmp_path):
     scene, out = folder / "scene.ply", "memory://x/out.ply"
     assert launch.run_here("convert", scene, out, "--json") == 0
     assert json.loads(capfd.readouterr().out)["output"] == out
@@ -395,7 +395,7 @@ def test_outputs_of_commands(folder, host, temporary, memory, capfd, tmp_path):
     assert "name one file" in capfd.readouterr().err
 
 
-def test_nothing_is_left_where_sending_fails(folder, temporary, memory, monkeypatch, capfd):
+def test_a_failed_upload_leaves_nothing_in_the_store(folder, temporary, memory, monkeypatch, capfd):
     from fsspec.implementations.memory import MemoryFile
 
     def fail(self, data):
@@ -429,7 +429,7 @@ WORDS = st.text("abcXYZ019_-.", min_size=1, max_size=8)
 @given(
     WORDS, WORDS, st.lists(WORDS, min_size=1, max_size=3), WORDS, st.sampled_from(["https", "s3"])
 )
-def test_addresses(user, word, path, query, kind):
+def test_addresses_hide_user_password_and_query(user, word, path, query, kind):
     plain = f"{kind}://host.org/{'/'.join(path)}.ply"
     url = f"{plain.replace('://', f'://{user}:<pass{word}>@')}?key=<key{query}>"
     address = place(url)
@@ -456,7 +456,7 @@ def test_paths_stay_paths(tmp_path):
     )
 
 
-def test_a_stand_in_is_a_file_of_another_name(tmp_path):
+def test_a_url_file_is_a_local_file_shown_under_its_url(tmp_path):
     (tmp_path / "a.ply").write_bytes(b"x")
     file = UrlFile(tmp_path / "a.ply", "https://h/b.ply")
     assert (str(file), os.fspath(file)) == ("https://h/b.ply", str(tmp_path / "a.ply"))

@@ -1,4 +1,4 @@
-"""OpenUSD: the numbers come back bit by bit, by USD's own reader too where it is there."""
+"""OpenUSD: numbers are read back bit for bit, also by USD's own reader if it is installed."""
 
 import dataclasses
 import json
@@ -26,7 +26,7 @@ def written(path, model):
 
 
 def array(text, name, width):
-    """An attribute's numbers, (R, width) float32."""
+    """Return an attribute's numbers, (R, width) float32."""
     match = re.search(rf"^    {re.escape(name)} = \[(.*?)\]$", text, re.MULTILINE | re.DOTALL)
     numbers = re.sub(r"[(),\s]+", " ", match[1]).split()
     assert match[1].count("(") == (len(numbers) // width if width > 1 else 0)
@@ -35,7 +35,7 @@ def array(text, name, width):
 
 @SHARED
 @given(model=splats(max_n=9))
-def test_every_number_comes_back(tmp_path, monkeypatch, model):
+def test_every_number_is_written_exactly(tmp_path, monkeypatch, model):
     monkeypatch.setattr("nanogs.io.usda.write.BLOCK_ROWS", 4)
     text = written(tmp_path / "a.usda", model)
     coefficients = "float3[] radiance:sphericalHarmonicsCoefficients"
@@ -61,7 +61,7 @@ def test_the_stage_has_y_up_and_turns_the_model_there(tmp_path):
     assert text.endswith("]\n}\n")
 
 
-def test_the_extent_holds_three_deviations(tmp_path):
+def test_the_extent_covers_three_standard_deviations(tmp_path):
     model = random_splats(1)
     model.means[:] = 1, 2, 3
     model.log_scales[:] = np.log([0.5, 0.1, 0.2])
@@ -70,7 +70,7 @@ def test_the_extent_holds_three_deviations(tmp_path):
     assert high == pytest.approx([2.5, 3.5, 4.5], abs=1e-6)
 
 
-def test_what_is_left_out_is_said(tmp_path):
+def test_losses_name_what_is_left_out(tmp_path):
     model = dataclasses.replace(
         random_splats(3, extras={"label": np.arange(3)}),
         render_mode=RenderMode.MIP,
@@ -82,7 +82,7 @@ def test_what_is_left_out_is_said(tmp_path):
     assert io.losses(random_splats(3, degree=4), "a.usda") == ()
 
 
-def test_what_it_cannot_hold_is_refused(tmp_path):
+def test_non_finite_values_are_refused(tmp_path):
     model = random_splats(3)
     model.means[1] = np.nan
     with pytest.raises(OutputError, match="row 1"):
@@ -101,7 +101,7 @@ def test_the_command_converts_and_fits_a_size(tmp_path):
     assert 0.9 * size < (tmp_path / "b.usda").stat().st_size <= size
 
 
-def test_usd_itself_reads_it(tmp_path):
+def test_usd_itself_reads_the_file(tmp_path):
     usd = pytest.importorskip("pxr.Usd")
     geom = pytest.importorskip("pxr.UsdGeom")
     model = random_splats(20_000, degree=3)
@@ -137,7 +137,7 @@ def test_usd_itself_reads_it(tmp_path):
 
 
 def assert_same_splats(back, model):
-    """Bit by bit where the file holds the stored value, within float32 where it is activated."""
+    """Compare bit for bit what the file stores as it is, within float32 what is converted."""
     assert np.array_equal(back.means, model.means.astype(np.float32))
     assert np.array_equal(back.quats, model.unit_quats())
     assert np.array_equal(back.sh, model.sh)
@@ -149,7 +149,7 @@ def assert_same_splats(back, model):
 
 @SHARED
 @given(model=splats(max_n=30))
-def test_what_is_written_is_read(tmp_path, model):
+def test_written_files_are_read_back(tmp_path, model):
     written(tmp_path / "a.usda", model)
     back = io.load(tmp_path / "a.usda")
     assert_same_splats(back, model)
@@ -185,7 +185,7 @@ def load(tmp_path):
     return load
 
 
-def test_a_layer_as_others_write_it(load):
+def test_layers_of_other_programs_are_read(load):
     """Metadata, nested prims, relations, dictionaries, texts with brackets, several prims."""
     inside = """(
         kind = "component"
@@ -225,11 +225,11 @@ def test_transforms_are_applied(load):
     assert np.abs(back.quats[0]) == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5], abs=1e-6)
 
 
-def test_z_up_is_turned_too(load):
+def test_z_up_is_converted_too(load):
     assert load(layer(prim(), metadata='upAxis = "Z"')).means[0] == pytest.approx([-1, -3, -2])
 
 
-def test_matrices_and_turns_are_those_of_usd(load, tmp_path):
+def test_matrices_and_rotations_equal_those_of_usd(load, tmp_path):
     usd = pytest.importorskip("pxr.Usd")
     geom = pytest.importorskip("pxr.UsdGeom")
     body = """double3 xformOp:translate = (1, -2, 3)
@@ -278,12 +278,12 @@ def test_opacities_out_of_range_are_counted(load):
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_read_is_refused(load, name):
+def test_unreadable_layers_are_refused(load, name):
     text, words = REFUSED[name]
     with pytest.raises(FormatError, match=words):
         load(text)
 
 
-def test_long_comments_and_texts_take_no_room_and_time(load):
+def test_long_comments_and_texts_are_skipped(load):
     back = load(layer("#" * 1_000_000, f'def "a" (doc = "{"x" * 1_000_000}") {{ }}', prim()))
     assert len(back) == 2

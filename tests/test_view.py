@@ -1,4 +1,4 @@
-"""Pages with the viewer: what they hold, and the command. test_view_browser.py opens them."""
+"""Pages with the viewer: their contents, and `nanogs view`. test_view_browser.py opens them."""
 
 import base64
 import dataclasses
@@ -45,7 +45,7 @@ START = Opening(
 
 
 def unpacked(packed, folder):
-    """The model of a page, in its units."""
+    """Load the packed model of a page, in the units of the page."""
     path = folder / "model.spz"
     path.write_bytes(packed.data)
     return nanogs.load(path)
@@ -59,10 +59,10 @@ def moved(splats, scale, shift):
     )
 
 
-# Where a page begins
+# The first view
 
 
-def test_the_first_view_shows_all_of_an_object_in_its_middle():
+def test_the_first_view_shows_a_whole_object_in_the_centre():
     splats = random_splats(2000)
     start = opening_for(splats, "orbit")
     pose = look_at(start.position, start.target, start.up)
@@ -79,7 +79,7 @@ def test_the_first_view_shows_all_of_an_object_in_its_middle():
     scale=st.floats(1e-3, 1e3),
     shift=st.tuples(*[st.floats(-50, 50)] * 3),
 )
-def test_moving_and_scaling_a_scene_moves_where_its_page_begins(scale, shift):
+def test_the_first_view_moves_and_scales_with_the_scene(scale, shift):
     splats = random_splats(300)
     shift = scale * np.array(shift)
     start, other = opening_for(splats), opening_for(moved(splats, scale, shift))
@@ -89,7 +89,7 @@ def test_moving_and_scaling_a_scene_moves_where_its_page_begins(scale, shift):
     assert other.near == pytest.approx(start.near, rel=1e-3)
 
 
-def test_a_given_camera_is_where_the_page_begins():
+def test_a_page_starts_at_the_given_camera():
     splats = random_splats(500)
     pose = look_at(np.array([0.3, -1.0, -5.0]), np.array([0.5, 0, 0]), np.array([0.0, -1, 0]))
     camera = Camera(640, 480, 500.0, 500.0, 320.0, 240.0, pose, near=0.1)
@@ -97,37 +97,37 @@ def test_a_given_camera_is_where_the_page_begins():
     assert np.allclose(start.position, camera.position)
     ahead = (start.target - start.position) / start.distance
     assert np.allclose(ahead, pose[2, :3])
-    assert start.distance == pytest.approx(5.1, rel=0.05)  # as far as the middle of the model
+    assert start.distance == pytest.approx(5.1, rel=0.05)  # the distance to the centre of the model
     assert start.lens == pytest.approx(240 / 500)
     assert start.near * start.distance == pytest.approx(0.1)
 
 
-def test_a_camera_that_looks_away_turns_about_a_point_ahead_of_it():
+def test_a_camera_that_looks_away_orbits_a_point_ahead_of_it():
     pose = look_at(np.array([0.0, 0, -5]), np.array([0.0, 0, -9]), np.array([0.0, -1, 0]))
     start = opening_for(random_splats(500), Camera(64, 64, 50, 50, 32, 32, pose))
     assert start.distance > 0
     assert (start.target - start.position)[2] < 0
 
 
-def test_one_splat_is_enough():
+def test_a_model_of_one_splat_has_a_first_view():
     start = opening_for(random_splats(1))
     assert start.distance > 0
     assert np.isfinite(start.position).all()
 
 
-def test_kinds_and_directions_that_make_no_sense_are_refused():
+def test_unknown_camera_kinds_and_zero_up_vectors_are_refused():
     with pytest.raises(OptionError):
         opening_for(random_splats(10), "outside")
     with pytest.raises(OptionError):
         opening_for(random_splats(10), "orbit", (0, 0, 0))
 
 
-# What a page holds of a model
+# Packing a model
 
 
 @settings(max_examples=20)
 @given(scale=st.floats(1e-4, 1e4), seed=st.integers(0, 5), degree=st.integers(0, 3))
-def test_a_model_in_a_page_is_the_model_in_units_of_the_page(tmp_path_factory, scale, seed, degree):
+def test_a_packed_model_equals_the_model_in_page_units(tmp_path_factory, scale, seed, degree):
     splats = moved(random_splats(50, degree=degree, seed=seed), scale, np.full(3, 3 * scale))
     start = dataclasses.replace(
         START, position=scale * START.position, target=np.full(3, 2.5 * scale)
@@ -145,7 +145,7 @@ def test_a_model_in_a_page_is_the_model_in_units_of_the_page(tmp_path_factory, s
     assert not packed.mip
 
 
-def test_a_far_splat_is_shown_nearer_and_as_large_as_it_looks(tmp_path):
+def test_a_far_splat_is_moved_nearer_with_the_same_apparent_size(tmp_path):
     splats = random_splats(3)
     splats.means[1] = (3e6, -4e6, 0)
     splats.log_scales[1] = np.log(2e5)
@@ -159,7 +159,7 @@ def test_a_far_splat_is_shown_nearer_and_as_large_as_it_looks(tmp_path):
     assert pack(splats.take(np.array([0, 2])), START).notes == ()
 
 
-def test_what_a_page_does_not_show_is_said(tmp_path):
+def test_notes_name_what_a_page_does_not_show(tmp_path):
     splats = random_splats(20, degree=4, extras={"label": np.arange(20)})
     splats.means[3] = np.nan
     splats.opacity_logits[4] = np.inf
@@ -169,7 +169,7 @@ def test_what_a_page_does_not_show_is_said(tmp_path):
     text = " ".join(packed.notes)
     assert "1 splat with a NaN or infinite value was not drawn" in text
     assert "above degree 3" in text
-    assert "label" not in text  # no viewer shows it
+    assert "label" not in text  # viewers show no extra columns anyway
     surfels = dataclasses.replace(random_splats(5), render_mode=RenderMode.SURFEL)
     assert any("2dgs" in note for note in pack(surfels, START).notes)
     mip = dataclasses.replace(random_splats(5), render_mode=RenderMode.MIP)
@@ -199,7 +199,7 @@ def page():
     return render_page([shown_model(), shown_model("b.ply")], START, (0, 0.5, 1))
 
 
-def test_a_page_names_no_other_place(page):
+def test_a_page_loads_nothing_from_elsewhere(page):
     rest = without_licences(page)
     assert "://" not in rest
     assert not re.search(r"""\b(src|href|action)\s*=|url\(|@import""", rest)
@@ -209,7 +209,7 @@ def test_a_page_names_no_other_place(page):
     assert "without restriction" in page
 
 
-def test_a_page_holds_its_models_and_what_it_says_of_them(page):
+def test_a_page_contains_its_models_and_their_facts(page):
     scene = json.loads(re.search(r'id="nanogs-scene">(.*?)</script>', page)[1])
     assert [model["name"] for model in scene["models"]] == ["a.ply", "b.ply"]
     assert scene["models"][0]["facts"] == ["20 splats", "1.0 kB"]
@@ -221,7 +221,7 @@ def test_a_page_holds_its_models_and_what_it_says_of_them(page):
     assert "<title>a.ply and b.ply</title>" in page
 
 
-def test_a_name_is_text_and_never_markup():
+def test_model_names_are_escaped_in_the_page():
     require_bundle()
     name = "</script><script>alert(1)</script><!--"
     text = render_page([shown_model(name)], START, (0, 0, 0))
@@ -230,7 +230,7 @@ def test_a_name_is_text_and_never_markup():
     assert text.count("<!--") == 0
 
 
-def test_facts():
+def test_facts_of_a_model():
     assert facts_of(1000, 2_500_000) == ("1,000 splats", "2.5 MB")
     small = facts_of(100, None, reference=1000, judged=Judged(31.254, 0.9, Protocol()))
     shares = ("100 splats (10.00\N{NO-BREAK SPACE}%)", "\N{EN DASH}")
@@ -245,7 +245,7 @@ def test_a_model_too_large_for_a_browser_is_refused(monkeypatch):
         render_page([shown_model()], START, (0, 0, 0))
 
 
-def test_the_program_is_the_same_text_each_time():
+def test_the_viewer_program_is_the_same_text_each_time():
     require_bundle()
     assert bundle.program() == bundle.program()
     assert len(bundle.program()) < 2_000_000
@@ -263,7 +263,7 @@ def files(tmp_path_factory):
     return folder
 
 
-def test_one_model(files):
+def test_view_writes_a_page_of_one_model(files):
     require_bundle()
     result = run("view", "scene.ply", cwd=files)
     assert result.returncode == 0, result.stderr
@@ -277,7 +277,7 @@ def test_one_model(files):
     assert (files / "scene.html").read_bytes() == before  # the same input, the same bytes
 
 
-def test_two_models_as_json(files, tmp_path):
+def test_view_reports_two_models_as_json(files, tmp_path):
     require_bundle()
     page_file = tmp_path / "page.html"
     inputs = (files / "scene.ply", f"tenth={files}/small.compressed.ply")
@@ -294,7 +294,7 @@ def test_two_models_as_json(files, tmp_path):
     assert line in page_file.read_text(encoding="utf-8")
 
 
-def test_the_second_model_is_measured_as_by_compare(files, tmp_path):
+def test_the_second_model_is_measured_as_compare_measures_it(files, tmp_path):
     require_bundle()
     inputs = [("a", files / "scene.ply"), ("b", files / "small.compressed.ply")]
     small = {"views": 2, "width": 48, "height": 48}
@@ -306,7 +306,7 @@ def test_the_second_model_is_measured_as_by_compare(files, tmp_path):
     assert "PSNR" not in without_licences((tmp_path / "b.html").read_text(encoding="utf-8"))
 
 
-def test_names_that_are_no_utf8_stand_on_pages(files, tmp_path):
+def test_pages_show_names_that_are_not_utf8(files, tmp_path):
     require_bundle()
     inputs, page = (
         [("a\udcff", files / "scene.ply"), ("b", files / "scene.ply")],
@@ -318,7 +318,7 @@ def test_names_that_are_no_utf8_stand_on_pages(files, tmp_path):
     assert "<title>a\\udcff: comparison</title>" in page.read_text(encoding="utf-8")
 
 
-def test_roaming_views_measure_a_page_that_begins_as_others_do(files, tmp_path):
+def test_a_page_can_be_measured_on_roaming_views(files, tmp_path):
     require_bundle()
     inputs = [("a", files / "scene.ply"), ("b", files / "small.compressed.ply")]
     small = {"views": 2, "width": 48, "height": 48, "cameras": "roam"}
@@ -347,19 +347,19 @@ def test_reports_of_compare_have_an_interactive_part(files, tmp_path, monkeypatc
     plain, _ = written("--no-interactive")
     assert "nanogs-program" not in plain
     monkeypatch.setattr("nanogs.cli.compare.is_built", lambda: False)
-    without, said = written()
+    without, messages = written()
     assert without == plain
-    assert "no interactive part" in said
+    assert "no interactive part" in messages
 
 
-def test_names_of_pages():
+def test_default_names_of_pages():
     assert page_path([Path("a/b.compressed.ply")]) == Path("b.html")
     assert page_path([Path("b.ply"), Path("c.tenth.spz")]) == Path("b-c.tenth.html")
     assert page_path([Path("scan/meta.json")]) == Path("scan.html")
     assert page_path([Path("noformat")]) == Path("noformat.html")
 
 
-def test_refusals(files, tmp_path):
+def test_missing_inputs_and_folders_and_unknown_cameras_are_refused(files, tmp_path):
     require_bundle()
     scene, page_file = files / "scene.ply", tmp_path / "page.html"
     assert_refused(run("view", scene, tmp_path / "no.ply", "-o", page_file), "no.ply")
@@ -368,7 +368,7 @@ def test_refusals(files, tmp_path):
     assert not page_file.exists()
 
 
-def test_without_the_viewer_one_sentence_says_what_to_do(files, tmp_path):
+def test_without_the_viewer_an_error_says_how_to_install_it(files, tmp_path):
     package = tmp_path / "src" / "nanogs"
     source = Path(nanogs.__file__).parent
     shutil.copytree(source, package, ignore=shutil.ignore_patterns("__pycache__", "viewer.js"))
@@ -387,20 +387,22 @@ def test_a_browser_is_opened_on_request_only(files, tmp_path):
     environment = {**os.environ, "BROWSER": str(browser), "DISPLAY": ":0"}
     page_file = tmp_path / "page.html"
     arguments = ("view", files / "scene.ply", "-o", page_file, "-w")
-    assert run(*arguments, env=environment).returncode == 0  # no terminal here
+    assert (
+        run(*arguments, env=environment).returncode == 0
+    )  # not opened, because this is no terminal
     assert not seen.exists()
     assert run(*arguments, "--open", env=environment).returncode == 0
     assert seen.read_text().strip() == page_file.as_uri()
 
 
-def test_the_library_says_what_it_does(files, tmp_path):
+def test_view_files_reports_its_stages_and_times(files, tmp_path):
     require_bundle()
-    told = []
+    steps = []
     inputs = [("a", files / "scene.ply"), ("b", files / "small.compressed.ply")]
     report = view_files(
-        inputs, tmp_path / "p.html", views=1, width=32, height=32, progress=told.append
+        inputs, tmp_path / "p.html", views=1, width=32, height=32, progress=steps.append
     )
-    stages = list(dict.fromkeys(step.stage for step in told))
+    stages = list(dict.fromkeys(step.stage for step in steps))
     assert stages == ["read", "cameras", "render", "score", "encode", "write"]
     assert set(report.seconds) == {"read", "cameras", "measure", "pack", "write"}
     assert report.models[1].page_bytes < report.models[0].page_bytes

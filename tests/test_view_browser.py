@@ -1,4 +1,4 @@
-"""Pages with the viewer in a real browser, in real time: what is seen, and what moves it."""
+"""Pages with the viewer in a real browser, in real time: the picture, and its controls."""
 
 import dataclasses
 import io
@@ -57,7 +57,7 @@ class Seen:
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on(
             "console",
-            lambda said: self.errors.append(said.text) if said.type == "error" else None,
+            lambda message: self.errors.append(message.text) if message.type == "error" else None,
         )
         self.page.goto(path.as_uri())
 
@@ -65,7 +65,7 @@ class Seen:
         self.page.wait_for_selector(f"{VIEW}[data-state=still]", timeout=PATIENCE)
 
     def pixels(self):
-        """(H, W, 3) float32 of the models alone, in [0, 1], when nothing moves any more."""
+        """Return the pixels of the models once nothing moves, (H, W, 3) float32 in [0, 1]."""
         from PIL import Image
 
         self.settle()
@@ -74,7 +74,7 @@ class Seen:
         return np.asarray(image, dtype=np.float32) / 255
 
     def sees(self, condition):
-        """The pixels as soon as they are as they should be; an input takes time to arrive."""
+        """Return the pixels once they meet the condition; an input takes time to arrive."""
         end = time.monotonic() + PATIENCE / 2000
         while not condition(pixels := self.pixels()):
             assert time.monotonic() < end, "the picture did not become what it should be"
@@ -125,7 +125,7 @@ def is_background(pixels):
 
 
 def edge(pixels):
-    """The column, as a share of the width, where red ends and blue begins."""
+    """Return the column where red ends and blue begins, as a share of the width."""
     columns = np.arange(pixels.shape[1])
     red, blue = columns[is_red(pixels).any(axis=0)], columns[is_blue(pixels).any(axis=0)]
     assert red.max() < blue.min()
@@ -141,11 +141,11 @@ def same_as(picture):
 
 
 def changed(pixels, picture, share=0.01):
-    """Whether so much of the picture is another one."""
+    """Whether more than this share of the picture has changed."""
     return (np.abs(pixels - picture).max(axis=-1) > 0.1).mean() > share
 
 
-def test_each_side_shows_its_model_before_the_background(two):
+def test_each_side_shows_its_model_in_front_of_the_background(two):
     pixels = two.pixels()
     half = pixels.shape[1] // 2
     left, right = pixels[:, :half], pixels[:, half:]
@@ -157,7 +157,7 @@ def test_each_side_shows_its_model_before_the_background(two):
     assert is_background(right).mean() > 0.3
 
 
-def test_the_line_moves_by_mouse_and_by_keys(two):
+def test_the_divider_moves_by_mouse_and_by_keys(two):
     slider = two.page.get_by_role("slider")
     assert slider.get_attribute("aria-valuenow") == "50"
     two.sees(edge_at(0.5))
@@ -167,8 +167,8 @@ def test_the_line_moves_by_mouse_and_by_keys(two):
     mouse.move(120, 60)
     mouse.up()
     two.sees(edge_at(0.6))
-    mouse.move(80, 40)  # let go: it stays
-    two.page.keyboard.press("ArrowLeft")  # the line has the focus now
+    mouse.move(80, 40)  # after the release: the divider stays
+    two.page.keyboard.press("ArrowLeft")  # the divider has the focus now
     two.sees(edge_at(0.58))
     for key, share in ((",", "56"), (".", "58"), ("PageDown", "48"), ("End", "100"), ("Home", "0")):
         two.page.keyboard.press(key)
@@ -186,7 +186,7 @@ def test_mouse_and_keys_move_the_camera_of_both_sides(two):
         return all(changed(pixels[side], first[side]) for side in sides)
 
     def moved(action):
-        """The picture after some of the action; then back to the first one."""
+        """Return the picture after the action, and go back to the first view."""
         for _ in range(3):
             action()
         pixels = two.sees(both_changed)
@@ -213,14 +213,14 @@ def test_mouse_and_keys_move_the_camera_of_both_sides(two):
     moved(lambda: page.mouse.wheel(0, 300))
 
 
-def test_fingers_move_line_and_camera_on_a_phone(chromium, files):
+def test_touches_move_divider_and_camera_on_a_phone(chromium, files):
     seen = Seen(chromium, files / "two.html", 240, 400, has_touch=True, is_mobile=True)
     seen.settle()
     first = seen.pixels()
     session = seen.context.new_cdp_session(seen.page)
 
     def swipe(*fingers):
-        """Each finger goes straight from one point to another."""
+        """Move each finger in a straight line from one point to another."""
         for share, kind in ((0, "touchStart"), (0.5, "touchMove"), (1, "touchMove")):
             points = [
                 {"x": a[0] + share * (b[0] - a[0]), "y": a[1] + share * (b[1] - a[1]), "id": i}
@@ -252,7 +252,7 @@ def helping(chromium, files):
 
 
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (844, 390), (1200, 800)])
-def test_the_words_fit_any_screen(helping, width, height):
+def test_labels_and_help_fit_any_screen(helping, width, height):
     page = helping.page
     page.set_viewport_size({"width": width, "height": height})
     helping.settle()
@@ -276,7 +276,7 @@ def test_the_words_fit_any_screen(helping, width, height):
         page.screenshot(path=f"{folder}/view_{width}.png")
 
 
-def test_one_model_has_no_line(chromium, files):
+def test_a_page_of_one_model_has_no_divider(chromium, files):
     seen = Seen(chromium, files / "one.html")
     seen.settle()
     assert seen.page.get_by_role("slider").count() == 0
@@ -289,7 +289,7 @@ def test_one_model_has_no_line(chromium, files):
     [(0, RenderMode.DEFAULT, 46), (3, RenderMode.DEFAULT, 40), (0, RenderMode.MIP, 46)],
 )
 def test_the_page_shows_what_nanogs_renders(chromium, tmp_path, degree, mode, least):
-    """dB between the two; colours and sizes are those of a trained model."""
+    """`least` is their PSNR in dB; colours and sizes are those of a trained model."""
     require_bundle()
     splats = random_splats(400, degree=degree)
     splats = dataclasses.replace(
@@ -310,7 +310,7 @@ def test_the_page_shows_a_real_room_as_nanogs_renders_it(chromium, tmp_path):
 
 
 def rendered_and_shown(chromium, model, folder):
-    """The first view, by nanogs and by a page of it, each (200, 200, 3)."""
+    """Return the first view as nanogs and as the page draw it, each (200, 200, 3)."""
     require_bundle()
     view_files([("model", model)], folder / "page.html")
     seen = Seen(chromium, folder / "page.html", 200, 200)
@@ -362,6 +362,6 @@ def test_without_webgl_the_page_says_so(driver, files):
     page = browser.new_page()
     page.goto((files / "one.html").as_uri())
     page.wait_for_selector(f"{VIEW}[data-state=failed]", timeout=PATIENCE)
-    said = page.get_by_role("status").inner_text()
+    message = page.get_by_role("status").inner_text()
     browser.close()
-    assert "WebGL" in said
+    assert "WebGL" in message

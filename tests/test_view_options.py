@@ -1,4 +1,4 @@
-"""Options of views that have no effect beside others are refused, whatever command takes them."""
+"""View options that have no effect beside others are refused by every command."""
 
 import json
 
@@ -43,7 +43,7 @@ def folder(tmp_path_factory):
         (["--mixed", "--cameras", "cams.json", "--views", "2"], "--views"),
     ],
 )
-def test_compare(folder, given, option):
+def test_compare_refuses_view_options_without_effect(folder, given, option):
     assert_refused(run("compare", "a.ply", "a.ply", *given, cwd=folder), f"{option} ")
 
 
@@ -59,7 +59,7 @@ def test_compare(folder, given, option):
         (["refit", "a.ply", "a.ply", "b.ply", "--up", "1,0,0"], "--up"),
     ],
 )
-def test_a_camera_file_has_views_of_its_own(folder, words, option):
+def test_view_options_beside_a_camera_file_are_refused(folder, words, option):
     result = run(*words, "--cameras", "cams.json", cwd=folder)
     assert_refused(result, f"{option} cannot be combined with --cameras cams.json")
     assert not [path for path in folder.iterdir() if path.name not in ("a.ply", "cams.json")]
@@ -88,12 +88,12 @@ def test_a_camera_file_has_views_of_its_own(folder, words, option):
         (["compare", "a.ply", "a.ply", "--interactive"], "--interactive works only with --report"),
     ],
 )
-def test_what_has_no_effect_is_refused(folder, words, said):
+def test_options_without_effect_are_refused(folder, words, said):
     assert_refused(run(*words, cwd=folder), said)
     assert not [path for path in folder.iterdir() if path.name not in ("a.ply", "cams.json")]
 
 
-def test_what_has_an_effect_is_taken(folder, tmp_path):
+def test_options_with_an_effect_are_accepted(folder, tmp_path):
     page = ("--up", "0,0,1", "--report", tmp_path / "page.html", "-w")
     for given in (SMALL, ("--cameras", "cams.json"), ("--cameras", "cams.json", *page)):
         result = run("compare", "a.ply", "a.ply", *given, "--json", cwd=folder)

@@ -1,4 +1,4 @@
-"""Several kinds and sizes of views in one run: the numbers of each, wherever they are told."""
+"""Several kinds and sizes of views in one run, and their numbers in every output."""
 
 import json
 import math
@@ -30,7 +30,7 @@ def files(tmp_path_factory):
     return [folder / "scene.ply", folder / "small.ply"]
 
 
-def test_each_kind_at_each_size_has_numbers_of_its_own(files):
+def test_each_kind_and_size_of_views_is_scored_separately(files):
     found = nanogs.compare(*files, cameras=["auto", "roam"], pixels=[48, 96], views=2)
     assert [one.protocol.label for one in found.each] == LABELS
     psnrs = [one.models[0].psnr for one in found.each]
@@ -42,14 +42,14 @@ def test_each_kind_at_each_size_has_numbers_of_its_own(files):
         assert alone.further == ()
 
 
-def test_the_worst_view_is_said(files):
+def test_the_worst_view_is_reported(files):
     model = nanogs.compare(*files, views=3, pixels=48).models[0]
     worst = min(model.views, key=lambda view: view.psnr)
     assert (model.least_psnr, model.least_view) == (worst.psnr, worst.view)
     assert model.least_psnr < model.psnr
 
 
-def test_a_kind_looks_from_the_same_places_at_all_sizes():
+def test_a_kind_has_the_same_camera_positions_at_all_sizes():
     small, wide, large = view_sets(SCENE, ["roam"], [(48, 48), (64, 32), (96, 96)], views=2)
     for one, other in zip(small.cameras, large.cameras, strict=True):
         assert (one.world_to_camera == other.world_to_camera).all()
@@ -57,13 +57,13 @@ def test_a_kind_looks_from_the_same_places_at_all_sizes():
     assert [camera.width for camera in wide.cameras] == [64, 64]
 
 
-def test_there_are_as_many_views_as_usual_of_each_kind():
+def test_each_kind_has_its_usual_number_of_views():
     auto, inside = view_sets(SCENE, ["auto", "inside"], [(16, 16)])
     assert len(auto.cameras) == len(inside.cameras) == usual_views("auto") == 8
     assert usual_views("roam") == 24
 
 
-def test_fewer_views_than_asked_for_are_said(monkeypatch):
+def test_fewer_views_than_requested_are_noted(monkeypatch):
     monkeypatch.setattr("nanogs.views.roam.TRIES", 12)
     [found] = view_sets(SCENE, ["roam"], [(16, 16)], views=8)
     assert 1 < len(found.cameras) < 8
@@ -86,15 +86,15 @@ def test_sources_are_kinds_or_one_path():
         (["a.json"], [(16, 16)], "no camera file 'a.json'"),
     ],
 )
-def test_what_cannot_be_looked_at_is_refused(sources, sizes, words):
+def test_invalid_kinds_and_sizes_of_views_are_refused(sources, sizes, words):
     with pytest.raises(OptionError, match=words):
         view_sets(SCENE, sources, sizes)
 
 
-def test_the_command_tells_each(files):
+def test_the_command_reports_each_kind_and_size(files):
     options = ("--sizes", "48,96", "--cameras", "auto,roam", "--views", "2")
-    said = json.loads(run("compare", *files, *options, "--json").stdout)
-    each = [said, *said["further"]]
+    report = json.loads(run("compare", *files, *options, "--json").stdout)
+    each = [report, *report["further"]]
     assert [one["protocol"]["kind"] for one in each] == ["auto", "auto", "roam", "roam"]
     assert [one["protocol"]["pixels"] for one in each] == [[48, 48], [96, 96]] * 2
     table = run("compare", *files, *options)
@@ -109,7 +109,7 @@ def test_the_command_tells_each(files):
     assert "2 held-out roaming views of 96 pixels" in " ".join(table.stderr.split())
 
 
-def test_the_page_has_each_and_pictures_of_each_kind(files, tmp_path):
+def test_the_page_has_each_score_and_pictures_of_each_kind(files, tmp_path):
     page = tmp_path / "page.html"
     found = compare_files(
         ("scene", files[0]), [("small", files[1])], cameras="auto,roam", views=2,
@@ -125,7 +125,7 @@ def test_the_page_has_each_and_pictures_of_each_kind(files, tmp_path):
             assert f"{number_text(view.psnr)} dB" in text
 
 
-def test_bench_has_each_in_a_row(files):
+def test_bench_reports_each_kind_and_size_in_a_row(files):
     settings = BenchSettings(
         ratios=(0.2,), methods=("opacity",), kinds=("auto", "roam"), sizes=(32, 48), views=1,
         fit_views=1,

@@ -59,7 +59,7 @@ def test_the_same_model_gives_the_same_cameras():
 
 @pytest.mark.parametrize("model", [SCENE, cloud(room())], ids=["orbit", "inside"])
 @pytest.mark.parametrize("split", ["fit", "test"])
-def test_cameras_are_rigid_named_and_within_the_model_of_a_pinhole(model, split):
+def test_cameras_are_valid_pinhole_cameras_with_names(model, split):
     for i, camera in enumerate(automatic_cameras(model, 5, width=320, height=200, split=split)):
         pose = camera.world_to_camera
         assert np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
@@ -82,7 +82,7 @@ def test_splits_are_disjoint_and_prefixes_stable(kind):
 
 
 @pytest.mark.parametrize("size", [(512, 512), (640, 200), (200, 640)])
-def test_an_object_is_seen_from_near_and_from_far_whatever_the_image_shape(size):
+def test_an_object_is_seen_from_near_and_far_for_any_image_shape(size):
     points = ball() + (0, 7, 0)
     filled, cut = [], []
     for camera in automatic_cameras(cloud(points), 24, width=size[0], height=size[1]):
@@ -96,7 +96,7 @@ def test_an_object_is_seen_from_near_and_from_far_whatever_the_image_shape(size)
     assert max(filled) > 1.2, "some are near"
 
 
-def test_the_ground_around_a_thing_is_seen_too_and_hardly_from_beneath():
+def test_the_ground_around_an_object_is_seen_and_hardly_from_below():
     rng = np.random.default_rng(0)
     ground = rng.uniform(-1, 1, (6_000, 3)) * (3.0, 0.01, 3.0)
     thing = ball(4_000, 0.5, 1) + (0, -0.5, 0)
@@ -154,7 +154,7 @@ def test_moving_and_scaling_the_scene_moves_the_cameras(power, direction, kind):
         assert after.near == pytest.approx(before.near * scale, rel=1e-3)
 
 
-def test_flyaways_and_a_sky_do_not_move_the_cameras():
+def test_stray_splats_and_a_sky_do_not_move_the_cameras():
     points = ball()
     rng = np.random.default_rng(1)
     strays = np.concatenate([ball(400, 300.0, 2), rng.normal(size=(20, 3)) * 1e6])
@@ -181,7 +181,7 @@ def test_a_turned_room_is_still_a_room():
         assert (np.abs(camera.position @ turn) < (3.0, 1.5, 2.0)).all()
 
 
-def test_views_inside_are_not_pressed_against_a_wall():
+def test_cameras_inside_keep_a_distance_from_walls():
     points = room()
     for camera in automatic_cameras(cloud(points), 8):
         uv, z = pixels(camera, points)
@@ -211,7 +211,7 @@ def test_tiny_models_have_cameras():
         assert np.isfinite(camera.world_to_camera).all()
 
 
-def test_a_model_that_shows_nothing_is_refused():
+def test_a_model_without_visible_splats_is_refused():
     nan = cloud(ball(10))
     nan.means[:] = np.nan
     for model in (cloud(ball(10), logit=-9.0), cloud(np.zeros((0, 3))), nan):
@@ -243,7 +243,7 @@ def test_looking_straight_down_has_a_pose():
     assert np.allclose(pose @ [0, 0, 0, 1], [0, 0, 5, 1])
 
 
-def test_the_sequence_is_even():
+def test_the_low_discrepancy_sequence_is_even():
     values = low_discrepancy(np.arange(64), 2)
     counts, _, _ = np.histogram2d(*values.T, bins=4, range=[[0, 1], [0, 1]])
     assert counts.min() >= 2
@@ -286,8 +286,8 @@ def product(a, b):
 
 
 @pytest.mark.parametrize("count", [5, 8, 10, 20])
-def test_a_few_splats_are_no_room(count):
-    """By chance most of a few lie near the faces of some box; views from inside showed nothing."""
+def test_a_few_splats_are_not_taken_for_a_room(count):
+    """A few splats may lie near the faces of a box by chance; views from inside show nothing."""
     for seed in range(8):
         rng = np.random.default_rng(seed)
         splats = random_splats(count, degree=0)

@@ -24,13 +24,13 @@ from nanogs.splats import Splats, concatenate
 from nanogs.views.automatic import automatic_cameras
 
 
-def looking(**given):
-    """Parameters that views are chosen by."""
+def view_parameters(**given):
+    """Return the parameters that views are chosen by."""
     return ForestParameters(**({"views": 14, "view_size": 768, "further": 0} | given))
 
 
 def box_with_something_inside():
-    """Opaque walls of flat splats about a small splat, which is the last row."""
+    """Return a box with opaque walls of splats, and one splat at its centre as the last row."""
     side = np.linspace(-1, 1, 13)
     u, v = (part.ravel() for part in np.meshgrid(side, side))
     walls = [np.insert(np.c_[u, v], axis, at, axis=1) for axis in range(3) for at in (-1.0, 1.0)]
@@ -45,20 +45,20 @@ def box_with_something_inside():
     )
 
 
-def test_what_is_hidden_counts_little_and_what_no_view_holds_counts_whole():
+def test_hidden_splats_get_a_low_weight_and_unseen_ones_a_full_weight():
     splats = box_with_something_inside()
-    views = looked(splats, None, looking())
+    views = looked(splats, None, view_parameters())
     assert views.visible[-1] < 0.005
     assert np.median(views.visible[:-1]) > 0.05  # the splats of a wall hide each other too
     assert (views.visible <= 1).all()
     away = [dataclasses.replace(camera, world_to_camera=np.diag([-1.0, 1, -1, 1])
             @ camera.world_to_camera) for camera in automatic_cameras(splats, 1)]  # fmt: skip
-    assert (looked(splats, away, looking()).visible == 1).all()
+    assert (looked(splats, away, view_parameters()).visible == 1).all()
 
 
 @pytest.mark.parametrize("blocks", [{}, {"block": 400}])
-def test_cameras_that_show_nothing_are_told(tmp_path, blocks):
-    """As those of another frame than the model's do."""
+def test_cameras_that_see_no_splats_are_noted_in_the_report(tmp_path, blocks):
+    """For example cameras of another coordinate frame."""
     splats = box_with_something_inside()
     nanogs.save(splats, tmp_path / "in.ply")
     cameras = automatic_cameras(splats, 3, width=64, height=64)
@@ -66,35 +66,35 @@ def test_cameras_that_show_nothing_are_told(tmp_path, blocks):
         dataclasses.replace(each, world_to_camera=np.diag([-1.0, 1, -1, 1]) @ each.world_to_camera)
         for each in cameras
     ]
-    told = []
-    for place, views in enumerate((cameras, away)):
+    notes = []
+    for index, views in enumerate((cameras, away)):
         report = nanogs.simplify_blocks(
-            tmp_path / "in.ply", tmp_path / f"{place}.ply", ratio=0.5, cameras=views, steps=2,
+            tmp_path / "in.ply", tmp_path / f"{index}.ply", ratio=0.5, cameras=views, steps=2,
             **blocks,
         )  # fmt: skip
-        told.append([note for note in report.notes if "No view shows the model" in note])
-        assert (report.shown > 0) == (not told[-1])
-    assert list(map(len, told)) == [0, 1]
+        notes.append([note for note in report.notes if "No view shows the model" in note])
+        assert (report.shown > 0) == (not notes[-1])
+    assert list(map(len, notes)) == [0, 1]
 
 
 @pytest.mark.parametrize("blocks", [{}, {"block": 400}])
-def test_cameras_of_which_some_show_nothing_are_told(tmp_path, blocks):
-    """In another frame some happen to look at the model, and the rest would go unnoticed."""
+def test_some_cameras_that_see_no_splats_are_noted_in_the_report(tmp_path, blocks):
+    """In another frame some cameras may happen to see the model; the others are noted too."""
     splats = box_with_something_inside()
     nanogs.save(splats, tmp_path / "in.ply")
     cameras = automatic_cameras(splats, 4, width=64, height=64)
-    for place in (1, 3):
-        back = np.diag([-1.0, 1, -1, 1]) @ cameras[place].world_to_camera
-        cameras[place] = dataclasses.replace(cameras[place], world_to_camera=back)
+    for index in (1, 3):
+        back = np.diag([-1.0, 1, -1, 1]) @ cameras[index].world_to_camera
+        cameras[index] = dataclasses.replace(cameras[index], world_to_camera=back)
     report = nanogs.simplify_blocks(
         tmp_path / "in.ply", tmp_path / "out.ply", ratio=0.5, cameras=cameras, steps=2, **blocks
     )
-    [told] = [note for note in report.notes if "views show nothing of the model" in note]
-    assert "2 of the 4 views show" in told
-    assert "another frame" in told
+    [found] = [note for note in report.notes if "views show nothing of the model" in note]
+    assert "2 of the 4 views show" in found
+    assert "another frame" in found
 
 
-def test_the_report_says_what_share_of_the_model_is_seen():
+def test_the_report_gives_the_visible_share_of_the_model():
     coverages, visible = np.array([2.0, 1.0, 1.0, 1.0]), np.array([1.0, 0.5, 1.0, 0.005])
     missed = np.array([False, False, True, False])
     assert visibility.shown_share(coverages, visible, missed) == pytest.approx(3 / 5)
@@ -114,8 +114,8 @@ def test_weights_of_hidden_splats_are_a_hundredth():
 
 
 @pytest.mark.parametrize("whole", [True, False])
-def test_colours_of_splats_that_views_hardly_show_count_a_tenth(whole):
-    """In views that are reduced, or in parts of views, which keep their pixels."""
+def test_colours_of_hardly_visible_splats_have_a_tenth_of_the_weight(whole):
+    """Views are either scaled down, or cropped at full resolution."""
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=300, height=300)
     if not whole:
@@ -124,7 +124,7 @@ def test_colours_of_splats_that_views_hardly_show_count_a_tenth(whole):
     weights = weights_of_colours(splats, fitting) / precision.visibility(splats)
     assert weights[-1] == pytest.approx(HIDDEN, abs=0.01)
     assert 0.5 < weights.max() <= 1.0 + 1e-12
-    # What others hide that are drawn beside it, and what no view holds.
+    # A splat that surrounding splats hide, and splats that no view sees.
     alone = splats.take(np.array([len(splats) - 1]))
     walls = prepare(splats.take(np.arange(len(splats) - 1)))
     beside = dataclasses.replace(fitting, surroundings=walls)
@@ -133,9 +133,9 @@ def test_colours_of_splats_that_views_hardly_show_count_a_tenth(whole):
     assert weights_of_colours(alone, Fitting([])) == pytest.approx(precision.visibility(alone))
 
 
-def test_the_original_is_judged_as_perfect_and_one_view_in_six_decides():
+def test_the_original_scores_nearly_perfectly_and_one_view_in_six_validates():
     splats = box_with_something_inside()
-    views = looked(splats, None, looking(views=12))
+    views = looked(splats, None, view_parameters(views=12))
     names = [f"fit_{i:03}" for i in range(12)]
     [group] = views.groups
     assert [view.camera.name for view in group.targets] == [names[3], names[9]]
@@ -146,21 +146,21 @@ def test_the_original_is_judged_as_perfect_and_one_view_in_six_decides():
     assert judged(splats.take(np.arange(100)), views)[0] < 30
 
 
-def test_the_users_cameras_are_the_ones_looked_through():
+def test_given_cameras_are_the_ones_rendered():
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=1000, height=500)
-    views = looked(splats, cameras, looking(view_size=256))
+    views = looked(splats, cameras, view_parameters(view_size=256))
     both = [*views.groups[0].targets, *views.fitting]
     assert {(view.camera.width, view.camera.height) for view in both} == {(256, 128)}
     assert {view.image.shape for view in both} == {(128, 256, 4)}
     assert len(both) == 3
 
 
-def test_further_views_are_others_than_those_looked_at():
+def test_further_views_differ_from_the_other_views():
     splats = box_with_something_inside()
     for cameras in (None, automatic_cameras(splats, 90, width=64, height=64)):
         for further in (9, PICTURES - 5):
-            given = looking(views=6, view_size=48, further=further)
+            given = view_parameters(views=6, view_size=48, further=further)
             views = looked(splats, cameras, given)
             every = [view for group in views.groups for view in group.targets]
             every += [view for view in views.fitting if view.blocks == ALL_BLOCKS]
@@ -170,40 +170,42 @@ def test_further_views_are_others_than_those_looked_at():
             assert len(names) == 6 + further
             assert {camera.width for camera in (*cameras_of, *views.views.further)} == {48}
             assert len(views.fit_views(0, 0).fitting) == 5 + further
-    few = looked(splats, cameras[:7], looking(views=6, view_size=48, further=9))
+    few = looked(splats, cameras[:7], view_parameters(views=6, view_size=48, further=9))
     assert len(few.views.further) == 1
 
 
-def test_a_few_further_views_are_kept_by_halves_and_many_are_not():
+def test_few_further_views_are_kept_in_halves_and_many_are_not_kept():
     splats = box_with_something_inside()
-    few = looked(splats, None, looking(views=6, view_size=48, further=4))
+    few = looked(splats, None, view_parameters(views=6, view_size=48, further=4))
     assert [view.blocks for view in few.fitting[5:]] == [*FIELDS, *FIELDS]
     names = [view.camera.name for view in few.fitting[5:]]
     assert names == [camera.name for camera in few.views.further]
-    whole = looked(splats, None, looking(views=6, view_size=48, further=4, halves=False))
+    whole = looked(splats, None, view_parameters(views=6, view_size=48, further=4, halves=False))
     assert [view.blocks for view in whole.fitting[5:]] == [ALL_BLOCKS] * 4
-    assert len(looked(splats, None, looking(views=6, view_size=48, further=60)).fitting) == 5
-    assert len(looked(splats, None, looking(views=6, steps=0, further=4)).fitting) == 5
+    assert (
+        len(looked(splats, None, view_parameters(views=6, view_size=48, further=60)).fitting) == 5
+    )
+    assert len(looked(splats, None, view_parameters(views=6, steps=0, further=4)).fitting) == 5
 
 
-def test_a_lone_view_decides_and_nothing_is_fitted():
+def test_a_single_view_only_validates_and_nothing_is_fitted():
     splats = random_splats(300)
-    assert len(looked(splats, None, looking(views=1)).groups) == 1
+    assert len(looked(splats, None, view_parameters(views=1)).groups) == 1
     _, report = nanogs.simplify(splats, ratio=0.5, views=1, further=0)
     assert report.refit is None
     assert any("not fitted" in note for note in report.notes)
 
 
-def test_the_report_of_the_fit_says_how_many_views_it_had():
+def test_the_report_of_the_fit_gives_its_number_of_views():
     given = {"views": 8, "further": 0, "view_size": 48, "steps": 2}
     _, report = nanogs.simplify(random_splats(300), ratio=0.5, **given)
-    said = report.refit.parameters
-    assert said["views"] == len(report.refit.fit_views) == 7
-    assert said["validation"] == len(report.refit.validation_views) == 1
+    parameters = report.refit.parameters
+    assert parameters["views"] == len(report.refit.fit_views) == 7
+    assert parameters["validation"] == len(report.refit.validation_views) == 1
 
 
 def test_hidden_splats_are_merged_first():
-    """Of a box and a ball of as many splats inside it, the ball gives way."""
+    """Splats inside an opaque box are merged more than by a preset that renders nothing."""
     box = box_with_something_inside()
     outside = len(box) - 1
     means = np.random.default_rng(7).uniform(-0.4, 0.4, (400, 3)).astype(np.float32)
@@ -216,10 +218,10 @@ def test_hidden_splats_are_merged_first():
     assert inside[0] < 0.9 * inside[1]
 
 
-def test_nothing_visible_is_said_and_the_count_still_met():
+def test_an_invisible_model_is_noted_and_still_reduced_to_the_count():
     splats = random_splats(100)
     splats.opacity_logits[:] = -7  # alpha 0.0009
-    assert looked(splats, None, looking()).views.kept == ()
+    assert looked(splats, None, view_parameters()).views.kept == ()
     small, report = nanogs.simplify(splats, count=13)
     assert len(small) == 13
     assert report.stop == StopReason.TARGET
@@ -228,13 +230,13 @@ def test_nothing_visible_is_said_and_the_count_still_met():
     assert nanogs.simplify(splats, count=13, preset="fast")[1].notes == ()
 
 
-def test_what_can_be_seen_from_free_space_is_not_hidden():
-    """Cameras around see the box alone; one that stands in it sees what it holds."""
+def test_splats_seen_from_free_space_are_not_hidden():
+    """Cameras around the box see only the box; a roaming camera inside it sees its content."""
     splats = box_with_something_inside()
     around = automatic_cameras(splats, 5, width=48, height=48, habit=False)
-    assert looked(splats, around, looking(roaming=8)).views.notes == ()
-    alone = looked(splats, None, looking(views=5, view_size=48))
-    wandered = looked(splats, None, looking(views=5, view_size=48, roaming=8))
+    assert looked(splats, around, view_parameters(roaming=8)).views.notes == ()
+    alone = looked(splats, None, view_parameters(views=5, view_size=48))
+    wandered = looked(splats, None, view_parameters(views=5, view_size=48, roaming=8))
     assert (wandered.visible >= alone.visible).all()
     assert (wandered.visible > alone.visible).any()
     assert (alone.missed | ~wandered.missed).all()
@@ -242,23 +244,27 @@ def test_what_can_be_seen_from_free_space_is_not_hidden():
         assert len(getattr(wandered, name)) == len(getattr(alone, name))
 
 
-def test_it_is_said_where_fewer_roaming_views_are_found(monkeypatch):
+def test_too_few_roaming_views_are_noted(monkeypatch):
     def none(*_, **__):
         raise ModelError("none")
 
     monkeypatch.setattr(visibility, "roaming_cameras", none)
-    views = looked(box_with_something_inside(), None, looking(views=3, view_size=32, roaming=2))
+    views = looked(
+        box_with_something_inside(), None, view_parameters(views=3, view_size=32, roaming=2)
+    )
     assert views.views.notes == ("Only 0 of 2 roaming views could be found.",)
     model = random_splats(3)
     camera = automatic_cameras(model, 1, width=32, height=32)[0]
     monkeypatch.setattr(visibility, "roaming_cameras", lambda *_, **__: [camera, camera])
     assert visibility.roaming_views(model, 2) == ([camera, camera], ())
-    says = "Only 2 of 3 roaming views could be found."
-    assert visibility.roaming_views(model, 3) == ([camera, camera], (says,))
+    note = "Only 2 of 3 roaming views could be found."
+    assert visibility.roaming_views(model, 3) == ([camera, camera], (note,))
 
 
 @pytest.mark.parametrize("block", [None, 150])
-def test_views_too_small_to_choose_by_are_refused_before_the_forest(block, tmp_path, monkeypatch):
+def test_views_too_small_to_compare_results_are_refused_before_growing(
+    block, tmp_path, monkeypatch
+):
     path, stages, done = tmp_path / "a.ply", [], run.do
     nanogs.save(random_splats(300), path)
     cameras = automatic_cameras(nanogs.load(path), 3, width=160, height=20)
@@ -283,7 +289,7 @@ def test_views_too_small_to_choose_by_are_refused_before_the_forest(block, tmp_p
 
 
 def rooms(count):
-    """Closed boxes in a row along x, and a camera in each but the last, which looks along x."""
+    """Return closed boxes in a row along x, and in each but the last a camera along x."""
     box, cameras = box_with_something_inside(), []
     model = concatenate([box] * count)
     model.means[:, 0] += np.repeat(3 * np.arange(count), len(box)).astype(np.float32)
@@ -296,13 +302,13 @@ def rooms(count):
 
 
 @pytest.mark.parametrize("blocks", [False, True])
-def test_where_each_view_shows_something_new_what_none_shows_is_not_hidden(
+def test_unseen_splats_do_not_count_as_hidden_if_views_overlap_little(
     tmp_path, monkeypatch, blocks
 ):
     model, cameras = rooms(4)
     nanogs.save(model, tmp_path / "in.ply")
-    kept = []
-    for new in (visibility.NEW, 1.0):  # and as if no view could leave anything out
+    counts = []
+    for new in (visibility.NEW, 1.0):  # 1.0: as if no view could leave anything out
         monkeypatch.setattr(visibility, "NEW", new)
         given = {"ratio": 0.1, "cameras": cameras, "steps": 0, "view_size": 96}
         if blocks:
@@ -312,18 +318,18 @@ def test_where_each_view_shows_something_new_what_none_shows_is_not_hidden(
             small = nanogs.load(tmp_path / "out.ply")
         else:
             small, _ = nanogs.simplify(model, **given)
-        kept.append(np.count_nonzero(small.means[:, 0] > 7.5))
-    assert kept[0] > 1.5 * kept[1]
+        counts.append(np.count_nonzero(small.means[:, 0] > 7.5))
+    assert counts[0] > 1.5 * counts[1]
 
 
-def test_what_views_leave_out_follows_from_what_one_of_them_alone_shows():
+def test_missed_light_is_estimated_from_splats_in_a_single_view():
     def view(contributions, unoccluded, pixels):
         return SimpleNamespace(
             contributions=np.array(contributions, float), unoccluded=np.array(unoccluded, float),
             alpha=np.zeros(pixels),
         )  # fmt: skip
 
-    # Splats: in two views; in one; in none; hidden but for less than 0.01; of a block beside.
+    # Splats: in two views; in one; in none; almost hidden (below 0.01); of another block.
     looked, anywhere = visibility.SplatContributions(5), visibility.SplatContributions(5)
     looked.add(view([40, 0, 0, 0.1, 9], [50, 20, 30, 40, 9], 100))
     looked.add(view([10, 0, 0, 0, 0], [50, 20, 30, 40, 9], 100))
@@ -335,7 +341,7 @@ def test_what_views_leave_out_follows_from_what_one_of_them_alone_shows():
     assert both.hidden(0.03) == pytest.approx(0.4 / 1.9)
     assert both.hidden(0.5) == 0.5
     assert (both + visibility.MissedLight(0.0, 0.099, 0.1)).hidden(0.03) == pytest.approx(0.2)
-    assert visibility.MissedLight(0.009, 1.0, 0.1).hidden(0.03) == 0.03  # all has been seen
+    assert visibility.MissedLight(0.009, 1.0, 0.1).hidden(0.03) == 0.03  # everything has been seen
     assert visibility.MissedLight(0.011, 1.0, 0.1).hidden(0.03) == pytest.approx(0.11)
     assert visibility.MissedLight(3.0, 4.0, 0.1).hidden(0.03) == 1.0
     assert visibility.MissedLight(3.0, 4.0, 0.0).hidden(0.03) == 0.03

@@ -1,4 +1,4 @@
-"""`nanogs warm`, and the table of kernels that it and first runs go by."""
+"""`nanogs warm`, and the table of the kernels that it and first runs compile."""
 
 import importlib
 import inspect
@@ -21,16 +21,16 @@ from nanogs.kernels.needed import needed
 from nanogs.parallel import ParallelKernel
 
 REMEDY = "run `python benchmarks/signatures.py`"
-# What few runs need, and compile when they do.
-SELDOM = {
+# Kernels that few runs need, and that are compiled only then.
+RARELY_NEEDED = {
     "listing.extent_of",  # pictures of models that are not held in memory
     "listing.cut_boxes",
-    "pairs.tally_free",  # a matching of a million splats of which rounds leave most
+    "pairs.tally_free",  # a matching of a million splats, most of which are left after some rounds
 }
 
 
 def every_kernel():
-    """Name and Python function of all kernels, not of what is inlined."""
+    """Yield name and Python function of each kernel, without inlined functions."""
     for module in pkgutil.walk_packages(nanogs.kernels.__path__, "nanogs.kernels."):
         for name, value in vars(importlib.import_module(module.name)).items():
             kernel = value._compiled if isinstance(value, ParallelKernel) else value
@@ -47,7 +47,7 @@ compiled_only = pytest.mark.skipif(
 @compiled_only
 def test_the_table_names_every_kernel_and_the_arguments_that_it_takes():
     functions = dict(every_kernel())
-    assert set(functions) - {one.name for one in needed()} == SELDOM, REMEDY
+    assert set(functions) - {one.name for one in needed()} == RARELY_NEEDED, REMEDY
     for one in needed():
         types, _ = sigutils.normalize_signature(one.types)
         assert len(types) == len(inspect.signature(functions[one.name]).parameters), REMEDY
@@ -80,7 +80,7 @@ main()
 
 @compiled_only
 @pytest.mark.slow
-def test_after_it_no_preset_compiles_anything(tmp_path):
+def test_after_warm_no_preset_compiles_anything(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
     def run(*arguments, **further):
@@ -90,27 +90,27 @@ def test_after_it_no_preset_compiles_anything(tmp_path):
         )  # fmt: skip
 
     run("-m", "nanogs", "warm", NUMBA_CACHE_DIR=os.environ.get("NUMBA_CACHE_DIR", ""))
-    # All but a few are there: to compile them all again takes half a minute.
-    places = (
+    # Copy all but a few kernels, because compiling them all takes half a minute.
+    script = (
         "from nanogs.kernels.needed import *; print(*(one.folder for one in needed()), sep='\\n')"
     )
-    theirs = dict.fromkeys(run("-c", places).stdout.splitlines())
+    theirs = dict.fromkeys(run("-c", script).stdout.splitlines())
     ours = dict.fromkeys(one.folder for one in needed())
     missing = ("radix.", "assign.", "nodes.principal_axes")
-    for folder, place in zip(ours, map(Path, theirs), strict=True):
-        shutil.copytree(folder, place, dirs_exist_ok=True)
+    for folder, target in zip(ours, map(Path, theirs), strict=True):
+        shutil.copytree(folder, target, dirs_exist_ok=True)
         for name in missing:
-            for index in place.glob(f"{name}*.nbi"):
+            for index in target.glob(f"{name}*.nbi"):
                 index.unlink()
     first = run("-m", "nanogs", "warm", "--json")
     again = run("-m", "nanogs", "warm")
-    told = json.loads(first.stdout)
+    report = json.loads(first.stdout)
     assert first.stderr == ""
     gone = [one for one in needed() if one.name.startswith(missing)]
-    assert told["compiled"] == len(gone) > 3
-    assert told["kernels"] == len(needed())
-    assert all(folder.startswith(str(tmp_path)) for folder in told["folders"])
-    assert f"{told['kernels']} kernels for {told['processor']}" in again.stderr
+    assert report["compiled"] == len(gone) > 3
+    assert report["kernels"] == len(needed())
+    assert all(folder.startswith(str(tmp_path)) for folder in report["folders"])
+    assert f"{report['kernels']} kernels for {report['processor']}" in again.stderr
     assert "all compiled already" in again.stderr
     run("-m", "nanogs", "demo", "scene.ply", "--count", "2000")
     small = ("--steps", "2", "--views", "2", "--view-size", "64")
@@ -120,25 +120,25 @@ def test_after_it_no_preset_compiles_anything(tmp_path):
     assert run("-c", RUNS, "convert", "scene.ply", "scene.sog").stdout == "", REMEDY
 
 
-def test_it_says_that_numba_is_told_to_compile_nothing():
-    told = subprocess.run(
+def test_warm_refuses_to_run_with_compilation_disabled():
+    result = subprocess.run(
         [sys.executable, "-m", "nanogs", "warm"],
         env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert told.returncode == 2
-    assert told.stderr.count("\n") == 1
-    assert "unset it" in told.stderr
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "unset it" in result.stderr
 
 
 @compiled_only
 @pytest.mark.parametrize("workers", [0, 1.5, "2", True])
-def test_processes_are_a_whole_number(workers):
+def test_the_number_of_processes_must_be_a_whole_number(workers):
     words = f"workers must be a whole number, 1 or more, not {workers!r}"
     with pytest.raises(OptionError, match=words):
         warming.warm(workers=workers)
 
 
-def test_kernels_that_cannot_be_kept_are_not_compiled(tmp_path):
+def test_an_unwritable_cache_folder_is_refused(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(NanogsError, match="NUMBA_CACHE_DIR"):
         warming._check_writable(tmp_path / "file" / "kernels")

@@ -29,7 +29,7 @@ SOURCES = (
 
 @pytest.fixture
 def sources(tmp_path):
-    """A copy of the sources; of what is ignored only the bundle."""
+    """A copy of the sources; of ignored files, only the viewer bundle."""
     require_bundle()
     ignored = shutil.ignore_patterns("__pycache__", "node_modules")
     root = tmp_path / "sources"
@@ -43,7 +43,7 @@ def sources(tmp_path):
 
 
 def build(root, target, **environment):
-    """Build it where no Node is, unless a PATH is given."""
+    """Build a package without Node on the PATH, unless a PATH is given."""
     surroundings = {**os.environ, "PATH": str(root / "none"), **environment}
     command = [sys.executable, "-m", "hatchling", "build", "-t", target, "-d", str(root / "dist")]
     return subprocess.run(
@@ -52,7 +52,7 @@ def build(root, target, **environment):
 
 
 def test_the_wheel_has_the_viewer_and_its_licences(sources):
-    """Without Node, as the bundle is current."""
+    """Built without Node, because the bundle is current."""
     result = build(sources, "wheel")
     assert result.returncode == 0, result.stderr
     [wheel] = (sources / "dist").glob("*.whl")
@@ -73,7 +73,7 @@ def test_the_wheel_has_the_viewer_and_its_licences(sources):
         assert holder in text
 
 
-def test_a_source_archive_has_what_a_wheel_is_built_of(sources):
+def test_a_source_archive_has_all_files_to_build_a_wheel(sources):
     result = build(sources, "sdist")
     assert result.returncode == 0, result.stderr
     [archive] = (sources / "dist").glob("*.tar.gz")
@@ -85,7 +85,7 @@ def test_a_source_archive_has_what_a_wheel_is_built_of(sources):
 
 
 def fake_node(folder, npm):
-    """A Node whose npm does what the shell script says."""
+    """Write a fake Node whose npm runs the given shell script; return its folder."""
     folder.mkdir()
     for name, script in (("node", "echo v22.0.0"), ("npm", npm)):
         path = folder / name
@@ -95,7 +95,7 @@ def fake_node(folder, npm):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the npm of this test is a shell script")
-def test_a_build_fails_loudly_where_npm_does(sources, tmp_path):
+def test_a_build_fails_with_a_message_if_npm_fails(sources, tmp_path):
     (sources / "src" / BUNDLE).unlink()
     path = fake_node(tmp_path / "bin", "echo registry out of reach >&2; exit 1")
     result = build(sources, "wheel", PATH=path)
@@ -105,7 +105,7 @@ def test_a_build_fails_loudly_where_npm_does(sources, tmp_path):
     assert not (sources / "src" / BUNDLE).exists()
 
 
-def test_a_build_without_the_viewer_has_to_be_asked_for(sources):
+def test_a_build_without_the_viewer_must_be_requested(sources):
     result = build(sources, "wheel", NANOGS_NO_VIEWER="1")
     assert result.returncode == 0, result.stderr
     assert "without `nanogs view`" in result.stdout + result.stderr
@@ -122,7 +122,7 @@ def test_a_bundle_of_other_sources_is_not_current(sources):
     assert not script.is_current()
 
 
-def test_a_build_asks_for_node_where_there_is_none(sources, monkeypatch):
+def test_a_build_requires_a_node_package_if_node_is_missing(sources, monkeypatch):
     script = bundle_script(sources)
     script.TARGET.unlink()
     monkeypatch.setenv("PATH", str(sources / "none"))
@@ -132,12 +132,12 @@ def test_a_build_asks_for_node_where_there_is_none(sources, monkeypatch):
 
 def test_an_unknown_licence_stops_the_build(sources, monkeypatch):
     script = bundle_script(sources)
-    for place, text in (
+    for package, text in (
         ("three", "The MIT License\n\nCopyright © 2010-2026 three.js authors"),
         ("@sparkjsdev/spark", "under terms that no one here has read"),
         ("fflate", "MIT License"),
     ):
-        folder = sources / "viewer" / "node_modules" / place
+        folder = sources / "viewer" / "node_modules" / package
         folder.mkdir(parents=True)
         (folder / "LICENSE").write_text(text, encoding="utf-8")
     with pytest.raises(script.BundleError, match=r"lacks the licence of node_modules/@sparkjsdev"):

@@ -1,4 +1,4 @@
-"""Random wishes for a size, and what they once broke."""
+"""Random requests for a size, and cases that once failed."""
 
 import json
 from dataclasses import replace
@@ -22,15 +22,15 @@ PRESETS = ("fast", "default")
 
 
 @pytest.mark.parametrize("number", range(20))
-def test_wishes_are_met_or_refused_in_a_sentence(number):
-    wish = draw(np.random.default_rng([2, number]), {}, PRESETS)
-    if wish.way == "command" or wish.suffix == ".html":  # which take longer
-        wish = replace(wish, way="memory", suffix=".spz", options={})
-    assert fulfil(wish).wrong == "", wish
+def test_random_requests_are_met_or_refused_with_a_clear_message(number):
+    request = draw(np.random.default_rng([2, number]), {}, PRESETS)
+    if request.way == "command" or request.suffix == ".html":  # which take longer
+        request = replace(request, way="memory", suffix=".spz", options={})
+    assert fulfil(request).wrong == "", request
 
 
 def bytes_named(error):
-    """The last number of bytes in a sentence."""
+    """Return the last number of bytes that an error names."""
     return int(str(error).rpartition(" B; allow")[0].rpartition(" ")[2].replace(",", ""))
 
 
@@ -45,7 +45,7 @@ def bytes_named(error):
         (".ply", "default", 15),
     ],
 )
-def test_the_smallest_size_that_is_named_can_be_had(tmp_path, suffix, preset, block):
+def test_the_smallest_size_that_an_error_names_works(tmp_path, suffix, preset, block):
     given = {"preset": preset, **(FEW if preset == "default" else {})}
     source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
     nanogs.save(random_splats(24, degree=2), source)
@@ -69,7 +69,7 @@ def test_the_smallest_size_that_is_named_can_be_had(tmp_path, suffix, preset, bl
 @pytest.mark.parametrize(
     ("suffix", "block"), [(".ply", None), (".sog", None), (".ply", 24), (".sog", 24)]
 )
-def test_harmonics_go_where_only_so_anything_fits(tmp_path, suffix, block):
+def test_harmonics_are_dropped_if_nothing_fits_otherwise(tmp_path, suffix, block):
     splats = random_splats(24, degree=3)
     source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
     nanogs.save(splats, source)
@@ -82,8 +82,8 @@ def test_harmonics_go_where_only_so_anything_fits(tmp_path, suffix, block):
 
 
 @pytest.mark.parametrize("block", [None, 60])
-def test_a_size_of_fewer_harmonics_is_used(tmp_path, block):
-    """Fewer harmonics that are asked for are counted as such, however the count is found."""
+def test_a_size_with_a_lower_sh_degree_is_used_up(tmp_path, block):
+    """The requested SH degree decides the bytes per splat, in memory and in blocks."""
     source, out = tmp_path / "in.ply", tmp_path / "out.ply"
     nanogs.save(random_splats(60, degree=3), source)
     size = 3000
@@ -94,13 +94,13 @@ def test_a_size_of_fewer_harmonics_is_used(tmp_path, block):
 
 
 @pytest.mark.parametrize("wish", [{"ratio": 1}, {"size": "1MB"}], ids=str)
-def test_fewer_harmonics_of_the_whole_model_are_fewer(wish):
+def test_a_lower_sh_degree_also_applies_if_all_splats_are_kept(wish):
     small, _ = nanogs.simplify(random_splats(20, degree=2), sh_degree=1, **wish, **FEW)
     assert (len(small), small.sh_degree) == (20, 1)
 
 
 @pytest.mark.parametrize(("suffix", "block"), [(".splat", None), (".ply", 40)])
-def test_what_a_splat_too_many_takes_is_said(tmp_path, suffix, block):
+def test_a_note_gives_the_size_with_one_more_splat(tmp_path, suffix, block):
     splats = random_splats(40, degree=0)
     file_bytes = registry.writable(Path(f"a{suffix}")).file_bytes
     source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
@@ -116,27 +116,27 @@ def test_what_a_splat_too_many_takes_is_said(tmp_path, suffix, block):
     assert any("whole model fits" in note for note in report.notes)
 
 
-def test_a_splat_that_is_far_smaller_than_its_place_tells_is_opened():
+def test_a_splat_too_small_for_its_coordinates_has_a_first_view():
     one = random_splats(1)
     opening = opening_for(replace(one, log_scales=one.log_scales - 80))
     assert np.isfinite([*opening.position, *opening.target]).all()
 
 
-def test_a_wish_is_the_same_each_time():
+def test_a_random_request_is_reproducible():
     first, again = (draw(np.random.default_rng(5), {}, PRESETS) for _ in range(2))
     assert (str(first), fulfil(first)) == (str(again), fulfil(again))
     assert isinstance(first, Wish)
 
 
-def test_a_large_head_of_a_file_does_not_make_the_search_creep():
-    """Bytes that no splat takes: counts follow the line, not the mean of what each takes."""
+def test_a_large_file_header_does_not_slow_down_the_size_search():
+    """Counts are extrapolated along a line with an offset, not by the mean bytes per splat."""
     fitted = search_fit(lambda count: 4000 + 25 * count, 5250, 20, 1, 10**6)
     assert fitted.bytes >= 0.98 * 5250
     assert len(fitted.probes) <= 3
 
 
-def test_what_is_around_the_splats_of_a_page_is_no_use_of_its_size():
-    """Of a size that is hardly more than the viewer's, the splats take what it leaves."""
+def test_the_viewer_in_a_page_does_not_count_as_used_size():
+    """If the size is hardly above the viewer's, the splats still use all that it leaves."""
     viewer = 1_400_000
     fitted = search_fit(lambda n: viewer + 20 * n, viewer + 10_000, 1, 1, 10**6, around=viewer)
     assert fitted.bytes - viewer >= 0.98 * 10_000
@@ -144,7 +144,7 @@ def test_what_is_around_the_splats_of_a_page_is_no_use_of_its_size():
     assert "of the requested size" in replace(fitted, bytes=viewer).leap(10**7, 10**6, viewer)[0]
 
 
-def test_a_page_takes_the_size_that_the_viewer_leaves(tmp_path):
+def test_a_page_uses_the_size_that_the_viewer_leaves(tmp_path):
     scene = random_splats(400)
     one = tmp_path / "one.html"
     nanogs.save(scene.take(np.arange(1)), one)
@@ -177,7 +177,7 @@ def test_a_search_says_why_it_ended(bytes_of, available, stop):
 
 @pytest.mark.parametrize("block", [None, 15])
 def test_a_report_says_why_the_search_for_a_size_ended(tmp_path, block):
-    """A splat of so few takes more than 2 % of the size, which may stay unused."""
+    """With so few splats, one takes more than the 2 % of the size that may stay unused."""
     source = tmp_path / "in.ply"
     nanogs.save(random_splats(40), source)
     report = nanogs.simplify_blocks(
@@ -186,7 +186,7 @@ def test_a_report_says_why_the_search_for_a_size_ended(tmp_path, block):
     assert report.stop == ("target" if report.achieved_size >= 0.98 * 900 else "step")
 
 
-def test_a_job_that_cannot_be_divided_leaves_nothing(tmp_path):
+def test_a_job_that_cannot_be_divided_leaves_no_files(tmp_path):
     source = tmp_path / "in.ply"
     nanogs.save(random_splats(1).take(np.zeros(20, np.int64)), source)
     with pytest.raises(CrowdedError, match=r"20 splats lie in one place.*; raise `block`"):
@@ -194,7 +194,7 @@ def test_a_job_that_cannot_be_divided_leaves_nothing(tmp_path):
     assert [*tmp_path.iterdir()] == [source]
 
 
-def test_a_search_for_what_a_format_cannot_hold_leaves_nothing(tmp_path):
+def test_a_size_search_for_an_unstorable_model_leaves_no_files(tmp_path):
     source, splats = tmp_path / "in.ply", random_splats(40)
     far = replace(splats, means=splats.means + np.float32([1e8, 0, 0]))
     nanogs.save(far, source)
@@ -203,7 +203,7 @@ def test_a_search_for_what_a_format_cannot_hold_leaves_nothing(tmp_path):
     assert [*tmp_path.iterdir()] == [source]
 
 
-def test_a_dry_run_in_blocks_counts_fewer_harmonics_too(tmp_path):
+def test_a_dry_run_in_blocks_applies_the_sh_degree(tmp_path):
     source, out = tmp_path / "in.ply", tmp_path / "out.ply"
     nanogs.save(random_splats(60, degree=3), source)
     given = ("--size", 3000, "--sh-degree", 0, "--job", tmp_path / "job", "--dry-run", "--json")

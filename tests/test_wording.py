@@ -1,4 +1,4 @@
-"""Sentences as people write them: one of a thing, and many of it."""
+"""Wording of messages and docstrings: singular and plural, units, and names that exist."""
 
 import ast
 import math
@@ -32,7 +32,7 @@ DOTTED = re.compile(r"`((?:[A-Za-z_]\w*\.)+[A-Za-z_]\w*)`")
 FILES = {"bin", "json", "lcc", "ply", "py", "rad", "txt"}
 FOREIGN = {"Client", "Transforms", "concurrent", "dataclasses", "json", "np", "numpy", "time"}
 FOREIGN |= {"torch", "typer"}
-# A number in a sentence before a plural that a single thing would make wrong.
+# A number before a fixed plural, which is wrong if the number is 1.
 PLURAL = re.compile(
     r"\{[^{}]*\}\s+(splats|bytes|views|rows|photographs)\s+(with|have|has|are|were|is)\b"
 )
@@ -43,11 +43,11 @@ OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 @pytest.mark.parametrize(
     ("count", "text"), [(0, "0 splats"), (1, "1 splat"), (2, "2 splats"), (1500, "1,500 splats")]
 )
-def test_counted(count, text):
+def test_counted_uses_singular_and_plural(count, text):
     assert counted(count, "splat") == text
 
 
-def test_what_follows_a_number_follows_it():
+def test_words_after_a_number_agree_with_it():
     assert counted(1, "opacity is", "opacities are") == "1 opacity is"
     assert counted(3, "opacity is", "opacities are") == "3 opacities are"
     assert undrawn(1) == "1 splat with a NaN or infinite value was not drawn"
@@ -66,7 +66,7 @@ def test_bytes_have_the_unit_that_fits(count, text):
     assert bytes_text(count) == text
 
 
-def test_two_sizes_share_a_unit_where_they_have_the_same():
+def test_two_sizes_share_a_unit_if_it_is_the_same():
     assert sizes_text(76_000_000, 1_200_000, "→") == "76.0 → 1.2 MB"
     assert sizes_text(1_200_000, 76_000, "to") == "1.2 MB to 76.0 kB"
     assert sizes_text(76_000, 76, "→") == "76.0 kB → 76 B"  # both units end in B
@@ -81,11 +81,11 @@ def test_two_sizes_share_a_unit_where_they_have_the_same():
         (36_000, "10.0 h"),
     ],
 )  # fmt: skip
-def test_seconds_are_said_roughly(seconds, text):
+def test_durations_are_rounded(seconds, text):
     assert time_text(seconds) == text
 
 
-def test_what_json_lacks_is_text():
+def test_values_that_json_lacks_become_text():
     inner = {"psnr": math.inf, "path": Path("a", "b"), "stop": StopReason.TARGET, "none": None}
     data = plain({"models": (inner, [math.nan, -math.inf, 1.5, 2, True])})
     assert data["models"] == [
@@ -95,8 +95,8 @@ def test_what_json_lacks_is_text():
     assert type(data["models"][0]["stop"]) is str
 
 
-def test_any_name_of_a_file_is_utf8():
-    """Python keeps bytes of names that are none as lone surrogates."""
+def test_any_file_name_can_be_encoded_as_utf8():
+    """Python represents bytes of file names that are not UTF-8 as lone surrogates."""
     assert utf8("é\udcff☃") == b"\xc3\xa9\\udcff\xe2\x98\x83"
 
 
@@ -130,12 +130,12 @@ def test_the_library_speaks_of_arguments_and_the_command_of_options():
         }
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                said = node.value if id(node) not in docstrings else ""
-                found |= {f"{path.name}: {option}" for option in OPTION.findall(said)}
+                text = node.value if id(node) not in docstrings else ""
+                found |= {f"{path.name}: {option}" for option in OPTION.findall(text)}
     assert found == set()
 
 
-def test_no_sentence_says_one_splats():
+def test_no_message_has_a_fixed_plural_after_a_number():
     found = {path.name: PLURAL.findall(path.read_text(encoding="utf-8")) for path in SOURCES}
     assert len(found) > 200
     always_many = {"sink.py"}  # "... splats are too many"
@@ -153,7 +153,7 @@ def test_no_docstring_begins_with_what():
 
 
 def members(body: list[ast.stmt]) -> Iterator[tuple[str, list[ast.stmt]]]:
-    """Each name that is defined or imported in a module or a class, and its own body."""
+    """Yield each name that is defined or imported in a module or a class, and its own body."""
     for node in body:
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             yield node.name, node.body if isinstance(node, ast.ClassDef) else []
@@ -166,7 +166,7 @@ def members(body: list[ast.stmt]) -> Iterator[tuple[str, list[ast.stmt]]]:
 
 
 def known_names() -> set[str]:
-    """Modules, what they define and members of classes; any part of a whole name from the right."""
+    """Return modules, their definitions and members of classes, by all their trailing parts."""
     found = {f"nanogs.{name}" for name in nanogs.__all__}
     for path in SOURCES:
         parts = path.relative_to(SOURCES[0].parents[1]).with_suffix("").parts
@@ -179,7 +179,7 @@ def known_names() -> set[str]:
 
 
 def test_dotted_names_in_docstrings_and_comments_exist():
-    """Whoever moves or renames something finds what speaks of it."""
+    """Texts that still name something that was moved or renamed are found."""
     known, stale = known_names(), set()
     for path in SOURCES:
         for name in DOTTED.findall(path.read_text(encoding="utf-8")):

@@ -22,7 +22,7 @@ def call(function, *arguments):
 
 
 class File:
-    """A zip of a pickle and the storages of the arrays in it; or what PyTorch wrote before 1.6."""
+    """A zip of a pickle and the storages of its arrays, or the file format before PyTorch 1.6."""
 
     def __init__(
         self, content, *, order="little", order_file=True, method=zipfile.ZIP_STORED, legacy=False
@@ -33,7 +33,7 @@ class File:
         self.pickle = b"\x80\x02" + pickled(content, self.tensor) + b"."
 
     def tensor(self, array):
-        """The reference to an array, which is stored as it lies in memory where it is a view."""
+        """Return the reference to an array; of a view, the array that it is a view of is stored."""
         base = array if array.base is None else array.base
         offset = (array.ctypes.data - base.ctypes.data) // array.itemsize
         self.storages.append(base.astype(base.dtype.newbyteorder(self.order[0].upper())).tobytes())
@@ -73,7 +73,7 @@ class File:
 
 
 def pickled(value, tensor=None):
-    """Opcodes of protocol 2; arrays by `tensor`."""
+    """Return opcodes of pickle protocol 2; `tensor` encodes arrays."""
 
     def inner(entry):
         return pickled(entry, tensor)

@@ -1,4 +1,4 @@
-"""Plain float64 twins of the kernels: as slow and as clear as they can be."""
+"""Reference versions of the kernels in plain float64, as simple as possible."""
 
 import itertools
 import math
@@ -95,15 +95,15 @@ def cost(a, b, normals, jitter, lambda_geo=1.0, lambda_app=1.0):
 
 
 def nearest_neighbours(means, k):
-    """The k others first by (squared distance, row); among more than k coincident, the next k."""
+    """The k nearest rows by (squared distance, row); of more than k equal means, the next k."""
     k, found = min(k, len(means) - 1), []
     for i, mean in enumerate(means):
         x, y, z = (means - mean).T
         squares = x * x + y * y + z * z
         group = [j for j in range(len(means)) if (means[j] == mean).all()]
         if len(group) > k:
-            place = group.index(i)
-            found.append([group[(place + step) % len(group)] for step in range(1, k + 1)])
+            position = group.index(i)
+            found.append([group[(position + step) % len(group)] for step in range(1, k + 1)])
         else:
             others = (j for j in range(len(means)) if j != i)
             found.append(sorted(others, key=lambda j: (squares[j], j))[:k])
@@ -122,7 +122,7 @@ def pairs_of(neighbours):
 
 
 def greedy(pairs, costs, limit):
-    """Cheapest first, ties by pair, while both ends are free."""
+    """Choose pairs, cheapest first, ties by pair, whose two rows are both still free."""
     taken, chosen = set(), []
     candidates = zip(costs, map(tuple, pairs), strict=True)
     for _, pair in sorted(entry for entry in candidates if not math.isnan(entry[0])):
@@ -192,7 +192,7 @@ def divergence_from_merged(weights, means, sigmas, samples, seed):
 
 
 def leaves_below(children, node, count):
-    """The splats below a node of a forest over `count` splats."""
+    """Return the splats below a node of a forest over `count` splats."""
     if node < count:
         return [int(node)]
     first, second = children[node - count]
@@ -200,7 +200,7 @@ def leaves_below(children, node, count):
 
 
 def merges_below(children, node, count):
-    """The merges of a node's subtree, its own included."""
+    """Return the merges of a node's subtree, its own included."""
     if node < count:
         return []
     first, second = children[node - count]

@@ -1,4 +1,4 @@
-"""Random wishes for a size or a PSNR, and whether what comes of them is what was asked for."""
+"""Random requests for a size or a PSNR, and checks of their results."""
 
 import json
 import re
@@ -25,28 +25,28 @@ SUFFIXES = (".sog", ".spz") * 3 + (
     ".ply", ".ply", ".compressed.ply", ".glb", ".splat", ".npz", ".usda", ".html",
 )  # fmt: skip
 FRAMES = (("rdf", "rub"), ("rub", "luf"))
-LEAST = re.compile(r"([\d,]+) B[.;]")
+NAMED_SIZE = re.compile(r"([\d,]+) B[.;]")
 FEW = {"views": 2, "view_size": 48, "roaming": 0, "steps": 2}
 # Notes that say why a file is small.
-ENDS = ("whole model fits", "of the requested size, because a file of")
-SPANS = 0.3  # dB above an asked PSNR
+SMALL_FILE_NOTES = ("whole model fits", "of the requested size, because a file of")
+SPANS = 0.3  # dB above a requested PSNR
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """A wish, and the model that it is for.
+    """A request for a size or a PSNR, and the model to simplify.
 
     Attributes:
-        model: What kind of model it is.
+        model: Name of the kind of model.
         splats: The model.
-        suffix: Of the format.
-        preset: Its name.
+        suffix: Suffix of the format.
+        preset: Name of the preset.
         goal: `size` in bytes or `psnr` in dB.
         given: Further arguments of `simplify`.
-        options: Of the format.
-        frame: From and to which it is turned, or None.
-        way: "memory", "file", "blocks" or "command".
-        block: Splats of a block.
+        options: Options of the format.
+        frame: Source and target frame of a conversion, or None.
+        way: How it is run: "memory", "file", "blocks" or "command".
+        block: Number of splats in a block.
     """
 
     model: str
@@ -70,12 +70,12 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class Met:
-    """The outcome of a wish.
+    """The outcome of a request.
 
     Attributes:
-        used: Bytes of the file over the size, or None where none was asked for.
-        refused: The sentence, or nothing.
-        wrong: What is not as it should be, or nothing.
+        used: Bytes of the file divided by the requested size, or None if none was requested.
+        refused: The error message if it was refused, or an empty text.
+        wrong: The faults that were found, or an empty text.
         whole: Whether the whole model fits.
     """
 
@@ -172,23 +172,23 @@ MODELS: dict[str, Callable[[np.random.Generator], Splats]] = {
 
 
 def piece(scene: Splats, rng: np.random.Generator) -> Splats:
-    """The splats next to one of a scene."""
+    """Return the nearest neighbours of a random splat of a scene."""
     count = int(np.exp(rng.uniform(np.log(20), np.log(3000))))
     centre = scene.means[rng.integers(len(scene))]
     rows = np.argsort(((scene.means - centre) ** 2).sum(1), kind="stable")[:count]
     return scene.take(np.sort(rows))
 
 
-# ---- wishes ------------------------------------------------------------------------------------
+# ---- requests ----------------------------------------------------------------------------------
 
 
 def draw(rng: np.random.Generator, scenes: dict[str, Splats], presets: Sequence[str]) -> Wish:
-    """A random wish.
+    """Return a random request.
 
     Args:
-        rng: Draws it.
-        scenes: Whole ones, of which pieces are taken, by name.
-        presets: To choose from.
+        rng: Random numbers.
+        scenes: Whole scenes by name, of which pieces are used.
+        presets: Presets to choose from.
     """
     model = str(rng.choice([*MODELS, *["usual"] * 4, *scenes, *scenes]))
     splats = piece(scenes[model], rng) if model in scenes else MODELS[model](rng)
@@ -224,7 +224,7 @@ def _size(rng: np.random.Generator, wish: Wish) -> int:
         least = _bytes(finite.take(np.arange(1)).with_sh_degree(0), wish)
     except NanogsError:
         return int(np.exp(rng.uniform(np.log(100), np.log(100_000))))
-    if rng.random() < 0.15:  # about the smallest
+    if rng.random() < 0.15:  # near the smallest
         return max(int(least * rng.uniform(0.8, 1.2)), 1)
     return max(int(np.exp(rng.uniform(np.log(0.5 * least), np.log(1.5 * whole)))), 1)
 
@@ -233,15 +233,15 @@ def _bytes(splats: Splats, wish: Wish) -> int:
     return encoded_bytes(splats, Path(f"a{wish.suffix}"), wish.options)
 
 
-# ---- what comes of them ------------------------------------------------------------------------
+# ---- results -----------------------------------------------------------------------------------
 
 
 def fulfil(wish: Wish, *, around: bool = True) -> Met:
-    """Do what is asked and look at what comes of it.
+    """Carry out a request and check the result.
 
     Args:
-        wish: What is asked.
-        around: Whether the smallest possible size, where one is said, is tried as well.
+        wish: The request.
+        around: Whether to test the smallest possible size as well, if an error names one.
     """
     with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -257,7 +257,9 @@ def fulfil(wish: Wish, *, around: bool = True) -> Met:
         wrong = "; ".join(_faults(wish, folder, out, report))
         size = wish.goal.get("size")
         used = out.stat().st_size / size if size else None
-        return Met(used, wrong=wrong, whole=any(ENDS[0] in note for note in report["notes"]))
+        return Met(
+            used, wrong=wrong, whole=any(SMALL_FILE_NOTES[0] in note for note in report["notes"])
+        )
 
 
 def _made(wish: Wish, folder: Path) -> tuple[Path, dict[str, Any]]:
@@ -302,7 +304,7 @@ def _commanded(wish: Wish, source: Path, out: Path) -> dict[str, Any]:
 
 
 def _faults(wish: Wish, folder: Path, out: Path, report: dict[str, Any]) -> list[str]:
-    """Faults of a result, a few words each."""
+    """Return the faults of a result, a few words each."""
     faults, taken = [], out.stat().st_size
     left = {path.name for path in folder.iterdir()} - {"in.ply", out.name}
     if left:
@@ -313,7 +315,7 @@ def _faults(wish: Wish, folder: Path, out: Path, report: dict[str, Any]) -> list
             faults.append(f"larger than asked: {taken:,} B of {size:,}")
         if report["achieved_size"] != taken:
             faults.append(f"achieved_size {report['achieved_size']} is not {taken}")
-        said = any(end in note for note in report["notes"] for end in ENDS)
+        said = any(end in note for note in report["notes"] for end in SMALL_FILE_NOTES)
         if taken < ENOUGH * size and not said:
             faults.append("not said why it is small")
     elif report["stop"] == "target" and not report["judged"]["psnr"] >= wish.goal["psnr"]:
@@ -351,20 +353,20 @@ def _refused(wish: Wish, folder: Path, error: NanogsError, *, around: bool) -> M
 
 
 def _smallest(wish: Wish, text: str) -> list[str]:
-    """Whether what a sentence says is the smallest possible is."""
-    numbers = LEAST.findall(text)
+    """Check that the smallest size that an error names works, and that one byte less does not."""
+    numbers = NAMED_SIZE.findall(text)
     if not numbers:
         return ["no smallest size is named"]
     least = int(numbers[-1].replace(",", ""))
     if least <= wish.goal["size"]:
         return [f"the smallest named, {least}, is no more than was asked for"]
-    if "takes about" in text:  # said before anything is computed, of what is far too small
+    if "takes about" in text:  # a rough estimate, given before anything is computed
         found = fulfil(replace(wish, goal={"size": 2 * least}), around=False)
         small = "too small" in found.refused and "splats, the fewest" not in found.refused
         return [f"twice what is about the smallest: {found.refused}"] if small else []
     at = fulfil(replace(wish, goal={"size": least}), around=False)
     below = fulfil(replace(wish, goal={"size": least - 1}), around=False)
-    if "cannot be divided" in at.refused:  # which no size changes
+    if "cannot be divided" in at.refused:  # which no size can change
         return []
     wrong = [f"with the smallest named: {at.wrong or at.refused}"] * bool(at.wrong or at.refused)
     if not below.refused:
@@ -377,6 +379,6 @@ def _sentence(error: NanogsError) -> str:
 
 
 def kind(text: str) -> str:
-    """A sentence without its numbers and paths, to count those that are alike."""
+    """Return a message without its numbers and paths, to count similar ones."""
     text = re.sub(r"\S*/\S*", "FILE", text)
     return re.sub(r"[\d][\d,.]*\d|\d", "N", text)
