@@ -89,7 +89,7 @@ def rooms(source: Source, rng: np.random.Generator) -> list[Splats]:
 def ways_of(kitchen: Splats) -> F64:
     """Return the offsets (4, 3) of `rooms`: sums of the edges of the kitchen's bounding box."""
     found = survey(kitchen)
-    box = inside.fit_box(found.matter, found.core, np.array([0.0, 0.0, 1.0]))
+    box = inside.fit_box(found.sampled, found.core, np.array([0.0, 0.0, 1.0]))
     edges = (box.frame @ found.turn[:3, :3]) * (box.high - box.low)[:, None]
     return np.array([i * edges[0] + j * edges[1] for i in (0, 1) for j in (0, 1)])
 

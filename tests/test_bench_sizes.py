@@ -16,7 +16,7 @@ from browsers import page_at
 from builders import random_splats
 from nanogs.bench.gains import mean_gains
 from nanogs.bench.output import ResultFolder
-from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status, Wish, size_name
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, BenchTarget, SetScore, Status, size_name
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.size_charts import SizeCharts
 from nanogs.bench.size_tables import file_table, size_page
@@ -163,9 +163,9 @@ def test_sizes_have_names_that_are_valid_in_file_names():
     assert [size_name(size) for size in (500_000, 1_048_576, 20_000_000, 1)] == [
         "0.5MB", "1.048576MB", "20MB", "0.000001MB",
     ]  # fmt: skip
-    assert Wish(None, ".sog", 500_000).text == "0.5MB .sog"
-    assert Wish(1.0, ".sog").text == "whole .sog"
-    assert Wish(0.1).text == "0.1"
+    assert BenchTarget(None, ".sog", 500_000).text == "0.5MB .sog"
+    assert BenchTarget(1.0, ".sog").text == "whole .sog"
+    assert BenchTarget(0.1).text == "0.1"
 
 
 def test_rows_of_an_interrupted_run_are_kept(tmp_path):

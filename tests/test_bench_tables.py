@@ -74,7 +74,7 @@ def test_views_that_a_scene_lacks_have_no_mean():
 
 def test_the_original_model_is_in_no_mean():
     assert "Means" not in markdown([row("a", ORIGINAL, 1.0)])
-    assert [mean.wish.ratio for mean in mean_rows([row("a", ORIGINAL, 1.0), row("a", "x")])] == [
+    assert [mean.target.ratio for mean in mean_rows([row("a", ORIGINAL, 1.0), row("a", "x")])] == [
         0.1
     ]
 

@@ -181,7 +181,7 @@ if __name__ == "__main__":
     starts = {
         "pool": pool,
         "bench": lambda: run_job(Job("in.ply", "fast", 0.1, "out.ply")),
-        "studio": lambda: Process("scene", "manner", print),
+        "studio": lambda: Process("scene", "settings", print),
     }
     starts[sys.argv[1]]()
 """

@@ -133,7 +133,7 @@ def test_views_share_a_pass_as_far_as_memory_allows(splats, cameras):
 def test_progress_never_decreases_and_ends_with_all_views(splats, cameras):
     reported = []
     render_streamed(
-        splats, cameras, 150_000, tell=lambda done, parts: reported.append((done, parts))
+        splats, cameras, 150_000, on_progress=lambda done, parts: reported.append((done, parts))
     )
     done = [each for each, _ in reported]
     assert done == sorted(done)

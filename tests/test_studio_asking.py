@@ -14,9 +14,9 @@ from builders import cloud_pair
 from nanogs.pipeline.options.target import Goal
 from nanogs.studio import asking
 from nanogs.studio.asking import QUICK, TRIES, UNSEEN, RequestHandler
+from nanogs.studio.cache import FilteredScene
 from nanogs.studio.choice import choice_of
 from nanogs.studio.curve import Curve, Point
-from nanogs.studio.held import FilteredScene
 from nanogs.views.opening import opening_for
 
 
@@ -81,7 +81,7 @@ def forest():
 def answers(forest):
     curve = Curve(400, 1, lambda count: 10 * count, exact=True)
     held = SimpleNamespace(
-        manner=SimpleNamespace(render_mode=None), here=lambda choice: forest,
+        settings=SimpleNamespace(render_mode=None), here=lambda choice: forest,
         roughly=lambda choice, progress: forest,
         fully=lambda choice, progress: forest, curve=lambda choice, grown: curve,
     )  # fmt: skip
@@ -140,7 +140,7 @@ def test_a_slow_page_gets_drafts_of_fewer_splats(answers, forest, monkeypatch):
 def test_a_page_that_shows_another_model_gets_it_and_its_curve_points(answers, forest):
     forest.go_on.set()
     stays, splats = np.arange(len(forest.splats)) > 0, forest.splats.take(slice(1, None))
-    answers._held.sifted = lambda choice: FilteredScene(splats, stays, ())
+    answers._cache.sifted = lambda choice: FilteredScene(splats, stays, ())
     data = {"wish": {"splats": 50}}
     for number, job in ((1, RecordingJob(1)), (2, RecordingJob(2))):
         job.page = f"page {number}"

@@ -25,8 +25,8 @@ def show_progress(progress: Progress | bool | None) -> Iterator[Progress | None]
     if not as_switch("`progress`, unless it is a function or None,", progress):
         yield None
         return
-    with _bar() as told:
-        yield told
+    with _bar() as on_step:
+        yield on_step
 
 
 @contextmanager
@@ -47,20 +47,20 @@ def _bar() -> Iterator[Progress]:
     )
     task = bar.add_task("starting", total=1.0)
 
-    def told(step: Step) -> None:
+    def on_step(step: Step) -> None:
         stage = f"{step.number}/{step.stages} {step.stage}"
         last = step.fraction == 1  # Rich does not draw the last update by itself in notebooks
         bar.update(task, completed=step.fraction, description=stage, refresh=last)
 
     with bar, watching(_sayer(lambda text: bar.update(task, description=text))):
-        yield told
+        yield on_step
 
 
 def _sayer(say: Callable[[str], None]) -> Callable[[bool], None]:
     """Make a callback that shows when kernels are compiled; the next step overwrites the text."""
 
-    def told(begun: bool) -> None:
+    def on_step(begun: bool) -> None:
         if begun:
             say("compiling for this processor; later runs find it on the disk")
 
-    return told
+    return on_step

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 from nanogs._types import I64, Array, F
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -103,7 +103,7 @@ class Chunked(Protocol):
         blocks: Sequence[tuple[int, Mapping[str, Array]]],
         finer: Sequence[Any] | None,
         prefix: str,
-        tell: Parts = ignore_progress,
+        on_progress: PartProgress = ignore_progress,
     ) -> BlockChunks:
         """Make the files of a block, or of neighbouring blocks, lazily.
 
@@ -113,7 +113,7 @@ class Chunked(Protocol):
                 `divide`; a single block if `fewest` is 0.
             finer: Chunks of this block's next finer result; None for the finest.
             prefix: Prefix of the file names.
-            tell: Progress callback for the parts that are done.
+            on_progress: Progress callback for the parts that are done.
         """
 
     def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:

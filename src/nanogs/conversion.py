@@ -118,7 +118,7 @@ def convert(
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(wanted, **saving)
     with (
-        show_progress(progress) as tell,
+        show_progress(progress) as on_step,
         local_copies([given], wanted, overwrite=overwrite) as ([here], there),
         open_model(here, level=level, render_mode=render_mode) as file,
     ):
@@ -129,7 +129,7 @@ def convert(
         _refuse_too_large(file, path, filters, format_options, allowed)
         typical = 1_000_000  # only the ratio of the two weights matters
         write = Stage("write", write_weight(path.suffix, typical))
-        tracker = Tracker(tell, [Stage("read", read_weight(typical)), write])
+        tracker = Tracker(on_step, [Stage("read", read_weight(typical)), write])
         tracker.begin("read")
         with clock.time("read"):
             model, took = _changed(file, path, filters, sh_degree, frame)

@@ -137,12 +137,12 @@ def write_levels(
     request.refuse_unused_views()
     sink = sink_of(request, suffix=registry.suffix_of(suffix), source=source, layout=layout)
     sky = surroundings(environment, environment_ratio, layout)
-    with show_progress(progress) as tell:
+    with show_progress(progress) as on_step:
         if not isinstance(paths, Splats | Source):
-            return write_levels_of_files(request, sink, tell, sky)
+            return write_levels_of_files(request, sink, on_step, sky)
         if for_files := given.keys() & {"block", "job", "scratch", "resume", "executor"}:
             raise OptionError(f"{min(for_files)} is for files; give the model's path in its place.")
-        return _whole(request, prepare(as_splats(paths), request.edits), sink, tell, sky)
+        return _whole(request, prepare(as_splats(paths), request.edits), sink, on_step, sky)
 
 
 LevelsSink = LevelsFolder | LevelsTree
@@ -276,7 +276,7 @@ def _whole(
         tracker.begin("measure")
         turn, threads = request.frame, request.threads
         judge = file_judge(
-            whole, sink.suffix, turn=turn, threads=threads, tell=tracker.part,
+            whole, sink.suffix, turn=turn, threads=threads, on_progress=tracker.part,
             costs=bool(request.measured),
         )  # fmt: skip
     with sink.filled() as filling:

@@ -42,7 +42,7 @@ class Step:
 Progress = Callable[[Step], None]
 """Callback for each step, called in the thread that called the library; if it raises, the call
 ends with that exception."""
-Parts = Callable[[float, int], None]
+PartProgress = Callable[[float, int], None]
 """Callback within a stage: the number of parts that are done, and the number of all parts."""
 
 
@@ -56,19 +56,19 @@ class Stage(NamedTuple):
 class Tracker:
     """Turns the progress of a call's stages into steps for the callback."""
 
-    def __init__(self, tell: Progress | None, stages: Sequence[Stage]) -> None:
+    def __init__(self, on_step: Progress | None, stages: Sequence[Stage]) -> None:
         """Start before the first stage.
 
         Args:
-            tell: Callback for each step, or None.
+            on_step: Callback for each step, or None.
             stages: All stages that may come, in their order.
 
         Raises:
             OptionError: The callback is not a function.
         """
-        if tell and not callable(tell):
-            raise OptionError(f"`progress` must be a function or None, not {tell!r}.")
-        self._tell = tell or _ignore
+        if on_step and not callable(on_step):
+            raise OptionError(f"`progress` must be a function or None, not {on_step!r}.")
+        self._on_step = on_step or _ignore
         self._names = [stage.name for stage in stages] or [""]
         total = sum(stage.weight for stage in stages) or 1.0
         self._shares = [stage.weight / total for stage in stages] or [1.0]
@@ -128,21 +128,21 @@ class Tracker:
         self._name = name
 
     def _step(self, name: str, done: float, parts: int) -> None:
-        self._tell(Step(name, self._now + 1, len(self._names), done, parts, self._fraction))
+        self._on_step(Step(name, self._now + 1, len(self._names), done, parts, self._fraction))
 
 
-def each(items: Iterable[T], tell: Parts) -> Iterator[T]:
+def each(items: Iterable[T], on_progress: PartProgress) -> Iterator[T]:
     """Iterate over items, and report each as a part.
 
     Args:
         items: Items that take about the same time each.
-        tell: Progress callback, called before each item and after the last.
+        on_progress: Progress callback, called before each item and after the last.
     """
     known = list(items)
     for done, item in enumerate(known):
-        tell(done, len(known))
+        on_progress(done, len(known))
         yield item
-    tell(len(known), len(known))
+    on_progress(len(known), len(known))
 
 
 def ignore_progress(_done: float, _parts: int) -> None:

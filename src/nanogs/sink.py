@@ -21,7 +21,7 @@ from nanogs.io import check_writable, losses, registry, save
 from nanogs.io.atomic import atomic_write, writing
 from nanogs.io.format import FormatOptions
 from nanogs.io.temporary import temporary
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
 from nanogs.source import Source
@@ -129,7 +129,7 @@ class OpenSink(ABC):
         self.written: list[Written] = []
 
     @abstractmethod
-    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
+    def add(self, model: Splats | Source, on_progress: PartProgress = ignore_progress) -> None:
         """Write the next result, given whole, and report the progress."""
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
@@ -137,7 +137,11 @@ class OpenSink(ABC):
         raise NotImplementedError
 
     def add_trees(
-        self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = ignore_progress
+        self,
+        trees: Sequence[BlockTree],
+        levels: int,
+        some: Splats,
+        on_progress: PartProgress = ignore_progress,
     ) -> None:
         """Accept the trees that the sink's layout has linked; results are added afterwards.
 
@@ -145,7 +149,7 @@ class OpenSink(ABC):
             trees: The tree of each block.
             levels: Number of results in the trees.
             some: The sample of splats that `Linked.link` was given.
-            tell: Progress callback for the writing, which happens at the end.
+            on_progress: Progress callback for the writing, which happens at the end.
         """
         raise NotImplementedError
 
@@ -296,8 +300,8 @@ class _File(OpenSink):
         super().__init__()
         self._making, self._options = making, format_options
 
-    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
-        tell(0, 1)
+    def add(self, model: Splats | Source, on_progress: PartProgress = ignore_progress) -> None:
+        on_progress(0, 1)
         save(model, self._making, overwrite=True, format_options=self._options)
         size, left_out = self._making.stat().st_size, losses(model, self._making)
         self.written.append(Written(len(model), (self._making.name,), size, left_out))

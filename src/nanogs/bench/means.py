@@ -6,31 +6,31 @@ from typing import TypeVar
 
 import numpy as np
 
-from nanogs.bench.rows import ORIGINAL, BenchRow, SetScore, Wish
+from nanogs.bench.rows import ORIGINAL, BenchRow, BenchTarget, SetScore
 
 Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, slots=True)
-class WishMean:
+class TargetMean:
     """Means of one requested ratio or file size.
 
     Attributes:
-        wish: The request, the same for every method.
+        target: The request, the same for every method.
         scenes: Scenes that the means are taken over.
         left_out: Scenes that are left out, each with the methods that have no result there.
         absent: Methods without a result on any scene, which are not compared.
         methods: One row of means for each method.
     """
 
-    wish: Wish
+    target: BenchTarget
     scenes: tuple[str, ...]
     left_out: Mapping[str, tuple[str, ...]]
     absent: tuple[str, ...]
     methods: Mapping[str, BenchRow]
 
 
-def mean_rows(rows: Sequence[BenchRow]) -> list[WishMean]:
+def mean_rows(rows: Sequence[BenchRow]) -> list[TargetMean]:
     """Compute the means for each request, in the order of the rows, without the original models.
 
     Args:
@@ -38,12 +38,12 @@ def mean_rows(rows: Sequence[BenchRow]) -> list[WishMean]:
     """
     compared = [row for row in rows if row.method != ORIGINAL]
     return [
-        _wish_mean(wish, [row for row in compared if row.wish == wish])
-        for wish in unique(row.wish for row in compared)
+        _mean_at(target, [row for row in compared if row.target == target])
+        for target in unique(row.target for row in compared)
     ]
 
 
-def _wish_mean(wish: Wish, rows: Sequence[BenchRow]) -> WishMean:
+def _mean_at(target: BenchTarget, rows: Sequence[BenchRow]) -> TargetMean:
     measured = {(row.scene, row.method): row for row in rows if row.measured}
     present = {method for _, method in measured}
     methods = unique(row.method for row in rows)
@@ -53,8 +53,8 @@ def _wish_mean(wish: Wish, rows: Sequence[BenchRow]) -> WishMean:
         for scene in unique(row.scene for row in rows)
     }
     scenes = tuple(scene for scene, without in missing.items() if not without and compared)
-    return WishMean(
-        wish=wish,
+    return TargetMean(
+        target=target,
         scenes=scenes,
         left_out={scene: without for scene, without in missing.items() if scene not in scenes},
         absent=tuple(method for method in methods if method not in present),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs.bench.gsplat import gsplat_fps
-from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status, Wish, size_name
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, BenchTarget, SetScore, Status, size_name
 from nanogs.bench.scenes import BenchScene, SceneViews, fill, scene_of_file
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.worker import Job, run_job
@@ -24,19 +24,19 @@ from nanogs.splats import Splats
 _FPS_VIEWS = 8  # most views rendered to measure frames per second
 
 
-def empty_row(scene: BenchScene, method: str, wish: Wish) -> BenchRow:
+def empty_row(scene: BenchScene, method: str, target: BenchTarget) -> BenchRow:
     """Return a row that holds only the request, without a result."""
     against = Against.ORIGINAL if scene.photos is None else Against.PHOTOGRAPHS
     return BenchRow(
-        scene.name, method, wish.ratio, against=against, dataset=scene.dataset,
-        format=wish.format, size=wish.size,
+        scene.name, method, target.ratio, against=against, dataset=scene.dataset,
+        format=target.format, size=target.size,
     )  # fmt: skip
 
 
-def too_large_row(scene: BenchScene, method: str, wish: Wish, whole: int) -> BenchRow:
+def too_large_row(scene: BenchScene, method: str, target: BenchTarget, whole: int) -> BenchRow:
     """Return a skipped row: the requested size is so large that the whole model fits into it."""
-    reason = f"The whole model as {wish.format} takes {whole:,} B, which fits into this size."
-    return replace(empty_row(scene, method, wish), status=Status.SKIPPED, reason=reason)
+    reason = f"The whole model as {target.format} takes {whole:,} B, which fits into this size."
+    return replace(empty_row(scene, method, target), status=Status.SKIPPED, reason=reason)
 
 
 def original_row(
@@ -44,7 +44,7 @@ def original_row(
 ) -> BenchRow:
     """Measure the original model: its score against photographs, or else only its frame rate."""
     row = replace(
-        empty_row(scene, ORIGINAL, Wish(1.0)),
+        empty_row(scene, ORIGINAL, BenchTarget(1.0)),
         splats=len(splats),
         file_bytes=inspect(scene.model).file_bytes,
         label=next(iter(views.sets)),
@@ -60,13 +60,13 @@ def original_row(
 def whole_row(
     scene: BenchScene,
     splats: Splats,
-    wish: Wish,
+    target: BenchTarget,
     views: SceneViews,
     settings: BenchSettings,
     folder: Path,
 ) -> BenchRow:
     """Score the whole model written in a format, which shows the loss of the format alone."""
-    row, path = empty_row(scene, ORIGINAL, wish), folder / f"whole{wish.format}"
+    row, path = empty_row(scene, ORIGINAL, target), folder / f"whole{target.format}"
     try:
         save(splats, path)
         decoded = load(path, render_mode=settings.render_mode)
@@ -81,17 +81,17 @@ def whole_row(
 def method_row(
     scene: BenchScene,
     method: str,
-    wish: Wish,
+    target: BenchTarget,
     views: SceneViews,
     settings: BenchSettings,
     folder: Path,
 ) -> BenchRow:
     """Run a preset or baseline in a separate process, and score its result."""
-    row = empty_row(scene, method, wish)
-    output = folder / f"result{wish.format or '.ply'}"
+    row = empty_row(scene, method, target)
+    output = folder / f"result{target.format or '.ply'}"
     job = Job(
-        scene.model, method, wish.ratio or 1.0, output, views.fit_cameras, views.trained,
-        settings.seed, settings.threads, wish.size, settings.render_mode,
+        scene.model, method, target.ratio or 1.0, output, views.fit_cameras, views.trained,
+        settings.seed, settings.threads, target.size, settings.render_mode,
     )  # fmt: skip
     outcome = run_job(job)
     if outcome.error:
@@ -110,14 +110,14 @@ def method_row(
 def external_row(
     scene: BenchScene,
     name: str,
-    wish: Wish,
+    target: BenchTarget,
     finite: int,
     views: SceneViews,
     settings: BenchSettings,
 ) -> BenchRow:
     """Score another tool's file; `finite` is the number of finite splats of the original."""
-    row = empty_row(scene, name, wish)
-    path = external_path(settings.externals[name], scene, wish)
+    row = empty_row(scene, name, target)
+    path = external_path(settings.externals[name], scene, target)
     if not path.exists():
         return replace(row, status=Status.SKIPPED, reason=f"There is no file {path}.")
     try:
@@ -125,24 +125,24 @@ def external_row(
         row = replace(row, file_bytes=inspect(path).file_bytes, **_producer_figures(path))
     except NanogsError as error:
         return replace(row, status=Status.FAILED, reason=str(error))
-    if wish.size is not None:
-        notes = _size_note(row.file_bytes or 0, wish.size)
+    if target.size is not None:
+        notes = _size_note(row.file_bytes or 0, target.size)
     else:
-        notes = _count_note(len(splats), target_count(finite, wish.ratio, None))
+        notes = _count_note(len(splats), target_count(finite, target.ratio, None))
     return _scored(replace(row, notes=(*notes, *splats.notes)), splats, views, settings)
 
 
-def external_path(pattern: str, scene: BenchScene, wish: Wish) -> Path:
+def external_path(pattern: str, scene: BenchScene, target: BenchTarget) -> Path:
     """Return the path of another tool's file for a scene and request.
 
     Raises:
         OptionError: The pattern has an unknown placeholder.
     """
     named = {"scene": scene.name, "model": scene_of_file(scene.model).name}
-    if wish.size is None:
-        named["ratio"] = f"{wish.ratio:g}"
+    if target.size is None:
+        named["ratio"] = f"{target.ratio:g}"
     else:
-        named |= {"size": size_name(wish.size), "format": wish.format.lstrip(".")}
+        named |= {"size": size_name(target.size), "format": target.format.lstrip(".")}
     return Path(fill(pattern, **named))
 
 

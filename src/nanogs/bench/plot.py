@@ -30,6 +30,6 @@ def curves(rows: Sequence[BenchRow]) -> dict[str, list[tuple[float, float]]]:
     points: dict[str, list[tuple[float, float]]] = {}
     for mean in mean_rows(rows):
         for method, row in mean.methods.items():
-            if mean.wish.ratio and row.psnr is not None and math.isfinite(row.psnr):
-                points.setdefault(method, []).append((mean.wish.ratio, row.psnr))
+            if mean.target.ratio and row.psnr is not None and math.isfinite(row.psnr):
+                points.setdefault(method, []).append((mean.target.ratio, row.psnr))
     return {method: sorted(found) for method, found in points.items()}

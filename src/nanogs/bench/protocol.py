@@ -7,7 +7,7 @@ import numpy as np
 
 from nanogs.bench import measuring
 from nanogs.bench.bjontegaard import check_packages
-from nanogs.bench.rows import ORIGINAL, BenchRow, RowKey, Status, Wish
+from nanogs.bench.rows import ORIGINAL, BenchRow, BenchTarget, RowKey, Status
 from nanogs.bench.scenes import BenchScene, scene_views
 from nanogs.bench.settings import BenchSettings, refuse_duplicates
 from nanogs.cleanup import temporary_folder
@@ -48,7 +48,7 @@ def run_bench(
         raise OptionError("Give at least one model to measure on.")
     refuse_duplicates("scene", [scene.name for scene in scenes])
     for pattern in settings.externals.values():
-        measuring.external_path(pattern, scenes[0], settings.wishes[0])
+        measuring.external_path(pattern, scenes[0], settings.targets[0])
     _try_metrics(settings.metrics)
     if settings.file_sizes:
         check_packages()
@@ -95,37 +95,39 @@ def _scene_rows(
     whole: dict[str, int] = {}  # bytes of the model in each format
     with temporary_folder("nanogs-bench-") as folder:
         for key in (key for key in keys if key[1] == ORIGINAL):
-            wish = key[2]
-            progress(f"{scene.name}: {ORIGINAL} at {wish.text}")
+            target = key[2]
+            progress(f"{scene.name}: {ORIGINAL} at {target.text}")
             row = known.get(key)
-            if row is None and wish.format:
-                row = measuring.whole_row(scene, splats, wish, views, settings, folder)
+            if row is None and target.format:
+                row = measuring.whole_row(scene, splats, target, views, settings, folder)
             row = row or measuring.original_row(scene, splats, views, settings)
-            whole[wish.format] = row.file_bytes or 0
+            whole[target.format] = row.file_bytes or 0
             yield row
         finite = int(splats.finite().sum())
         del splats
         for key in (key for key in keys if key[1] != ORIGINAL):
-            _, name, wish = key
-            progress(f"{scene.name}: {name} at {wish.text}")
+            _, name, target = key
+            progress(f"{scene.name}: {name} at {target.text}")
             if key in known:
                 yield known[key]
             elif name not in settings.methods:
-                yield measuring.external_row(scene, name, wish, finite, views, settings)
-            elif wish.size is not None and 0 < whole[wish.format] <= wish.size:
-                yield measuring.too_large_row(scene, name, wish, whole[wish.format])
+                yield measuring.external_row(scene, name, target, finite, views, settings)
+            elif target.size is not None and 0 < whole[target.format] <= target.size:
+                yield measuring.too_large_row(scene, name, target, whole[target.format])
             else:
-                yield measuring.method_row(scene, name, wish, views, settings, folder)
+                yield measuring.method_row(scene, name, target, views, settings, folder)
 
 
 def _skipped_rows(scene: BenchScene, settings: BenchSettings, reason: str) -> Iterator[BenchRow]:
-    for name, wish in _all_runs(settings):
-        yield replace(measuring.empty_row(scene, name, wish), status=Status.SKIPPED, reason=reason)
+    for name, target in _all_runs(settings):
+        yield replace(
+            measuring.empty_row(scene, name, target), status=Status.SKIPPED, reason=reason
+        )
 
 
-def _all_runs(settings: BenchSettings) -> list[tuple[str, Wish]]:
+def _all_runs(settings: BenchSettings) -> list[tuple[str, BenchTarget]]:
     """Return method and request of each row of a scene, in order."""
     names = [*settings.methods, *settings.externals]
     formats = settings.formats if settings.file_sizes else ()
-    wholes = [(ORIGINAL, Wish(1.0, suffix)) for suffix in ("", *formats)]
-    return [*wholes, *((name, wish) for wish in settings.wishes for name in names)]
+    wholes = [(ORIGINAL, BenchTarget(1.0, suffix)) for suffix in ("", *formats)]
+    return [*wholes, *((name, target) for target in settings.targets for name in names)]

@@ -78,12 +78,12 @@ def our_figures(rows: Sequence[BenchRow]) -> tuple[dict[str, Figures], list[str]
     first: dict[str, BenchRow] = {}
     remarks = []
     for mean in mean_rows(rows):
-        assert mean.wish.ratio is not None  # noqa: S101 - the caller excludes file sizes
+        assert mean.target.ratio is not None  # noqa: S101 - the caller excludes file sizes
         if mean.left_out:
-            remarks.append(f"at {mean.wish.text} without {', '.join(mean.left_out)}")
+            remarks.append(f"at {mean.target.text} without {', '.join(mean.left_out)}")
         for name, row in mean.methods.items():
-            psnr.setdefault(name, {})[mean.wish.ratio] = row.psnr or 0.0
-            if mean.wish.ratio == RATIOS[0]:
+            psnr.setdefault(name, {})[mean.target.ratio] = row.psnr or 0.0
+            if mean.target.ratio == RATIOS[0]:
                 first[name] = row
     figures = {name: _figures(psnr[name], first.get(name)) for name in psnr}
     originals = [row for row in rows if row.method == ORIGINAL]

@@ -10,7 +10,7 @@ from nanogs.formatting import plain
 ORIGINAL = "original"
 
 
-class Wish(NamedTuple):
+class BenchTarget(NamedTuple):
     """A request to every method: a compaction ratio, or a format and size of the result's file.
 
     Attributes:
@@ -32,7 +32,7 @@ class Wish(NamedTuple):
         return f"whole {self.format}" if self.format else f"{self.ratio:g}"
 
 
-RowKey = tuple[str, str, Wish]
+RowKey = tuple[str, str, BenchTarget]
 
 
 def size_name(size: int) -> str:
@@ -135,14 +135,14 @@ class BenchRow:
     size: int | None = None
 
     @property
-    def wish(self) -> Wish:
+    def target(self) -> BenchTarget:
         """The requested ratio or file size."""
-        return Wish(self.ratio, self.format, self.size)
+        return BenchTarget(self.ratio, self.format, self.size)
 
     @property
     def key(self) -> RowKey:
         """Scene, method and request, unique within a run."""
-        return self.scene, self.method, self.wish
+        return self.scene, self.method, self.target
 
     @property
     def measured(self) -> bool:

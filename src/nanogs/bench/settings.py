@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from nanogs.bench.methods import all_methods, find_method, refuse_unsized
-from nanogs.bench.rows import ORIGINAL, Wish, size_name
+from nanogs.bench.rows import ORIGINAL, BenchTarget, size_name
 from nanogs.defaults import BENCH_RATIOS
 from nanogs.errors import OptionError
 from nanogs.io import registry
@@ -61,12 +61,12 @@ class BenchSettings:
     render_mode: str | None = None
 
     @property
-    def wishes(self) -> tuple[Wish, ...]:
+    def targets(self) -> tuple[BenchTarget, ...]:
         """The requests to every method: ratios, or file sizes by format and ascending size."""
         if not self.file_sizes:
-            return tuple(Wish(ratio) for ratio in self.ratios)
+            return tuple(BenchTarget(ratio) for ratio in self.ratios)
         sizes = sorted(self.file_sizes)
-        return tuple(Wish(None, suffix, size) for suffix in self.formats for size in sizes)
+        return tuple(BenchTarget(None, suffix, size) for suffix in self.formats for size in sizes)
 
     def __post_init__(self) -> None:
         """Refuse invalid values."""

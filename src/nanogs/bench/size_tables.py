@@ -97,7 +97,7 @@ def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) ->
         charts=[Markup(svg([chart])) for chart in SizeCharts(rows).charts],  # noqa: S704
         files=file_table(rows),
         left_out=[
-            f"{row.scene}, {row.method} at {row.wish.text}: {row.status}: {row.reason}"
+            f"{row.scene}, {row.method} at {row.target.text}: {row.status}: {row.reason}"
             for row in rows
             if row.status is not Status.OK
         ],
@@ -119,7 +119,7 @@ def file_table(rows: Sequence[BenchRow]) -> Table:
 
 
 def _file_cells(row: BenchRow, labels: Sequence[str]) -> list[str]:
-    cells = [row.scene, row.method, row.wish.text, number_text(row.file_bytes, 0)]
+    cells = [row.scene, row.method, row.target.text, number_text(row.file_bytes, 0)]
     cells += [number_text(row.splats, 0), number_text(row.seconds, 1)]
     for label in labels:
         score = score_on(row, label)

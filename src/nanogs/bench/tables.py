@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from nanogs.bench.gains import MeanGain, mean_gains
-from nanogs.bench.means import WishMean, mean_rows, unique
+from nanogs.bench.means import TargetMean, mean_rows, unique
 from nanogs.bench.methods import ABLATED
 from nanogs.bench.published_table import published_tables
 from nanogs.bench.rows import BenchRow, SetScore, Status
@@ -72,7 +72,7 @@ def scene_table(rows: Sequence[BenchRow]) -> str:
     intro = f"Against {rows[0].against}, {_views_text(rows)}.\n\n"
     remarks = [(row, text) for row in rows for text in _remarks(row)]
     listed = "".join(
-        f"- {_escape(row.method)} at {row.wish.text}: {_escape(text)}\n" for row, text in remarks
+        f"- {_escape(row.method)} at {row.target.text}: {_escape(text)}\n" for row, text in remarks
     )
     return intro + _table(rows, rows) + (f"\n{listed}" if listed else "")
 
@@ -91,31 +91,31 @@ def _remarks(row: BenchRow) -> list[str]:
     return [*failed, *row.notes]
 
 
-def mean_table(means: Sequence[WishMean]) -> str:
+def mean_table(means: Sequence[TargetMean]) -> str:
     """Return the means of all requests, and the scenes and methods that are left out of them."""
     rows = [row for mean in means for row in mean.methods.values()]
     text = _table(rows, rows) + "\n" if rows else ""
     return text + "".join(_coverage(mean) for mean in means)
 
 
-def _coverage(mean: WishMean) -> str:
+def _coverage(mean: TargetMean) -> str:
     scenes = counted(len(mean.scenes), "scene")
     lines = [
-        f"- At {mean.wish.text}: mean of {scenes} ({_names(mean.scenes)})."
+        f"- At {mean.target.text}: mean of {scenes} ({_names(mean.scenes)})."
         if mean.scenes
-        else f"- At {mean.wish.text}: no scene has results of all methods, so there is no mean."
+        else f"- At {mean.target.text}: no scene has results of all methods, so there is no mean."
     ]
     for scene, methods in mean.left_out.items():
         why = f"without a result of {_names(methods)}" if methods else "without any result"
-        lines.append(f"- At {mean.wish.text}, left out: {_escape(scene)}, {why}.")
+        lines.append(f"- At {mean.target.text}, left out: {_escape(scene)}, {why}.")
     if mean.absent:
         lines.append(
-            f"- At {mean.wish.text}, not compared, without any result: {_names(mean.absent)}."
+            f"- At {mean.target.text}, not compared, without any result: {_names(mean.absent)}."
         )
     return "\n".join(lines) + "\n"
 
 
-def ablation_table(means: Sequence[WishMean]) -> str:
+def ablation_table(means: Sequence[TargetMean]) -> str:
     """Return the differences of changed presets to the unchanged one; "" if none was measured.
 
     Args:
@@ -131,7 +131,7 @@ def ablation_table(means: Sequence[WishMean]) -> str:
                 f"{_difference(row.psnr, whole.psnr, 2)} | {_difference(row.ssim, whole.ssim, 3)}"
             )
             values = f"{number_text(row.psnr, 2)} | {number_text(row.ssim, 3)}"
-            lines.append(f"| {mean.wish.text} | {_escape(name)} | {values} | {gains} |\n")
+            lines.append(f"| {mean.target.text} | {_escape(name)} | {values} | {gains} |\n")
     if not lines:
         return ""
     head = f"| ratio | variant | PSNR | SSIM | PSNR − {ABLATED} | SSIM − {ABLATED} |\n"  # noqa: RUF001
@@ -150,7 +150,9 @@ def _table(rows: Sequence[BenchRow], shown: Sequence[BenchRow]) -> str:
     head = f"| method | {asked} | " + " | ".join(name for name, _ in columns) + " |\n"
     rule = "|---|--:|" + "--:|" * len(columns) + "\n"
     body = (
-        f"| {_escape(row.method)} | {row.wish.text} | " + " | ".join(_cells(row, columns)) + " |\n"
+        f"| {_escape(row.method)} | {row.target.text} | "
+        + " | ".join(_cells(row, columns))
+        + " |\n"
         for row in rows
     )
     return head + rule + "".join(body)

@@ -163,14 +163,14 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
                         gradient, curvature = wp.float32(0.0), wp.float32(0.0)
                         for c in range(CHANNELS):
                             value = wp.float32(features[i, c])
-                            wish = wp.float32(residual[xy[1], xy[0], c])
+                            error = wp.float32(residual[xy[1], xy[0], c])
                             back = behind[k, c] - weight * value
                             behind[k, c] = back
                             change = value - back / after
-                            gradient += change * wish
+                            gradient += change * error
                             curvature += change * change
                             if c < 3:
-                                sums[c] += weight * wish
+                                sums[c] += weight * error
                         shared = weight * precision[xy[1], xy[0]]
                         sums[3] += shared
                         if weight < _SATURATED * after:

@@ -130,7 +130,7 @@ def bench(
         ),
     ] = None,
     overwrite: options.Overwrite = False,
-    telling: options.TransferProgress,
+    reporting: options.Reporting,
 ) -> None:
     """Measure methods against each other: quality, time, memory and speed, scene by scene."""
     from nanogs.bench import scenes as known
@@ -142,12 +142,12 @@ def bench(
     from nanogs.cli.console import fail
     from nanogs.formatting import plain
 
-    wishes = _wishes(ratios, sizes_of_files, formats)
-    chosen = _usual_methods(wishes) if methods is None else _list(methods)
+    targets = _targets(ratios, sizes_of_files, formats)
+    chosen = _usual_methods(targets) if methods is None else _list(methods)
     chosen += [name for name in ABLATIONS if ablations and name not in chosen]
     kinds = cameras or ("auto,roam" if sizes_of_files is not None else "auto")
     settings = BenchSettings(
-        **wishes,
+        **targets,
         methods=tuple(chosen),
         externals=dict(_external(text) for text in external or []),
         views=views,
@@ -165,12 +165,12 @@ def bench(
         scenes += known.parse_dataset(text, model_pattern or known.TRAINED_MODEL)
     scenes = [replace(one, up=up) for one in scenes]
     above = preamble(settings, shlex.join(["nanogs", *sys.argv[1:]]))
-    rows = _run(scenes, settings, out, overwrite, above, telling)
+    rows = _run(scenes, settings, out, overwrite, above, reporting)
     data: dict[str, Any] = {"rows": [row.to_dict() for row in rows]}
     others = tuple(settings.externals)
     if settings.file_sizes:
         data["gains"] = [plain(gain) for gain in mean_gains(rows, others)]
-    telling.tell(data, lambda: typer.echo(above + markdown(rows, others=others), nl=False))
+    reporting.report(data, lambda: typer.echo(above + markdown(rows, others=others), nl=False))
     if not any(row.measured for row in rows):
         fail(f"Nothing was measured; {rows[0].scene}: {rows[0].reason}")
         raise typer.Exit(2)
@@ -182,7 +182,7 @@ def _run(
     out: Path | None,
     overwrite: bool,
     above: str,
-    telling: options.TransferProgress,
+    reporting: options.Reporting,
 ) -> "list[BenchRow]":
     """Measure all rows, save each to the output folder, and show the progress on stderr."""
     from nanogs.bench.output import ResultFolder, run_of
@@ -195,19 +195,19 @@ def _run(
     run = run_of(scenes, settings)
     folder = ResultFolder(out, run=run, overwrite=overwrite) if out else None
     done = folder.done if folder else []
-    if done and not telling.hushed:
+    if done and not reporting.hushed:
         taken = counted(len(done), "row is", "rows are")
         warn(f"{taken} taken from an unfinished run in {out}; -w starts from the beginning.")
     total, made = row_count(scenes, settings), 0
-    with shown(quiet=telling.hushed) as watch:
+    with shown(quiet=reporting.hushed) as watch:
 
         def on_row(row: "BenchRow") -> None:
             nonlocal made
             made += 1
             if folder:
                 folder.add(row)
-            if row.reason and not telling.hushed:
-                warn(f"{row.scene}, {row.method} at {row.wish.text}: {row.status}: {row.reason}")
+            if row.reason and not reporting.hushed:
+                warn(f"{row.scene}, {row.method} at {row.target.text}: {row.status}: {row.reason}")
 
         def on_stage(what: str) -> None:
             watch(Step(what, min(made + 1, total), total, 0, 1, made / (total + 1)))
@@ -220,7 +220,7 @@ def _run(
     return rows
 
 
-def _wishes(ratios: str | None, sizes: str | None, formats: str | None) -> dict[str, Any]:
+def _targets(ratios: str | None, sizes: str | None, formats: str | None) -> dict[str, Any]:
     """Parse the requests to every method into fields of the settings: ratios, or file sizes."""
     from nanogs.io.registry import suffix_of
     from nanogs.quantities import parse_bytes
@@ -241,10 +241,10 @@ def _wishes(ratios: str | None, sizes: str | None, formats: str | None) -> dict[
     return {"file_sizes": tuple(map(parse_bytes, _list(sizes))), "formats": chosen}
 
 
-def _usual_methods(wishes: dict[str, Any]) -> list[str]:
+def _usual_methods(targets: dict[str, Any]) -> list[str]:
     from nanogs.bench.methods import all_methods, sized_methods
 
-    return list(sized_methods(wishes["formats"]) if "formats" in wishes else all_methods())
+    return list(sized_methods(targets["formats"]) if "formats" in targets else all_methods())
 
 
 def _list(text: str) -> list[str]:

@@ -167,7 +167,7 @@ def compare(
             max_memory=run.max_memory,
         )  # fmt: skip
     comparison = replace(comparison, notes=(*comparison.notes, *device_notes(device, used)))
-    run.tell(comparison.to_dict(), partial(_show, comparison, report), comparison.all_notes)
+    run.report(comparison.to_dict(), partial(_show, comparison, report), comparison.all_notes)
 
 
 def _compare_mixed(
@@ -200,7 +200,7 @@ def _compare_mixed(
             max_memory=run.max_memory, progress=progress,
         )  # fmt: skip
     notes = [options_in(note) for note in found.notes]
-    run.tell(found.to_dict(), partial(show_mixed, found), notes)
+    run.report(found.to_dict(), partial(show_mixed, found), notes)
 
 
 def _show(comparison: "Comparison", report: Path | None) -> None:

@@ -34,7 +34,7 @@ def convert(
     of_format: options.OfFormat,
     overwrite: options.Overwrite = False,
     max_memory: options.MaxMemory = None,
-    telling: options.TransferProgress,
+    reporting: options.Reporting,
     files: file_options.Files,
     edits: file_options.Edits,
 ) -> None:
@@ -58,7 +58,7 @@ def convert(
         return many.Run(report, {"input": report.input, "output": report.output})
 
     pairs = many.plan_pairs(paths, files)
-    many.run_all(pairs, run_one, _print_report, telling, files, overwrite=overwrite)
+    many.run_all(pairs, run_one, _print_report, reporting, files, overwrite=overwrite)
 
 
 def _print_report(run: "Run") -> None:

@@ -131,8 +131,8 @@ def lod(
     # Default levels follow from the model's count, which for stdin is known only once it is read.
     ratios = (1.0,) if levels is None else checked_ratios(options.parse_ratios(levels))
     turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
-    wishes = lod_run.Wishes(
-        wish=plan.wish_of(
+    arguments = lod_run.Arguments(
+        request=plan.request_of(
             method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder, frame=turn,
             overwrite=overwrite, ratios=ratios, device=device,
             chunks=chunks_of(
@@ -144,7 +144,7 @@ def lod(
     )  # fmt: skip
     show = partial(lod_run.print_levels, verbose=verbose)
     [run] = many.run_all(
-        [Pair(parts[0], output.folder)], partial(lod_run.run_levels, wishes),
+        [Pair(parts[0], output.folder)], partial(lod_run.run_levels, arguments),
         lod_run.print_plan if method.dry_run else show,
         method, file_options.Files(), writes=not method.dry_run,
     )  # fmt: skip

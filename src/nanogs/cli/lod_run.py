@@ -28,38 +28,39 @@ from nanogs.switches import SCREEN, SwitchQuality
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wishes:
+class Arguments:
     """The options of a run of `lod`, parsed.
 
     Attributes:
-        wish: The request to the library.
+        request: The request to the library.
         method: Options of the method and of its execution.
         output: The output folder or file, and its layout.
         usual: Whether to use the default levels instead of those of the request.
         sky: The requested environment.
     """
 
-    wish: Request
+    request: Request
     method: Method
     output: Output
     usual: bool = False
     sky: EnvironmentRequest = NOTHING
 
 
-def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
+def run_levels(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
     """Make the levels and return the manifest with the reports, or with --dry-run the plan.
 
     Raises:
         NanogsError: The levels cannot be made.
     """
-    wish, method, output = wishes.wish, wishes.method, wishes.output
-    wish = replace(wish, inputs=(pair.source, *wish.inputs[1:]))  # stdin is now a temporary file
-    if wishes.usual:
-        wish = replace(wish, ratios=usual_levels(wish.inputs, output.layout))
-    sink = sink_of(wish, suffix=output.suffix, layout=output.layout)
-    if not wish.continues_job():
+    method, output = arguments.method, arguments.output
+    inputs = (pair.source, *arguments.request.inputs[1:])  # stdin is now a temporary file
+    request = replace(arguments.request, inputs=inputs)
+    if arguments.usual:
+        request = replace(request, ratios=usual_levels(request.inputs, output.layout))
+    sink = sink_of(request, suffix=output.suffix, layout=output.layout)
+    if not request.continues_job():
         sink.check()
-    plan = plan_run(wish, method)
+    plan = plan_run(request, method)
     if not method.hushed and (plan.divided or method.dry_run):
         for note in plan.notes():
             warn(note)
@@ -69,15 +70,15 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
         "layout": output.layout,
     }
     if method.dry_run:
-        wish, beside = wishes.sky.planned(wish, divided=plan.divided)
+        request, beside = arguments.sky.planned(request, divided=plan.divided)
         record["environment"] = beside and {"source": beside.source, "count": beside.count}
-        shown = replace(plan, wish=wish).shown()
-        counts = [target_count(shown.info.splats, ratio, None) for ratio in wish.ratios]
-        asked = [{"ratio": r, "count": c} for r, c in zip(wish.ratios, counts, strict=True)]
+        shown = replace(plan, request=request).shown()
+        counts = [target_count(shown.info.splats, ratio, None) for ratio in request.ratios]
+        asked = [{"ratio": r, "count": c} for r, c in zip(request.ratios, counts, strict=True)]
         return Run(shown, record | {"levels": asked})
     start = time.perf_counter()
     manifest, reports = execute(
-        plan, lambda wish: write_levels_of_files(wish, sink, progress, wishes.sky)
+        plan, lambda request: write_levels_of_files(request, sink, progress, arguments.sky)
     )
     if not plan.divided:
         manifest = replace(manifest, notes=(*plan.notes(), *manifest.notes))

@@ -15,7 +15,7 @@ from nanogs.cli.console import fail, notes_about, print_json
 from nanogs.cli.failures import sentence_of
 from nanogs.cli.fetching import transfer_bar, within
 from nanogs.cli.file_options import Files
-from nanogs.cli.options import TransferProgress
+from nanogs.cli.options import Reporting
 from nanogs.cli.progress import Watch, shown
 from nanogs.cli.streams import Streams
 from nanogs.cli.wording import wording
@@ -100,7 +100,7 @@ def run_all(
     pairs: list[Pair],
     run_one: Callable[[Pair, Progress], Run],
     show: Callable[[Run], None],
-    telling: TransferProgress,
+    reporting: Reporting,
     files: Files,
     *,
     writes: bool = True,
@@ -112,7 +112,7 @@ def run_all(
         pairs: Inputs and outputs.
         run_one: Processes one pair, and reports its progress.
         show: Prints the result of one pair for people.
-        telling: Options of the output; with a model on stdout, JSON goes to stderr.
+        reporting: Options of the output; with a model on stdout, JSON goes to stderr.
         files: The folder for several results, and the formats of stdin and stdout.
         writes: Whether files are written, so that the folder is created.
         overwrite: Whether an upload may replace what is at its URL; `run_one` checks files itself.
@@ -124,10 +124,10 @@ def run_all(
     out_dir, streams = files.out_dir, Streams(files.read_as, files.write_as)
     failed: list[dict[str, str]] = []
     if out_dir is None:
-        bar = transfer_bar(quiet=telling.hushed)
+        bar = transfer_bar(quiet=reporting.hushed)
         with (
             streams.local_copies(pairs[0], bar, overwrite=overwrite) as near,
-            shown(quiet=telling.hushed) as watch,
+            shown(quiet=reporting.hushed) as watch,
             streams.opened(near) as real,
         ):
             runs = [run_one(real, watch).named(pairs[0])]
@@ -135,14 +135,14 @@ def run_all(
         for pair in pairs:
             streams.check(pair)
         made = _make(out_dir) if writes else []
-        with cleaned_up(partial(remove_empty, made)), shown(quiet=telling.hushed) as watch:
-            show_each = None if telling.hushed else show
+        with cleaned_up(partial(remove_empty, made)), shown(quiet=reporting.hushed) as watch:
+            show_each = None if reporting.hushed else show
             runs, failed = _run_several(pairs, run_one, show_each, watch, streams)
-    if telling.json:
+    if reporting.json:
         each = [run.to_dict() for run in runs]
         data = each[0] if out_dir is None else {"files": each, "failed": failed}
         print_json(data, sys.stderr if pairs[0].target == DASH else sys.stdout)
-    elif out_dir is None and not telling.quiet:
+    elif out_dir is None and not reporting.quiet:
         show(runs[0])
     if failed:
         others = "; the others are done" if len(failed) < len(pairs) else ""

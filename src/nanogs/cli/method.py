@@ -75,7 +75,7 @@ def refuse_others(preset: str, given: dict[str, Any]) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Method(options.TransferProgress):
+class Method(options.Reporting):
     """Options of `simplify` and `lod`."""
 
     preset: Annotated[

@@ -252,7 +252,7 @@ Device = Annotated[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TransferProgress:
+class Reporting:
     """The options `--json` and `--quiet`, and the printing of results according to them."""
 
     json: Json = False
@@ -263,7 +263,7 @@ class TransferProgress:
         """Whether no progress and notes are printed during the run."""
         return self.json or self.quiet
 
-    def tell(
+    def report(
         self, run: dict[str, Any], show: Callable[[], object], notes: Sequence[str] = ()
     ) -> None:
         """Print a result: as JSON on stdout, or the notes followed by `show()` for people."""
@@ -278,7 +278,7 @@ class TransferProgress:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Running(TransferProgress):
+class Running(Reporting):
     """Options of commands that render models: output, overwriting, threads and memory."""
 
     overwrite: Overwrite = False

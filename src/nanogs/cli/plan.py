@@ -40,7 +40,7 @@ class Plan:
     """A planned run.
 
     Attributes:
-        wish: The request to the library.
+        request: The request to the library.
         method: Options of the method and of its execution.
         info: Metadata of the input; for several files that of the first, with the splats and bytes
             of all.
@@ -50,7 +50,7 @@ class Plan:
         blocks: The division into blocks, if it was computed to be printed.
     """
 
-    wish: Request
+    request: Request
     method: Method
     info: FileInfo
     count: int | None
@@ -61,13 +61,13 @@ class Plan:
     @property
     def name(self) -> str:
         """The names of the input files."""
-        return ", ".join(map(str, self.wish.inputs))
+        return ", ".join(map(str, self.request.inputs))
 
     @property
     def process_memory(self) -> int | None:
         """Bytes that each process may take in blocks; None to let the library decide."""
         blocks = self.method.blocks
-        if blocks.max_memory is not None or blocks.scheduler or self.wish.begun:
+        if blocks.max_memory is not None or blocks.scheduler or self.request.begun:
             return blocks.max_memory
         return process_memory(self.free, blocks.workers or 1)
 
@@ -78,12 +78,12 @@ class Plan:
     def memory(self) -> MemoryPlan:
         """Compute the memory of an undivided run; an unknown count is taken as all splats."""
         info, most = self.info, self.count or self.info.splats
-        return memory_of(self.wish, info.splats, info.sh_degree, info.extra_bytes(), most)
+        return memory_of(self.request, info.splats, info.sh_degree, info.extra_bytes(), most)
 
     @property
     def read(self) -> bool:
         """Whether planning reads the splats and counts the usable ones, or only headers."""
-        return self.divided or self.wish.goal.size is not None or bool(self.wish.filters)
+        return self.divided or self.request.goal.size is not None or bool(self.request.filters)
 
     def shown(self) -> "Plan":
         """Complete the plan for printing by reading the splats: count after filters, and blocks.
@@ -91,27 +91,29 @@ class Plan:
         Raises:
             NanogsError: The run is not possible.
         """
-        wish = self.wish
+        request = self.request
         if self.divided:
             settings, blocks = self._divide()
             left = None
             if settings.search is None:
-                left = count_of(wish.goal, blocks.splats, settings.result_layout, wish.sizer)
+                left = count_of(request.goal, blocks.splats, settings.result_layout, request.sizer)
             info = replace(self.info, splats=blocks.splats)
             return replace(self, blocks=blocks, info=info, count=left)
         if not self.read:
             return self
-        splats = prepare(read_parts(wish.inputs, wish.render_mode), wish.edits).splats
-        rows, goal = usable_rows(splats, wish.nan), wish.goal
-        wish.refuse_small(splats.take(first_two(splats, rows)))
-        count = target_of(goal, splats, len(rows), wish.output, wish.parameters, wish.sh_degree)
+        splats = prepare(read_parts(request.inputs, request.render_mode), request.edits).splats
+        rows, goal = usable_rows(splats, request.nan), request.goal
+        request.refuse_small(splats.take(first_two(splats, rows)))
+        count = target_of(
+            goal, splats, len(rows), request.output, request.parameters, request.sh_degree
+        )
         return replace(self, info=replace(self.info, splats=len(splats)), count=count)
 
     def _divide(self) -> tuple[Settings, ScalePlan]:
-        wish, elsewhere = self.wish, self.method.blocks.scheduler is not None
-        folder = wish.folder if wish.resume else None
+        request, elsewhere = self.request, self.method.blocks.scheduler is not None
+        folder = request.folder if request.resume else None
         size = block_memory(self.process_memory, None, folder, elsewhere=elsewhere)
-        return plan_job(wish, *size)
+        return plan_job(request, *size)
 
     def notes(self) -> list[str]:
         """Return notes on the use of blocks and their options, one sentence each."""
@@ -133,20 +135,20 @@ class Plan:
         Raises:
             NotEnoughMemoryError: There is such a request.
         """
-        wishes = {
-            "--drop-floaters": any(each.whole for each in self.wish.filters),
+        whole_only = {
+            "--drop-floaters": any(each.whole for each in self.request.filters),
             "a model in a pipe, which blocks cannot read or write,": piped,
             f"the preset {self.method.preset}": isinstance(self.method.chosen, PaperParameters),
         }
-        for wish, asked in wishes.items():
+        for option, asked in whole_only.items():
             if asked:
                 raise NotEnoughMemoryError(
-                    f"{self._too_large()}; blocks would take less, but {wish} needs the whole"
+                    f"{self._too_large()}; blocks would take less, but {option} needs the whole"
                     " model in memory: leave that out, or provide more memory."
                 )
 
     def _too_large(self) -> str:
-        peak, parts = bytes_text(self.memory().peak), len(self.wish.inputs)
+        peak, parts = bytes_text(self.memory().peak), len(self.request.inputs)
         model = self.name if parts == 1 else f"The model of {parts:,} files"
         return f"{model} takes about {peak} of memory, and {self.free}"
 
@@ -162,7 +164,7 @@ class Plan:
         }
 
 
-def wish_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN401 - its fields
+def request_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN401 - its fields
     """Build the request to the library from the options; workers share the processors.
 
     Args:
@@ -187,7 +189,7 @@ def wish_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN40
 
 
 def plan_run(
-    wish: Request,
+    request: Request,
     method: Method,
     *,
     piped: bool = False,
@@ -195,17 +197,17 @@ def plan_run(
     """Plan a run, and decide whether it is divided into blocks; only headers are read.
 
     Args:
-        wish: The request to the library.
+        request: The request to the library.
         method: Options of the method and of its execution.
         piped: Whether a model comes from stdin or goes to stdout.
 
     Raises:
         NanogsError: The run is not possible.
     """
-    info, goal = inspect_parts(wish.inputs), wish.goal
-    count, free = goal.known_count(info.splats), allowed_memory(wish.max_memory)
-    plan = Plan(wish=wish, method=method, info=info, count=count, free=free)
-    if plan_files(wish).divided:
+    info, goal = inspect_parts(request.inputs), request.goal
+    count, free = goal.known_count(info.splats), allowed_memory(request.max_memory)
+    plan = Plan(request=request, method=method, info=info, count=count, free=free)
+    if plan_files(request).divided:
         plan.refuse_whole_model_wishes(piped=piped)
         return replace(plan, divided=True)
     return plan
@@ -213,22 +215,22 @@ def plan_run(
 
 def execute(plan: Plan, do: Callable[[Request], T]) -> T:
     """Execute a plan by calling `do` with its request; blocks are done by the plan's executor."""
-    wish = plan.wish
+    request = plan.request
     if not plan.divided:
         keep_freed_memory()
-        _prepare_kernels(wish)
+        _prepare_kernels(request)
     with without_gc():
-        import_stages(wish.parameters)
+        import_stages(request.parameters)
     if plan.divided:
         with plan.executor() as executor:
-            return do(replace(wish, executor=executor, max_memory=plan.process_memory))
-    return do(wish)
+            return do(replace(request, executor=executor, max_memory=plan.process_memory))
+    return do(request)
 
 
-def _prepare_kernels(wish: Request) -> None:
+def _prepare_kernels(request: Request) -> None:
     """Compile kernels in other processes: now if none is cached, else when one is missing."""
-    preset = "paper" if isinstance(wish.parameters, PaperParameters) else "fast"
-    if renders(wish.parameters) or is_measured(wish):
+    preset = "paper" if isinstance(request.parameters, PaperParameters) else "fast"
+    if renders(request.parameters) or is_measured(request):
         preset = DEFAULT_PRESET
     if nothing_compiled():
         compile_ahead(preset)

@@ -75,7 +75,7 @@ def refit(
     check_device(device)
     bar = transfer_bar(quiet=run.hushed)
     with local_copies(
-        [original, small], target, overwrite=run.overwrite, telling=bar, remedy=DOWNLOAD
+        [original, small], target, overwrite=run.overwrite, transfer=bar, remedy=DOWNLOAD
     ) as near:
         inputs, made = near
         first, second = (model_in(file) for file in inputs)
@@ -89,7 +89,7 @@ def refit(
         )
     files = {"original": str(original), "input": str(small), "output": str(target)}
     show = partial(_print_report, report, target, verbose=verbose)
-    run.tell(report.to_dict() | files, show, report.notes)
+    run.report(report.to_dict() | files, show, report.notes)
 
 
 def _refit_files(

@@ -93,7 +93,7 @@ def render(
     said = f"{target}: {counted(len(written), 'image')}"
     report = {"input": str(source), "images": written, "device": used}
     report["notes"] = [*opened.remarks, *notes, *device_notes(device, used)]
-    run.tell(report, partial(say, said), report["notes"])
+    run.report(report, partial(say, said), report["notes"])
 
 
 def _is_picture(target: Path) -> bool:

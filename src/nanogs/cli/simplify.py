@@ -81,8 +81,8 @@ def simplify(
     joined = tuple(collect(paths[:-1])) if method.blocks.join else ()
     pairs = many.plan_pairs([joined[0], paths[-1]] if joined else paths, files)
     method.check(paths)
-    wishes = simplify_run.Wishes(
-        wish=plan.wish_of(
+    arguments = simplify_run.Arguments(
+        request=plan.request_of(
             method, Goal(ratio, count, size, psnr, draw_cost), overwrite=overwrite,
             format_options=of_format, device=device,
         ),
@@ -93,7 +93,7 @@ def simplify(
     )  # fmt: skip
     show = partial(print_report, verbose=verbose)
     runs = many.run_all(
-        pairs, partial(simplify_run.run_one, wishes),
+        pairs, partial(simplify_run.run_one, arguments),
         simplify_run.print_plan if method.dry_run else show,
         method, files, writes=not method.dry_run, overwrite=overwrite,
     )  # fmt: skip

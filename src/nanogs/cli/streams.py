@@ -96,13 +96,13 @@ class Streams:
 
     @contextmanager
     def local_copies(
-        self, pair: Pair, telling: TransferProgress, *, overwrite: bool = False
+        self, pair: Pair, transfer: TransferProgress, *, overwrite: bool = False
     ) -> Iterator[Pair]:
         """Replace URLs by temporary files; the output is uploaded at the end.
 
         Args:
             pair: Input and output.
-            telling: Shows the progress of downloads and uploads.
+            transfer: Shows the progress of downloads and uploads.
             overwrite: Replace what exists at the output's URL.
 
         Raises:
@@ -115,7 +115,7 @@ class Streams:
             pair.target,
             overwrite=overwrite,
             format=read_as,
-            telling=telling,
+            transfer=transfer,
             remedy=_REMEDY,
         ) as ([source], target):
             yield Pair(source, target or pair.target)

@@ -45,7 +45,7 @@ def studio(
     device: options.Device = "cpu",
     threads: options.Threads = None,
     max_memory: options.MaxMemory = None,
-    telling: options.TransferProgress,
+    reporting: options.Reporting,
 ) -> None:
     """Choose a smaller model in a browser: see every count, size and PSNR before it is saved.
 
@@ -61,12 +61,12 @@ def studio(
     from nanogs.view.bundle import check_built
 
     check_built()
-    manner = StudioSettings(
+    settings = StudioSettings(
         preset=preset, render_mode=render_mode, up=None if up is None else axis_of(up),
         threads=threads, max_memory=max_memory, device=device,
     )  # fmt: skip
-    serving = Studio(scene_of(model), manner, folder=Path.cwd(), port=port, idle=idle)
+    serving = Studio(scene_of(model), settings, folder=Path.cwd(), port=port, idle=idle)
     record = {"url": serving.url, "input": str(model), "folder": str(Path.cwd())}
-    telling.tell(record, partial(say, f"{model}: {serving.url} (Ctrl-C ends it)"))
-    show_page(serving.url, "the address", open_page, quiet=telling.json)
+    reporting.report(record, partial(say, f"{model}: {serving.url} (Ctrl-C ends it)"))
+    show_page(serving.url, "the address", open_page, quiet=reporting.json)
     serving.run()

@@ -108,7 +108,7 @@ def view(
     notes = [f"{model.name}: {options_in(note)}" for model in report.models for note in model.notes]
     measured = "" if report.judged is None else f"; {report.judged.text}"
     said = f"{page}: {bytes_text(report.output_bytes)}{measured}"
-    run.tell(report.to_dict(), partial(say, said), notes)
+    run.report(report.to_dict(), partial(say, said), notes)
     show_page(page.resolve().as_uri(), str(page), open_page, quiet=run.json)
 
 

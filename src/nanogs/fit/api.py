@@ -13,7 +13,7 @@ from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import RefitReport
 from nanogs.fit.stages import refit_stages
 from nanogs.io.models import Model, as_splats
-from nanogs.progress import Parts, Progress, Tracker
+from nanogs.progress import PartProgress, Progress, Tracker
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -72,12 +72,12 @@ def refit(
     with (
         use_device(device) as used,
         use_threads(threads) as threads_used,
-        show_progress(progress) as tell,
+        show_progress(progress) as on_step,
     ):
         large, given = as_splats(original, "the original"), as_splats(small, "the small model")
         _refuse_unusable(large, "original")
         _refuse_unusable(given, "small")
-        tracker = Tracker(tell, refit_stages(chosen, len(large), len(given)))
+        tracker = Tracker(on_step, refit_stages(chosen, len(large), len(given)))
         tracker.begin("render")
         with clock.time("targets"):
             fitting, deciding, unseen = view_targets(large, given, cameras, chosen, tracker.part)
@@ -101,7 +101,7 @@ def fit_to_views(
     parameters: RefitParameters,
     original_count: int,
     threads: int,
-    tell: Parts,
+    on_progress: PartProgress,
     sets: "PaletteSize | None" = None,
 ) -> tuple[Splats, RefitReport]:
     """Fit a small model to given views.
@@ -113,7 +113,7 @@ def fit_to_views(
         parameters: See `RefitParameters`.
         original_count: Number of splats of the original, for the report.
         threads: Number of threads in use, for the report.
-        tell: Progress callback: number of steps made, and their largest possible number.
+        on_progress: Progress callback: number of steps made, and their largest possible number.
         sets: Palette of higher harmonics that the splats are to share; None for no palette.
     """
     from nanogs.fit.rounds import fit
@@ -122,9 +122,9 @@ def fit_to_views(
     clock = StageClock()
     with clock.time("fit"):
         if sets is None:
-            fitted, outcome = fit(small, fitting, deciding, parameters, tell)
+            fitted, outcome = fit(small, fitting, deciding, parameters, on_progress)
         else:
-            fitted, outcome = fit_shared(small, sets, fitting, deciding, parameters, tell)
+            fitted, outcome = fit_shared(small, sets, fitting, deciding, parameters, on_progress)
     report = RefitReport(
         parameters=asdict(parameters),
         original_count=original_count,

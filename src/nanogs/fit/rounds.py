@@ -15,7 +15,7 @@ from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import GroupReport, RefitStop, RoundReport
 from nanogs.fit.state import State, start, store
 from nanogs.fit.targets import Fitting
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 from nanogs.raster.rendering import PreparedSplats, concatenated, prepare
 from nanogs.splats import Splats
 
@@ -97,7 +97,7 @@ def fit(
     fitting: Fitting,
     deciding: Sequence[Group],
     parameters: RefitParameters,
-    tell: Parts,
+    on_progress: PartProgress,
     shared: "SharedHarmonics | None" = None,
 ) -> tuple[Splats, Outcome]:
     """Fit a model in rounds.
@@ -107,7 +107,7 @@ def fit(
         fitting: Views to fit to.
         deciding: Validation views, which decide how much of each round is kept.
         parameters: Rounds, steps, rate, damping and ridges; see `RefitParameters`.
-        tell: Progress callback: number of steps made, and their largest possible number.
+        on_progress: Progress callback: number of steps made, and their largest possible number.
         shared: Which splats share their higher harmonics, as they must do in `small` already; by
             default each has its own.
 
@@ -122,7 +122,7 @@ def fit(
     stop = RefitStop.ROUNDS
     for number in range(parameters.rounds):
         begin, before = time.perf_counter(), _mean(guard.best)
-        reached, errors = _round(descent, rate, number, tell)
+        reached, errors = _round(descent, rate, number, on_progress)
         last = number == parameters.rounds - 1
         if last:
             descent.rest()
@@ -175,7 +175,9 @@ def _line_search(
     return best, 0.0
 
 
-def _round(descent: Descent, rate: float, number: int, tell: Parts) -> tuple[State, list[float]]:
+def _round(
+    descent: Descent, rate: float, number: int, on_progress: PartProgress
+) -> tuple[State, list[float]]:
     """Take the steps of one round; return the state at its end, and the error at each step.
 
     The learning-rate schedule spans all rounds; the last states of the last round are averaged.
@@ -185,7 +187,7 @@ def _round(descent: Descent, rate: float, number: int, tell: Parts) -> tuple[Sta
     averaged = max((1 - AVERAGED) * total, total - steps)
     errors, mean = list[float](), None
     for i in range(number * steps, (number + 1) * steps):
-        tell(i, total)
+        on_progress(i, total)
         errors.append(descent.step(rate, i / total))
         if i >= averaged:
             mean = mean or descent.running_mean()

@@ -19,7 +19,7 @@ from nanogs.fit.targets import Fitting
 from nanogs.io.cells import by_label
 from nanogs.io.palette import palette
 from nanogs.kernels.kmeans import weighted_means
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 from nanogs.splats import Splats
 
 
@@ -75,7 +75,7 @@ def fit_shared(
     fitting: Fitting,
     deciding: Sequence[Group],
     parameters: RefitParameters,
-    tell: Parts,
+    on_progress: PartProgress,
 ) -> tuple[Splats, Outcome]:
     """Build a palette of higher harmonics, apply it to a model, and fit the result.
 
@@ -85,7 +85,7 @@ def fit_shared(
         fitting: Views to fit to.
         deciding: Validation views, which decide how much of each round is kept.
         parameters: Parameters of the fit.
-        tell: Progress callback: number of steps made, and their largest possible number.
+        on_progress: Progress callback: number of steps made, and their largest possible number.
 
     Returns:
         The fitted model, with no more sets of higher harmonics than asked for, and the outcome.
@@ -93,7 +93,7 @@ def fit_shared(
     found = palette(small.sh[:, 1:].reshape(len(small), -1), sets.most, sets.weights)
     shared = SharedHarmonics.of(found.labels, len(found.entries), sets.weights)
     begun = _with(small, found.entries[found.labels])
-    fitted, outcome = fit(begun, fitting, deciding, parameters, tell, shared)
+    fitted, outcome = fit(begun, fitting, deciding, parameters, on_progress, shared)
     # Rows that never moved still have the entry of before the fit: all get the fitted one.
     moved = np.flatnonzero((fitted.sh[:, 1:] != begun.sh[:, 1:]).any(axis=(1, 2)))
     last = found.entries.copy()

@@ -8,7 +8,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.fit.groups import Group, split
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.targets import Fitting, Target, make_target
-from nanogs.progress import Parts, each
+from nanogs.progress import PartProgress, each
 from nanogs.raster.camera import Camera, pick_evenly, split_evenly
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
@@ -22,7 +22,7 @@ def view_targets(
     small: Splats,
     cameras: Sequence[Camera] | None,
     parameters: RefitParameters,
-    tell: Parts,
+    on_progress: PartProgress,
 ) -> tuple[Fitting, tuple[Group, ...], tuple[str, ...]]:
     """Return the views to fit to, the groups of validation views, and notes for the report.
 
@@ -39,7 +39,7 @@ def view_targets(
     kept, more = parameters.kept + parameters.held, parameters.views - parameters.kept
     chosen, further = choose_cameras(original, cameras, kept, more, parameters.size)
     prepared = prepare(original).with_buffers()
-    targets = [make_target(prepared, camera) for camera in each(chosen, tell)]
+    targets = [make_target(prepared, camera) for camera in each(chosen, on_progress)]
     targets = [target for target in targets if target.image[..., 3].any()]
     blind = len(chosen) - len(targets)
     if len(targets) < 2:

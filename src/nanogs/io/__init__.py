@@ -197,9 +197,9 @@ def save(
         return
     write = registry.writer(named, format_options)
     tracker = Tracker(progress, [Stage("write", 1.0)])
-    told = {"tell": tracker.part} if known.reports_progress else {}
+    callback = {"on_progress": tracker.part} if known.reports_progress else {}
     with atomic.atomic_write(path, overwrite=overwrite) as file:
-        write(splats, file, **told)
+        write(splats, file, **callback)
     tracker.finish()
 
 

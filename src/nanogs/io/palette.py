@@ -9,7 +9,7 @@ import numpy as np
 
 from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, U64, Array
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.slices import slices
 
 _CELL = 256  # approximate number of points per cell, unless that makes too many cells
@@ -34,7 +34,7 @@ class Palette:
 
 
 def palette(
-    points: F32, size: int, weights: F64 | None = None, tell: Parts = ignore_progress
+    points: F32, size: int, weights: F64 | None = None, on_progress: PartProgress = ignore_progress
 ) -> Palette:
     """Find a palette that approximates the points with a small squared error.
 
@@ -45,13 +45,15 @@ def palette(
         points: (N, D), finite, N at least 1.
         size: Largest number of entries.
         weights: (N,) positive weights of the squared errors; equal by default.
-        tell: Progress callback, called with the merges done, if there are any.
+        on_progress: Progress callback, called with the merges done, if there are any.
     """
     distinct, inverse, counts = _distinct(points)
     if len(distinct) <= size:
         return Palette(distinct, inverse.astype(np.int32), exact=True)
     totals = counts if weights is None else np.bincount(inverse, weights)
-    entries, labels = _cluster(distinct, (totals / totals.mean()).astype(np.float32), size, tell)
+    entries, labels = _cluster(
+        distinct, (totals / totals.mean()).astype(np.float32), size, on_progress
+    )
     return _in_order_of_use(entries, labels[inverse])
 
 
@@ -103,7 +105,7 @@ def _keys(rows: F32) -> U64:
     return keys
 
 
-def _cluster(points: F32, weights: F32, size: int, tell: Parts) -> tuple[F32, I32]:
+def _cluster(points: F32, weights: F32, size: int, on_progress: PartProgress) -> tuple[F32, I32]:
     """Cluster distinct points; return the entries (size, D) and the entry of each point (N,)."""
     from nanogs.io.cells import by_label, nearby_cells
     from nanogs.io.ward import merge_points, settle
@@ -112,7 +114,9 @@ def _cluster(points: F32, weights: F32, size: int, tell: Parts) -> tuple[F32, I3
     scaled = _scaled(points)
     count = max(1, min(len(points) // _CELL, size // 8, _MOST_CELLS))
     cells = nearby_cells(scaled, count, _NEAR)
-    labels = settle(scaled, weights, cells, *merge_points(scaled, weights, cells, size, tell))
+    labels = settle(
+        scaled, weights, cells, *merge_points(scaled, weights, cells, size, on_progress)
+    )
     means = np.empty((points.shape[1], size), np.float32)
     weighted_means(points, weights, *by_label(labels, size), means, np.empty(size, np.float32))
     return np.ascontiguousarray(means.T), labels

@@ -43,12 +43,12 @@ def sniff(path: Path) -> str | None:
     with path.open("rb") as file:
         start = file.read(_HEAD_BYTES)
     depths = _zipped(path) if start.startswith(b"PK\x03\x04") else {}
-    told = [known for known in formats() if known.magic and start.startswith(known.magic)]
+    by_magic = [known for known in formats() if known.magic and start.startswith(known.magic)]
     # A zip of a streamed model has whole models in its folders: the outermost manifest decides.
     held = sorted(
         (k for k in formats() if k.zip_member in depths), key=lambda k: depths[k.zip_member]
     )
-    return next((known.suffix for known in (*held, *told)), None)
+    return next((known.suffix for known in (*held, *by_magic)), None)
 
 
 def _zipped(path: Path) -> dict[str, int]:

@@ -11,20 +11,21 @@ from nanogs.errors import ExistsError, FormatError, NanogsError, OptionError, Ou
 from nanogs.formatting import bytes_text
 from nanogs.io.temporary import temporary_file_error
 from nanogs.io.urls import Address
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 
 _BUCKETS = ("s3", "s3a")
 _PIECE = 1 << 20  # bytes
 _LONGEST = 300  # characters of a store's error message that are shown
 
 
-def fetch(address: Address, target: Path, tell: Parts) -> None:
+def fetch(address: Address, target: Path, on_progress: PartProgress) -> None:
     """Download the file of a URL to a new file.
 
     Args:
         address: The URL.
         target: The file to create.
-        tell: Progress callback: bytes that have arrived, and the total, estimated if unknown.
+        on_progress: Progress callback: bytes that have arrived, and the total, which is estimated
+            if unknown.
 
     Raises:
         FormatError: It cannot be read.
@@ -39,12 +40,12 @@ def fetch(address: Address, target: Path, tell: Parts) -> None:
                 f" {bytes_text(free)} free; free some space, or name another folder in TMPDIR."
             )
         done = 0
-        tell(0, 1)
+        on_progress(0, 1)
         with target.open("xb") as out:
             while data := file.read(_PIECE):
                 _put(out, data, address)
                 done += len(data)
-                tell(done, size or 2 * done)
+                on_progress(done, size or 2 * done)
 
 
 def check_absent(address: Address, *, overwrite: bool) -> None:
@@ -94,13 +95,13 @@ class _GivenUp(Exception):  # noqa: N818 - not an error
     """Raised to abort a transaction, so that its files are discarded."""
 
 
-def upload(made: Path, address: Address, tell: Parts, *, overwrite: bool) -> None:
+def upload(made: Path, address: Address, on_progress: PartProgress, *, overwrite: bool) -> None:
     """Upload a file to a URL, where it appears whole or not at all.
 
     Args:
         made: The file.
         address: The URL.
-        tell: Progress callback: bytes that have been sent, and the total.
+        on_progress: Progress callback: bytes that have been sent, and the total.
         overwrite: Replace a file that exists there.
 
     Raises:
@@ -117,11 +118,11 @@ def upload(made: Path, address: Address, tell: Parts, *, overwrite: bool) -> Non
         made.open("rb") as source,
         _sent(files, path) as target,
     ):
-        tell(0, 1)
+        on_progress(0, 1)
         while data := source.read(_PIECE):
             target.write(data)
             done += len(data)
-            tell(done, size)
+            on_progress(done, size)
 
 
 @contextmanager

@@ -16,16 +16,16 @@ from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 from nanogs.io.registry import sniff
 from nanogs.io.transfer import check_absent, fetch, upload
 from nanogs.io.urls import Address, UrlFile
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 
-TransferProgress = Callable[[str], AbstractContextManager[Parts]]
+TransferProgress = Callable[[str], AbstractContextManager[PartProgress]]
 """Context manager of the stage "fetch" or "send"; yields a callback for the bytes transferred."""
 # Manifests whose model cannot be downloaded file by file: their files name further files, or have
 # to be there before the manifest can be opened.
 _MANIFESTS = (registry.LEVELS, registry.TILESET, registry.LEVEL_LIST, ".lcc")
 
 
-def no_transfer_progress(_stage: str) -> AbstractContextManager[Parts]:
+def no_transfer_progress(_stage: str) -> AbstractContextManager[PartProgress]:
     """Report no progress: a `TransferProgress` for callers without a progress display."""
     return nullcontext(ignore_progress)
 
@@ -37,7 +37,7 @@ def local_copies(
     *,
     overwrite: bool = False,
     format: str | None = None,  # noqa: A002 - the name in `load`
-    telling: TransferProgress = no_transfer_progress,
+    transfer: TransferProgress = no_transfer_progress,
     remedy: str = 'name it, as in nanogs.load(url, format=".splat")',
 ) -> Iterator[tuple[list[Path], Path | None]]:
     """Replace each URL by the path of a temporary file; other paths are returned unchanged.
@@ -51,7 +51,7 @@ def local_copies(
         overwrite: Replace a file that exists at the output.
         format: Suffix of the inputs' format; by default taken from their names or detected from
             their first bytes.
-        telling: Reports the progress of downloads and uploads.
+        transfer: Reports the progress of downloads and uploads.
         remedy: Advice for the error message if the format of an input cannot be detected.
 
     Yields:
@@ -69,15 +69,15 @@ def local_copies(
     with temporary_folder("nanogs-") as folder:
         places: dict[str, str] = {}
         try:
-            real = [_fetched(each, folder, places, format, telling, remedy) for each in inputs]
+            real = [_fetched(each, folder, places, format, transfer, remedy) for each in inputs]
             target = _to_send(output, folder, places) if isinstance(output, Address) else output
             yield real, target
         except NanogsError as error:  # name URLs, not temporary folders, in the message
             error.args = tuple(_renamed(str(part), places) for part in error.args)
             raise
         if isinstance(output, Address) and target is not None and target.exists():
-            with telling("send") as tell:
-                upload(target, output, tell, overwrite=overwrite)
+            with transfer("send") as on_progress:
+                upload(target, output, on_progress, overwrite=overwrite)
 
 
 def check_sendable(
@@ -141,7 +141,7 @@ def detect_suffix(raw: Path, called: str, format: str | None, remedy: str) -> st
 
 
 def _to_send(output: Address, folder: Path, places: dict[str, str]) -> Path:
-    return _stand_in(_own(folder, output, places) / output.name, output)
+    return _local_copy(_own(folder, output, places) / output.name, output)
 
 
 def _own(folder: Path, address: Address, places: dict[str, str]) -> Path:
@@ -152,7 +152,7 @@ def _own(folder: Path, address: Address, places: dict[str, str]) -> Path:
     return own
 
 
-def _stand_in(path: Path, address: Address) -> UrlFile:
+def _local_copy(path: Path, address: Address) -> UrlFile:
     return UrlFile(path, str(address))
 
 
@@ -161,7 +161,7 @@ def _fetched(
     folder: Path,
     places: dict[str, str],
     format: str | None,  # noqa: A002 - the name in `load`
-    telling: TransferProgress,
+    transfer: TransferProgress,
     remedy: str,
 ) -> Path:
     """Download the file of a URL, and the files that it refers to; other paths are unchanged."""
@@ -176,17 +176,17 @@ def _fetched(
         known.open(path)  # raises for a format that is only written, before the download
     own = _own(folder, path, places)
     raw = own / path.name
-    with telling("fetch") as tell:
-        fetch(path, raw, tell)
+    with transfer("fetch") as on_progress:
+        fetch(path, raw, on_progress)
     if format or registry.find(raw) is None:
-        told = detect_suffix(raw, str(path), format, remedy)
-        raw = raw.rename(raw.with_name(f"{raw.name}{told}"))
-    model = _stand_in(raw, path)
+        suffix = detect_suffix(raw, str(path), format, remedy)
+        raw = raw.rename(raw.with_name(f"{raw.name}{suffix}"))
+    model = _local_copy(raw, path)
     for file in registry.reader(model).open(model).files[1:]:
         name = PurePosixPath(file.relative_to(own).as_posix())
         file.parent.mkdir(parents=True, exist_ok=True)
-        with telling("fetch") as tell:
-            fetch(path.beside(str(name)), file, tell)
+        with transfer("fetch") as on_progress:
+            fetch(path.beside(str(name)), file, on_progress)
     return model
 
 

@@ -21,14 +21,16 @@ from nanogs.kernels.ward import (
     near_partners,
     own_costs,
 )
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 
 _PARTNERS = 6  # length of a point's list of partners
 _SHARE = 0.2  # most merges in a pass, relative to the number of remaining points
 _STALE = 0.7  # the table is rebuilt when fewer than this share of its points remain
 
 
-def merge_points(points: F32, weights: F32, cells: I32, size: int, tell: Parts) -> tuple[I32, I32]:
+def merge_points(
+    points: F32, weights: F32, cells: I32, size: int, on_progress: PartProgress
+) -> tuple[I32, I32]:
     """Merge points until `size` groups remain, with a small squared error.
 
     This ends: while there are more groups than `size`, and so more than cells, some cell holds two,
@@ -40,7 +42,7 @@ def merge_points(points: F32, weights: F32, cells: I32, size: int, tell: Parts) 
         cells: (N, P) the cells that each point searches for partners, its own cell first; the
             number of cells is less than `size`, or one.
         size: Number of groups.
-        tell: Progress callback: merges done, and their total.
+        on_progress: Progress callback: merges done, and their total.
 
     Returns:
         (N,) the group of each point, from 0 on, and (size,) the cell of each group.
@@ -49,12 +51,12 @@ def merge_points(points: F32, weights: F32, cells: I32, size: int, tell: Parts) 
     rows = changed = np.arange(len(points))
     merges = len(points) - size
     while len(rows) > size:
-        tell(len(points) - len(rows), merges)
+        on_progress(len(points) - len(rows), merges)
         nodes.prepare(rows)
         nodes.look(changed)
         changed = nodes.merge(rows, min(len(rows) - size, max(int(_SHARE * len(rows)), 1)))
         rows = rows[nodes.parents[rows] == rows]
-    tell(merges, merges)
+    on_progress(merges, merges)
     return _numbered(nodes.parents, rows), nodes.home[rows]
 
 

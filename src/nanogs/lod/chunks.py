@@ -15,7 +15,7 @@ from nanogs.block_layouts import PLACED, BlockChunks, Encoding
 from nanogs.errors import OptionError
 from nanogs.io.json_fields import is_plain
 from nanogs.lod.cells import Cells, divide
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.splats import Splats
 
 GENERATOR = "nanogs"
@@ -120,7 +120,7 @@ class ChunkLayout(ABC):
         blocks: Sequence[tuple[int, Mapping[str, Array]]],
         finer: Sequence[Any] | None,
         prefix: str,
-        tell: Parts = ignore_progress,
+        on_progress: PartProgress = ignore_progress,
     ) -> BlockChunks:
         """Make the files of a block, or of neighbouring ones, lazily; see `Chunked`."""
         level = SortedLevel(splats, [(count, Cells(**cells)) for count, cells in blocks])
@@ -128,7 +128,7 @@ class ChunkLayout(ABC):
         losses = self.losses(splats) if len(splats) else ()
 
         def files() -> Iterator[tuple[str, bytes]]:
-            for chunk, files in self._made(level, finer, prefix, tell):
+            for chunk, files in self._made(level, finer, prefix, on_progress):
                 chunks.append(chunk)
                 yield from files.items()
 
@@ -153,7 +153,11 @@ class ChunkLayout(ABC):
 
     @abstractmethod
     def _made(
-        self, level: SortedLevel, finer: Sequence[Any] | None, prefix: str, tell: Parts
+        self,
+        level: SortedLevel,
+        finer: Sequence[Any] | None,
+        prefix: str,
+        on_progress: PartProgress,
     ) -> Made:
         """Make the chunks of a level; see `encode`."""
 

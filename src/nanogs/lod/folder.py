@@ -20,7 +20,7 @@ from nanogs.lod import manifest, streamed_sog, tiles
 from nanogs.lod.cells import Cells
 from nanogs.lod.chunks import ChunkLayout, ChunkTree, plain_paths
 from nanogs.lod.manifest import Manifest, describe_levels
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.report import SimplifyReport
 from nanogs.sink import Environment, Judge, OpenSink, Written, refuse_large
 from nanogs.source import Source
@@ -128,8 +128,8 @@ class _Files(LevelsFilling):
         super().__init__(folder, source)
         self._suffix, self._format_options = suffix, format_options
 
-    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
-        tell(0, 1)
+    def add(self, model: Splats | Source, on_progress: PartProgress = ignore_progress) -> None:
+        on_progress(0, 1)
         path = self._folder / level_name(len(self.written), self._suffix)
         save(model, path, format_options=self._format_options)
         with path.open("rb") as file:
@@ -168,13 +168,13 @@ class ChunksFilling(LevelsFilling):
         self._levels: list[list[list[Any]]] = []  # chunks by level and block
         self.names: list[list[str]] = []
 
-    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
+    def add(self, model: Splats | Source, on_progress: PartProgress = ignore_progress) -> None:
         """Divide the next level into chunks and write them; see `OpenSink`."""
         splats, level = as_splats(model), len(self.written)
         cells = self._cells[0] if level else self._layout.divide(splats.means)
         finer = self._levels[-1][0] if level else None
         blocks = [(len(splats), cells)]
-        self.add_blocks([self._layout.encode(splats, blocks, finer, f"{level}_", tell)])
+        self.add_blocks([self._layout.encode(splats, blocks, finer, f"{level}_", on_progress)])
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
         """Write the chunks of the next level, given block by block; see `OpenSink`."""

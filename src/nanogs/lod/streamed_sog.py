@@ -29,7 +29,7 @@ from nanogs.lod.chunks import (
     plain_paths,
     read_own,
 )
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 from nanogs.splats import Splats
 from nanogs.switches import streamed_pixel
 
@@ -63,7 +63,7 @@ class StreamedSog(ChunkLayout):
         level: SortedLevel,
         finer: Sequence[Any] | None,  # noqa: ARG002 - tiles follow it
         prefix: str,
-        tell: Parts,
+        on_progress: PartProgress,
     ) -> Made:
         from nanogs.io.sog import write as sog_write  # imported here to keep `--help` fast
 
@@ -74,7 +74,7 @@ class StreamedSog(ChunkLayout):
                 part, leaves = level.take(first, end)
                 places = list(_places(part, level.counts, first, end))
                 files = sog_write.start_encoding(pool, part, leaves)
-                tell(level.counts[:end].sum(), level.counts.sum())
+                on_progress(level.counts[:end].sum(), level.counts.sum())
                 yield f"{prefix}{number}", places, files
 
         with sog_write.encoders() as pool:

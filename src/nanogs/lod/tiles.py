@@ -33,7 +33,7 @@ from nanogs.lod.chunks import (
 )
 from nanogs.lod.tileset import describe
 from nanogs.place import from_columns
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 from nanogs.splats import Splats
 from nanogs.switches import tile_pixel
 
@@ -102,7 +102,11 @@ class Tiles(ChunkLayout):
         return (2e-6, 4e-6) if self.packed else (1e-6, 1e-6)
 
     def _made(
-        self, level: SortedLevel, finer: Sequence[Any] | None, prefix: str, tell: Parts
+        self,
+        level: SortedLevel,
+        finer: Sequence[Any] | None,
+        prefix: str,
+        on_progress: PartProgress,
     ) -> Made:
         undivided = frozenset(tile[0] for tile in finer) if finer else level.cells.all_leaves()
         nodes = level.cells.cut(level.counts, self.most, undivided)
@@ -114,7 +118,7 @@ class Tiles(ChunkLayout):
             name, file = f"{prefix}{number}.glb", io.BytesIO()
             self._pack(part, file)
             box = box_around(part, _DEVIATIONS)
-            tell(number + 1, len(nodes))
+            on_progress(number + 1, len(nodes))
             yield [node, name, box.tolist(), _width(part)], {name: file.getvalue()}
 
     def _pack(self, part: Splats, file: io.BytesIO) -> None:

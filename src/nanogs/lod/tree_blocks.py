@@ -18,7 +18,7 @@ from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
 from nanogs.lod.tree import build, joined_nodes, layers_of, refuse_many, units_of
 from nanogs.method.nodes import Nodes
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.source import InMemory, Source
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats, concatenate
@@ -84,17 +84,17 @@ class TreeRows(Source):
 
     Args:
         runs: The ranges that make up the rows.
-        tell: Progress callback for reading; the writer reads all rows twice.
+        on_progress: Progress callback for reading; the writer reads all rows twice.
     """
 
-    def __init__(self, runs: Sequence[_Run], tell: Parts = ignore_progress) -> None:
-        self._runs, self._tell, self._read = runs, tell, 0
+    def __init__(self, runs: Sequence[_Run], on_progress: PartProgress = ignore_progress) -> None:
+        self._runs, self._on_progress, self._read = runs, on_progress, 0
         self._ends = np.cumsum([0, *(run.stop - run.start for run in runs)])
         self.count, self.columns = int(self._ends[-1]), runs[0].source.columns
 
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop`, and report progress; see `Source`."""
-        self._tell(min(self._read, 2 * self.count), 2 * self.count)
+        self._on_progress(min(self._read, 2 * self.count), 2 * self.count)
         self._read += stop - start
         parts = [run.source.read(low, high) for run, low, high in self._within(start, stop)]
         return joined_rows(parts or [self._runs[0].source.read(0, 0)])
@@ -120,7 +120,7 @@ def joined_trees(
     trees: Sequence[BlockTree],
     further: Sequence[Source],
     some: Splats,
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
 ) -> TreeRows:
     """Join the trees of blocks and return all rows of the scene's tree.
 
@@ -129,7 +129,7 @@ def joined_trees(
         further: Results that are coarser than the trees' levels, the finest first. If there are
             any, the roots only link to the rows below them, and are no rows of the tree themselves.
         some: As `block_layouts.Linked.link` took it.
-        tell: As `TreeRows` takes it.
+        on_progress: As `TreeRows` takes it.
 
     Raises:
         OptionError: A splat would have too many children.
@@ -153,7 +153,7 @@ def joined_trees(
         _Run(layer, partial(_part, counts), 0, layer.count)
         for layer, counts in zip(layers[::-1], children[::-1], strict=True)
     ]
-    return TreeRows([*runs, *_below(trees, bounds, top.order)], tell)
+    return TreeRows([*runs, *_below(trees, bounds, top.order)], on_progress)
 
 
 def _nodes_of(trees: Sequence[BlockTree]) -> Nodes:

@@ -13,7 +13,7 @@ from nanogs.io.rad.write import SUFFIX, write
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree import Linking, as_rows
 from nanogs.lod.tree_blocks import Linked, joined_trees
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.report import SimplifyReport
 from nanogs.sink import Judge, OneFile, OpenSink, Written, made_beside
 from nanogs.source import InMemory, Source, source_of
@@ -85,17 +85,21 @@ class TreeFilling(OpenSink):
         self._trees: Sequence[BlockTree] = ()
         self._linked, self._further = 0, list[Source]()
         self._some: Splats | None = None
-        self._tell: Parts = ignore_progress
+        self._on_progress: PartProgress = ignore_progress
 
     def add_trees(
-        self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = ignore_progress
+        self,
+        trees: Sequence[BlockTree],
+        levels: int,
+        some: Splats,
+        on_progress: PartProgress = ignore_progress,
     ) -> None:
         """Take the trees of blocks, for the levels added afterwards; see `OpenSink`."""
-        self._trees, self._linked, self._some, self._tell = trees, levels, some, tell
+        self._trees, self._linked, self._some, self._on_progress = trees, levels, some, on_progress
 
-    def add(self, model: Splats | Source, tell: Parts = ignore_progress) -> None:
+    def add(self, model: Splats | Source, on_progress: PartProgress = ignore_progress) -> None:
         """Link a level to the previous one, unless the trees of blocks include it already."""
-        tell(0, 1)
+        on_progress(0, 1)
         number, source = len(self.written), source_of(model)
         count = source.count
         if number < self._linked:
@@ -137,7 +141,7 @@ class TreeFilling(OpenSink):
         """Write the file and return its number of rows."""
         with self._making.open("wb") as file:
             if self._some is not None:
-                rows = joined_trees(self._trees, self._further, self._some, self._tell)
+                rows = joined_trees(self._trees, self._further, self._some, self._on_progress)
                 write(rows, file, tree=rows)
                 return rows.count
             assert self._leaves is not None, "there is one level at least"  # noqa: S101

@@ -18,7 +18,7 @@ from nanogs.method.graph import neighbour_pairs
 from nanogs.method.match import MergePlan, match
 from nanogs.method.nodes import Nodes, gather_groups, gather_pairs
 from nanogs.method.parameters import ForestParameters
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 from nanogs.report import PassReport, StopReason
 from nanogs.slices import SLICE_PAIRS, slices
 
@@ -49,14 +49,16 @@ class Forest:
         return self.splats - len(self.children)
 
 
-def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell: Parts) -> Forest:
+def grow_forest(
+    leaves: Nodes, parameters: ForestParameters, threads: int, on_progress: PartProgress
+) -> Forest:
     """Grow a forest: match nearly all nodes with a neighbour and merge them, until one is left.
 
     Args:
         leaves: N nodes, one for each splat.
         parameters: k and lambda_app are used.
         threads: Threads for the nearest-neighbour query.
-        tell: Progress callback for the merges done.
+        on_progress: Progress callback for the merges done.
     """
     count = made = len(leaves)
     nodes, ids = leaves, np.arange(count, dtype=np.int32)
@@ -65,7 +67,7 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
     passes: list[PassReport] = []
     stop = StopReason.TARGET
     while len(nodes) > 1:
-        on_share = partial(_tell_within, tell, count, len(nodes))
+        on_share = partial(_report_within, on_progress, count, len(nodes))
         plan, increments, report = _one_pass(nodes, parameters, threads, on_share)
         if len(plan) == 0:
             stop = report.stop
@@ -104,9 +106,9 @@ def _joined_pairs(pairs: I32, ids: I32, made: int) -> tuple[I32, I32, I64, I32]:
     return children, ids[:left].copy(), starts, members
 
 
-def _tell_within(tell: Parts, splats: int, nodes: int, share: float) -> None:
+def _report_within(on_progress: PartProgress, splats: int, nodes: int, share: float) -> None:
     """Report the number of a forest's merges done, within a pass that halves the nodes."""
-    tell(splats - nodes * (1 - share / 2), splats)
+    on_progress(splats - nodes * (1 - share / 2), splats)
 
 
 def _one_pass(

@@ -9,7 +9,7 @@ import numpy as np
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError
 from nanogs.formatting import counted
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, render
 from nanogs.splats import Splats
@@ -146,12 +146,14 @@ def visibility_of(
 
 
 def roaming_views(
-    splats: Splats, count: int, tell: Parts = ignore_progress
+    splats: Splats, count: int, on_progress: PartProgress = ignore_progress
 ) -> tuple[list[Camera], tuple[str, ...]]:
     """Find small roaming cameras; return them, and a note if fewer than `count` were found."""
     found: list[Camera] = []
     with suppress(ModelError):  # none was found; the note says so
-        found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", tell=tell)
+        found = roaming_cameras(
+            splats, count, width=SMALL, height=SMALL, split="fit", on_progress=on_progress
+        )
     lacking = f"Only {len(found)} of {counted(count, 'roaming view')} could be found."
     return found, (lacking,) if len(found) < count else ()
 

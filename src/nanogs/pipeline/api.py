@@ -127,7 +127,7 @@ def simplify(
     with (
         use_device(device) as used,
         use_threads(threads) as threads_used,
-        show_progress(progress) as tell,
+        show_progress(progress) as on_step,
     ):
         splats = as_splats(model)
         with clock.time("check"):
@@ -137,7 +137,7 @@ def simplify(
             refuse_misaligned_elements(splats, 1 if target is None else target)
             job.refuse_too_large(target, max_memory, judged=target is None)
         tracker = Tracker(
-            tell,
+            on_step,
             simplify_stages(job.parameters, goal, len(job.rows), target, path.suffix),
         )
         files = HeldFiles(path, given, job.splats, clock, frame, by_psnr=psnr is not None)
@@ -256,11 +256,11 @@ def target_of(
     return count_for_size(available, goal.size, lambda count: file_bytes(like, count))
 
 
-def refuse_small(wish: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
+def refuse_small(request: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
     """Raise, before anything is computed, if the file size asked for is far too small.
 
     Args:
-        wish: The requirements on the file.
+        request: The requirements on the file.
         some: Usable splats of the model, at least one.
         files: Writes sample files to measure their size.
 
@@ -269,12 +269,14 @@ def refuse_small(wish: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
     """
     from nanogs.pipeline.search.file_size import refuse_hopeless
 
-    smallest = wish.smallest(some.sh_degree)
+    smallest = request.smallest(some.sh_degree)
     lowest = some.with_sh_degree(smallest.sh_degree)
-    if (file_bytes := wish.known.file_bytes) is not None:
-        count_for_size(1, wish.size, lambda _count: file_bytes(lowest, 1))
+    if (file_bytes := request.known.file_bytes) is not None:
+        count_for_size(1, request.size, lambda _count: file_bytes(lowest, 1))
     else:
-        refuse_hopeless(lowest, wish.size, lambda one: files.sample_bytes(one, smallest.options(1)))
+        refuse_hopeless(
+            lowest, request.size, lambda one: files.sample_bytes(one, smallest.options(1))
+        )
 
 
 def _search_size(
@@ -287,10 +289,10 @@ def _search_size(
 
     usable, clock = job.splats.take(job.rows), files.clock
     known, looks = registry.writable(files.path), renders(job.parameters)
-    wish = SizeRequest(size, known, files.given, job.sh_degree, looks=looks)
-    refuse_small(wish, usable, files)
+    request = SizeRequest(size, known, files.given, job.sh_degree, looks=looks)
+    refuse_small(request, usable, files)
     results = HeldResults(job.build(threads, clock, progress), clock)
-    outcome, found = fill_size(Packer(results, wish, usable, files, progress))
+    outcome, found = fill_size(Packer(results, request, usable, files, progress))
     fitted, packed = found.fitted, found.packed
     left_over = fitted.leap(size, results.available, known.overhead_bytes())
     return replace(
@@ -325,8 +327,8 @@ def _search_psnr(
             return views.psnr(stored(outcome))
 
     results = HeldResults(job.build(threads, clock, progress), clock)
-    wish = SizeRequest(0, registry.writable(files.path), files.given, job.sh_degree)
-    pack = PackingForPsnr(results, wish, lambda: job.splats.take(job.rows), files, progress)
+    request = SizeRequest(0, registry.writable(files.path), files.given, job.sh_degree)
+    pack = PackingForPsnr(results, request, lambda: job.splats.take(job.rows), files, progress)
     outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack)
     if found.stop is StopReason.UNREACHED:  # then the whole model is written unchanged
         pack.packed = None

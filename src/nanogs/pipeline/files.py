@@ -159,11 +159,11 @@ def simplify_blocks(
     request.check_addresses()
     inputs, target = request.inputs, request.output
     with (
-        show_progress(progress) as tell,
+        show_progress(progress) as on_step,
         local_copies(inputs, target, overwrite=overwrite) as (here, there),
     ):
         real = replace(request, inputs=tuple(here), output=there or target)
-        return simplify_files(real, tell)
+        return simplify_files(real, on_step)
 
 
 def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport:
@@ -294,7 +294,7 @@ def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -
         with clock.time("measure"):
             turn, threads = request.frame, request.threads
             judge = file_judge(
-                splats, request.suffix, turn=turn, threads=threads, tell=tracker.part
+                splats, request.suffix, turn=turn, threads=threads, on_progress=tracker.part
             )
             judged, packed = judge.beside(output, small)
         notes += judge.notes

@@ -17,7 +17,7 @@ from nanogs.pipeline.in_memory import Job, NanPolicy, prepare_job
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters, refuse_search
 from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.pipeline.outcome import Outcome
-from nanogs.progress import Parts, Progress, Stage, Tracker
+from nanogs.progress import PartProgress, Progress, Stage, Tracker
 from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
 from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
@@ -119,8 +119,11 @@ class Grown:
         job, start, clock = self._job, time.perf_counter(), StageClock()
         refuse_misaligned_elements(job.splats, count)
         stages = delivery_stages(job.parameters, self.available, count)
-        with show_progress(progress) as tell, _on(self._device, self._threads) as (device, threads):
-            tracker = Tracker(tell, stages)
+        with (
+            show_progress(progress) as on_step,
+            _on(self._device, self._threads) as (device, threads),
+        ):
+            tracker = Tracker(on_step, stages)
             outcome = self._delivered(count, clock, tracker)
             tracker.finish()
         report = job.report(Goal(count=count), count, outcome, threads, clock, start)
@@ -151,8 +154,8 @@ class Grown:
         """
         path = registry.file_of(format)
         stages = [Stage("measure", 1.0), Stage("encode", 0.2), Stage("score", 1.0)]
-        with show_progress(progress) as tell, _on(self._device, self._threads):
-            tracker = Tracker(tell, stages)
+        with show_progress(progress) as on_step, _on(self._device, self._threads):
+            tracker = Tracker(on_step, stages)
             tracker.begin("measure")
             views = self._views(tracker.part)
             tracker.begin("encode")
@@ -166,12 +169,12 @@ class Grown:
             tracker.finish()
         return Measured(size, judged)
 
-    def _views(self, tell: Parts) -> "HeldOut":
+    def _views(self, on_progress: PartProgress) -> "HeldOut":
         """Render the model on the held-out views of `compare`, on the first call only."""
         from nanogs.scoring.held_out import held_out
 
         if self._held_out is None:
-            self._held_out = held_out(self._original, tell)
+            self._held_out = held_out(self._original, on_progress)
         return self._held_out
 
     def _delivered(self, count: int, clock: StageClock, progress: Tracker) -> Outcome:
@@ -234,12 +237,12 @@ def grow(
     check_degree(sh_degree)
     from nanogs.pipeline.estimates.durations import build_stages
 
-    with show_progress(progress) as tell, _on(device, threads) as (_, used):
+    with show_progress(progress) as on_step, _on(device, threads) as (_, used):
         original = as_splats(model)
         with clock.time("check"):
             job = prepare_job(original, preset, overrides, cameras, nan, sh_degree)
             job.refuse_too_large(None, max_memory, judged=True)
-        tracker = Tracker(tell, build_stages(job.parameters, len(job.rows)))
+        tracker = Tracker(on_step, build_stages(job.parameters, len(job.rows)))
         scene = job.build(used, clock, tracker)
         tracker.finish()
     return Grown(original, job, scene, clock, device, threads)

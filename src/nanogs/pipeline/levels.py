@@ -157,8 +157,8 @@ def _drawn(
     progress: Progress | bool | None,
     stages: Sequence[Stage],
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
-    with show_progress(progress) as tell:
-        yield from _deliver(job, ratios, device, threads, Tracker(tell, stages))
+    with show_progress(progress) as on_step:
+        yield from _deliver(job, ratios, device, threads, Tracker(on_step, stages))
 
 
 def _deliver(

@@ -29,7 +29,7 @@ from nanogs.pipeline.scene import LIGHT, ROUNDS, Block, FitViews, Members, Scene
 from nanogs.pipeline.tasks.partition import Partition
 from nanogs.pipeline.tasks.units import viewers_of
 from nanogs.pipeline.tasks.views import Views
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
 from nanogs.report import PassReport
@@ -65,12 +65,12 @@ class OneBlock(Scene):
         threads: Number of threads in use.
         cameras: The user's views, or `FoundCameras` of a kind that the user chose, or None for
             automatic ones.
-        tell: Progress callback for the parts of the current task.
+        on_progress: Progress callback for the parts of the current task.
         targets: Number of splats asked for, for each result.
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
             which it lies; 1 for one that lies in none. None if nothing was rendered.
         missed: (N,) bool, the splats that lie in no view.
-        discovery: Estimate of how much of the model the views leave out.
+        missed_light: Estimate of how much of the model the views leave out.
         fitting: Renders of the original that are fitted to, as far as they are kept; without the
             deciding ones.
         groups: The deciding views, in groups: results are chosen and fits are judged by them.
@@ -81,7 +81,7 @@ class OneBlock(Scene):
     settings: Settings
     threads: int
     cameras: Sequence[Camera] | None = None
-    tell: Parts = ignore_progress
+    on_progress: PartProgress = ignore_progress
     targets: list[int] = field(default_factory=list)
     _records: dict[str, Record] = field(default_factory=dict)
     _views: Views | None = None
@@ -92,7 +92,7 @@ class OneBlock(Scene):
     _survey: _Placed | None = None
     visible: F64 | None = None
     missed: Bool | None = None
-    discovery: MissedLight = field(default_factory=MissedLight)
+    missed_light: MissedLight = field(default_factory=MissedLight)
     _forest: Forest | None = None
     _leaves: Nodes | None = None
     # Results in progress: labels by level and cut, the latest groups with their labels, splats.
@@ -230,10 +230,10 @@ class OneBlock(Scene):
         own: Block,
         missed: Bool,
         lights: Sequence[ViewLight],
-        discovery: MissedLight,
+        missed_light: MissedLight,
     ) -> Record:
         """Keep the visibility, and divide the views into fitted and deciding ones."""
-        self.visible, self.missed, self.discovery = own.visible, missed, discovery
+        self.visible, self.missed, self.missed_light = own.visible, missed, missed_light
         looked, self.groups = split(self._shots, max(1, len(self._shots) // DECIDING))
         self.fitting = (*looked, *self._pictures)
         self._shots, self._pictures = [], []
@@ -250,7 +250,9 @@ class OneBlock(Scene):
         activating = time.perf_counter() - start
         # Memory peaks in the merge passes, which need no leaves after the first one. So the leaves
         # are freed there and computed again below; the coverages, an eleventh of them, are kept.
-        self._forest = grow_forest(bare.pop(), self.settings.parameters, self.threads, self.tell)
+        self._forest = grow_forest(
+            bare.pop(), self.settings.parameters, self.threads, self.on_progress
+        )
         start = time.perf_counter()
         self._leaves = self._activated(coverages)
         seconds = [{"activate": activating + time.perf_counter() - start}]
@@ -265,7 +267,7 @@ class OneBlock(Scene):
             return nodes
         weights = prominence(nodes.coverages, nodes.means, viewers)
         if visible is not None:
-            hidden = self.discovery.hidden(self.settings.parameters.hidden)
+            hidden = self.missed_light.hidden(self.settings.parameters.hidden)
             weights = visible_weights(weights, visible[rows], hidden)
         return replace(nodes, weights=normalised(weights))
 

@@ -196,8 +196,8 @@ class Request:
 
         known, given = registry.writable(self.output), self.format_options or {}
         looks = renders(self.parameters)
-        wish = SizeRequest(self.goal.size, known, given, self.sh_degree, looks=looks)
-        refuse_small(wish, some, HeldFiles(self.output, given, some, StageClock(), self.frame))
+        request = SizeRequest(self.goal.size, known, given, self.sh_degree, looks=looks)
+        refuse_small(request, some, HeldFiles(self.output, given, some, StageClock(), self.frame))
 
     def refuse_device_in_blocks(self) -> None:
         """Refuse any device but the CPU for a model in blocks.

@@ -213,8 +213,8 @@ def _do_here(
         for task in tasks_of(scene, stage, level):
             progress.begin(stage.name)
             start = time.perf_counter()
-            scene.tell = progress.part
+            scene.on_progress = progress.part
             own = do(scene, task).facts.get("seconds")
-            scene.tell = ignore_progress
+            scene.on_progress = ignore_progress
             for seconds in own or [{stage.name: time.perf_counter() - start}]:
                 clock.add(seconds)

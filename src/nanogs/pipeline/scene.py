@@ -20,7 +20,7 @@ from nanogs.method.visibility import MissedLight
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.tasks.partition import Partition
 from nanogs.pipeline.tasks.views import Views
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering
 from nanogs.report import PassReport
@@ -116,12 +116,12 @@ class Scene(ABC):
     Attributes:
         settings: Settings of the job.
         threads: Number of threads in use.
-        tell: Progress callback for the parts of the current task.
+        on_progress: Progress callback for the parts of the current task.
     """
 
     settings: Settings
     threads: int
-    tell: Parts
+    on_progress: PartProgress
 
     @abstractmethod
     def record(self, task: Task) -> Record:
@@ -204,7 +204,7 @@ class Scene(ABC):
         own: Block,
         missed: Bool,
         lights: Sequence[ViewLight],
-        discovery: MissedLight,
+        missed_light: MissedLight,
     ) -> Record:
         """Keep a block's visibility, how much of it each view shows, and what the views miss."""
 

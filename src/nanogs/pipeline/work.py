@@ -52,7 +52,7 @@ from nanogs.pipeline.tasks.settle import (
 from nanogs.pipeline.tasks.units import Units, survey, units_of
 from nanogs.pipeline.tasks.unpack import Unpacked
 from nanogs.pipeline.tasks.views import Views, parts_of, views_of
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, concatenated, prepare, render
 from nanogs.report import PassReport
@@ -83,14 +83,14 @@ class Work(Scene):
         settings: Of the job.
         threads: Number of threads in use.
         known: Cache of the records that have been read.
-        tell: Progress callback for the parts of the current task.
+        on_progress: Progress callback for the parts of the current task.
     """
 
     scratch: Scratch
     settings: Settings
     threads: int
     known: dict[str, Record] = field(default_factory=dict)
-    tell: Parts = ignore_progress
+    on_progress: PartProgress = ignore_progress
 
     def record(self, task: Task) -> Record:
         """Return the record that a task wrote.
@@ -306,10 +306,10 @@ class Work(Scene):
         own: Block,
         missed: Bool,
         lights: Sequence[ViewLight],
-        discovery: MissedLight,
+        missed_light: MissedLight,
     ) -> Record:
         """Write a block's visibility, how much of it each view shows, and what the views miss."""
-        return write_look(self, name, own, missed, lights, discovery)
+        return write_look(self, name, own, missed, lights, missed_light)
 
     def grow(self, name: str, block: int) -> Record:
         """Grow the merge forest of a block, and write it."""

@@ -134,12 +134,12 @@ def compare(
         from nanogs.scoring.photos import photographs, room_beside_photographs
         from nanogs.threads import use_threads
 
-        with use_device(device) as used, use_threads(threads), show_progress(progress) as tell:
+        with use_device(device) as used, use_threads(threads), show_progress(progress) as on_step:
             first, *tests = zip(names, sources, strict=True)
             entries: list[tuple[str, Splats | Source, str]] = [(*test, "") for test in tests]
             files = files_of(sources[1:], packing)
             sets_count = asked.sets_count if photos is None else 0
-            tracker = Tracker(tell, _stages(len(models), files, sets_count))
+            tracker = Tracker(on_step, _stages(len(models), files, sets_count))
             if packing:
                 entries = write_packed_files(tests, packing, stack, limit, tracker)
                 made = [source for _, source, suffix in entries if suffix]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from nanogs.costs import DrawCost
 from nanogs.errors import ModelError
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import PIXELS, VIEWS, Protocol
 from nanogs.raster.camera import Camera
 from nanogs.source import Source
@@ -41,12 +41,12 @@ class DrawViews:
         return self.cost(model).share_of(self.original)
 
 
-def draw_views(original: Splats | Source, tell: Parts = ignore_progress) -> DrawViews:
+def draw_views(original: Splats | Source, on_progress: PartProgress = ignore_progress) -> DrawViews:
     """Measure the draw cost of the original, once for any number of models.
 
     Args:
         original: The model.
-        tell: Receives the progress in rows.
+        on_progress: Receives the progress in rows.
 
     Raises:
         FormatError: The source cannot be read.
@@ -59,7 +59,7 @@ def draw_views(original: Splats | Source, tell: Parts = ignore_progress) -> Draw
     except ModelError as error:
         raise ModelError(f"The draw cost cannot be measured: {error}") from None
     protocol = Protocol()
-    cost = cost_on(original, cameras, protocol, tell)
+    cost = cost_on(original, cameras, protocol, on_progress)
     if not cost.splats_a_pixel:
         raise ModelError(
             "The draw cost cannot be measured, because no automatic view shows any splat."

@@ -11,7 +11,7 @@ from nanogs.errors import FormatError, ModelError
 from nanogs.frames import change_frame
 from nanogs.io import load, registry
 from nanogs.io import open as open_model
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import UNMEASURED, Judged, PackingLoss
 from nanogs.scoring.packing import rounds
 from nanogs.source import Source, Turned
@@ -170,7 +170,7 @@ def file_judge(
     *,
     turn: tuple[str, str] | None = None,
     threads: int | None = None,
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
     max_memory: int | None = None,
     costs: bool = False,
 ) -> FileJudge:
@@ -181,7 +181,7 @@ def file_judge(
         suffix: Format of the files.
         turn: The coordinate frames (from, to) of the change made to the files' models, or None.
         threads: Threads to use, or None for all.
-        tell: Receives the progress in views rendered.
+        on_progress: Receives the progress in views rendered.
         max_memory: Bytes that this process may take to render a source; by default the free memory.
         costs: Also measure draw costs, and levels at the distances at which viewers switch to them.
     """
@@ -193,7 +193,7 @@ def file_judge(
 
     try:
         with use_threads(threads):
-            views = held_out(original, tell, max_memory)
+            views = held_out(original, on_progress, max_memory)
             drawing = _drawing(original) if costs else None
     except (ModelError, FormatError) as error:
         return FileJudge(notes=(_unmeasured(error),))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from nanogs.errors import ModelError
 from nanogs.metrics import psnr
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import BLACK, PIXELS, UNMEASURED, Judged, PackingLoss, Protocol
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.scoring.scores import (
@@ -105,13 +105,15 @@ class SelectionViews:
 
 
 def held_out(
-    original: Splats | Source, tell: Parts = ignore_progress, max_memory: int | None = None
+    original: Splats | Source,
+    on_progress: PartProgress = ignore_progress,
+    max_memory: int | None = None,
 ) -> HeldOut:
     """Render the original on the test views, once for any number of models.
 
     Args:
         original: The model; a source is read some rows at a time, with the same result.
-        tell: Receives the progress in views rendered.
+        on_progress: Receives the progress in views rendered.
         max_memory: Bytes that this process may take to render a source; by default the free memory.
 
     Raises:
@@ -119,7 +121,7 @@ def held_out(
         ModelError: Nothing of it is visible.
         NotEnoughMemoryError: There is not enough memory to render the source.
     """
-    return _shown(original, Protocol(pixels=(PIXELS, PIXELS)), tell, max_memory)
+    return _shown(original, Protocol(pixels=(PIXELS, PIXELS)), on_progress, max_memory)
 
 
 def selection_views(
@@ -149,7 +151,7 @@ def selection_views(
 
 
 def _shown(
-    original: Splats | Source, protocol: Protocol, tell: Parts, max_memory: int | None
+    original: Splats | Source, protocol: Protocol, on_progress: PartProgress, max_memory: int | None
 ) -> HeldOut:
     """Render the original on the views of a protocol; views that show nothing are left out."""
     drawn, (width, height) = as_drawn(original, max_memory), protocol.pixels
@@ -162,7 +164,7 @@ def _shown(
             height=height,
             split="test" if protocol.split == "test" else "fit",
         )
-        views, _ = reference_views(drawn, cameras, BLACK, tell, depth=False)
+        views, _ = reference_views(drawn, cameras, BLACK, on_progress, depth=False)
     except ModelError as error:
         raise ModelError(f"{UNMEASURED}{error}") from None
     return HeldOut(views, replace(protocol, views=len(views)), max_memory)

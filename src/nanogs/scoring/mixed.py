@@ -150,32 +150,34 @@ def compare_mixed(
     scores, notes = list[MixedScore](), list[str]()
     with ExitStack() as stack:
         stack.enter_context(use_threads(threads))
-        told = Tracker(
+        tracker = Tracker(
             stack.enter_context(show_progress(progress)), _stages(len(paths), asked.sets_count)
         )
-        told.begin("read")
+        tracker.begin("read")
         whole = as_splats(original)
         together = [read_levels(path) for path in paths]
         for found in asked.sets(whole, views, up):
-            told.begin("render")
+            tracker.begin("render")
             ready = prepare(whole)
-            seen, empty = reference_views(ready, found.cameras, background, told.part, depth=False)
+            seen, empty = reference_views(
+                ready, found.cameras, background, tracker.part, depth=False
+            )
             del ready
             notes += [*found.notes]
             notes += notes_on_views(empty, "nothing of the original is visible; left out")
             cameras = [view.camera for view in seen]
             protocol = views_of(cameras, found.kind, background=background)
-            told.begin("score")
+            tracker.begin("score")
             for done, (name, stream) in enumerate(zip(called[1:], together, strict=True)):
                 marks = list["MixedView"]()
                 for number, view in enumerate(seen):
-                    told.part(done * len(seen) + number, len(paths) * len(seen))
+                    tracker.part(done * len(seen) + number, len(paths) * len(seen))
                     marks.append(stream.score(view, background, budget))
                 levels = tuple(np.diff(stream.ends).tolist())
                 apart = stream.chunks.environment
                 scores.append(_means(name, levels, apart, budget, protocol, marks))
                 notes += _notes(scores[-1], len(stream.chunks.boxes))
-        told.finish()
+        tracker.finish()
     return MixedComparison(called[0], len(whole), tuple(scores), tuple(dict.fromkeys(notes)))
 
 

@@ -16,7 +16,7 @@ from nanogs.bar import show_progress
 from nanogs.costs import DrawCost
 from nanogs.formatting import number_text
 from nanogs.io.models import Model, opened
-from nanogs.progress import Parts, Progress, Stage, Tracker
+from nanogs.progress import PartProgress, Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.source import Source, Tagged, source_of
@@ -179,13 +179,13 @@ def look_at(
     background = None if background is None else plain_background(background)
     wanted = known_cameras(cameras) if photos is None else []
     stages = [Stage("cameras", 1.0), Stage("render", 6.0), Stage("cover", 2.0)]
-    with opened(model) as source, show_progress(progress) as tell:
+    with opened(model) as source, show_progress(progress) as on_step:
         # Imported here because these import Numba.
         from nanogs.scoring.photos import photographs, room_beside_photographs
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
 
-        tracker = Tracker(tell, stages)
+        tracker = Tracker(on_step, stages)
         tracker.begin("cameras")
         with use_threads(threads):
             behind = background or BLACK
@@ -216,7 +216,7 @@ def evidence_on(
     protocol: Protocol,
     photographs: "Sequence[F32]",
     room: int | None,
-    tell: Parts,
+    on_progress: PartProgress,
 ) -> ModeEvidence:
     """Compute the evidence on given views, each rendered in both modes.
 
@@ -227,7 +227,7 @@ def evidence_on(
         photographs: (H, W, 3) for each view, or none.
         room: Bytes for splats while rendering, to read the model some rows at a time; None to load
             it.
-        tell: Receives the progress in images rendered.
+        on_progress: Receives the progress in images rendered.
     """
     import numpy as np
 
@@ -244,7 +244,7 @@ def evidence_on(
         done = MODES.index(mode) * len(cameras)
         pictures = renderings(tagged, cameras, background=protocol.background)
         for number, picture in enumerate(pictures):
-            tell(done + number, len(MODES) * len(cameras))
+            on_progress(done + number, len(MODES) * len(cameras))
             image = picture.shown()
             if photographs:
                 marks[mode].append(psnr(photographs[number], image))

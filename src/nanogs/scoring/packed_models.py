@@ -59,10 +59,10 @@ def write_packed_files(
         for suffix, options in packing.items():
             if has_format(source, suffix):
                 continue
-            told = progress.within(done, files, [Stage("write", 1.0)]).passing()
+            on_step = progress.within(done, files, [Stage("write", 1.0)]).passing()
             path = folder / f"{place}"
             path.mkdir(exist_ok=True)
-            path = write_packed(source, suffix, options, path, told)
+            path = write_packed(source, suffix, options, path, on_step)
             found.append((f"{name} as {suffix}", stack.enter_context(open_model(path)), suffix))
             done += 1
     return found

@@ -12,7 +12,7 @@ from nanogs.costs import DrawCost
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import undrawn
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import Background, PackingLoss
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering
@@ -103,7 +103,7 @@ def reference_views(
     reference: PreparedSplats | Streamed,
     cameras: Iterable[Camera],
     background: Background,
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
     *,
     depth: bool = True,
 ) -> tuple[list[ReferenceView], list[str]]:
@@ -113,7 +113,7 @@ def reference_views(
         reference: The reference model.
         cameras: The views.
         background: RGB in [0, 1].
-        tell: Receives the progress in views rendered.
+        on_progress: Receives the progress in views rendered.
         depth: Keep the renderings, to measure depth errors; otherwise only the images.
 
     Returns:
@@ -124,7 +124,9 @@ def reference_views(
     """
     views, empty = [], []
     known = list(cameras)
-    shown = renderings(reference, known, background=background, depth=depth, tell=tell)
+    shown = renderings(
+        reference, known, background=background, depth=depth, on_progress=on_progress
+    )
     for rendering, camera in zip(shown, known, strict=True):
         if rendering.alpha.any():
             kept = rendering if depth else None

@@ -16,7 +16,7 @@ from nanogs.io.collect import model_in
 from nanogs.io.registry import stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import compare_bytes, page_bytes
-from nanogs.progress import Parts, Progress, Stage, Tracker, each
+from nanogs.progress import PartProgress, Progress, Stage, Tracker, each
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
@@ -160,7 +160,10 @@ def view_files(
 
 
 def _read(
-    inputs: Sequence[tuple[str, Path]], level: int | None, mode: str | None, tell: Parts
+    inputs: Sequence[tuple[str, Path]],
+    level: int | None,
+    mode: str | None,
+    on_progress: PartProgress,
 ) -> list[Splats]:
     """Load the models; if `level` is None, a note names the level of a streamed model."""
     counts = [open_model(path).levels for _name, path in inputs]
@@ -169,7 +172,7 @@ def _read(
             "`level` works only with levels of detail (lod-meta.json, tileset.json); leave it out."
         )
     models = []
-    for (_name, path), levels in each(zip(inputs, counts, strict=True), tell):
+    for (_name, path), levels in each(zip(inputs, counts, strict=True), on_progress):
         if not levels:
             models.append(load(path, render_mode=mode))
         elif level is not None:

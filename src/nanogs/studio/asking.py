@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from nanogs.pipeline.options.target import Goal
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.splats import Splats
+from nanogs.studio.cache import FilteredScene, ModelKey, WorkerCache, grown_key, model_key
 from nanogs.studio.choice import Choice, FilterChoice
 from nanogs.studio.curve import Curve, Point
-from nanogs.studio.held import FilteredScene, ModelKey, WorkerCache, grown_key, model_key
 from nanogs.studio.showing import MOST_SHOWN, Shown, few, marked, show
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ NEAR = 0.3  # dB by which a PSNR may exceed the goal; the command's search has t
 NEAR_SIZE = 0.03  # relative tolerance below a file size
 
 
-class Telling(Protocol):
+class Channel(Protocol):
     """Interface by which a job sends events to its page and notices that it is cancelled."""
 
     @property
@@ -64,20 +64,20 @@ class RequestHandler:
     forest, another thread may make the draft of a newer request (`sooner`).
     """
 
-    def __init__(self, held: WorkerCache, start: "Opening") -> None:
+    def __init__(self, cache: WorkerCache, start: "Opening") -> None:
         """Begin with nothing sent yet.
 
         Args:
-            held: The open scene.
+            cache: The open scene.
             start: The first camera of the page.
         """
-        self._held, self._start = held, start
+        self._cache, self._start = cache, start
         self._forest = Lock()
         self._drafted = (0, "")  # ID of the latest request with a draft, and of the draft's model
         self._shown: dict[str, ModelKey] = {}  # by page, the filtered scene sent last
         self._told: dict[str, Curve] = {}  # by page, the curve whose points were sent
 
-    def ask(self, choice: Choice, tell: Telling) -> None:
+    def ask(self, choice: Choice, channel: Channel) -> None:
         """Answer a request with events: `draft`, `made`, `point`, `measured`.
 
         If the filters have changed, `filtered` comes first.
@@ -86,77 +86,77 @@ class RequestHandler:
             NanogsError: The request cannot be met.
         """
         with self._forest:
-            self._ask(choice, tell)
+            self._ask(choice, channel)
 
-    def _ask(self, choice: Choice, tell: Telling) -> None:
+    def _ask(self, choice: Choice, channel: Channel) -> None:
         begun = time.perf_counter()
-        self._filter(choice, tell)
-        grown = self._roughly(choice, tell)
-        curve = self._curve(choice, grown, tell)
+        self._filter(choice, channel)
+        grown = self._roughly(choice, channel)
+        curve = self._curve(choice, grown, channel)
         count = curve.count_for(choice.goal)
-        if self._drafted[0] != tell.id:
-            self._draft(grown, curve, count, choice, tell)
-        tell.rest(self._drafted[1], SETTLED, UNSEEN)
-        grown = self._grow(choice, tell)
+        if self._drafted[0] != channel.id:
+            self._draft(grown, curve, count, choice, channel)
+        channel.rest(self._drafted[1], SETTLED, UNSEEN)
+        grown = self._grow(choice, channel)
         tried: list[tuple[Event, Shown, Point]] = []
         while len(tried) < TRIES and (not tried or count != tried[-1][2].count):
-            tried.append(self._made(grown, curve, count, choice, tell))
+            tried.append(self._made(grown, curve, count, choice, channel))
             point = tried[-1][2]
             curve.add(point)
-            tell(_point(point, choice))
+            channel(_point(point, choice))
             if _near(choice.goal, point):
                 break
             count = curve.count_for(choice.goal)
         event, shown, _ = min(tried, key=lambda made: _miss(choice.goal, made[2]))
         seconds = time.perf_counter() - begun
-        tell({"type": "measured", "seconds": seconds} | event, replace(shown, models={}))
+        channel({"type": "measured", "seconds": seconds} | event, replace(shown, models={}))
 
-    def explore(self, choice: Choice, tell: Telling) -> None:
+    def explore(self, choice: Choice, channel: Channel) -> None:
         """Measure plain cuts of several counts, for the plot; nothing if the forest is not held.
 
         Raises:
             NanogsError: They cannot be measured.
         """
         with self._forest:
-            if self._held.is_grown(choice):
-                self._explore(choice, tell)
+            if self._cache.is_grown(choice):
+                self._explore(choice, channel)
 
-    def _explore(self, choice: Choice, tell: Telling) -> None:
-        grown = self._held.fully(choice, tell.progress("curve"))
-        curve = self._held.curve(choice, grown)
+    def _explore(self, choice: Choice, channel: Channel) -> None:
+        grown = self._cache.fully(choice, channel.progress("curve"))
+        curve = self._cache.curve(choice, grown)
         while (count := curve.missing()) is not None:
             draft = grown.draft(count)
             with self._lent():
                 measured = grown.measure(
-                    draft, format=choice.format, progress=tell.progress("curve")
+                    draft, format=choice.format, progress=channel.progress("curve")
                 )
             curve.add(Point(count, measured.bytes, measured.judged.psnr, coarse=True))
-            tell(_point(curve.points[count, True], choice))
+            channel(_point(curve.points[count, True], choice))
 
-    def preview(self, choice: Choice, tell: Telling) -> None:
+    def preview(self, choice: Choice, channel: Channel) -> None:
         """Show which splats the filters of a choice would remove, without removing them.
 
         Raises:
             NanogsError: No splat would be left.
         """
         with self._forest:
-            self._begin_filters(tell)
-            whole = self._held.whole(choice.render_mode)
-            found = self._held.previewed(choice)
+            self._begin_filters(channel)
+            whole = self._cache.whole(choice.render_mode)
+            found = self._cache.previewed(choice)
             shown = show(marked(whole, found.stays), self._start, len(whole))
-            tell(_filtered(found, preview=True), shown)
+            channel(_filtered(found, preview=True), shown)
 
-    def sooner(self, choice: Choice, tell: Telling) -> None:
+    def sooner(self, choice: Choice, channel: Channel) -> None:
         """Make the draft of a waiting request early, if the forest of its model is in memory.
 
         Raises:
             NanogsError: The draft cannot be made.
         """
         with self._forest:
-            grown = self._held.here(choice)
+            grown = self._cache.here(choice)
             if grown is not None:
-                curve = self._held.curve(choice, grown)
-                self._draft(grown, curve, curve.count_for(choice.goal), choice, tell)
+                curve = self._cache.curve(choice, grown)
+                self._draft(grown, curve, curve.count_for(choice.goal), choice, channel)
 
     @contextmanager
     def _lent(self) -> Iterator[None]:
@@ -168,64 +168,64 @@ class RequestHandler:
             self._forest.acquire()
 
     @staticmethod
-    def _begin_filters(tell: Telling) -> None:
-        Tracker(tell.progress("filters"), [Stage("sift", 1.0)]).begin("sift")
+    def _begin_filters(channel: Channel) -> None:
+        Tracker(channel.progress("filters"), [Stage("sift", 1.0)]).begin("sift")
 
-    def _filter(self, choice: Choice, tell: Telling) -> None:
+    def _filter(self, choice: Choice, channel: Channel) -> None:
         """Filter the scene, and send the filtered one if the page shows another as its scene."""
-        key, opened = model_key(choice), (self._held.manner.render_mode, FilterChoice())
-        if self._shown.get(tell.page, opened) == key:
+        key, opened = model_key(choice), (self._cache.settings.render_mode, FilterChoice())
+        if self._shown.get(channel.page, opened) == key:
             return
-        self._begin_filters(tell)
-        found = self._held.sifted(choice)
+        self._begin_filters(channel)
+        found = self._cache.sifted(choice)
         count = len(found.splats)
-        tell(_filtered(found, preview=False), show(few(found.splats), self._start, count))
-        self._shown[tell.page] = key
+        channel(_filtered(found, preview=False), show(few(found.splats), self._start, count))
+        self._shown[channel.page] = key
 
-    def _roughly(self, choice: Choice, tell: Telling) -> "Grown":
-        with tell.shielded(lambda newer: model_key(newer) == model_key(choice)):
-            return self._held.roughly(choice, tell.progress("draft"))
+    def _roughly(self, choice: Choice, channel: Channel) -> "Grown":
+        with channel.shielded(lambda newer: model_key(newer) == model_key(choice)):
+            return self._cache.roughly(choice, channel.progress("draft"))
 
-    def _grow(self, choice: Choice, tell: Telling) -> "Grown":
-        with tell.shielded(lambda newer: grown_key(newer) == grown_key(choice)):
-            return self._held.fully(choice, tell.progress("draft"))
+    def _grow(self, choice: Choice, channel: Channel) -> "Grown":
+        with channel.shielded(lambda newer: grown_key(newer) == grown_key(choice)):
+            return self._cache.fully(choice, channel.progress("draft"))
 
-    def _curve(self, choice: Choice, grown: "Grown", tell: Telling) -> Curve:
+    def _curve(self, choice: Choice, grown: "Grown", channel: Channel) -> Curve:
         """Return the curve of a choice; all its points are sent if the page had another curve."""
-        curve = self._held.curve(choice, grown)
-        if self._told.get(tell.page) is not curve:
-            self._told[tell.page] = curve
+        curve = self._cache.curve(choice, grown)
+        if self._told.get(channel.page) is not curve:
+            self._told[channel.page] = curve
             for point in curve.points.values():
-                tell(_point(point, choice))
+                channel(_point(point, choice))
         return curve
 
     def _draft(
-        self, grown: "Grown", curve: Curve, count: int, choice: Choice, tell: Telling
+        self, grown: "Grown", curve: Curve, count: int, choice: Choice, channel: Channel
     ) -> None:
-        most = min(MOST_SHOWN, _drawn_at_once(tell.pace))
+        most = min(MOST_SHOWN, _drawn_at_once(channel.pace))
         splats = grown.draft(min(count, most) if count <= grown.available else count)
         if choice.sh_degree is not None:
             splats = splats.with_sh_degree(choice.sh_degree)
         shown = show(few(splats), self._start, max(count, len(splats)))
-        tell(_estimated("draft", grown, curve, max(count, len(splats))), shown)
-        self._drafted = tell.id, shown.entry["id"]
+        channel(_estimated("draft", grown, curve, max(count, len(splats))), shown)
+        self._drafted = channel.id, shown.entry["id"]
 
     def _made(
-        self, grown: "Grown", curve: Curve, count: int, choice: Choice, tell: Telling
+        self, grown: "Grown", curve: Curve, count: int, choice: Choice, channel: Channel
     ) -> tuple[Event, Shown, Point]:
         """Make a full result, show it, then measure it.
 
         Returns:
             The event with its figures, the model that is shown, and the point on the curve.
         """
-        splats, report = grown.simplify(count, progress=tell.progress("draft"))
+        splats, report = grown.simplify(count, progress=channel.progress("draft"))
         shown = show(self._drawable(grown, splats), self._start, len(splats))
-        tell(_estimated("made", grown, curve, len(splats)), shown)
-        told = tell.progress("measure")
+        channel(_estimated("made", grown, curve, len(splats)), shown)
+        on_step = channel.progress("measure")
         with self._lent():
             # Wait first: the browser may be drawing on the same processors that measure.
-            tell.rest(shown.entry["id"], 0.0, UNSEEN + len(splats) * (tell.pace or 0.0))
-            measured = grown.measure(splats, format=choice.format, progress=told)
+            channel.rest(shown.entry["id"], 0.0, UNSEEN + len(splats) * (channel.pace or 0.0))
+            measured = grown.measure(splats, format=choice.format, progress=on_step)
         judged = measured.judged
         event = {
             "splats": len(splats), "bytes": measured.bytes, "psnr": judged.psnr,

@@ -19,7 +19,7 @@ _CORE = 1.0  # percentage of the splats that `core` leaves out on each side of e
 
 
 def opened(
-    scene: Scene, manner: StudioSettings, whole: Splats
+    scene: Scene, settings: StudioSettings, whole: Splats
 ) -> tuple[dict[str, Any], Opening, Shown]:
     """Return the event that describes a scene, the first camera, and the model to show.
 
@@ -27,10 +27,10 @@ def opened(
         ModelError: No splat is visible.
     """
     drawn = few(whole)
-    start = opening_for(drawn, up=None if manner.up is None else direction_of(manner.up))
+    start = opening_for(drawn, up=None if settings.up is None else direction_of(settings.up))
     shown = show(drawn, start, len(whole))
     low, high, inner_low, inner_high = _bounds(whole)
-    first = {"preset": manner.preset, "render_mode": manner.render_mode, "up": manner.up}
+    first = {"preset": settings.preset, "render_mode": settings.render_mode, "up": settings.up}
     event = {
         "type": "scene", "name": scene.path.name, "stem": scene.stem, "splats": len(whole),
         "sh_degree": whole.sh_degree, "file_bytes": scene.file_bytes,

@@ -33,7 +33,7 @@ class SaveRequest:
 
     Attributes:
         scene: The scene.
-        manner: Settings of the studio.
+        settings: Settings of the studio.
         choice: The user's choice.
         path: The output file, or the file that describes levels, as the user would type it.
         overwrite: Whether an existing output may be replaced.
@@ -43,7 +43,7 @@ class SaveRequest:
     """
 
     scene: Scene
-    manner: StudioSettings
+    settings: StudioSettings
     choice: Choice
     path: Path
     overwrite: bool = False
@@ -102,14 +102,15 @@ class SaveRequest:
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments for `simplify_blocks`, or for `write_levels`."""
-        choice, manner, direction = self.choice, self.manner, None
+        choice, settings, direction = self.choice, self.settings, None
         if choice.up is not None and self._looks:
             direction = direction_of(choice.up)
         shared: dict[str, Any] = {
             "preset": choice.preset, "sh_degree": choice.sh_degree, "measured": None,
             "filters": filters_of(choice.filters), "render_mode": choice.render_mode,
             "up": direction, "frame": turned(self.frames), "overwrite": self.overwrite,
-            "threads": manner.threads, "max_memory": manner.max_memory, "device": manner.device,
+            "threads": settings.threads, "max_memory": settings.max_memory,
+            "device": settings.device,
         }  # fmt: skip
         if choice.levels is None:
             goal = choice.goal
@@ -137,8 +138,8 @@ class SaveRequest:
             "render-mode": choice.render_mode,
             "up": choice.up and self._looks and ",".join(map(number, direction_of(choice.up))),
             "frame": self.frames and ":".join(self.frames),
-            "device": None if self.manner.device == "cpu" else self.manner.device,
-            "max-memory": self.manner.max_memory,
+            "device": None if self.settings.device == "cpu" else self.settings.device,
+            "max-memory": self.settings.max_memory,
             "overwrite": self.overwrite or None,
         }
         command = "simplify" if levels is None else "lod"

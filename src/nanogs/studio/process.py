@@ -20,26 +20,28 @@ _GRACE = 2.0  # seconds to clean up after SIGTERM
 class Process:
     """The worker process, which is started by the constructor."""
 
-    def __init__(self, scene: Scene, manner: StudioSettings, told: Callable[[Any], None]) -> None:
+    def __init__(
+        self, scene: Scene, settings: StudioSettings, on_message: Callable[[Any], None]
+    ) -> None:
         """Start the process.
 
         Args:
             scene: The scene that it opens.
-            manner: Settings of the studio.
-            told: Called in a thread with each message of the worker, and with None when it ends.
+            settings: Settings of the studio.
+            on_message: Called in a thread with each message of the worker; None when it has ended.
         """
         from nanogs.studio.worker import work
 
         context = multiprocessing.get_context("spawn")
         self._line, theirs = context.Pipe()
         self._process: BaseProcess = context.Process(
-            target=work, args=(theirs, scene, manner), daemon=True
+            target=work, args=(theirs, scene, settings), daemon=True
         )
         with starting_processes():
             self._process.start()
             on_signal(self.end)
         theirs.close()
-        threading.Thread(target=_read, args=(self._line, told), daemon=True).start()
+        threading.Thread(target=_read, args=(self._line, on_message), daemon=True).start()
 
     def send(self, message: tuple[str, Any]) -> None:
         """Send a message to the worker; nothing happens if it has ended."""
@@ -65,9 +67,9 @@ class Process:
         return f"exit code {code}"
 
 
-def _read(line: Connection, told: Callable[[Any], None]) -> None:
+def _read(line: Connection, on_message: Callable[[Any], None]) -> None:
     """Pass on messages until the connection is closed, then None."""
     with suppress(EOFError, OSError):
         while True:
-            told(line.recv())
-    told(None)
+            on_message(line.recv())
+    on_message(None)

@@ -12,20 +12,20 @@ from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request, plan_files
 from nanogs.progress import Progress
 from nanogs.report import SimplifyReport, stop_text
-from nanogs.studio.held import WorkerCache
+from nanogs.studio.cache import WorkerCache
 from nanogs.studio.orders import SaveRequest
 
 Event = dict[str, Any]
 
 
-def save(order: SaveRequest, held: WorkerCache, progress: Progress) -> Event:
+def save(order: SaveRequest, cache: WorkerCache, progress: Progress) -> Event:
     """Write the output of an order, and return the event that reports it.
 
     Raises:
         NanogsError: It cannot be written.
     """
     replaced = os.path.lexists(order.path)
-    _make_room(order, held)
+    _make_room(order, cache)
     arguments = order.arguments()
     said: Event = {
         "type": "saved", "path": order.path.as_posix(), "command": order.command(),
@@ -34,13 +34,13 @@ def save(order: SaveRequest, held: WorkerCache, progress: Progress) -> Event:
     reports: tuple[SimplifyReport, ...]
     if order.choice.levels is None:
         report = nanogs.simplify_blocks(**arguments, progress=progress)
-        said["bytes"], reports, told = bytes_on_disk(order.path), (report,), report.to_dict()
+        said["bytes"], reports, entries = bytes_on_disk(order.path), (report,), report.to_dict()
     else:
         manifest, reports = nanogs.write_levels(**arguments, progress=progress)
         said["bytes"] = _all_bytes(order.output.folder)
-        told = {"levels": [each.to_dict() for each in reports], "notes": manifest.notes}
+        entries = {"levels": [each.to_dict() for each in reports], "notes": manifest.notes}
     short = [stop_text(each) for each in reports if not each.stop.met]
-    said |= {"report": plain(told), "short": " ".join(short) or None}
+    said |= {"report": plain(entries), "short": " ".join(short) or None}
     return said | {"lines": [line for each in reports for line in _lines(each)]}
 
 
@@ -62,17 +62,17 @@ def _all_bytes(path: Path) -> int:
     return sum(each.stat().st_size for each in files)
 
 
-def _make_room(order: SaveRequest, held: WorkerCache) -> None:
+def _make_room(order: SaveRequest, cache: WorkerCache) -> None:
     """Free the scene and its forest if saving needs the memory.
 
     They are freed if a limit is set, or if the model would otherwise be simplified in blocks.
     """
-    manner, goal = held.manner, order.choice.goal
+    settings, goal = cache.settings, order.choice.goal
     levels = order.choice.levels
     request = Request(
         inputs=(order.scene.path,), output=order.path, preset=order.choice.preset,
         goal=goal if levels is None else Goal(ratio=levels[0]), ratios=levels or (),
-        max_memory=manner.max_memory, measured=None,
+        max_memory=settings.max_memory, measured=None,
     )  # fmt: skip
-    if manner.max_memory is not None or plan_files(request).divided:
-        held.forget()
+    if settings.max_memory is not None or plan_files(request).divided:
+        cache.forget()

@@ -45,7 +45,7 @@ class Studio:
     def __init__(
         self,
         scene: Scene,
-        manner: StudioSettings,
+        settings: StudioSettings,
         *,
         folder: Path,
         port: int = 0,
@@ -55,7 +55,7 @@ class Studio:
 
         Args:
             scene: The scene to open.
-            manner: Settings of the studio.
+            settings: Settings of the studio.
             folder: The only folder whose files the page may name.
             port: Port number; 0 for any free one.
             idle: Seconds after which the studio ends once all pages are closed; 0 for never.
@@ -64,13 +64,13 @@ class Studio:
             OptionError: starlette or uvicorn is missing, or the port is taken.
         """
         _check_installed()
-        self._scene, self._manner, self._idle = scene, manner, idle
+        self._scene, self._settings, self._idle = scene, settings, idle
         self._folder = Folder(folder.resolve())
         self._socket = _listening(port)
         self._port: int = self._socket.getsockname()[1]
         self._token = token_urlsafe(24)
         self._pages = Pages()
-        self._workshop = WorkerSupervisor(scene, manner, self._pages.deliver)
+        self._workshop = WorkerSupervisor(scene, settings, self._pages.deliver)
         self._stop: Callable[[], None] = lambda: None
 
     @property
@@ -235,12 +235,12 @@ class Studio:
             raise OptionError(f"{data['path']} is the scene that is open; choose another name.")
         path = target.relative_to(self._folder.root)
         overwrite = bool(data.get("overwrite", False))
-        return SaveRequest(self._scene, self._manner, self._chosen(data), path, overwrite)
+        return SaveRequest(self._scene, self._settings, self._chosen(data), path, overwrite)
 
     def _unnamed(self, data: dict[str, Any]) -> SaveRequest:
         """Make the order for the choice of a page with a placeholder path; see `_order`."""
         choice = self._chosen(data)
-        return SaveRequest(self._scene, self._manner, choice, shown_path(self._scene, choice))
+        return SaveRequest(self._scene, self._settings, choice, shown_path(self._scene, choice))
 
     def _chosen(self, data: dict[str, Any]) -> Choice:
         choice = choice_of(data.get("choice"))

@@ -22,7 +22,7 @@ from nanogs.studio.scene import Scene, StudioSettings
 from nanogs.studio.showing import Shown
 
 if TYPE_CHECKING:
-    from nanogs.studio.desk import JobHandler
+    from nanogs.studio.handler import JobHandler
 
 EVERY = 0.1  # least seconds between two progress events of the same stage
 
@@ -116,7 +116,7 @@ class Inbox:
 
 
 class WorkerChannel:
-    """Sends the events of a job to the server; see `Telling`."""
+    """Sends the events of a job to the server; see `Channel`."""
 
     def __init__(self, line: Line, inbox: Inbox, job: Job) -> None:
         """Prepare to send events of a job.
@@ -156,7 +156,7 @@ class WorkerChannel:
         """Return a progress callback that sends events; it raises `Cancelled` if the job is."""
         stage, since, number = "", 0.0, self._job.number
 
-        def told(step: Step) -> None:
+        def on_step(step: Step) -> None:
             nonlocal stage, since
             self.check()
             now = time.monotonic()
@@ -169,7 +169,7 @@ class WorkerChannel:
             }  # fmt: skip
             self._line.send(("event", self.page, event, {}))
 
-        return told
+        return on_step
 
     @property
     def pace(self) -> float | None:
@@ -192,30 +192,30 @@ class WorkerChannel:
         self.check()
 
 
-def work(connection: Connection, scene: Scene, manner: StudioSettings) -> None:
+def work(connection: Connection, scene: Scene, settings: StudioSettings) -> None:
     """Run the worker process: do jobs until the server ends; the first opens the scene.
 
     Args:
         connection: Connection to the server.
         scene: The scene to open.
-        manner: Settings of the studio.
+        settings: Settings of the studio.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _stop)
     line = Line(connection)
     inbox = Inbox(line)
-    from nanogs.studio.desk import JobHandler  # imported here because it imports Numba
+    from nanogs.studio.handler import JobHandler  # imported here because it imports Numba
 
     keep_freed_memory()
-    desk = JobHandler(scene, manner)
-    threading.Thread(target=_draft_sooner, args=(desk, line, inbox), daemon=True).start()
+    handler = JobHandler(scene, settings)
+    threading.Thread(target=_draft_sooner, args=(handler, line, inbox), daemon=True).start()
     while True:
         job = inbox.jobs.get()
         inbox.begin(job)
-        line.send(("done", *_outcome(desk, job, WorkerChannel(line, inbox, job))))
+        line.send(("done", *_outcome(handler, job, WorkerChannel(line, inbox, job))))
 
 
-def _draft_sooner(desk: "JobHandler", line: Line, inbox: Inbox) -> None:
+def _draft_sooner(handler: "JobHandler", line: Line, inbox: Inbox) -> None:
     """Make drafts of newer requests while the job that they replace is still stopping.
 
     Of several requests only the latest gets a draft. Errors are ignored here: they are raised again
@@ -226,16 +226,16 @@ def _draft_sooner(desk: "JobHandler", line: Line, inbox: Inbox) -> None:
         while not inbox.successors.empty():
             job = inbox.successors.get()
         with suppress(NanogsError, MemoryError, OSError, Cancelled):
-            desk.sooner(job, WorkerChannel(line, inbox, job))
+            handler.sooner(job, WorkerChannel(line, inbox, job))
 
 
 def _outcome(
-    desk: "JobHandler", job: Job, tell: WorkerChannel
+    handler: "JobHandler", job: Job, channel: WorkerChannel
 ) -> tuple[str, dict[str, Any] | None]:
     """Do a job, and return how it ended and, unless it succeeded, the event that reports it."""
     try:
-        tell.check()
-        desk.do(job, tell)
+        channel.check()
+        handler.do(job, channel)
     except Cancelled:
         return "cancelled", {"type": "cancelled"}
     except NanogsError as error:

@@ -24,15 +24,15 @@ PATIENCE_REPLACED = 30.0  # the same for a job replaced by a newer one, counted 
 class WorkerSupervisor:
     """The worker and its job queue; all methods are called in the thread of the event loop."""
 
-    def __init__(self, scene: Scene, manner: StudioSettings, deliver: Deliver) -> None:
+    def __init__(self, scene: Scene, settings: StudioSettings, deliver: Deliver) -> None:
         """Prepare; `open` starts the worker.
 
         Args:
             scene: The scene that the worker opens.
-            manner: Settings of the studio.
+            settings: Settings of the studio.
             deliver: Called with each event for a page.
         """
-        self._scene, self._manner, self._deliver = scene, manner, deliver
+        self._scene, self._settings, self._deliver = scene, settings, deliver
         self.queue = Queue()
         self._process: Process | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -103,30 +103,30 @@ class WorkerSupervisor:
         if self._process is None:
             loop = asyncio.get_running_loop()
 
-            def told(said: Any) -> None:  # noqa: ANN401 - a message, or None
+            def on_message(message: Any) -> None:  # noqa: ANN401 - a message, or None
                 with suppress(RuntimeError):  # the loop has ended
-                    loop.call_soon_threadsafe(self._hear, process, said)
+                    loop.call_soon_threadsafe(self._hear, process, message)
 
-            self._process = process = Process(self._scene, self._manner, told)
+            self._process = process = Process(self._scene, self._settings, on_message)
         self._send(("job", job))
 
     def _send(self, message: tuple[str, Any]) -> None:
         if self._process is not None:
             self._process.send(message)
 
-    def _hear(self, process: Process, said: Any) -> None:  # noqa: ANN401 - a message, or None
+    def _hear(self, process: Process, message: Any) -> None:  # noqa: ANN401 - a message, or None
         """Handle a message of a worker; None means that it has ended."""
         if process is not self._process:
             return  # a message of a worker that was ended before
-        if said is None:
+        if message is None:
             self._lost(process)
-        elif said[0] == "event":
-            _, page, event, models = said
+        elif message[0] == "event":
+            _, page, event, models = message
             self._deliver(page, event, models)
             if self._timer is not None and self.queue.running and self._replaced:
                 self._await(PATIENCE_REPLACED)
         else:
-            self._ended(*said[1:])
+            self._ended(*message[1:])
 
     def _ended(self, outcome: str, event: Event | None) -> None:
         """Handle the end of a job, which was done or cancelled or has failed."""

@@ -73,10 +73,12 @@ def render(
         from nanogs.views.streamed import drawable, renderings
 
         behind = BLACK if transparent else background  # straight alpha needs a render over black
-        with use_device(device), use_threads(threads), show_progress(progress) as tell:
+        with use_device(device), use_threads(threads), show_progress(progress) as on_step:
             chosen, _ = chosen_cameras(some, wanted, views, pixels, up)
-            tracker = Tracker(tell, [Stage("render", 1.0)])
-            shown = renderings(drawable(some, room), chosen, background=behind, tell=tracker.part)
+            tracker = Tracker(on_step, [Stage("render", 1.0)])
+            shown = renderings(
+                drawable(some, room), chosen, background=behind, on_progress=tracker.part
+            )
             images = [straight(each) if transparent else each.shown() for each in shown]
             tracker.finish()
     return images

@@ -37,14 +37,14 @@ class Survey:
     """Analysis of a model, by which cameras are placed.
 
     Attributes:
-        matter: A sample of its visible splats, in the model's own frame.
+        sampled: A sample of its visible splats, in the model's own frame.
         core: The dense part of the sample, without surroundings and strays, in that frame.
         turn: (4, 4) float64, from scene coordinates to that frame, in which up is along z.
         kind: Kind of cameras: "orbit" or "inside".
         band: Lowest and highest elevation of cameras around it, radians.
     """
 
-    matter: SplatSample
+    sampled: SplatSample
     core: Core
     turn: F64
     kind: Kind
@@ -112,8 +112,8 @@ def automatic_cameras(
 def _poses(scene: Survey, lens: F64, numbers: I64) -> list[tuple[F64, float]]:
     up = np.array(UP)
     if scene.kind == "orbit":
-        return orbit.poses(scene.matter, scene.core, up, lens, numbers, scene.band)
-    return inside.poses(scene.matter, scene.core, up, lens, numbers)
+        return orbit.poses(scene.sampled, scene.core, up, lens, numbers, scene.band)
+    return inside.poses(scene.sampled, scene.core, up, lens, numbers)
 
 
 def survey(
@@ -134,21 +134,23 @@ def survey(
     if not isinstance(model, Source):
         refuse_other(model)
     given = None if up is None else unit_up(up)
-    matter = sample(model)
+    sampled = sample(model)
     if given is not None:
-        stance = frame_from_up(without_surroundings(matter), given)
+        stance = frame_from_up(without_surroundings(sampled), given)
     elif habit:
-        stance = frame_from_up(without_surroundings(matter), detect_up(matter, find_core(matter)))
+        stance = frame_from_up(
+            without_surroundings(sampled), detect_up(sampled, find_core(sampled))
+        )
     else:
-        stance = frame_from_model(matter, room=kind != "orbit")
+        stance = frame_from_model(sampled, room=kind != "orbit")
     turn = np.eye(4)
     turn[:3, :3] = stance.frame
-    matter = seen_from(matter, stance.frame)
-    core = find_core(matter)
+    sampled = seen_from(sampled, stance.frame)
+    core = find_core(sampled)
     if kind == "auto":
-        room = stance.band == UPRIGHT and inside.is_room(matter, core, np.array(UP))
+        room = stance.band == UPRIGHT and inside.is_room(sampled, core, np.array(UP))
         kind = "inside" if room else "orbit"
-    return Survey(matter, core, turn, kind, stance.band)
+    return Survey(sampled, core, turn, kind, stance.band)
 
 
 def _check(count: int, width: int, height: int, fov: float | None, split: str) -> None:

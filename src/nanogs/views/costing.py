@@ -62,8 +62,8 @@ def draw_cost(
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
 
-        with use_threads(threads), show_progress(progress) as tell:
-            tracker = Tracker(tell, [Stage("cameras", 1.0), Stage("cover", 4.0)])
+        with use_threads(threads), show_progress(progress) as on_step:
+            tracker = Tracker(on_step, [Stage("cameras", 1.0), Stage("cover", 4.0)])
             tracker.begin("cameras")
             chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
             tracker.begin("cover")

@@ -10,7 +10,7 @@ from nanogs.costs import LARGEST, DrawCost
 from nanogs.kernels.covering import cover_tiles
 from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.project import HIDDEN
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import Protocol
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, project_rows
@@ -25,7 +25,7 @@ def cost_on(
     model: Splats | Source,
     cameras: Sequence[Camera],
     protocol: Protocol,
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
 ) -> DrawCost:
     """Measure the cost of drawing views; the same for a source and for a model in memory.
 
@@ -35,7 +35,7 @@ def cost_on(
         model: The model.
         cameras: The views, one or more.
         protocol: Protocol of the views, for the report.
-        tell: Progress callback for the rows.
+        on_progress: Progress callback for the rows.
 
     Raises:
         FormatError: The source cannot be read.
@@ -46,7 +46,7 @@ def cost_on(
     sizes: Counter[int] = Counter()  # splats by their tile pairs in all views together
     drawn, most = 0, source.count
     for start in range(0, most, BLOCK_ROWS):
-        tell(start, most)
+        on_progress(start, most)
         block = prepare(source.read(start, min(start + BLOCK_ROWS, most)))
         pairs = np.zeros(len(block), np.int64)
         for camera, covered in zip(cameras, counts, strict=True):
@@ -58,7 +58,7 @@ def cost_on(
             drawn += len(order)
         values, times = np.unique(pairs, return_counts=True)
         sizes.update(dict(zip(values.tolist(), times.tolist(), strict=True)))
-    tell(most, most)
+    on_progress(most, most)
     mean, high = _pixels(counts)
     total = sum(size * times for size, times in sizes.items())
     return DrawCost(

@@ -58,19 +58,19 @@ def principal_frame(body: WeightedPoints) -> F64:
     return np.stack([first, second, np.cross(first, second)])
 
 
-def seen_from(matter: SplatSample, frame: F64) -> SplatSample:
+def seen_from(sampled: SplatSample, frame: F64) -> SplatSample:
     """Transform the sample to a frame whose axes are the rows of `frame`."""
-    return replace(matter, points=matter.points @ frame.T, arms=matter.arms @ frame.T)
+    return replace(sampled, points=sampled.points @ frame.T, arms=sampled.arms @ frame.T)
 
 
-def without_surroundings(matter: SplatSample) -> WeightedPoints:
+def without_surroundings(sampled: SplatSample) -> WeightedPoints:
     """Select the splats within a few median distances of the geometric median."""
-    distances = np.linalg.norm(matter.points - _middle(matter), axis=1)
-    rows = np.flatnonzero(distances <= REACH * quantiles(distances, matter.alphas, 0.5)[0])
-    weights = capped(matter.areas[rows])
+    distances = np.linalg.norm(sampled.points - _middle(sampled), axis=1)
+    rows = np.flatnonzero(distances <= REACH * quantiles(distances, sampled.alphas, 0.5)[0])
+    weights = capped(sampled.areas[rows])
     total = weights.sum()
     even = np.full(len(rows), 1 / len(rows))
-    return WeightedPoints(matter.points[rows], weights / total if total > 0 else even)
+    return WeightedPoints(sampled.points[rows], weights / total if total > 0 else even)
 
 
 def _axes(points: F64, weights: F64) -> F64:
@@ -82,13 +82,13 @@ def _axes(points: F64, weights: F64) -> F64:
     return signed
 
 
-def _middle(matter: SplatSample) -> F64:
+def _middle(sampled: SplatSample) -> F64:
     """Return the (3,) geometric median weighted by alpha (Weiszfeld, 1937).
 
     It is robust even if up to half of the weight are strays.
     """
-    rows = slice(None, None, -(-len(matter.points) // MEDIAN_SAMPLE))
-    points, weights = matter.points[rows], matter.alphas[rows]
+    rows = slice(None, None, -(-len(sampled.points) // MEDIAN_SAMPLE))
+    points, weights = sampled.points[rows], sampled.alphas[rows]
     middle: F64 = weights @ points / weights.sum()
     for _ in range(ROUNDS):
         distances = np.linalg.norm(points - middle, axis=1)

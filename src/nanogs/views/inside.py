@@ -43,27 +43,27 @@ class Box:
     content: float
 
 
-def is_room(matter: SplatSample, core: Core, up: F64) -> bool:
+def is_room(sampled: SplatSample, core: Core, up: F64) -> bool:
     """Return whether four walls or more hold most of the area, and some area is well inside."""
     if len(core.rows) < FEWEST:
         return False
-    box = fit_box(matter, core, up)
+    box = fit_box(sampled, core, up)
     area = box.faces.sum()
     walled = area > WALL_SHARE and (box.faces > FACE_SHARE).sum() >= FACES
     return bool(walled and box.faces.max() < GROUND_SHARE * area and box.content > CONTENT)
 
 
-def fit_box(matter: SplatSample, core: Core, up: F64) -> Box:
+def fit_box(sampled: SplatSample, core: Core, up: F64) -> Box:
     """Fit the box whose slabs hold the most area, over angles of a quarter turn about `up`."""
     rows = core.rows[:: -(-len(core.rows) // SAMPLE)]
-    areas = capped(matter.areas[rows])
+    areas = capped(sampled.areas[rows])
     areas = areas if areas.any() else np.ones(len(areas))
     frame = level_frame(up)
     boxes = []
     for angle in np.arange(TURNS) * (np.pi / 2 / TURNS):
         turn = np.eye(3)
         turn[:2, :2] = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-        boxes.append(_box(matter.points[rows], areas, turn @ frame))
+        boxes.append(_box(sampled.points[rows], areas, turn @ frame))
     return max(boxes, key=lambda box: float(box.faces.sum()))
 
 
@@ -86,7 +86,7 @@ def _box(points: F64, areas: F64, frame: F64) -> Box:
 
 
 def poses(
-    matter: SplatSample, core: Core, up: F64, lens: F64, numbers: I64
+    sampled: SplatSample, core: Core, up: F64, lens: F64, numbers: I64
 ) -> list[tuple[F64, float]]:
     """Compute the (4, 4) world-to-camera matrix and near plane of each view.
 
@@ -94,14 +94,14 @@ def poses(
     different numbers have no poses in common.
 
     Args:
-        matter: The model.
+        sampled: The model.
         core: The room.
         up: (3,) float64, unit.
         lens: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, numbers of the views in the sequence, 0 or more.
     """
-    grid = build_grid(matter, core.centre, 1.3 * core.radius)
-    box = fit_box(matter, core, up)
+    grid = build_grid(sampled, core.centre, 1.3 * core.radius)
+    box = fit_box(sampled, core, up)
     views = []
     for number in numbers.tolist():
         tries = low_discrepancy(number * TRIES + np.arange(TRIES), 5)

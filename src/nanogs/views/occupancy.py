@@ -122,26 +122,26 @@ def _thinned(model: Splats | Source) -> tuple[Splats, int]:
     return joined_rows(kept), stride
 
 
-def find_core(matter: SplatSample) -> Core:
+def find_core(sampled: SplatSample) -> Core:
     """Find the dense part of a model, robust to splats far outside of it.
 
     Medians are weighted by alpha, and not by area, so that a sky of few huge splats does not count.
     Each round keeps the splats within four times the median distance from the median: a compact
     object keeps all of its splats, a scene loses its surroundings.
     """
-    some = np.arange(0, len(matter.points), -(-len(matter.points) // MEDIAN_SAMPLE))
+    some = np.arange(0, len(sampled.points), -(-len(sampled.points) // MEDIAN_SAMPLE))
     for _ in range(TRIM_ROUNDS):
-        points, alphas = matter.points[some], matter.alphas[some]
+        points, alphas = sampled.points[some], sampled.alphas[some]
         centre = np.array([quantiles(column, alphas, 0.5)[0] for column in points.T])
         distance = np.linalg.norm(points - centre, axis=1)
         reach = TRIM * quantiles(distance, alphas, 0.5)[0]
         some = some[distance <= reach]
-    points, alphas = matter.points[some], matter.alphas[some]
-    rows = np.flatnonzero(np.linalg.norm(matter.points - centre, axis=1) <= reach)
+    points, alphas = sampled.points[some], sampled.alphas[some]
+    rows = np.flatnonzero(np.linalg.norm(sampled.points - centre, axis=1) <= reach)
     # The centre is that of the extent and not the median, so that the core fills a view.
     ends = [quantiles(column, alphas, 0.02, 0.98) for column in points.T]
     centre = np.array(ends).mean(axis=1)
-    extent = np.linalg.norm(matter.arms[some, 0], axis=1)
+    extent = np.linalg.norm(sampled.arms[some, 0], axis=1)
     radius = quantiles(np.linalg.norm(points - centre, axis=1) + extent, alphas, 0.95)[0]
     return Core(centre, radius if radius > 0 else 1.0, rows)
 
@@ -200,16 +200,16 @@ class Grid:
         return depths
 
 
-def build_grid(matter: SplatSample, centre: F64, half: float) -> Grid:
+def build_grid(sampled: SplatSample, centre: F64, half: float) -> Grid:
     """Build the occupancy grid of a cube of half-width `half` around `centre`."""
     cell = 2 * half / CELLS
     corner = centre - half
     depth = np.zeros(CELLS**3)
     # A splat is spread over five points of its ellipse, so that one of a cell's size leaves no
     # holes.
-    share = matter.areas * matter.stride / cell**2 / 5
+    share = sampled.areas * sampled.stride / cell**2 / 5
     for first, second in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
-        points = matter.points + first * matter.arms[:, 0] + second * matter.arms[:, 1]
+        points = sampled.points + first * sampled.arms[:, 0] + second * sampled.arms[:, 1]
         place = (points - corner) / cell
         inside = ((place >= 0) & (place < CELLS)).all(axis=1)
         flat = np.ravel_multi_index(tuple(place[inside].astype(np.int64).T), (CELLS,) * 3)

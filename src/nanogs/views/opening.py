@@ -66,10 +66,10 @@ def opening_for(
     lens = float(np.tan(np.radians(angle / 2)))
     square = np.full(2, lens)
     if scene.kind == "orbit":
-        pose, near, centre = orbit.overview(scene.matter, scene.core, np.array(UP), square)
+        pose, near, centre = orbit.overview(scene.sampled, scene.core, np.array(UP), square)
         return _opening(scene, pose, lens, near, _ahead(pose, centre))
     first = np.zeros(1, np.int64)
-    [(pose, near)] = inside.poses(scene.matter, scene.core, np.array(UP), square, first)
+    [(pose, near)] = inside.poses(scene.sampled, scene.core, np.array(UP), square, first)
     return _opening(scene, pose, lens, near, _depth(scene, pose, square))
 
 
@@ -90,7 +90,7 @@ def _ahead(pose: F64, point: F64) -> float:
 def _depth(scene: Survey, pose: F64, lens: F64) -> float:
     """Return the median distance at which the rays of a view in a room end, scene units."""
     core = scene.core
-    grid = build_grid(scene.matter, core.centre, GRID_HALF * core.radius)
+    grid = build_grid(scene.sampled, core.centre, GRID_HALF * core.radius)
     hits = view_hits(grid, pose, lens, REACH * core.radius)
     seen = hits[np.isfinite(hits)]
     return float(np.median(seen)) if len(seen) else core.radius

@@ -29,20 +29,20 @@ DETOURS = ((1, 0), (0.85, 0), (0.85, 0.25), (0.7, 0.25), (0.7, 0.5), (0.5, 0.5),
 
 
 def poses(
-    matter: SplatSample, core: Core, up: F64, lens: F64, numbers: I64, band: tuple[float, float]
+    sampled: SplatSample, core: Core, up: F64, lens: F64, numbers: I64, band: tuple[float, float]
 ) -> list[tuple[F64, float]]:
     """Compute the (4, 4) world-to-camera matrix and near plane of cameras of the orbit.
 
     Args:
-        matter: The model.
+        sampled: The model.
         core: The model without strays.
         up: (3,) float64, unit.
         lens: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, members of the sequence of directions.
         band: Lowest and highest elevation, radians.
     """
-    centre, radius = _focus(matter, core)
-    grid = build_grid(matter, centre, GRID_HALF * radius)
+    centre, radius = _focus(sampled, core)
+    grid = build_grid(sampled, centre, GRID_HALF * radius)
     # Even and odd numbers are half a step apart in one sequence.
     turn, lift, pull = low_discrepancy(numbers / 2, 3).T
     lowest, highest = np.sin(band)
@@ -52,28 +52,28 @@ def poses(
     return [_unblocked(grid, centre, level_frame(up), lens, *place) for place in places]
 
 
-def overview(matter: SplatSample, core: Core, up: F64, lens: F64) -> tuple[F64, float, F64]:
+def overview(sampled: SplatSample, core: Core, up: F64, lens: F64) -> tuple[F64, float, F64]:
     """Return the pose and near plane of a view of the whole model, and the (3,) centre of the view.
 
     The arguments are those of `poses`.
     """
-    centre, radius = _focus(matter, core)
-    grid = build_grid(matter, centre, GRID_HALF * radius)
+    centre, radius = _focus(sampled, core)
+    grid = build_grid(sampled, centre, GRID_HALF * radius)
     azimuth, elevation, distance = OVERVIEW
     distance *= radius / float(lens.min())
     pose, near = _unblocked(grid, centre, level_frame(up), lens, azimuth, elevation, distance)
     return pose, near, centre
 
 
-def _focus(matter: SplatSample, core: Core) -> tuple[F64, float]:
+def _focus(sampled: SplatSample, core: Core) -> tuple[F64, float]:
     """Find the centre of the orbit, (3,), and the radius around it that holds 90 % of the core.
 
     The centre is the median and not the middle of the extent, which a tall object on a wide ground
     would lift off the ground that most of the views should show.
     """
-    points, alphas = matter.points[core.rows], matter.alphas[core.rows]
+    points, alphas = sampled.points[core.rows], sampled.alphas[core.rows]
     centre = np.array([quantiles(column, alphas, 0.5)[0] for column in points.T])
-    extent = np.linalg.norm(matter.arms[core.rows], axis=2).max(axis=1)
+    extent = np.linalg.norm(sampled.arms[core.rows], axis=2).max(axis=1)
     reach = quantiles(np.linalg.norm(points - centre, axis=1) + extent, alphas, HELD)[0]
     if reach == 0:
         reach = core.radius

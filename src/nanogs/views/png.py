@@ -61,7 +61,7 @@ def render_images(
     before = _pictures(target)
     tracker = Tracker(progress, [Stage("render", 1.0)])
     shown = renderings(
-        drawable(model, room), cameras, background=background, depth=depth, tell=tracker.part
+        drawable(model, room), cameras, background=background, depth=depth, on_progress=tracker.part
     )
     options = {"transparent": transparent, "depth": depth, "overwrite": overwrite}
     with _filled(folder) as place:

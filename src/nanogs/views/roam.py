@@ -21,7 +21,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError, OptionError
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, blend, prepare, project, render
 from nanogs.splats import Splats
@@ -103,7 +103,7 @@ def roaming_cameras(
     fov: float = FOV,
     up: Sequence[float] | None = None,
     split: str = "fit",
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
 ) -> list[Camera]:
     """Draw random cameras from the free space in which the model is visible, near and far.
 
@@ -120,7 +120,7 @@ def roaming_cameras(
             `up_frame.frame_from_model`).
         split: Name that seeds the random numbers: other names give other cameras. "test" is
             reserved for measuring results, so nothing may be fitted to it.
-        tell: Progress callback for the cameras found.
+        on_progress: Progress callback for the cameras found.
 
     Returns:
         At most `count` cameras named `fit_roam_000` and so on: fewer if not enough were found in
@@ -135,7 +135,7 @@ def roaming_cameras(
     known = _begin(scene, splats, up, split)
     for candidate in _candidates(scene, known, lens, split, TRIES * count):
         if _accepts(scene, known, candidate):
-            tell(len(known.cameras), count)
+            on_progress(len(known.cameras), count)
         if len(known.cameras) == count:
             break
     if not known.cameras:
@@ -169,8 +169,8 @@ def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
     """Measure the model's frame, centre and radius."""
     found = survey(splats, "orbit", up, habit=False)
     rows, turn = found.core.rows, found.turn[:3, :3]  # without skies and strays
-    points = found.matter.points[rows]
-    extents = np.linalg.norm(found.matter.arms[rows, 0], axis=1)
+    points = found.sampled.points[rows]
+    extents = np.linalg.norm(found.sampled.arms[rows, 0], axis=1)
     middle = np.median(points, axis=0)
     radius = float(np.quantile(np.linalg.norm(points - middle, axis=1) + extents, HELD)) or 1.0
     centre = middle @ turn

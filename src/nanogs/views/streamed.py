@@ -19,7 +19,7 @@ from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.listing import cut_boxes, extent_of
-from nanogs.progress import Parts, each, ignore_progress
+from nanogs.progress import PartProgress, each, ignore_progress
 from nanogs.protocol import BLACK
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import (
@@ -83,7 +83,7 @@ def renderings(
     *,
     background: tuple[float, float, float] = BLACK,
     depth: bool = False,
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
 ) -> Iterator[Rendering]:
     """Render a model from each camera, in their order; the same bytes for both kinds of model.
 
@@ -92,7 +92,7 @@ def renderings(
         cameras: The cameras.
         background: RGB behind the splats.
         depth: Also return the expected depth.
-        tell: Progress callback for the views.
+        on_progress: Progress callback for the views.
 
     Yields:
         The images; see `Rendering`.
@@ -103,14 +103,14 @@ def renderings(
         OptionError: A camera or the background is invalid.
     """
     if isinstance(model, PreparedSplats):
-        for camera in each(cameras, tell):
+        for camera in each(cameras, on_progress):
             yield render(model, camera, background=background, depth=depth)
     else:
         behind = background_of(background, depth=depth)
         for camera in cameras:
             check_camera(camera)
         if cameras:
-            yield from _Drawing(model, cameras, behind, tell).renderings()
+            yield from _Drawing(model, cameras, behind, on_progress).renderings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,14 +278,14 @@ class _Drawing:
     """The rendering of all requested views of a streamed model."""
 
     def __init__(
-        self, model: Streamed, cameras: Sequence[Camera], behind: F32, tell: Parts
+        self, model: Streamed, cameras: Sequence[Camera], behind: F32, on_progress: PartProgress
     ) -> None:
         self._source, self._cameras, self._behind = model.source, cameras, behind
         self._arena = Arena(model.budget, model.source.count, len(cameras))
         self._sheets: dict[int, _Sheet] = {}
         self._extents = _Extents()
         self._skipped: dict[int, int] = {}  # rows of each block that are not finite
-        self._tell, self._done = tell, 0
+        self._on_progress, self._done = on_progress, 0
 
     def renderings(self) -> Iterator[Rendering]:
         """Iterate over the images, in the order of the cameras."""
@@ -300,14 +300,14 @@ class _Drawing:
                     self._draw(gathered)
                 if not any(part.view == view for part in waiting):
                     yield self._finished(view)
-        self._tell(self._done, len(self._cameras))
+        self._on_progress(self._done, len(self._cameras))
 
     def _gather(self, parts: Sequence[Part]) -> _Pass:
         """Read the source once, and gather some parts, or as many of the first as fit."""
         passed, count = _Pass(self._arena, parts, self._extents), self._source.count
         for number, start in enumerate(range(0, count, BLOCK_ROWS)):
             coming = passed.now[-1].part.view - self._done
-            self._tell(self._done + coming * start / count, len(self._cameras))
+            self._on_progress(self._done + coming * start / count, len(self._cameras))
             if passed.wants(number):
                 block = prepare(self._source.read(start, min(start + BLOCK_ROWS, count)))
                 self._skipped[number] = block.skipped

@@ -37,7 +37,7 @@ class Surfaces:
         return float(self.areas[np.abs(self.normals @ up) > FLAT].sum())
 
 
-def detect_up(matter: SplatSample, core: Core) -> F64:
+def detect_up(sampled: SplatSample, core: Core) -> F64:
     """Detect the up direction, (3,) unit float64: away from the model's ground.
 
     A ground is a thin and wide layer of flat-lying splats with hardly anything beneath. Only the
@@ -47,7 +47,7 @@ def detect_up(matter: SplatSample, core: Core) -> F64:
     ground. If nothing is clear, as for objects cut out of their scene, the usual direction is
     returned. A lone wall in z is mistaken for a ground, and so is a ceiling without a floor.
     """
-    surfaces = surfaces_of(matter, core)
+    surfaces = surfaces_of(sampled, core)
     habit = np.array(HABIT_UP)
     over, turned = ground(surfaces, -habit), ground(surfaces, habit)
     if over >= max(ENOUGH_OVER, LEAD * turned):
@@ -60,17 +60,17 @@ def detect_up(matter: SplatSample, core: Core) -> F64:
     return habit
 
 
-def surfaces_of(matter: SplatSample, core: Core) -> Surfaces:
+def surfaces_of(sampled: SplatSample, core: Core) -> Surfaces:
     """Convert the core to pieces of surface: the normal of a splat is its shortest axis."""
-    arms = matter.arms[core.rows]
+    arms = sampled.arms[core.rows]
     normals = np.cross(arms[:, 0], arms[:, 1])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     widths = np.linalg.norm(arms[:, 1], axis=1)
-    normals[matter.thicknesses[core.rows] > ROUND * widths] = 0
-    areas = capped(matter.areas[core.rows])
+    normals[sampled.thicknesses[core.rows] > ROUND * widths] = 0
+    areas = capped(sampled.areas[core.rows])
     total = areas.sum() or 1.0
     return Surfaces(
-        matter.points[core.rows], normals / np.where(lengths > 0, lengths, 1), areas / total
+        sampled.points[core.rows], normals / np.where(lengths > 0, lengths, 1), areas / total
     )
 
 

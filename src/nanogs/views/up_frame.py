@@ -53,16 +53,16 @@ def frame_from_up(body: WeightedPoints, up: F64) -> CameraFrame:
     return CameraFrame(model_frame(body, up), UPRIGHT)
 
 
-def frame_from_model(matter: SplatSample, *, room: bool) -> CameraFrame:
+def frame_from_model(sampled: SplatSample, *, room: bool) -> CameraFrame:
     """Find the stance from the model itself; turning the model turns the stance.
 
     Args:
-        matter: The model.
+        sampled: The model.
         room: Whether the model may be a room.
     """
-    body = without_surroundings(matter)
+    body = without_surroundings(sampled)
     frame = principal_frame(body)
-    seen = seen_from(matter, frame)  # makes computations along axes turn with the model
+    seen = seen_from(sampled, frame)  # makes computations along axes turn with the model
     core = find_core(seen)
     surfaces = surfaces_of(seen, core)
     flats = _flat_directions(surfaces)

@@ -227,9 +227,9 @@ def _chunk(section: Section, base: int, count: int, palette: bool) -> Chunk:
     held = integer(data.get("count"), f"{where}, count of a chunk", 1, count - base or 1)
     with reading(section.path) as file:
         file.seek(section.start + end)
-        told = file.read(PAYLOAD.size)
+        length = file.read(PAYLOAD.size)
     start = end + PAYLOAD.size
-    size = PAYLOAD.unpack(told)[0] if len(told) == PAYLOAD.size else -1
+    size = PAYLOAD.unpack(length)[0] if len(length) == PAYLOAD.size else -1
     if not 0 <= size <= section.size - start or size != data.get("payloadBytes"):
         raise damaged(where, "a chunk is cut short, or states two sizes")
     payload = section.part(start, size)

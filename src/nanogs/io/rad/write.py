@@ -85,7 +85,7 @@ class _Ranges:
             most = float(np.percentile(np.abs(block.sh[:, first:last]), _USUAL[1]))
             setattr(self, f"{name}Max", max(getattr(self, f"{name}Max"), most))
 
-    def told(self, *, tree: bool) -> dict[str, Any]:
+    def encoding(self, *, tree: bool) -> dict[str, Any]:
         """Return the ranges as JSON fields, each widened to a least width."""
         low, high = self.lnScaleMin, self.lnScaleMax
         low, high = (low, high) if low <= high else (-12.0, 9.0)  # all scales are zero
@@ -113,10 +113,10 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
     for block in limits.storable(source, SUFFIX):
         if block.finite().all():  # otherwise `storable` raises at the end
             ranges.add(block, degree)
-    told = ranges.told(tree=tree is not None)
+    encoding = ranges.encoding(tree=tree is not None)
     with TemporaryFile(prefix="nanogs-") as body:
         chunks, at = [], 0
-        for chunk in _chunks(source, degree, tree, told):
+        for chunk in _chunks(source, degree, tree, encoding):
             body.write(chunk)
             chunks.append({"offset": at, "bytes": len(chunk)})
             at += len(chunk)
@@ -130,7 +130,7 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
             "chunkSize": CHUNK_ROWS,
             "allChunkBytes": at,
             "chunks": chunks,
-            "splatEncoding": told,
+            "splatEncoding": encoding,
             **({"comment": "\n".join(map(as_utf8, lines))} if lines else {}),
         }
         file.write(_described(MAGIC, head))

@@ -34,7 +34,7 @@ from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.meta import CODES, LAST_CODE
 from nanogs.io.sog.texture import MAX_SIDE, encode
 from nanogs.morton import interleaved_bits
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.slices import slices
 from nanogs.splats import RenderMode, Splats
 
@@ -75,7 +75,7 @@ USUAL = Packing()
 def write(
     splats: Splats,
     file: BinaryIO,
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
     *,
     palette_size: int | None = None,
     bits: int = USUAL_BITS,
@@ -86,7 +86,7 @@ def write(
     Args:
         splats: The model.
         file: The file to write to.
-        tell: Progress callback for computing the palette.
+        on_progress: Progress callback for computing the palette.
         palette_size: Largest number of entries of the palette of the higher coefficients, 1 to
             65,536; by default `usual_palette`.
         bits: Bits of a component of a rotation, 4 to 8; all else follows, see `Precision`.
@@ -97,7 +97,7 @@ def write(
         OutputError: A value is NaN, infinite or too large for a codebook, or there are too many
             splats for a texture; nothing has been written then.
     """
-    files = contents(splats, None, tell, Packing(palette_size, Precision(bits, spare)))
+    files = contents(splats, None, on_progress, Packing(palette_size, Precision(bits, spare)))
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in files.items():
             bundle.writestr(plain_entry(name), data)
@@ -135,7 +135,7 @@ def write_folder(
 def contents(
     splats: Splats,
     groups: I64 | None = None,
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
     packing: Packing = USUAL,
 ) -> dict[str, bytes]:
     """Encode a model; return the contents of `meta.json` and its textures by file name.
@@ -144,14 +144,14 @@ def contents(
         splats: N splats.
         groups: (N,) group numbers from 0 on. Splats are sorted by group, and in Morton order within
             a group; by default all are one group.
-        tell: Progress callback for computing the palette.
+        on_progress: Progress callback for computing the palette.
         packing: The quantisation.
 
     Raises:
         OutputError: As for `write`.
     """
     with encoders() as pool:
-        return start_encoding(pool, splats, groups, tell, packing)()
+        return start_encoding(pool, splats, groups, on_progress, packing)()
 
 
 def encoders() -> ThreadPoolExecutor:
@@ -165,7 +165,7 @@ def start_encoding(
     pool: ThreadPoolExecutor,
     splats: Splats,
     groups: I64 | None = None,
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
     packing: Packing = USUAL,
 ) -> Callable[[], dict[str, bytes]]:
     """Compute the textures and submit their WebP encoding to a thread pool.
@@ -174,7 +174,7 @@ def start_encoding(
         pool: From `encoders`.
         splats: As for `contents`.
         groups: As for `contents`.
-        tell: As for `contents`.
+        on_progress: As for `contents`.
         packing: As for `contents`.
 
     Returns:
@@ -190,7 +190,7 @@ def start_encoding(
         future = parallel.try_submit(pool, encode, texels)
         encoding[name] = future.result if future else partial(encode, texels)
 
-    meta = _encode(splats, groups, packing, submit, tell)
+    meta = _encode(splats, groups, packing, submit, on_progress)
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
     return lambda: {name: made() for name, made in encoding.items()} | {"meta.json": text}
 
@@ -239,7 +239,7 @@ def ours(folder: Path) -> frozenset[str] | None:
 
 
 def _encode(
-    splats: Splats, groups: I64 | None, packing: Packing, submit: Submit, tell: Parts
+    splats: Splats, groups: I64 | None, packing: Packing, submit: Submit, on_progress: PartProgress
 ) -> dict[str, Any]:
     """Compute and submit every texture, and return the contents of `meta.json`."""
     codes, bounds = _codes(splats, packing.precision)
@@ -267,7 +267,7 @@ def _encode(
     if splats.render_mode is RenderMode.DEFAULT:
         del meta["model"]  # older writers do not tag the default either
     if splats.sh_degree:
-        meta["shN"] = _higher(splats, packing, submit, tell)
+        meta["shN"] = _higher(splats, packing, submit, on_progress)
     return meta
 
 
@@ -353,13 +353,15 @@ def _alphas(splats: Splats, steps: int) -> U8:
     return alphas
 
 
-def _higher(splats: Splats, packing: Packing, submit: Submit, tell: Parts) -> dict[str, Any]:
+def _higher(
+    splats: Splats, packing: Packing, submit: Submit, on_progress: PartProgress
+) -> dict[str, Any]:
     """Submit the palette of the higher coefficients and its labels; return `shN` of `meta.json`."""
     degree = min(splats.sh_degree, MAX_DEGREE)
     coefficients = (degree + 1) ** 2 - 1
     points = splats.sh[:, 1 : coefficients + 1].reshape(len(splats), -1)
     size = packing.palette_size or usual_palette(len(splats))
-    found = palette(points, size, visibility(splats), tell)
+    found = palette(points, size, visibility(splats), on_progress)
     kept = found.exact and (len(found.entries) == len(splats) or _few_values(found.entries))
     book = codebook(found.entries, _EXACT if kept else _ROUNDED)
     count = len(found.entries)

@@ -46,7 +46,7 @@ from nanogs.io.spz.header import (
 from nanogs.io.spz.packing import BEST, is_small, sorted_columns, write_gzip
 from nanogs.io.spz.read import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
 from nanogs.io.spz.records import has_per_splat_record, packed, without_records
-from nanogs.progress import Parts, ignore_progress
+from nanogs.progress import PartProgress, ignore_progress
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import RenderMode, Splats
 
@@ -97,7 +97,7 @@ STEPS = {
 def write(
     model: Splats | Source,
     file: BinaryIO,
-    tell: Parts = ignore_progress,
+    on_progress: PartProgress = ignore_progress,
     *,
     version: int | None = None,
     palette_size: int | None = None,
@@ -113,7 +113,7 @@ def write(
         model: The model. Of a source, at most one column is held in memory, in its encoded form,
             unless there is a palette, or all columns are so small that they are packed as a whole.
         file: Open for binary writing.
-        tell: Progress callback for the merges that build a palette.
+        on_progress: Progress callback for the merges that build a palette.
         version: 3 (gzip), which Spark reads; 4 (zstd), as today's reference writer writes; or 2
             (gzip), which older readers know, with less precise rotations. The default is 3, or 2
             with fewer bits than 8; but 4 for a frame or for a model with extension records, which
@@ -147,7 +147,7 @@ def write(
     fraction = fraction_bits(source, Precision(bits, spare))
     movable, groups = not has_per_splat_record(elements, count), None
     if palette_size is not None and degree and count:
-        source, groups = _with_palette(source.load(), palette_size, tell, movable=movable)
+        source, groups = _with_palette(source.load(), palette_size, on_progress, movable=movable)
     flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
     flags |= EXTENSIONS if records else 0
     start = (MAGIC, version, count, degree, fraction, flags)
@@ -297,7 +297,7 @@ def _bits(reach: float) -> int:
 
 
 def _with_palette(
-    splats: Splats, size: int, tell: Parts, *, movable: bool
+    splats: Splats, size: int, on_progress: PartProgress, *, movable: bool
 ) -> tuple[InMemory, I64 | None]:
     """Replace the higher SH coefficients by at most `size` palette entries.
 
@@ -306,7 +306,7 @@ def _with_palette(
         not be moved, the splats in their order, and None.
     """
     points = splats.sh[:, 1:].reshape(len(splats), -1)
-    found = palette(points, size, visibility(splats), tell)
+    found = palette(points, size, visibility(splats), on_progress)
     sh = splats.sh.copy()
     sh[:, 1:] = found.entries[found.labels].reshape(len(splats), -1, 3)
     sharing = replace(splats, sh=sh)

@@ -10,7 +10,7 @@ from nanogs.method.match import match
 from nanogs.method.paper.cost import log_masses, pair_costs
 from nanogs.method.paper.merge import merge
 from nanogs.method.paper.parameters import PaperParameters
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 from nanogs.report import PassReport, StopReason
 
 
@@ -28,7 +28,7 @@ def merge_to_count(
     target: int,
     parameters: PaperParameters,
     threads: int,
-    tell: Parts,
+    on_progress: PartProgress,
 ) -> Merged:
     """Merge the cheapest disjoint pairs of neighbours, pass after pass, down to the target.
 
@@ -37,7 +37,7 @@ def merge_to_count(
         target: Number of splats to deliver, at least 1.
         parameters: The method's parameters.
         threads: Threads for the nearest-neighbour query.
-        tell: Progress callback for the merges done, and their number.
+        on_progress: Progress callback for the merges done, and their number.
     """
     passes: list[PassReport] = []
     wanted = len(gaussians) - target
@@ -46,7 +46,7 @@ def merge_to_count(
         limit = min(left, max(1, int(parameters.merge_cap * len(gaussians))))
 
         def on_share(share: float, left: int = left, limit: int = limit) -> None:
-            tell(wanted - left + share * limit, wanted)
+            on_progress(wanted - left + share * limit, wanted)
 
         gaussians, report = _one_pass(gaussians, limit, parameters, threads, on_share)
         passes.append(report)

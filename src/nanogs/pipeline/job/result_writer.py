@@ -19,7 +19,7 @@ from nanogs.pipeline.tasks.chunked import blocks_of
 from nanogs.pipeline.tasks.linked import even_sample, linked_levels, trees_of
 from nanogs.pipeline.tasks.parts import LevelSource, simplify_further
 from nanogs.pipeline.work import Work
-from nanogs.progress import Parts, Tracker, ignore_progress
+from nanogs.progress import PartProgress, Tracker, ignore_progress
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import FileJudge, file_costs, file_judge
 from nanogs.sink import Sink, Written
@@ -89,15 +89,15 @@ class ResultWriter:
     def _make(self, done: Done, made: Path, progress: Tracker) -> list[Written]:
         try:
             filling, work = self.sink.open(made, done.entries.get("format_options", {})), done.work
-            tell: Parts = progress.part
+            on_progress: PartProgress = progress.part
             if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
-                filling.add_trees(trees_of(work), levels, even_sample(work), tell)
-                tell = (
+                filling.add_trees(trees_of(work), levels, even_sample(work), on_progress)
+                on_progress = (
                     ignore_progress  # `finish` writes everything, and reports the progress itself
                 )
             for number, level in enumerate(done.levels):
                 if not isinstance(self.sink.chunks, Chunked):
-                    tell(number, len(done.levels))
+                    on_progress(number, len(done.levels))
                     with result_of(work, level) as source:
                         filling.add(source)
                 else:
@@ -125,7 +125,7 @@ class ResultWriter:
                 original = Joined([scene, InMemory(beside.original())])
             yield file_judge(
                 original, self.sink.suffix, turn=settings.frame, threads=work.threads,
-                tell=progress.part, max_memory=self.max_memory, costs=self.costed,
+                on_progress=progress.part, max_memory=self.max_memory, costs=self.costed,
             )  # fmt: skip
 
     def _costed(self, work: Work, written: Written, made: Path) -> Written:

@@ -114,7 +114,7 @@ class BlockJob:
         if self.ending.measured:
             stages.append(measure_stage(self.settings.splats))
         progress = Tracker(on_step, stages)
-        with locked(self.folder), _telling_of(self.folder):
+        with locked(self.folder), _resume_hint(self.folder):
             place = self._found(resume=resume)
             resumed = place is not None
             runner = where.runner(progress)
@@ -204,7 +204,7 @@ class BlockJob:
 
 
 @contextmanager
-def _telling_of(folder: Path) -> Iterator[None]:
+def _resume_hint(folder: Path) -> Iterator[None]:
     """Add to errors of the system, such as too little memory, a note that the job is kept."""
     try:
         yield

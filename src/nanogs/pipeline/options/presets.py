@@ -62,19 +62,19 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
     return dataclasses.replace(PRESETS[preset], **given)
 
 
-def refuse_search(preset: str, wish: str) -> None:
+def refuse_search(preset: str, target: str) -> None:
     """Refuse a search for a preset without a merge forest, since each try would be a full run.
 
     Args:
         preset: Its name.
-        wish: What is asked for and needs a search, for the message.
+        target: Name of the target that needs a search, for the message.
 
     Raises:
         OptionError: The preset grows none.
     """
     if not isinstance(PRESETS[preset], ForestParameters):
         raise OptionError(
-            f"The preset {preset} cannot search for {wish}, because each count tried would be a"
+            f"The preset {preset} cannot search for {target}, because each count tried would be a"
             " complete run; choose another preset."
         )
 

@@ -58,9 +58,9 @@ def _smallest(packer: Packer[T]) -> Packing:
     Raises:
         TooSmallError: Not even that file fits.
     """
-    wish, sample, fewest = packer.wish, packer.sample, packer.results.fewest
-    packing = wish.smallest(sample.sh_degree)
-    if (known := wish.known.file_bytes) is not None:
+    request, sample, fewest = packer.request, packer.sample, packer.results.fewest
+    packing = request.smallest(sample.sh_degree)
+    if (known := request.known.file_bytes) is not None:
         needed = known(sample.with_sh_degree(packing.sh_degree), fewest)
     else:
         packer.progress.begin("guess")
@@ -70,8 +70,8 @@ def _smallest(packer: Packer[T]) -> Packing:
         part = packer.progress.within(0, 1, chosen.stages(fewest))
         size = partial(packer.files.bytes_of, options=packing.options(fewest))
         _, needed = chosen.marked(fewest, size, part)
-    if needed > wish.size:
-        raise too_small(wish.size, fewest, needed)
+    if needed > request.size:
+        raise too_small(request.size, fewest, needed)
     return packing
 
 
@@ -81,15 +81,20 @@ def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
     Raises:
         TooSmallError: Not even the fewest splats fit in this packing.
     """
-    wish, files, progress, packing = packer.wish, packer.files, packer.progress, packed.packing
+    request, files, progress, packing = (
+        packer.request,
+        packer.files,
+        packer.progress,
+        packed.packing,
+    )
     chosen = packer.made(packing)
-    if (known := wish.known.file_bytes) is not None:
+    if (known := request.known.file_bytes) is not None:
         like = packer.sample.with_sh_degree(packing.sh_degree)
-        count = count_for_size(chosen.available, wish.size, lambda n: known(like, n))
+        count = count_for_size(chosen.available, request.size, lambda n: known(like, n))
         count = max(count, chosen.fewest)
         fitted = FittedSize(count, known(like, count), ())
-        if fitted.bytes > wish.size:
-            raise too_small(wish.size, count, fitted.bytes)
+        if fitted.bytes > request.size:
+            raise too_small(request.size, count, fitted.bytes)
         progress.begin("deliver")
         result = chosen.make(count, progress.within(0, 1, chosen.stages(count)))
         return result, Filled(fitted, packed)
@@ -97,8 +102,8 @@ def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
     def bytes_of(result: T) -> int:
         return files.bytes_of(result, packing.options(files.count(result)))
 
-    near, around = packed.tight or bool(packed.packings), wish.known.overhead_bytes()
+    near, around = packed.tight or bool(packed.packings), request.known.overhead_bytes()
     result, fitted = fit_size(
-        chosen, wish.size, packed.count, bytes_of, progress, near=near, around=around
+        chosen, request.size, packed.count, bytes_of, progress, near=near, around=around
     )
     return result, Filled(fitted, packed)

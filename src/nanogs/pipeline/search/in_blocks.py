@@ -96,8 +96,8 @@ class Search:
                 return views.psnr(small)
 
         files = _Files(self, work, clock)
-        wish = self._wish(work, 0)
-        pack = PackingForPsnr(results, wish, partial(_sample, work), files, progress)
+        request = self._request(work, 0)
+        pack = PackingForPsnr(results, request, partial(_sample, work), files, progress)
         result, found = reach_psnr(results, psnr, psnr_of, progress, pack)
         if found.stop is StopReason.UNREACHED:  # the whole model is written, without the packing
             pack.packed = None
@@ -133,8 +133,8 @@ class Search:
     def _fit(self, results: JobResults, size: int, clock: StageClock, progress: Tracker) -> _Found:
         work = results.work
         files, known = _Files(self, work, clock), registry.writable(self.output)
-        wish = self._wish(work, size)
-        result, found = fill_size(Packer(results, wish, _sample(work), files, progress))
+        request = self._request(work, size)
+        result, found = fill_size(Packer(results, request, _sample(work), files, progress))
         results.verify(result, progress)
         fitted, packed = found.fitted, found.packed
         notes = fitted.leap(size, results.available, known.overhead_bytes()) + packed.notes
@@ -144,7 +144,7 @@ class Search:
         entries |= {"stop": fitted.stop}
         return _Found(result, entries | packed.entries(files.count(result)), notes)
 
-    def _wish(self, work: Work, size: int) -> SizeRequest:
+    def _request(self, work: Work, size: int) -> SizeRequest:
         settings = work.settings
         return SizeRequest(
             size,

@@ -68,7 +68,7 @@ class Packer(Generic[T]):
 
     Attributes:
         results: Makes results of the model.
-        wish: What is asked of the file.
+        request: What is asked of the file.
         sample: Some usable splats of the model.
         files: Writes and measures results.
         progress: Notified of each stage.
@@ -76,7 +76,7 @@ class Packer(Generic[T]):
     """
 
     results: Results[T]
-    wish: SizeRequest
+    request: SizeRequest
     sample: Splats
     files: Files[T]
     progress: Tracker
@@ -85,7 +85,7 @@ class Packer(Generic[T]):
 
     def pack(self) -> Packed:
         """Choose the packing."""
-        choices = self.wish.choices(self.sample.sh_degree)
+        choices = self.request.choices(self.sample.sh_degree)
         self.progress.begin("guess")
         looks = self.results.looks and choices.any
         if not looks or not self.files.shows():
@@ -94,7 +94,9 @@ class Packer(Generic[T]):
         self.progress.begin("pack")
         slope = self._slope(choices)
         given = self.guess, self._attempt, self.results.available
-        return Packed(*choose_packing(choices, self.wish.size, slope, *given), choices.degrees[-1])
+        return Packed(
+            *choose_packing(choices, self.request.size, slope, *given), choices.degrees[-1]
+        )
 
     def _unseen(self, choices: Choices) -> Packing:
         """Return the packing if nothing is rendered.
@@ -113,21 +115,21 @@ class Packer(Generic[T]):
 
     def _guess(self, packing: Packing) -> int:
         some, available = self.sample.with_sh_degree(packing.sh_degree), self.results.available
-        if (known := self.wish.known.file_bytes) is not None:
-            if known(some, 1) > self.wish.size:
+        if (known := self.request.known.file_bytes) is not None:
+            if known(some, 1) > self.request.size:
                 return 1
-            return count_for_size(available, self.wish.size, lambda count: known(some, count))
+            return count_for_size(available, self.request.size, lambda count: known(some, count))
 
         def encode(part: Splats) -> int:
             return self.files.sample_bytes(part, packing.options(len(part)))
 
         return guess_count(
-            some, available, self.wish.size, encode, self.wish.known.overhead_bytes()
+            some, available, self.request.size, encode, self.request.known.overhead_bytes()
         )
 
     def made(self, packing: Packing) -> Results[T]:
         """Return a maker of results that suit a packing."""
-        return self.results.packed(packing.sh_degree, self.wish.sharing(packing))
+        return self.results.packed(packing.sh_degree, self.request.sharing(packing))
 
     def within(self, count: int) -> int:
         """Return the deliverable count nearest to a count."""
@@ -176,7 +178,7 @@ class PackingForPsnr(Generic[T]):
 
     Attributes:
         results: Makes results of the model.
-        wish: What is asked of the file; its `size` is ignored.
+        request: What is asked of the file; its `size` is ignored.
         sample: Returns some usable splats of the model.
         files: Writes and measures results.
         progress: Notified of each stage.
@@ -184,7 +186,7 @@ class PackingForPsnr(Generic[T]):
     """
 
     results: Results[T]
-    wish: SizeRequest
+    request: SizeRequest
     sample: Callable[[], Splats]
     files: Files[T]
     progress: Tracker
@@ -200,14 +202,16 @@ class PackingForPsnr(Generic[T]):
             A maker of results that suit the packing, and a count whose file has about the same
             size.
         """
-        if self.wish.known.file_bytes is not None:  # only the count decides it: nothing to choose
+        if (
+            self.request.known.file_bytes is not None
+        ):  # only the count decides it: nothing to choose
             return self.results, count
         self.progress.begin("guess")
         plain = self.results.plain(rounds=0)
         within = self.progress.within(0, 1, plain.stages(count))
         _, size = plain.marked(count, partial(self.files.bytes_of, options={}), within)
-        wish = self.wish._replace(size=size, by_psnr=True)
-        packer = Packer(self.results, wish, self.sample(), self.files, self.progress)
+        request = self.request._replace(size=size, by_psnr=True)
+        packer = Packer(self.results, request, self.sample(), self.files, self.progress)
         packed = packer.pack()
         self.packed = packed if packed.packings else None
         return packer.made(packed.packing), packed.count

@@ -30,7 +30,7 @@ def write_look(
     own: Block,
     missed: Bool,
     lights: Sequence[ViewLight],
-    discovery: MissedLight,
+    missed_light: MissedLight,
 ) -> Record:
     """Write the visibility of a block's splats, and how much of the block each view shows.
 
@@ -40,7 +40,7 @@ def write_look(
         own: The block, with the visibility of its splats.
         missed: (N,) bool, the splats that lie in no view.
         lights: The views.
-        discovery: Estimate of how much of the block the views leave out.
+        missed_light: Estimate of how much of the block the views leave out.
     """
     assert own.visible is not None  # noqa: S101 - it was computed
     leaves, visible = leaves_of(own.splats, own.rows, work.units), own.visible[own.rows]
@@ -48,7 +48,7 @@ def write_look(
     facts = {
         "cameras": [plain_camera(camera) for camera, _ in lights],
         LIGHT: [light for _, light in lights],
-        "discovery": astuple(discovery),
+        "discovery": astuple(missed_light),
         "prominence": float(prominences.sum()),
         "visible": float((prominences * visible).sum()),
         "shown": shown_prominence(prominences, visible, missed[own.rows]),

@@ -16,7 +16,7 @@ from nanogs._types import Array
 from nanogs.block_layouts import BlockChunks
 from nanogs.findings import of_plain, to_plain
 from nanogs.pipeline.tasks.parts import count_of_block, means_of_block, part_of_block
-from nanogs.progress import Parts
+from nanogs.progress import PartProgress
 from nanogs.splats import concatenate
 from nanogs.store.tables import Record, Table, write_table
 
@@ -67,11 +67,11 @@ def write_chunks(work: "Work", name: str, block: int, level: int) -> Record:
     return write_table(work.scratch, name, columns, facts)
 
 
-def blocks_of(work: "Work", level: int, tell: Parts) -> Iterator[BlockChunks]:
+def blocks_of(work: "Work", level: int, on_progress: PartProgress) -> Iterator[BlockChunks]:
     """Yield the blocks of a level as `write_chunks` wrote them; progress counts all levels."""
     levels, blocks = work.settings.levels, work.partition.blocks
     for block, record in enumerate(work.of_blocks("chunk", level)):
-        tell(level * blocks + block, levels * blocks)
+        on_progress(level * blocks + block, levels * blocks)
         facts = record.facts
         yield BlockChunks(
             _cells(work, block),

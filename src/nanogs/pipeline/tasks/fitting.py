@@ -66,8 +66,8 @@ def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
     most = scene.settings.entries(len(part), scene.target(level))
     sets = PaletteSize(most, weights_of_colours(part, views.fitting)) if most else None
     fitted, report = fit_to_views(
-        part, views.fitting, views.deciding, parameters, views.count, scene.threads, scene.tell,
-        sets,
+        part, views.fitting, views.deciding, parameters, views.count, scene.threads,
+        scene.on_progress, sets,
     )  # fmt: skip
     return scene.keep_fit(name, level, fitted, report)
 

@@ -68,22 +68,25 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     pictured = scene.pictured
     total = len(cameras) + len(pictured) + len(views.roaming)
     for done, camera in enumerate(cameras):
-        scene.tell(done, total)
+        scene.on_progress(done, total)
         view = scene.draw(drawn, camera)
         looked.add(view)
         assert view.contributions is not None  # noqa: S101 - asked for
         lights.append(ViewLight(camera, float(view.contributions[:count].sum())))
         del view
     for done, camera in enumerate(pictured, len(cameras)):
-        scene.tell(done, total)
+        scene.on_progress(done, total)
         scene.picture(drawn, camera)
-    scene.tell(len(cameras) + len(pictured), total)
+    scene.on_progress(len(cameras) + len(pictured), total)
     anywhere = light_in(drawn, views.roaming) if views.roaming else None
     del drawn
     visible, missed = visibility_of(looked, anywhere)
     # Values of the block alone: the rows after `count` belong to its surroundings.
-    own, discovery = replace(own, visible=visible[:count]), missed_light_of(looked, anywhere, count)
-    record = scene.keep_look(name, own, missed[:count], lights, discovery)
+    own, missed_light = (
+        replace(own, visible=visible[:count]),
+        missed_light_of(looked, anywhere, count),
+    )
+    record = scene.keep_look(name, own, missed[:count], lights, missed_light)
     if scene.measures:
         _refuse_small(scene.deciding)
     return record

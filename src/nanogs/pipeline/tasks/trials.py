@@ -41,7 +41,7 @@ def try_balances(scene: Scene, name: str, number: int, level: int) -> Record:
         labels = scene.cut(number, level, balance)
         groups = scene.stored(Members(block.splats, block.rows, block.visible, labels))
         errors.append(_errors(groups.grown(growth), wanted, others))
-        scene.tell(len(errors), len(scene.balances))
+        scene.on_progress(len(errors), len(scene.balances))
     return scene.write(name, {}, {"errors": errors})
 
 

@@ -57,14 +57,14 @@ class FilteredScene:
 class WorkerCache:
     """A cache of one scene, one filtered scene, one forest, and the latest curves."""
 
-    def __init__(self, scene: Scene, manner: StudioSettings) -> None:
+    def __init__(self, scene: Scene, settings: StudioSettings) -> None:
         """Begin with an empty cache.
 
         Args:
             scene: The scene to read.
-            manner: Settings of the studio.
+            settings: Settings of the studio.
         """
-        self.scene, self.manner = scene, manner
+        self.scene, self.settings = scene, settings
         self._whole: tuple[str | None, Splats] | None = None
         self._sifted: tuple[ModelKey, FilteredScene] | None = None
         self.grown: tuple[GrownKey, Grown] | None = None
@@ -137,8 +137,9 @@ class WorkerCache:
             self.grown = None
             self.grown = key, grow(
                 splats, preset=choice.preset, sh_degree=choice.sh_degree,
-                cameras=_cameras(splats, choice), device=self.manner.device,
-                threads=self.manner.threads, max_memory=self.manner.max_memory, progress=progress,
+                cameras=_cameras(splats, choice), device=self.settings.device,
+                threads=self.settings.threads, max_memory=self.settings.max_memory,
+                progress=progress,
             )  # fmt: skip
         return self.grown[1]
 

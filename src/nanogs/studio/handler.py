@@ -7,8 +7,8 @@ from nanogs.kernels.compiling import when_compiling
 from nanogs.pipeline.options.presets import DEFAULT_PRESET
 from nanogs.progress import Stage, Tracker
 from nanogs.studio import opening, saving
-from nanogs.studio.asking import RequestHandler, Telling
-from nanogs.studio.held import WorkerCache
+from nanogs.studio.asking import Channel, RequestHandler
+from nanogs.studio.cache import WorkerCache
 from nanogs.studio.jobs import Job
 from nanogs.studio.scene import Scene, StudioSettings
 
@@ -16,56 +16,56 @@ from nanogs.studio.scene import Scene, StudioSettings
 class JobHandler:
     """Handles the jobs of a scene, which the first job opens."""
 
-    def __init__(self, scene: Scene, manner: StudioSettings) -> None:
+    def __init__(self, scene: Scene, settings: StudioSettings) -> None:
         """Prepare; the scene is not opened yet.
 
         Args:
             scene: The scene to open.
-            manner: Settings of the studio.
+            settings: Settings of the studio.
         """
-        self._held = WorkerCache(scene, manner)
+        self._cache = WorkerCache(scene, settings)
         self._answers: RequestHandler | None = None
 
-    def do(self, job: Job, tell: Telling) -> None:
+    def do(self, job: Job, channel: Channel) -> None:
         """Do a job, and send its events.
 
         Raises:
             NanogsError: It cannot be done.
         """
         if job.kind == "open":
-            self._open(tell)
+            self._open(channel)
         elif job.kind == "save":
-            tell(self._saved(job.work, tell))
+            channel(self._saved(job.work, channel))
         elif self._answers is not None and job.kind == "ask":
-            self._answers.ask(job.work, tell)
+            self._answers.ask(job.work, channel)
         elif self._answers is not None and job.kind == "filter":
-            self._answers.preview(job.work, tell)
+            self._answers.preview(job.work, channel)
         elif self._answers is not None:
-            self._answers.explore(job.work, tell)
+            self._answers.explore(job.work, channel)
 
-    def sooner(self, job: Job, tell: Telling) -> None:
+    def sooner(self, job: Job, channel: Channel) -> None:
         """Make the draft of a waiting request early; called in another thread than `do`.
 
         Raises:
             NanogsError: The draft cannot be made.
         """
         if self._answers is not None:
-            self._answers.sooner(job.work, tell)
+            self._answers.sooner(job.work, channel)
 
-    def _open(self, tell: Telling) -> None:
+    def _open(self, channel: Channel) -> None:
         """Read the scene and send it to all pages."""
         if nothing_compiled():
             compile_ahead(DEFAULT_PRESET)
         else:
             when_compiling(lambda: compile_ahead(DEFAULT_PRESET))
-        held = self._held
-        tracker = Tracker(tell.progress("open"), [Stage("read", 2.0), Stage("show", 1.0)])
+        cache = self._cache
+        tracker = Tracker(channel.progress("open"), [Stage("read", 2.0), Stage("show", 1.0)])
         tracker.begin("read")
-        whole = held.whole(held.manner.render_mode)
+        whole = cache.whole(cache.settings.render_mode)
         tracker.begin("show")
-        event, start, shown = opening.opened(held.scene, held.manner, whole)
-        self._answers = RequestHandler(held, start)
-        tell(event, shown)
+        event, start, shown = opening.opened(cache.scene, cache.settings, whole)
+        self._answers = RequestHandler(cache, start)
+        channel(event, shown)
 
-    def _saved(self, order: Any, tell: Telling) -> dict[str, Any]:  # noqa: ANN401 - an `Order`
-        return saving.save(order, self._held, tell.progress("save"))
+    def _saved(self, order: Any, channel: Channel) -> dict[str, Any]:  # noqa: ANN401 - an `Order`
+        return saving.save(order, self._cache, channel.progress("save"))
