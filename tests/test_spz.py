@@ -380,6 +380,22 @@ def test_centres_of_large_splats_have_fewer_fraction_bits(tmp_path, size, bits):
     assert 0.4 / 2**bits < np.abs(again.means - model.means).max() <= 0.5 / 2**bits + 1e-6
 
 
+@pytest.mark.parametrize(
+    ("centre", "log_scales"),
+    [
+        ([0.69813573, 0.51935935, -1.9379953], [-4.4172525, -3.0270977, -2.5686061]),
+        ([1.99999, 0.31234, 0.77777], [-7.0, -7.0, -7.0]),  # rounds up to a power of two
+    ],
+)
+def test_centres_that_were_read_keep_their_fraction_bits(tmp_path, centre, log_scales):
+    """Though scales were rounded, and the extent of the scene grew a little."""
+    model = random_splats(1)
+    model.means[:], model.log_scales[:] = centre, log_scales
+    once = round_trip(model, tmp_path / "a.spz")
+    assert spz_write.fraction_bits(once) == spz_write.fraction_bits(model)
+    assert round_trip(once, tmp_path / "b.spz").means.tobytes() == once.means.tobytes()
+
+
 @pytest.mark.parametrize("bits", [6, 8])
 @pytest.mark.parametrize("spare", [0, 3, 6])
 def test_spare_bits_reduce_the_precision_of_centres(tmp_path, bits, spare):

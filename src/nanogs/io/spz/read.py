@@ -39,9 +39,9 @@ MAGNITUDE = 511
 
 _PIECES = 8 << 20  # memory in bytes for compressed and decompressed pieces, and buffers
 _BYTES = np.arange(256)
-_ALPHAS = logit(_BYTES / 255).astype(np.float32)
+OPACITIES = logit(_BYTES / 255).astype(np.float32)
 _COLOURS = ((_BYTES / 255 - 0.5) / COLOUR_SCALE).astype(np.float32)
-_SCALES = (_BYTES / SCALE_STEPS + SCALE_LOW).astype(np.float32)
+LOG_SCALES = (_BYTES / SCALE_STEPS + SCALE_LOW).astype(np.float32)
 _SH = ((_BYTES - 128) / SH_STEPS).astype(np.float32)
 
 
@@ -125,12 +125,12 @@ class SpzSource(Packed):
 def _decoded(header: Header, columns: Mapping[str, U8]) -> Splats:
     n, coefficients = len(columns["alphas"]), (header.degree + 1) ** 2
     out = empty_arrays(n, header.degree)
-    out["opacity_logits"] = _ALPHAS[columns["alphas"][:, 0]]
+    out["opacity_logits"] = OPACITIES[columns["alphas"][:, 0]]
     for start in range(0, n, BLOCK_ROWS):
         span = slice(start, min(start + BLOCK_ROWS, n))
         block = {name: column[span] for name, column in columns.items()}
         out["means"][span] = _means(block["positions"], header)
-        out["log_scales"][span] = _SCALES[block["scales"]]
+        out["log_scales"][span] = LOG_SCALES[block["scales"]]
         out["quats"][span] = (_xyz_quats if header.version <= 2 else _quats)(block["rotations"])
         out["sh"][span, 0] = _COLOURS[block["colours"]]
         if header.degree:

@@ -44,7 +44,15 @@ from nanogs.io.spz.header import (
     column_widths,
 )
 from nanogs.io.spz.packing import BEST, is_small, sorted_columns, write_gzip
-from nanogs.io.spz.read import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
+from nanogs.io.spz.read import (
+    COLOUR_SCALE,
+    LOG_SCALES,
+    MAGNITUDE,
+    OPACITIES,
+    SCALE_LOW,
+    SCALE_STEPS,
+    SH_STEPS,
+)
 from nanogs.io.spz.records import has_per_splat_record, packed, without_records
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.source import InMemory, Source, source_of
@@ -279,7 +287,20 @@ def _spare(source: Source, precision: Precision, bits: int) -> int:
     if precision.spare is None and bits < USUAL_FRACTION_BITS:
         return 0
     step = np.full((1, 1), math.ldexp(1.0, -bits))
-    return precision.spare_bits(source.blocks(), lambda _block: step)
+    decoded = (_sizes_as_decoded(block, STEPS[precision.bits]) for block in source.blocks())
+    return precision.spare_bits(decoded, lambda _block: step)
+
+
+def _sizes_as_decoded(block: Splats, steps: Steps) -> Splats:
+    """Return a block with the scales and opacities that reading it again gives.
+
+    Bits are spared by these, so that a model that was read is written with as many as before.
+    """
+    return replace(
+        block,
+        log_scales=LOG_SCALES[_scales(block.log_scales, steps.scales)],
+        opacity_logits=OPACITIES[_alphas(block, steps.alphas)],
+    )
 
 
 def _reach(blocks: Iterable[Splats]) -> float:
@@ -291,7 +312,8 @@ def _bits(reach: float) -> int:
     """Return the fraction bits for an extent; negative if it is too large or not finite."""
     if not reach <= _FIXED_MAX:
         return -1
-    exponent = math.frexp(reach)[1]  # reach < 2^exponent
+    fraction, exponent = math.frexp(reach)
+    exponent -= fraction == 0.5  # reach <= 2^exponent: centres may be rounded up to it
     bits = min(max(USUAL_FRACTION_BITS, _SIGNIFICANT_BITS - exponent), 23 - exponent, 20)
     return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
 
@@ -328,9 +350,7 @@ def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Enco
         lambda block: _positions(block.means, fraction),
         lambda block: _alphas(block, steps.alphas),
         lambda block: _stepped(_colours(block), steps.colours, _BLACK),
-        lambda block: _stepped(
-            (turned(block)[1] - np.float64(SCALE_LOW)) * SCALE_STEPS, steps.scales
-        ),
+        lambda block: _scales(turned(block)[1], steps.scales),
         lambda block: pack(turned(block)[0]),
     ]
     if len(buckets):
@@ -344,6 +364,11 @@ def _alphas(block: Splats, step: int) -> U8:
     codes = _stepped(values, step, _BYTE)
     codes[values < 0.5] = 0  # the code that a step of 1 gives
     return codes
+
+
+def _scales(log_scales: F32, step: int) -> U8:
+    """Encode (R, 3) log-scales as codes."""
+    return _stepped((log_scales - np.float64(SCALE_LOW)) * SCALE_STEPS, step)
 
 
 def _colours(block: Splats) -> F64:
