@@ -438,7 +438,7 @@ BAD_FILES = {
     "truncated_body": (ply(["element vertex 9", *PROPERTIES], ROW * 4), ["9", "4"]),
     "no_vertex": (ply(["element face 1", "property float x"], b"0000"), ["vertex"]),
     "missing_property": (ply(["element vertex 1", *PROPERTIES[:-1]], ROW[:-4]), ["rot_3"]),
-    "no_splats": (ply(["element vertex 0", *PROPERTIES]), ["0"]),
+    "no_splats": (ply(["element vertex 0", *PROPERTIES]), ["no rows"]),
     "absurd_count": (
         ply(["element vertex 99999999999999", *PROPERTIES], ROW),
         ["99,999,999,999,999"],
