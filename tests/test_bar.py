@@ -54,6 +54,11 @@ def last_line(screen):
     return text.replace("\r", "\n").rstrip().splitlines()[-1]
 
 
+def bars_begun_and_ended(screen):
+    """Count how often the cursor was hidden, as by a bar that begins, and shown again."""
+    return screen.getvalue().count("\x1b[?25l"), screen.getvalue().count("\x1b[?25h")
+
+
 @pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
 def test_a_bar_is_drawn_only_on_request_and_is_full_at_the_end(
     call, pair, screen, capfd, small_views
@@ -81,14 +86,13 @@ def test_a_bar_shows_the_stage_and_ends_with_its_context(screen):
         tracker = Tracker(callback, [Stage("cut", 1), Stage("store", 3)])
         tracker.begin("store")
         tracker.part(1, 2)
-        last_callback = callback
+        assert bars_begun_and_ended(screen) == (1, 0)
     assert "2/2 store" in last_line(screen)
     assert " 62%" in last_line(screen)
-    assert last_callback is not None
+    assert bars_begun_and_ended(screen) == (1, 1)
     with pytest.raises(ZeroDivisionError), show_progress(True):
         raise ZeroDivisionError
-    with show_progress(True):  # Rich would refuse it if the bar above still existed
-        pass
+    assert bars_begun_and_ended(screen) == (2, 2)
 
 
 def test_a_bar_announces_that_kernels_are_compiled(screen):
@@ -98,7 +102,7 @@ def test_a_bar_announces_that_kernels_are_compiled(screen):
     assert "compiling for this processor" in last_line(screen)
 
 
-def test_pipes_get_no_bar(tmp_path):
+def test_pipes_get_no_bar():
     code = (
         "import nanogs\n"
         "from nanogs.datasets.synthetic import make_scene\n"

@@ -174,12 +174,13 @@ def test_skips_and_failures_are_visible_with_their_reason():
 
 def test_tables_are_well_formed():
     rows = [row(extras={"lpips": 0.1}, fps_gsplat=100.0), skipped("a", "y"), row("b", notes=("n",))]
-    for line in markdown(rows).splitlines():
-        if line.startswith("| method"):
-            columns = line.count("|")
-            assert "LPIPS" in line or columns
-        elif line.startswith("|") and "ratio" not in line:
-            assert line.replace("\\|", "").count("|") == columns
+    parts = markdown(rows).split("\n\n")
+    tables = [part.splitlines() for part in parts if part.startswith("| method")]
+    assert [len(lines) for lines in tables] == [3, 4, 3]
+    for lines in tables:
+        assert len({line.replace("\\|", "").count("|") for line in lines}) == 1
+    for column in ("LPIPS", "gsplat frames/s"):  # only in the table of the scene that has values
+        assert [f"| {column} |" in lines[0] for lines in tables] == [False, True, False]
 
 
 def test_ablations_are_listed_as_differences_to_the_whole_method():

@@ -129,17 +129,22 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
     subprocess.run(nanogs_command(*given), check=True)  # in the same way as those that are killed
     whole, wanted = time.perf_counter() - start, out.read_bytes()
     out.unlink()
-    rng, kills = random.Random(5), 0
-    while kills < 3:
-        child = subprocess.Popen(nanogs_command(*given))
+    rng, kills, jobs = random.Random(5), 0, 0
+    for _ in range(20):
+        child = subprocess.Popen([*nanogs_command(*given), "-w"])
         try:
-            child.wait(rng.uniform(0.3, 0.9) * whole)
+            assert child.wait(rng.uniform(0.3, 0.9) * whole) == 0
+            assert out.read_bytes() == wanted
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()
-        kills += 1
-    if not out.exists() or list(tmp_path.iterdir()) != [out]:
-        run(*given, "-w")
+            kills += 1
+            jobs += (tmp_path / "small.ply.job").exists()
+        if kills == 3:
+            break
+    assert kills == 3
+    assert jobs > 0, "no killed run left anything to resume"
+    run(*given, "-w")
     assert out.read_bytes() == wanted
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 

@@ -103,7 +103,7 @@ def test_ratio_one_returns_the_same_bytes(preset):
     splats = random_splats(50, degree=3)
     small, report = nanogs.simplify(splats, ratio=1, preset=preset)
     assert model_bytes(small) == model_bytes(splats)
-    assert report.passes == () or preset != "paper"  # a forest is grown without regard to the count
+    assert report.passes == ()
 
 
 @not_fitted

@@ -29,7 +29,6 @@ NAMED_SIZE = re.compile(r"([\d,]+) B[.;]")
 FEW = {"views": 2, "view_size": 48, "roaming": 0, "steps": 2}
 # Notes that say why a file is small.
 SMALL_FILE_NOTES = ("whole model fits", "of the requested size, because a file of")
-SPANS = 0.3  # dB above a requested PSNR
 
 
 @dataclass(frozen=True, slots=True)
