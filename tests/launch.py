@@ -53,6 +53,14 @@ def run_here(*arguments):
     return ended.value.code
 
 
+def contents(path):
+    """Return the bytes of a file, or of all files of a folder by name."""
+    if path.is_file():
+        return path.read_bytes()
+    files = (each for each in path.rglob("*") if each.is_file())
+    return {each.relative_to(path).as_posix(): each.read_bytes() for each in files}
+
+
 def read_early(env=os.environ):
     """Return the variables of the environment that libraries read when they are imported."""
     names = ("NUMBA_", "PYTHON", "OMP_", "OPENBLAS_", "COLUMNS", "TERM", "NO_COLOR", "FORCE_COLOR")

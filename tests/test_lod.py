@@ -316,7 +316,7 @@ def test_deeply_nested_json_is_not_taken_for_a_manifest(tmp_path, name):
     assert owner(tmp_path) is None
 
 
-def test_an_interrupted_call_leaves_the_old_folder_unchanged(splats, tmp_path, monkeypatch):
+def test_an_interrupted_call_leaves_the_old_folder_unchanged(splats, tmp_path):
     folder = tmp_path / "levels"
     write_levels(splats, folder, RATIOS, source="a.ply", preset="fast")
     before = (folder / "level_0.ply").read_bytes()

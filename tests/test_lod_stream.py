@@ -354,7 +354,7 @@ def test_a_changed_manifest_cannot_name_files_elsewhere(splats, tmp_path):
         assert made_files(tmp_path / "levels") is None
 
 
-def test_an_interrupted_call_leaves_the_old_folder_unchanged(splats, tmp_path, monkeypatch):
+def test_an_interrupted_call_leaves_the_old_folder_unchanged(splats, tmp_path):
     folder = tmp_path / "levels"
     write(splats, folder)
     before = files(folder)
@@ -364,7 +364,7 @@ def test_an_interrupted_call_leaves_the_old_folder_unchanged(splats, tmp_path, m
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write(splats, folder, overwrite=True, progress=progress)
+        write(splats, folder, ratios=(0.3, 0.1), overwrite=True, progress=progress)
     assert files(folder) == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["levels"]
 

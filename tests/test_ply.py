@@ -1,14 +1,16 @@
 """Reading and writing `.ply`: what must be kept, and how."""
 
+import os
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from nanogs import io
-from nanogs.errors import OutputError
+from nanogs.errors import FormatError, OutputError
 from nanogs.splats import ExtraElement, RenderMode
 from plyfiles import BASE, ENCODINGS, ply, vertex
 from strategies import assert_same
@@ -289,6 +291,30 @@ def test_inspect_describes_the_columns_and_elements(tmp_path):
     assert info.extras == ("label",)
     assert info.elements == (("camera", 1),)
     assert info.render_mode is RenderMode.MIP
+
+
+def test_inspect_does_not_read_the_rows_of_text(load, tmp_path):
+    data = ply(("vertex", vertex()), encoding="ascii")
+    header, end, body = data.partition(b"end_header\n")
+    with pytest.raises(FormatError, match="no value of type"):
+        load(header + end + body.replace(b"1", b"x"))
+    assert io.inspect(tmp_path / "in.ply").splats == 3
+
+
+def test_inspect_does_not_read_binary_rows(tmp_path):
+    """Measured by its memory: the file, most of which is a hole, has 224 MB."""
+    header = ply(("vertex", vertex(0))).replace(b"vertex 0\n", b"vertex 4000000\n")
+    path = tmp_path / "large.ply"
+    path.write_bytes(header)
+    os.truncate(path, len(header) + 4_000_000 * 4 * len(BASE))
+    tracemalloc.start()
+    try:
+        info = io.inspect(path)
+        used = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert info.splats == 4_000_000
+    assert used < 1e6
 
 
 def test_io_does_not_import_numba():

@@ -93,6 +93,16 @@ def test_no_camera_is_inside_a_hollow_object():
         assert np.linalg.norm(camera.position) > 1
 
 
+def test_nothing_is_near_the_lens_among_many_small_splats():
+    snow = np.random.default_rng(2).uniform(-2, 2, (10_000, 3))
+    scene = concatenate([cloud(ball(6_000), 0.05), cloud(snow, 0.03)])
+    prepared = prepare(scene)
+    for camera in roaming_cameras(scene, 12, split="test"):
+        view = render(prepared, camera.reduced(96), depth=True)
+        distance = camera.near / roam.NEAR
+        assert (view.depth < roam.LENS * distance).mean() <= roam.HUGGED
+
+
 def test_cameras_of_a_room_are_inside_it():
     points = room(20_000)
     for camera in roaming_cameras(cloud(points, 0.06), 12):
@@ -146,7 +156,10 @@ def test_distant_splats_do_not_mislead_the_cameras():
     for camera in roaming_cameras(indoors, 4):
         assert (np.abs(camera.position) < (0.9, 0.45, 0.6)).all()
     copy = replace(SCENE, means=SCENE.means + np.float32(1e5))
-    assert len(roaming_cameras(concatenate([SCENE, copy]), 4)) == 4
+    cameras = roaming_cameras(concatenate([SCENE, copy]), 4)
+    assert len(cameras) == 4
+    for camera in cameras:  # all are within one of the two scenes, which reach 30 units
+        assert min(np.abs(camera.position - shift).max() for shift in (0.0, 1e5)) < 30
 
 
 def test_a_scene_without_suitable_views_is_refused():

@@ -12,6 +12,7 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.studio.listing import Folder
+from nanogs.studio.pages import MOST, Pages
 from studio import running
 
 
@@ -263,9 +264,25 @@ def test_paths_inside_the_folder_are_resolved(tmp_path):
         folder.listed("nowhere")
 
 
-def test_page_names_are_checked_and_many_pages_are_accepted(studio):
+def test_page_names_are_checked_and_many_pages_are_accepted_one_after_another(studio):
     for name in ("", "a b", "x" * 65, "../x"):
         assert studio.request("GET", f"events?page={name.replace(' ', '%20')}")[0] == 422
     for number in range(40):  # pages without a connection are dropped
         body = {"page": f"page{number}"}
         assert studio.request("POST", "cancel", body)[0] == 204
+
+
+def test_too_many_pages_replace_the_one_that_was_closed_first_and_never_an_open_one():
+    pages = Pages()
+    for number in range(MOST):
+        page = pages.get(f"page{number}")
+        page.left = None if number == 3 else float(MOST - number)
+        pages.deliver(f"page{number}", {"type": "draft"}, {f"model{number}": b"bytes"})
+    for new in range(MOST - 1):
+        pages.get(f"new{new}").left = None
+        closed = [number for number in range(MOST) if number != 3]
+        kept = sorted([3, *closed[: MOST - 2 - new]])
+        assert [n for n in range(MOST) if pages.model(f"model{n}")] == kept
+    with pytest.raises(OptionError, match="16 pages are open already; close one"):
+        pages.get("another")
+    assert pages.model("model3")

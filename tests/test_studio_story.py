@@ -14,7 +14,7 @@ import nanogs
 import studiopage
 from browsers import CHROMIUM, pixels_of
 from conftest import scene_path
-from launch import run
+from launch import contents, run
 from nanogs.datasets.synthetic import make_scene
 from npm_packages import splat_transform
 from studio import running
@@ -124,14 +124,6 @@ def save(seen, name, suffix):
     seen.at("save-close").click()
     assert seen.state == "measured"
     return words
-
-
-def contents(path):
-    """Return the bytes of a file, or of all files of a folder by name."""
-    if path.is_file():
-        return path.read_bytes()
-    files = (each for each in path.rglob("*") if each.is_file())
-    return {each.relative_to(path).as_posix(): each.read_bytes() for each in files}
 
 
 def files_of_command(scene, words, folder):

@@ -24,6 +24,7 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io.urls import Address, UrlFile, is_url, place, redacted
+from nanogs.memory import LIBRARIES
 
 SECRETS = ("PASSWORD", "SIGNATURE")
 QUERY = "?X-Amz-Signature=SIGNATURE#part"
@@ -147,15 +148,29 @@ def test_commands_give_the_same_bytes_for_urls_and_files(folder, host, temporary
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     report = json.loads(first.stdout)
     assert (report["input"], report["output"]) == (f"{host}/scene.ply", str(tmp_path / "a.ply"))
-    blocks = ("--max-memory", "250MB")
-    ran("simplify", url, tmp_path / "c.ply", *options, *blocks)
     ran("convert", url, tmp_path / "a.spz")
     ran("convert", folder / "scene.ply", tmp_path / "b.spz")
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
-    ran("lod", url, tmp_path / "lod", "--levels", "1,0.5", "--preset", "fast", "--no-measure")
-    for path in tmp_path.rglob("*"):
-        if path.is_file():
-            assert not any(secret.encode() in path.read_bytes() for secret in SECRETS), path
+    levels = ("--levels", "1,0.5", "--preset", "fast", "--no-measure")
+    ran("lod", url, tmp_path / "lod", *levels)
+    ran("lod", folder / "scene.ply", tmp_path / "lod_of_file", *levels)
+    made = launch.contents(tmp_path / "lod")
+    assert len(made) == 3
+    assert made == launch.contents(tmp_path / "lod_of_file")
+    for path, data in launch.contents(tmp_path).items():
+        assert not any(secret.encode() in data for secret in SECRETS), path
+
+
+def test_a_url_is_simplified_in_blocks_like_the_file(folder, host, temporary, tmp_path):
+    nanogs.save(random_splats(60_000, degree=0), folder / "large.ply")
+    options = ("--ratio", "0.1", "--preset", "fast", "--max-memory", f"{int(1.075 * LIBRARIES)}B")
+    paths = {"a.ply": f"{host}/large.ply{QUERY}", "b.ply": folder / "large.ply"}
+    for name, path in paths.items():
+        report = json.loads(ran("simplify", path, tmp_path / name, *options, "--json").stdout)
+        assert report["blocks"]["blocks"] > 1
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert not any(secret.encode() in (tmp_path / "a.ply").read_bytes() for secret in SECRETS)
+    assert sorted(path.name for path in tmp_path.glob("*.ply*")) == ["a.ply", "b.ply"]
 
 
 def test_commands_that_render_take_urls(folder, host, temporary, tmp_path):
