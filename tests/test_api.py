@@ -127,7 +127,7 @@ def test_info_takes_a_path_and_describes_the_file(files):
 # ---- paths in place of models ---------------------------------------------------------------
 
 
-def test_paths_are_accepted_in_place_of_models(files, pair):
+def test_paths_are_accepted_in_place_of_models(files):
     large, small = files
     for path in (large, str(large)):
         from_path, _ = nanogs.simplify(path, ratio=0.25, preset="fast")

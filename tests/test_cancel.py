@@ -99,13 +99,15 @@ def test_a_cancelled_run_leaves_no_files(tmp_path, command, number):
         "lod": ["out/lod-meta.json", "--preset", "fast", "--levels", "0.5,0.1"],
         "render": ["out", "--views", "60"],
     }[command]
-    delays = random.Random(f"{command} {number}")
+    delays, codes = random.Random(f"{command} {number}"), []
     for _ in range(4):
         child = started(command, tmp_path / "in.ply", *arguments, cwd=tmp_path)
         code, stderr = cancelled(child, number, delays.uniform(0, 1))
+        codes.append(code)
         assert_nothing_left(code, stderr, number, tmp_path, ["in.ply"])
         for path in tmp_path.glob("out*"):
             subprocess.run(["rm", "-r", path], check=True)
+    assert any(codes), "every run had ended before its signal"
 
 
 LATE = """
@@ -127,7 +129,7 @@ def test_a_signal_while_python_exits_changes_nothing():
 @lists_processes
 def test_workers_end_when_their_run_is_cancelled(tmp_path):
     nanogs.save(random_splats(60_000), tmp_path / "in.ply")
-    delays = random.Random(0)
+    delays, codes = random.Random(0), []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
         child = started(
             "simplify", tmp_path / "in.ply", tmp_path / "out.ply", "--ratio", "0.1", "--preset",
@@ -136,11 +138,13 @@ def test_workers_end_when_their_run_is_cancelled(tmp_path):
         code, stderr = cancelled(child, number, delays.uniform(0.5, 2.5))
         assert "Traceback" not in stderr
         assert code in (0, 128 + number), stderr
+        codes.append(code)
         end = time.monotonic() + 10
         while living_processes(child.pid) and time.monotonic() < end:
             time.sleep(0.05)
         assert not living_processes(child.pid)
         subprocess.run(["rm", "-rf", tmp_path / "out.ply", tmp_path / "out.ply.job"], check=True)
+    assert any(codes), "every run had ended before its signal"
 
 
 @lists_processes

@@ -339,7 +339,7 @@ def test_help_imports_no_heavy_modules():
     assert result.stdout.count("Usage:") == len(calls) - 1
 
 
-def test_completion_imports_neither_numpy_nor_rich(scene):
+def test_completion_imports_neither_numpy_nor_rich():
     words = {"COMP_WORDS": "nanogs simplify a b --preset ", "COMP_CWORD": "5"}
     code = (
         "import sys; from nanogs.cli import main\n"

@@ -141,7 +141,7 @@ def test_different_sh_degrees_and_nonfinite_rows_are_noted():
 
 def test_a_comparison_without_models_or_with_an_unknown_metric_is_refused():
     splats = random_splats(100)
-    with pytest.raises(OptionError):
+    with pytest.raises(OptionError, match="at least one model"):
         compare_models(NamedModel("r", splats), [], [camera()])
     with pytest.raises(OptionError, match="vmaf"):
         compare_models(

@@ -101,10 +101,16 @@ def test_an_unknown_image_size_is_an_error_with_a_remedy(file):
 
 
 @pytest.mark.parametrize(
-    "size", [{"width": 0}, {"width": -1}, {"width": 64, "height": 0}, {"height": 64}]
+    ("size", "words"),
+    [
+        ({"width": 0}, "width: is 0 where"),
+        ({"width": -1}, "width: is -1 where"),
+        ({"width": 64, "height": 0}, "height: is 0 where"),
+        ({"height": 64}, "a height needs a width"),
+    ],
 )
-def test_bad_sizes_are_refused(file, size):
-    with pytest.raises(OptionError):
+def test_bad_sizes_are_refused(file, size, words):
+    with pytest.raises(OptionError, match=words):
         cameras_from_file(write_json(file, transforms()), **size)
 
 

@@ -57,7 +57,7 @@ def test_without_warp_the_error_says_what_to_install(scene, tmp_path, capsys, mo
         assert used == "cpu"
 
 
-def test_unknown_devices_are_refused_by_name(scene, tmp_path, capsys):
+def test_unknown_devices_are_refused_by_name(scene, capsys):
     error = error_of(capsys, "compare", scene, scene, "--device", "gpu")
     assert "cpu, cuda or auto, not 'gpu'" in error
     with pytest.raises(OptionError, match="not 'tpu'"):
@@ -93,7 +93,7 @@ def test_the_device_is_released_at_the_end_of_its_context(no_card):
     assert device_notes("cuda", "cuda, A Card") == ("pictures were made on cuda, A Card",)
 
 
-def test_models_that_do_not_fit_into_memory_cannot_use_the_card(splats, monkeypatch):
+def test_models_that_do_not_fit_into_memory_cannot_use_the_card(splats):
     token = device._engine.set(types.SimpleNamespace(name="a card"))
     try:
         with pytest.raises(OptionError, match="max_memory"):

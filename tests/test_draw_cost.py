@@ -143,11 +143,11 @@ def test_a_model_out_of_view_costs_nothing():
 
 def test_impossible_arguments_are_refused(tmp_path):
     model = random_splats(30)
-    with pytest.raises(OptionError):
+    with pytest.raises(OptionError, match="no camera file"):
         nanogs.draw_cost(model, cameras=tmp_path / "none.json")
-    with pytest.raises(OptionError):
+    with pytest.raises(OptionError, match="not 0 of 512 x 512"):
         nanogs.draw_cost(model, views=0)
-    with pytest.raises(FormatError):
+    with pytest.raises(FormatError, match="no such file"):
         nanogs.draw_cost(tmp_path / "none.ply")
 
 

@@ -468,9 +468,7 @@ def test_a_web_page_is_an_output_format(folder, tmp_path):
     assert_refused(run("info", page), "writes this format but does not read it")
 
 
-def test_writing_a_page_without_the_viewer_is_refused_before_any_work(
-    folder, tmp_path, monkeypatch
-):
+def test_writing_a_page_without_the_viewer_is_refused_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr("nanogs.view.bundle.is_built", lambda: False)
     with pytest.raises(OptionError, match="without the viewer"):
         check_writable(tmp_path / "page.html")

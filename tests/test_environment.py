@@ -290,9 +290,7 @@ def test_another_model_can_be_the_environment(model, tmp_path):
 
 
 @pytest.mark.parametrize("sky", ["auto", "given"])
-def test_blocks_make_the_same_environment_for_any_number_of_threads(
-    model, written_levels, tmp_path, sky
-):
+def test_blocks_make_the_same_environment_for_any_number_of_threads(model, tmp_path, sky):
     options = {"preset": "fast", "layout": "streamed sog archive", "chunk": 500}
     if sky == "given":
         options |= {"environment": shell(300, 30), "environment_ratio": 0.5}
@@ -446,7 +444,7 @@ def test_an_environment_too_large_for_memory_is_refused_before_any_work(tmp_path
 # Other programs
 
 
-def test_an_environment_written_by_splat_transform_is_read(model, tmp_path, benchmark_module):
+def test_an_environment_written_by_splat_transform_is_read(tmp_path, benchmark_module):
     package("@playcanvas/splat-transform")
     scene, sky = random_splats(SCENE), shell(300, 30)
     for name, part in (("a", scene), ("b", sky)):

@@ -136,7 +136,7 @@ def test_errors_of_the_file_object_are_reported(model):
 def test_nothing_is_written_if_the_format_cannot_hold_the_model(model):
     file = io.BytesIO()
     bad = random_splats(3, extras={"a\0b": model.opacity_logits[:3]})
-    with pytest.raises(OutputError):
+    with pytest.raises(OutputError, match="cannot hold the name"):
         nanogs.save(bad, file, format=".npz")
     assert file.getvalue() == b""
 

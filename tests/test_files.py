@@ -143,7 +143,7 @@ def test_a_file_size_is_met_for_the_frame_that_is_written(scene, tmp_path, suffi
         assert (tmp_path / f"b{suffix}").read_bytes() == path.read_bytes()
 
 
-def test_a_psnr_is_met_for_a_turned_file(scene, tmp_path):
+def test_a_psnr_is_met_for_a_turned_file(scene):
     options = {"psnr": 24.0, "format": ".spz", "preset": "fast"}
     unturned, report = nanogs.simplify(scene, **options)
     turned, turned_report = nanogs.simplify(scene, **options, frame=("rdf", "rub"))

@@ -37,7 +37,7 @@ def test_a_box_keeps_the_splats_inside(seed, size, shift):
     low, high = np.full(3, shift - size / 2), np.full(3, shift + size / 2)
     inside = [all(low[a] <= float(p[a]) <= high[a] for a in range(3)) for p in model.means]
     if not any(inside):
-        with pytest.raises(ModelError):
+        with pytest.raises(ModelError, match="leaves none of 200 splats"):
             filters.crop_box(model, low, high)
         return
     assert_same(filters.crop_box(model, low, high), model.take(np.array(inside)))
@@ -48,7 +48,7 @@ def test_a_sphere_keeps_the_splats_inside(seed, radius):
     model, centre = random_splats(200, seed=seed), (0.1, -0.2, 0.3)
     inside = np.array([np.sum((p.astype(float) - centre) ** 2) <= radius**2 for p in model.means])
     if not inside.any():
-        with pytest.raises(ModelError):
+        with pytest.raises(ModelError, match="leaves none of 200 splats"):
             filters.crop_sphere(model, centre, radius)
         return
     assert_same(filters.crop_sphere(model, centre, radius), model.take(inside))
@@ -176,25 +176,25 @@ def test_elements_with_one_row_per_splat_cannot_be_filtered():
 
 
 @pytest.mark.parametrize(
-    "call",
+    ("call", "words"),
     [
-        lambda s: filters.crop_box(s, (0, 0), (1, 1, 1)),
-        lambda s: filters.crop_box(s, (0, 0, np.nan), (1, 1, 1)),
-        lambda s: filters.crop_box(s, (0, 2, 0), (1, 1, 1)),
-        lambda s: filters.crop_sphere(s, (0, 0, 0), 0),
-        lambda s: filters.crop_sphere(s, (0, 0, 0), float("nan")),
-        lambda s: filters.crop_sphere(s, (0, 0, 0), float("inf")),
-        lambda s: filters.min_opacity(s, 1.1),
-        lambda s: filters.min_opacity(s, float("nan")),
-        lambda s: filters.drop_floaters(s, neighbours=0),
-        lambda s: filters.drop_floaters(s, deviations=0),
-        lambda _s: parse_filters(Edits(crop=["box:1,2,3"])),
-        lambda _s: parse_filters(Edits(crop=["ball:1,2,3,4"])),
-        lambda _s: parse_filters(Edits(crop=["sphere:a,b,c,d"])),
+        (lambda s: filters.crop_box(s, (0, 0), (1, 1, 1)), "three finite numbers"),
+        (lambda s: filters.crop_box(s, (0, 0, np.nan), (1, 1, 1)), "three finite numbers"),
+        (lambda s: filters.crop_box(s, (0, 2, 0), (1, 1, 1)), "must not be above the highest"),
+        (lambda s: filters.crop_sphere(s, (0, 0, 0), 0), "radius .* not 0"),
+        (lambda s: filters.crop_sphere(s, (0, 0, 0), float("nan")), "radius .* not nan"),
+        (lambda s: filters.crop_sphere(s, (0, 0, 0), float("inf")), "radius .* not inf"),
+        (lambda s: filters.min_opacity(s, 1.1), r"opacity .* not 1\.1"),
+        (lambda s: filters.min_opacity(s, float("nan")), "opacity .* not nan"),
+        (lambda s: filters.drop_floaters(s, neighbours=0), "neighbours .* not 0"),
+        (lambda s: filters.drop_floaters(s, deviations=0), "deviations .* not 0"),
+        (lambda _s: parse_filters(Edits(crop=["box:1,2,3"])), "not 'box:1,2,3'"),
+        (lambda _s: parse_filters(Edits(crop=["ball:1,2,3,4"])), "not 'ball:1,2,3,4'"),
+        (lambda _s: parse_filters(Edits(crop=["sphere:a,b,c,d"])), "not 'sphere:a,b,c,d'"),
     ],
 )
-def test_invalid_filter_arguments_are_refused(call):
-    with pytest.raises(OptionError):
+def test_invalid_filter_arguments_are_refused(call, words):
+    with pytest.raises(OptionError, match=words):
         call(random_splats(5))
 
 

@@ -369,7 +369,7 @@ def test_reassignment_keeps_every_group_and_does_not_lower_the_likelihood(n, see
     assert any(had_empty_groups) or after >= before - 1e-6 * abs(before)
 
 
-def test_reassignment_ends_after_the_given_rounds_or_when_nothing_moves(monkeypatch):
+def test_reassignment_ends_after_the_given_rounds_or_when_nothing_moves():
     leaves, _ = nodes_of(random_splats(60, seed=5))
     labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, ignore_progress), 12, 0.8)
     unchanged, rounds_with_moves = reassign.reassign(leaves, labels, 12, 0, 1)

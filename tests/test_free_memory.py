@@ -152,7 +152,7 @@ def test_the_libraries_map_no_more_than_planned(threads):
     assert 0.5 * planned < int(result.stdout) < planned
 
 
-def test_no_memory_left_is_an_error(system, monkeypatch):
+def test_no_memory_left_is_an_error(monkeypatch):
     monkeypatch.setattr(
         memory, "free_memory", lambda **_: Memory(-5_000_000, "left by `ulimit -v`")
     )
@@ -307,7 +307,10 @@ def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path,
             scene, out, max_memory=LIBRARIES + 25_000_000, progress=stop, **options
         )
     block = read_manifest(job)[0]["block"]
-    assert block_memory(None, None, job, elsewhere=False) == (None, block)
+    for free in (20_000_000, 8 * GB):
+        given = Memory(free, "free on this machine")
+        monkeypatch.setattr(memory, "free_memory", lambda given=given, **_: given)
+        assert block_memory(None, None, job, elsewhere=False) == (None, block)
     report = nanogs.simplify_blocks(scene, out, resume=True, **options)
     assert report.blocks.allowed == block
     assert report.blocks.resumed > 0
@@ -486,7 +489,9 @@ def test_max_memory_replaces_the_free_memory(scene, tmp_path, capsys, name):
 def test_the_memory_for_a_picture_depends_on_its_pixels(scene, tmp_path, capsys):
     arguments = ["render", scene, tmp_path / "a.png", "--max-memory", "400MB", "--pixels"]
     assert command(*arguments, "64") == 0
+    capsys.readouterr()
     assert command(*arguments[:2], tmp_path / "b.png", *arguments[3:], "4096") == 2
+    assert "of the memory allowed" in capsys.readouterr().err
 
 
 PEAK = """

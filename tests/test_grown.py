@@ -97,11 +97,13 @@ def test_format_options_affect_the_measured_size(grown):
     assert reduced_bytes < default_bytes
 
 
-@pytest.mark.parametrize("count", [0, -1, 401])
-def test_counts_out_of_range_are_refused(grown, count):
-    with pytest.raises(OptionError):
+@pytest.mark.parametrize(
+    ("count", "words"), [(0, "at least 1"), (-1, "at least 1"), (401, "above the 400 usable")]
+)
+def test_counts_out_of_range_are_refused(grown, count, words):
+    with pytest.raises(OptionError, match=words):
         grown.draft(count)
-    with pytest.raises(OptionError):
+    with pytest.raises(OptionError, match=words):
         grown.simplify(count)
 
 
@@ -110,7 +112,7 @@ def test_paper_and_unknown_options_are_refused(model):
         nanogs.grow(model, preset="paper")
     with pytest.raises(OptionError, match="no parameter"):
         nanogs.grow(model, viewz=3)
-    with pytest.raises(OptionError):
+    with pytest.raises(OptionError, match=r"SH degree .* not 7"):
         nanogs.grow(model, sh_degree=7)
     with pytest.raises(ModelError, match="No splat is usable"):
         nanogs.grow(replace(random_splats(4), means=np.full((4, 3), np.nan, np.float32)))

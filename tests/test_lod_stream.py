@@ -94,12 +94,14 @@ def files(folder):
 
 @st.composite
 def clouds(draw):
-    """Point clouds in which some points coincide or share a coordinate."""
+    """Point clouds in which some points, or nearly all, coincide or share a coordinate."""
     n = draw(st.integers(1, 60))
     grid = draw(st.sampled_from([1, 2, 5, 1000]))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     dtype = draw(st.sampled_from([np.float32, np.float64]))
-    return rng.integers(-grid, grid, (n, 3)).astype(dtype) / 7
+    points = rng.integers(-grid, grid, (n, 3)).astype(dtype) / 7
+    points[: draw(st.sampled_from([0, 0, n // 2, n - 1, max(n - 5, 0)]))] = points[0]
+    return points
 
 
 @given(points=clouds(), most=st.integers(1, 70))
@@ -137,14 +139,23 @@ def test_every_cell_has_at_least_the_minimum(points, bounds):
         sides = [counts[slice(*cells.leaves[child])].sum() for child in cells.children[parent]]
         if min(sides) < least:
             own = points[(leaf >= first) & (leaf < end)]
-            assert all(
-                min((own[:, axis] < plane).sum(), (own[:, axis] >= plane).sum()) < least
+            assert min(sides) == max(
+                min((own[:, axis] < plane).sum(), (own[:, axis] >= plane).sum())
                 for axis in range(3)
                 for plane in np.unique(own[:, axis])
             )
     if all(len(np.unique(column)) == len(points) for column in points.T):
         assert counts.max() <= most
         assert counts.min() >= min(least, len(points))
+
+
+def test_if_no_plane_leaves_enough_on_both_sides_the_most_even_one_is_taken():
+    points = np.zeros((30, 3))
+    points[0, 0] = 9  # the longest side has one point apart from the others, the next has three
+    points[1:4, 1] = 1
+    cells = divide(points, 20, 10)
+    assert (cells.axes[0], cells.planes[0]) == (1, 1)
+    assert np.bincount(cells.leaf_of(points)).min() == 1  # the rest is still too many
 
 
 @given(counts=st.lists(st.integers(0, 10), min_size=1, max_size=60), least=st.integers(1, 10))

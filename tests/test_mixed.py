@@ -263,7 +263,7 @@ def test_a_mixture_of_one_level_scores_the_same_as_that_level(scene, stream, tmp
         assert found.seams == 0
 
 
-def test_the_environment_is_drawn_in_every_mixture(scene, stream, tmp_path):
+def test_the_environment_is_drawn_in_every_mixture(scene, tmp_path):
     folder = tmp_path / "web"
     nanogs.write_levels(scene, folder, RATIOS, layout="streamed sog", chunk=40, preset="fast")
     sky = random_splats(7, degree=0)

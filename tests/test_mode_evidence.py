@@ -189,7 +189,7 @@ def test_contradicting_options_of_views_are_refused(capture, given):
 
 
 def test_a_split_without_photographs_is_refused(capture):
-    with pytest.raises(OptionError):
+    with pytest.raises(OptionError, match="must be test or train, not 'validation'"):
         nanogs.mode_evidence(capture / "model.ply", photos=capture / "mip", split="validation")
 
 

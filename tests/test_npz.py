@@ -108,7 +108,7 @@ def test_comments_and_elements_are_reported_as_losses(tmp_path):
     ],
 )
 def test_unstorable_columns_are_refused(tmp_path, extras):
-    with pytest.raises(OutputError):
+    with pytest.raises(OutputError, match="cannot hold"):
         io.save(random_splats(2, extras=extras), tmp_path / "a.npz")
     assert not list(tmp_path.iterdir())
 
@@ -164,7 +164,7 @@ def test_a_stored_member_cannot_be_larger_than_the_file(tmp_path):
     offset = data.index(b"PK\1\2")
     data[offset + 20 : offset + 28] = (2**31).to_bytes(4, "little") * 2
     (tmp_path / "a.npz").write_bytes(data)
-    with pytest.raises(FormatError):
+    with pytest.raises(FormatError, match="overlap"):
         io.load(tmp_path / "a.npz")
 
 

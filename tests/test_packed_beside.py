@@ -216,7 +216,7 @@ def test_wrong_options_are_refused_in_one_sentence(files, temporary):
 
 def test_a_damaged_file_leaves_no_temporary_files(files, tmp_path, temporary):
     (tmp_path / "short.ply").write_bytes((files / "half.ply").read_bytes()[:-40])
-    with pytest.raises(FormatError):
+    with pytest.raises(FormatError, match="cut short"):
         nanogs.compare(files / "scene.ply", tmp_path / "short.ply", packed=[".sog"], **SMALL)
 
 

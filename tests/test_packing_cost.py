@@ -123,7 +123,7 @@ def test_formats_that_cannot_be_measured_are_refused(scene, temporary, formats, 
 def test_an_invisible_model_leaves_no_temporary_files(temporary):
     unseen = random_splats(9)
     unseen.opacity_logits[:] = -np.inf
-    with pytest.raises(ModelError):
+    with pytest.raises(ModelError, match="shows nothing"):
         nanogs.packing_cost(unseen, [".sog"])
 
 

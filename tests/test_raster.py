@@ -349,11 +349,11 @@ def test_invalid_cameras_are_refused(camera):
 
 
 @pytest.mark.parametrize(
-    "options", [{"background": (0, 0)}, {"background": (0, math.nan, 0)}, {"sh_degree": -1}]
+    ("name", "value"), [("background", (0, 0)), ("background", (0, math.nan, 0)), ("sh_degree", -1)]
 )
-def test_invalid_options_are_refused(options):
-    with pytest.raises(OptionError):
-        render(make_splats(), make_camera(), **options)
+def test_invalid_options_are_refused(name, value):
+    with pytest.raises(OptionError, match=f"^{name} must be"):
+        render(make_splats(), make_camera(), **{name: value})
 
 
 def test_tile_lists_have_every_tile_with_a_visible_pixel():

@@ -168,7 +168,15 @@ def test_a_scene_without_suitable_views_is_refused():
         roaming_cameras(haze, 2)
 
 
-@pytest.mark.parametrize("bad", [{"count": 0}, {"width": 0}, {"fov": 0.0}, {"fov": float("nan")}])
-def test_bad_arguments_are_refused(bad):
-    with pytest.raises(OptionError):
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        ({"count": 0}, "not 0 of 512 x 512"),
+        ({"width": 0}, "of 0 x 512"),
+        ({"fov": 0.0}, r"field of view .* not 0\.0"),
+        ({"fov": float("nan")}, "field of view .* not nan"),
+    ],
+)
+def test_bad_arguments_are_refused(bad, words):
+    with pytest.raises(OptionError, match=words):
         roaming_cameras(SCENE, **bad)

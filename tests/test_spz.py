@@ -628,7 +628,7 @@ def test_a_palette_as_large_as_the_model_changes_nothing(tmp_path):
 def test_palettes_of_nan_harmonics_or_invalid_size_are_refused(tmp_path):
     model = random_splats(20, degree=1)
     model.sh[3, 2] = np.nan
-    with pytest.raises(OutputError):
+    with pytest.raises(OutputError, match="NaN or infinite values, the first in row 3"):
         io.save(model, tmp_path / "a.spz", format_options={"palette": 4})
     with pytest.raises(OptionError, match="`palette` must be a whole number from 1 to 1,048,576"):
         io.save(model, tmp_path / "a.spz", format_options={"palette": 0})
@@ -651,11 +651,14 @@ def test_a_centre_just_below_a_power_of_two_does_not_wrap(tmp_path):
     assert np.abs(round_trip(model, tmp_path / "a.spz").means - model.means).max() < 2**-11
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e7])
-def test_unstorable_centres_are_refused(tmp_path, value):
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [(np.nan, "first in row 1"), (np.inf, "first in row 1"), (1e7, "1e.07 from the origin")],
+)
+def test_unstorable_centres_are_refused(tmp_path, value, words):
     model = random_splats(3)
     model.means[1, 2] = value
-    with pytest.raises(OutputError):
+    with pytest.raises(OutputError, match=words):
         io.save(model, tmp_path / "a.spz")
     assert not list(tmp_path.iterdir())
 

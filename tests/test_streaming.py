@@ -102,7 +102,7 @@ def test_a_source_is_written_to_formats_that_need_the_whole_model(scene, tmp_pat
     assert len(io.losses(InMemory(nanogs.load(scene)), "a.glb")) == 1
 
 
-def test_a_file_can_be_converted_onto_itself(scene, tmp_path):
+def test_a_file_can_be_converted_onto_itself(scene):
     before = nanogs.load(scene)
     run = launch.run("convert", scene, scene, "-w", "--crop", "box:-1,-1,-1,0,1,1", "--json")
     report = json.loads(run.stdout)

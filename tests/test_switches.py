@@ -49,7 +49,7 @@ def test_tiles_switch_where_their_error_is_sixteen_pixels():
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.75, 1.0])
-def test_pictures_from_farther_away_are_smaller(splats, camera, factor):
+def test_pictures_from_farther_away_are_smaller(camera, factor):
     far = magnified(camera, factor)
     assert (far.width, far.height) == (96 * factor, 64 * factor)
     assert far.fx == camera.fx * factor

@@ -63,9 +63,15 @@ def test_colour_depends_on_the_view_and_stays_in_range():
 
 
 def test_bad_arguments_are_refused():
-    for bad in ({"count": 0}, {"count": -3}, {"sh_degree": 5}, {"sh_degree": -1}, {"seed": -1}):
-        with pytest.raises(OptionError):
-            make_scene(**{"count": 10, **bad})
+    for name, value, words in (
+        ("count", 0, "at least 1 splat"),
+        ("count", -3, "at least 1 splat"),
+        ("sh_degree", 5, "SH degree"),
+        ("sh_degree", -1, "SH degree"),
+        ("seed", -1, "seed"),
+    ):
+        with pytest.raises(OptionError, match=f"{words}.*, not {value}"):
+            make_scene(**{"count": 10, name: value})
 
 
 def test_basis_is_orthonormal_and_matches_the_reference_constants():

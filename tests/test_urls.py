@@ -390,7 +390,7 @@ def test_library_functions_take_urls(folder, host, temporary, memory, tmp_path):
     assert len(nanogs.load(tmp_path / "a b.ply")) == 30
 
 
-def test_commands_write_to_urls(folder, host, temporary, memory, capfd, tmp_path):
+def test_commands_write_to_urls(folder, temporary, memory, capfd):
     scene, out = folder / "scene.ply", "memory://x/out.ply"
     assert launch.run_here("convert", scene, out, "--json") == 0
     assert json.loads(capfd.readouterr().out)["output"] == out

