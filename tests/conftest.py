@@ -106,6 +106,14 @@ def small_views():
 
 
 @pytest.fixture
+def outcomes():
+    """The number of files that were read and refused; at the end, there must be both."""
+    found = {"read": 0, "refused": 0}
+    yield found
+    assert min(found.values()) > 0, found
+
+
+@pytest.fixture
 def temporary(tmp_path, monkeypatch):
     """An own folder for temporary files, which must be empty at the end of the test."""
     folder = tmp_path / "temporary"

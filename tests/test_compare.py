@@ -427,8 +427,10 @@ def test_nothing_in_the_report_is_cut_off_on_a_phone(opened, scheme):
     page = opened(**PHONE, color_scheme=scheme)
     page.locator("summary").tap()
     for selector in ("td", "#stage", "button", "select", "label", "figure"):
-        for found in page.locator(selector).all():
-            box = found.bounding_box()
+        parts = page.locator(selector).all()
+        assert parts, selector
+        for part in parts:
+            box = part.bounding_box()
             assert box["x"] >= 0
             assert box["x"] + box["width"] <= 390
     assert page.evaluate("document.documentElement.scrollWidth") == 390

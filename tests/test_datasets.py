@@ -285,7 +285,7 @@ def test_invalid_backgrounds_are_refused(blender, background):
     deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(where=st.floats(0, 1), value=st.integers(0, 255), keep=st.floats(0.2, 1))
-def test_damaged_photographs_give_pixels_or_a_nanogs_error(blender, where, value, keep):
+def test_damaged_photographs_give_pixels_or_a_nanogs_error(blender, outcomes, where, value, keep):
     file = write_photo(blender / "test" / "r_0.png", (8, 6), (1, 2, 3))
     data = bytearray(file.read_bytes())
     data[min(int(where * len(data)), len(data) - 1)] = value
@@ -294,7 +294,9 @@ def test_damaged_photographs_give_pixels_or_a_nanogs_error(blender, where, value
     try:
         photo = opened.load_photo(opened.split("test")[0], WHITE)
     except NanogsError:
+        outcomes["refused"] += 1
         return
+    outcomes["read"] += 1
     assert np.isfinite(photo).all()
 
 

@@ -320,7 +320,7 @@ mutations = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1
     edits=mutations,
     keep=st.floats(0, 1) | st.just(1.0),
 )
-def test_damaged_models_give_cameras_or_a_format_error(tmp_path, name, edits, keep):
+def test_damaged_models_give_cameras_or_a_format_error(tmp_path, outcomes, name, edits, keep):
     encoding = name[-3:]
     folder = write_model(tmp_path / encoding, images=nine_images()[:3], encoding=encoding)
     data = bytearray((folder / name).read_bytes())
@@ -330,7 +330,9 @@ def test_damaged_models_give_cameras_or_a_format_error(tmp_path, name, edits, ke
     try:
         cameras = read_model(folder)
     except FormatError:
+        outcomes["refused"] += 1
         return
+    outcomes["read"] += 1
     assert cameras
     assert all(np.isfinite(camera.world_to_camera).all() for camera in cameras)
     assert all(camera.fx > 0 and camera.fy > 0 for camera in cameras)

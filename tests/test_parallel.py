@@ -222,7 +222,7 @@ def test_a_signal_does_not_wait_for_parts_that_have_not_begun():
     """In its own process, because a stray interrupt would end the one that runs other tests."""
     command = [sys.executable, "-c", SIGNALLED]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    assert ended.stdout.startswith("interrupted after")
+    assert int(ended.stdout.removeprefix("interrupted after ")) < 20
     assert int(ended.stdout.split()[-1]) < 100
 
 
