@@ -43,6 +43,7 @@ SCENES = {
 }
 UP = {"chair": (0.0, 0.0, 1.0)}  # up directions that cannot be found from the model
 PHOTOS = {"chair": "chair_photos"}
+PEERS = ("nanogs-ref",)  # methods whose results were made beforehand, for some scenes
 SIZE = 512  # pixels of kinds of views without a size
 BASELINE_VIEWS = 40  # number of views that baselines learn from
 APART = ("cli", "bench", "scoring", "view", "lod", "studio")  # packages that do not affect results
@@ -77,9 +78,13 @@ class Bench:
         self.rows_file = folder / "measured.jsonl"
         self.ours = f"nanogs {digest_of_sources(APART)}"
 
-    def offers(self, scene: str, kind: str) -> bool:
-        """Return whether a scene has views of a kind."""
-        return kind != "photographs" or scene in PHOTOS
+    def offers(self, key: Key) -> bool:
+        """Return whether a scene has views of a kind, and the method's result if it is to exist."""
+        return not self.lacks(key) and (key.kind != "photographs" or key.scene in PHOTOS)
+
+    def lacks(self, key: Key) -> bool:
+        """Return whether a result should have been made beforehand, and was not."""
+        return key.method in PEERS and not self.peer(key).exists()
 
     def measure(self, keys: Sequence[Key], tell: Tell) -> list[Row]:
         """Return the rows of the keys; missing ones are measured and cached, scene by scene."""
@@ -125,6 +130,10 @@ class Bench:
     def _kept(self, method: str) -> bool:
         return any(self.peers.glob(f"*_{method}.ply"))
 
+    def peer(self, key: Key) -> Path:
+        """Return the path of a result that was made beforehand."""
+        return self.peers / f"{key.scene}_{key.ratio:g}_{key.method}.ply"
+
     def _measured(self, key: Key, views: Views, name: str) -> Row:
         """Make the result if it is missing, score it, and append the row to the cache."""
         path, figures = self._result(key)
@@ -141,7 +150,7 @@ class Bench:
     def _result(self, key: Key) -> tuple[Path, Row]:
         """Return a method's model, made if it is missing, with its seconds and peak memory."""
         if self._kept(key.method) and key.method not in RIVALS:
-            return self.peers / f"{key.scene}_{key.ratio:g}_{key.method}.ply", {}
+            return self.peer(key), {}
         target = result_file(
             self.folder, key.scene, key.ratio, key.method, self.version(key.method)
         )

@@ -7,9 +7,9 @@ r"""Measure our methods and splat-transform on real scenes, and print the tables
     python benchmarks/quality.py --scenes outdoors,meadow --kinds 512,1600,roam    # of unbounded.py
 
 A method is one of ours (a preset, one with parameters such as default:k=12, a baseline); `rival`,
-both modes of splat-transform 3.7.0 on the CPU; or `nanogs-ref`, files that were made beforehand. A
-kind of views is a number, the pixels of automatic views; `roam` or `inside`, short for roam@512 and
-inside@512; or `photographs`, for scenes that have some.
+both modes of splat-transform 3.7.0 on the CPU; or `nanogs-ref`, files that were made beforehand for
+some of the scenes. A kind of views is a number, the pixels of automatic views; `roam` or `inside`,
+short for roam@512 and inside@512; or `photographs`, for scenes that have some.
 
 Results and measurements are cached in --cache, by default the environment's NANOGS_BENCHMARKS or
 ~/.cache/nanogs-benchmarks: an interrupted run can be continued, and only what a change of the
@@ -28,12 +28,10 @@ import sys
 from pathlib import Path
 
 from leads import report
-from measured import KINDS, SCENES, Bench, Key
+from measured import KINDS, PEERS, SCENES, Bench, Key
 from nanogs.bench.methods import ABLATIONS, all_methods
 from nanogs.defaults import BENCH_RATIOS
 from rivals import BUILD, RIVALS, ROOT, install
-
-PEERS = ("nanogs-ref",)  # files that were made beforehand
 
 
 def main() -> None:
@@ -42,14 +40,16 @@ def main() -> None:
     install()
     bench = Bench(options.folder, options.peers, options.cache)
     methods = chosen_methods(options)
-    keys = [
+    asked = [
         Key(scene, ratio, method, kind)
         for scene in options.scenes.split(",")
         for ratio in map(float, options.ratios.split(","))
         for method in methods
         for kind in options.kinds.split(",")
-        if bench.offers(scene, kind)
     ]
+    if absent := dict.fromkeys(bench.peer(key).name for key in asked if bench.lacks(key)):
+        print(f"Left out, not in {options.peers}: {', '.join(absent)}", file=sys.stderr)
+    keys = [key for key in asked if bench.offers(key)]
     rows = bench.measure(keys, lambda text: print(text, file=sys.stderr, flush=True))
     if options.rows:
         options.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))

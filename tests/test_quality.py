@@ -66,6 +66,20 @@ def test_changed_sources_are_run_again_and_kept_files_only_measured(benchmarks, 
     assert (row["splats"], bench.made) == (40, ["fast"] * 3)
 
 
+def test_results_made_beforehand_are_left_out_where_there_are_none(benchmarks, bench):
+    bench.found.peers.mkdir()
+    nanogs.save(make_scene(40), bench.found.peers / "a_0.1_nanogs-ref.ply")
+    keys = [
+        benchmarks.measured.Key("a", ratio, method, "32")
+        for ratio in (0.1, 0.2)
+        for method in ("fast", "nanogs-ref")
+    ]
+    kept = [key for key in keys if bench.found.offers(key)]
+    assert [key[1:3] for key in kept] == [(0.1, "fast"), (0.1, "nanogs-ref"), (0.2, "fast")]
+    rows = measure(benchmarks, bench, *kept)
+    assert [row["splats"] for row in rows] == [30, 40, 60]
+
+
 def test_sources_that_change_during_a_run_end_it(benchmarks, bench):
     bench.found.ours = "nanogs before"
     with pytest.raises(SystemExit, match="changed meanwhile"):
