@@ -1,4 +1,4 @@
-"""Programs of benchmarks/ start: they import names that exist, and take options."""
+"""Programs of benchmarks/ start: they import names that exist, and take options; some run."""
 
 import json
 import subprocess
@@ -6,6 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
+
+import nanogs
+from nanogs.datasets.synthetic import make_scene
 
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
 pytestmark = pytest.mark.skipif(not FOLDER.exists(), reason="only in the repository")
@@ -43,3 +46,14 @@ def test_all_benchmarks_show_their_help(tmp_path):
     failed = {name: text for name, text in json.loads(done.stdout).items() if text}
     assert not failed, "\n".join(f"{name}: {text}" for name, text in failed.items())
     assert not any(tmp_path.iterdir())
+
+
+def test_killed_runs_of_scale_fit_into_the_memory_that_is_its_default(
+    benchmark_module, tmp_path, monkeypatch, capsys
+):
+    nanogs.save(make_scene(600), tmp_path / "a.ply")
+    words = ["scale.py", "kill", str(tmp_path / "a.ply"), "--folder", str(tmp_path), "--times", "0"]
+    monkeypatch.setattr(sys, "argv", words)  # a whole run, and none that is killed
+    benchmark_module("scale").main()
+    assert capsys.readouterr().out.startswith("0 kills, 0 results")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
