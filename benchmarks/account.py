@@ -1,5 +1,6 @@
 """Compare the seconds of each stage with the time to stream its bytes through memory once.
 
+mkdir -p build
 python -m pytest benchmarks/bench_stages.py --benchmark-json build/stages.json
 python benchmarks/account.py build/stages.json
 """
