@@ -25,7 +25,7 @@ from nanogs.splats import Splats, concatenate
 from nanogs.views import inside
 from nanogs.views.automatic import Split, automatic_cameras, survey
 from nanogs.views.poses import look_at
-from rivals import ROOT
+from rivals import ROOT, install
 
 UP = np.array([0.0, -1.0, 0.0])
 # Rings of cameras around the centre: distance, height, and height of the point they look at.
@@ -279,6 +279,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="where scenes and measurements are kept")
     parser.add_argument("--scenes", default=",".join(SCENES))
     options = parser.parse_args()
+    install()  # splat-transform, which converts scenes to .ply
     scenes = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
     bench = Bench(scenes, scenes.parent / "peers", options.folder)
     known = extent.APART

@@ -57,3 +57,19 @@ def test_killed_runs_of_scale_fit_into_the_memory_that_is_its_default(
     benchmark_module("scale").main()
     assert capsys.readouterr().out.startswith("0 kills, 0 results")
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+@pytest.mark.parametrize("name", ["oracles", "quality", "sizes", "sog", "unbounded"])
+def test_programs_that_call_splat_transform_install_it_first(
+    name, benchmark_module, tmp_path, monkeypatch
+):
+    def install():
+        sys.exit("installed")
+
+    program = benchmark_module(name)
+    monkeypatch.setattr(program, "install", install, raising=False)
+    monkeypatch.setenv("NANOGS_SCENES", str(tmp_path / "absent"))
+    folder = [str(tmp_path)] if name in ("sizes", "unbounded") else []
+    monkeypatch.setattr(sys, "argv", [name, *folder])
+    with pytest.raises(SystemExit, match="installed"):
+        program.main()
