@@ -157,6 +157,20 @@ def test_a_saved_file_holds_every_splat_or_saving_is_refused(suffix, data, tmp_p
     assert loaded.finite().sum() == splats.finite().sum()
 
 
+@pytest.mark.parametrize("size", [-2.0, 80.0])
+def test_sog_holds_centres_at_the_end_of_single_precision(tmp_path, size):
+    """Large splats spare bits; the bounds that this leaves were infinite, which nobody can read."""
+    model = random_splats(5)
+    model.log_scales[:] = size
+    model.means[0], model.means[1] = LARGEST, -LARGEST
+    nanogs.save(model, tmp_path / "a.sog")
+    assert nanogs.load(tmp_path / "a.sog").means.max() == pytest.approx(LARGEST, rel=1e-3)
+    with pytest.raises(OutputError, match=r"`spare_bits=6` leaves no room .* scale the model down"):
+        nanogs.save(model, tmp_path / "b.sog", format_options={"spare_bits": 6})
+    nanogs.save(model, tmp_path / "a.sog", format_options={"spare_bits": 0}, overwrite=True)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.sog"]
+
+
 def with_bits(model, column, bits):
     """Return the model with the given bits as the first number of its fourth splat."""
     changed = getattr(model, column).copy()

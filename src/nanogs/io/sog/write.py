@@ -46,6 +46,7 @@ _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
 # Entries of the codebook for an exact palette, and for one of merged values, which needs fewer.
 _EXACT, _ROUNDED = 64, 32
 _SMALL_PALETTE = 1024  # models of up to so many splats get a palette entry per splat
+_LARGEST_LOGARITHM = math.log1p(float(np.finfo(np.float32).max))  # of a centre, log(1 + |x|)
 _FARTHEST = 1e18  # largest magnitude of a value: squared differences must not overflow float32
 
 Submit = Callable[[str, U8], None]
@@ -278,7 +279,8 @@ def _codebooks(*wanted: tuple[F32, int]) -> list[F32]:
 
 def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
     """Compute the default of `spare` that `write` uses for a model and `bits`."""
-    return _spare(splats, Precision(bits), _bounds(_logarithms(splats))[2])
+    low, _, range_ = _bounds(_logarithms(splats))
+    return _spare(splats, Precision(bits), low, range_)
 
 
 def _logarithms(splats: Splats) -> F64:
@@ -299,26 +301,47 @@ def _bounds(logarithms: F64) -> tuple[F64, F64, F64]:
     return low, high, np.where(high > low, high - low, 1)
 
 
-def _spare(splats: Splats, precision: Precision, range_: F64) -> int:
-    """Compute the bits to drop from centres, whose signed logarithms span `range_`, (3,)."""
+def _spare(splats: Splats, precision: Precision, low: F64, range_: F64) -> int:
+    """Compute the bits to drop from centres; signed logarithms begin at `low` and span `range_`.
+
+    Raises:
+        UnstorableError: The bits that were asked for do not leave a file that can be read.
+    """
     apart = range_ / LAST_CODE
-    # A step d of log(1 + |x|) is a step (1 + |x|) d of x.
-    return precision.spare_bits([splats], lambda s: (1 + np.abs(s.means, dtype=np.float64)) * apart)
+
+    def steps(block: Splats) -> F64:
+        """Return the steps of x, (R, 3): a step d of log(1 + |x|) is a step (1 + |x|) d of x."""
+        return (1 + np.abs(block.means, dtype=np.float64)) * apart
+
+    found = precision.spare_bits([splats], steps)
+    if not found or (low + _stretched(range_, 1 << found)).max() <= _LARGEST_LOGARITHM:
+        return found
+    if precision.spare is None:
+        return 0
+    raise UnstorableError(
+        f"Centres are so near to the end of single precision that `spare_bits={found}` leaves no"
+        " room for them in .sog; give 0, or scale the model down."
+    )
+
+
+def _stretched(range_: F64, step: int) -> F64:
+    """Return the range of all codes, of which the last that is used is mapped to the maximum."""
+    return range_ * (LAST_CODE / (LAST_CODE // step * step))
 
 
 def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
     """Quantise the coordinates' signed logarithms to (N, 3) codes; return these and the bounds."""
     logarithms = _logarithms(splats)
     low, high, range_ = _bounds(logarithms)
-    step = 1 << _spare(splats, precision, range_)
-    steps = LAST_CODE // step  # the last used code is mapped to the maximum
+    step = 1 << _spare(splats, precision, low, range_)
+    steps = LAST_CODE // step
     codes = np.empty((len(splats), 3), np.uint16)
 
     def encode_rows(rows: slice) -> None:
         codes[rows] = np.rint((logarithms[rows] - low) / range_ * steps) * step
 
     parallel.for_each(slices(len(splats)), encode_rows)
-    highest = low + range_ * (LAST_CODE / (steps * step))
+    highest = low + _stretched(range_, step)
     return codes, {"mins": low.tolist(), "maxs": np.where(high > low, highest, high).tolist()}
 
 
