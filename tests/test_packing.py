@@ -338,7 +338,7 @@ def test_packings_chosen_without_rendering_are_as_coarse_as_needed():
 
 
 def test_a_size_that_is_too_small_is_refused_before_the_forest(splats, monkeypatch):
-    monkeypatch.setattr("nanogs.pipeline.in_memory.Job.build", None)
+    monkeypatch.setattr("nanogs.pipeline.in_memory.CheckedModel.build", None)
     with pytest.raises(TooSmallError, match="a file of one splat"):
         nanogs.simplify(splats, size=100, format=".sog", **FEW)
 

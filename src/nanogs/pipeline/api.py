@@ -14,7 +14,7 @@ from nanogs.frames import change_frame, checked_frames
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
-from nanogs.pipeline.in_memory import Job, NanPolicy, prepare_job
+from nanogs.pipeline.in_memory import CheckedModel, NanPolicy, check_model
 from nanogs.pipeline.options.presets import (
     DEFAULT_PRESET,
     Parameters,
@@ -131,33 +131,35 @@ def simplify(
     ):
         splats = as_splats(model)
         with clock.time("check"):
-            job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
-            splats = job.splats
-            target = target_of(goal, splats, len(job.rows), path, job.parameters, sh_degree)
+            checked = check_model(splats, preset, overrides, cameras, nan, sh_degree)
+            splats = checked.splats
+            target = target_of(goal, splats, len(checked.rows), path, checked.parameters, sh_degree)
             refuse_misaligned_elements(splats, 1 if target is None else target)
-            job.refuse_too_large(target, max_memory, judged=target is None)
+            checked.refuse_too_large(target, max_memory, judged=target is None)
         tracker = Tracker(
             on_step,
-            simplify_stages(job.parameters, goal, len(job.rows), target, path.suffix),
+            simplify_stages(checked.parameters, goal, len(checked.rows), target, path.suffix),
         )
-        files = HeldFiles(path, given, job.splats, clock, frame, by_psnr=psnr is not None)
+        files = HeldFiles(path, given, checked.splats, clock, frame, by_psnr=psnr is not None)
         if target is not None:
-            outcome = job.deliverer(target, threads_used, clock, tracker)(target, clock, tracker)
+            outcome = checked.deliverer(target, threads_used, clock, tracker)(
+                target, clock, tracker
+            )
             if size is not None:
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, achieved_size=achieved)
         elif size is not None:
-            outcome = _search_size(job, size, files, threads_used, tracker)
+            outcome = _search_size(checked, size, files, threads_used, tracker)
         elif draw_cost is not None:
-            outcome = _search_draw_cost(job, draw_cost, files, threads_used, tracker)
+            outcome = _search_draw_cost(checked, draw_cost, files, threads_used, tracker)
         else:
-            outcome = _search_psnr(job, goal.psnr or 0.0, files, threads_used, tracker)
+            outcome = _search_psnr(checked, goal.psnr or 0.0, files, threads_used, tracker)
         target = len(outcome.splats) if target is None else target
         tracker.finish()
     if size is not None:
-        outcome = _with_size_notes(outcome, size, len(job.rows), path)
+        outcome = _with_size_notes(outcome, size, len(checked.rows), path)
     small = change_frame(outcome.splats, *frame) if frame else outcome.splats
-    report = job.report(goal, target, outcome, threads_used, clock, start)
+    report = checked.report(goal, target, outcome, threads_used, clock, start)
     return small, replace(report, notes=(*report.notes, *device_notes(device, used)))
 
 
@@ -280,18 +282,18 @@ def refuse_small(request: "SizeRequest", some: Splats, files: "HeldFiles") -> No
 
 
 def _search_size(
-    job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracker
+    checked: CheckedModel, size: int, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
     from nanogs.pipeline.options.size import SizeRequest
     from nanogs.pipeline.search.filled import fill_size
     from nanogs.pipeline.search.packer import Packer
     from nanogs.pipeline.search.results import HeldResults
 
-    usable, clock = job.splats.take(job.rows), files.clock
-    known, looks = registry.writable(files.path), renders(job.parameters)
-    request = SizeRequest(size, known, files.given, job.sh_degree, looks=looks)
+    usable, clock = checked.splats.take(checked.rows), files.clock
+    known, looks = registry.writable(files.path), renders(checked.parameters)
+    request = SizeRequest(size, known, files.given, checked.sh_degree, looks=looks)
     refuse_small(request, usable, files)
-    results = HeldResults(job.build(threads, clock, progress), clock)
+    results = HeldResults(checked.build(threads, clock, progress), clock)
     outcome, found = fill_size(Packer(results, request, usable, files, progress))
     fitted, packed = found.fitted, found.packed
     left_over = fitted.leap(size, results.available, known.overhead_bytes())
@@ -306,7 +308,7 @@ def _search_size(
 
 
 def _search_psnr(
-    job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tracker
+    checked: CheckedModel, psnr: float, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
     from nanogs.pipeline.options.size import SizeRequest
     from nanogs.pipeline.search.packer import PackingForPsnr
@@ -317,7 +319,7 @@ def _search_psnr(
     clock = files.clock
     progress.begin("measure")
     with clock.time("measure"):
-        views = held_out(job.splats, progress.part)
+        views = held_out(checked.splats, progress.part)
 
     def stored(outcome: Outcome) -> Splats:
         return files.stored(outcome.splats, pack.options(outcome))
@@ -326,9 +328,11 @@ def _search_psnr(
         with clock.time("measure"):
             return views.psnr(stored(outcome))
 
-    results = HeldResults(job.build(threads, clock, progress), clock)
-    request = SizeRequest(0, registry.writable(files.path), files.given, job.sh_degree)
-    pack = PackingForPsnr(results, request, lambda: job.splats.take(job.rows), files, progress)
+    results = HeldResults(checked.build(threads, clock, progress), clock)
+    request = SizeRequest(0, registry.writable(files.path), files.given, checked.sh_degree)
+    pack = PackingForPsnr(
+        results, request, lambda: checked.splats.take(checked.rows), files, progress
+    )
     outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack)
     if found.stop is StopReason.UNREACHED:  # then the whole model is written unchanged
         pack.packed = None
@@ -342,7 +346,7 @@ def _search_psnr(
 
 
 def _search_draw_cost(
-    job: Job, asked: float, files: "HeldFiles", threads: int, progress: Tracker
+    checked: CheckedModel, asked: float, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
     from nanogs.pipeline.search.draw_cost import search_draw_cost
     from nanogs.pipeline.search.results import HeldResults
@@ -351,14 +355,14 @@ def _search_draw_cost(
     clock = files.clock
     progress.begin("measure")
     with clock.time("measure"):
-        views = draw_views(job.splats, progress.part)
+        views = draw_views(checked.splats, progress.part)
 
     def share_of(outcome: Outcome, *, stored: bool = True) -> float:
         with clock.time("measure"):
             small = files.stored(outcome.splats, {}) if stored else outcome.splats
             return views.share(small)
 
-    results = HeldResults(job.build(threads, clock, progress), clock)
+    results = HeldResults(checked.build(threads, clock, progress), clock)
     quick = partial(share_of, stored=False)
     outcome, found = search_draw_cost(results, asked, share_of, quick, progress)
     with clock.time("measure"):

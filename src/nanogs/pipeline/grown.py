@@ -13,7 +13,7 @@ from nanogs.io import encoded_bytes, registry, round_trip_with_size
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
-from nanogs.pipeline.in_memory import Job, NanPolicy, prepare_job
+from nanogs.pipeline.in_memory import CheckedModel, NanPolicy, check_model
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters, refuse_search
 from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.pipeline.outcome import Outcome
@@ -53,7 +53,7 @@ class Grown:
     def __init__(
         self,
         original: Splats,
-        job: Job,
+        checked: CheckedModel,
         scene: "OneBlock",
         clock: StageClock,
         device: str | None,
@@ -63,7 +63,7 @@ class Grown:
 
         Args:
             original: The model with all of its harmonics, which results are compared with.
-            job: The model and the method.
+            checked: The model and the method.
             scene: The model with its visibility and its forest.
             clock: The seconds that growing took.
             device: Device on which results are rendered and fitted.
@@ -71,11 +71,11 @@ class Grown:
         """
         from nanogs.pipeline.search.results import HeldResults
 
-        self._original, self._job, self._scene = original, job, scene
+        self._original, self._checked, self._scene = original, checked, scene
         self._device, self._threads = device, threads
         self._held_out: HeldOut | None = None
         self._plain = HeldResults(scene, StageClock()).plain(rounds=0)
-        self.available = len(job.rows)
+        self.available = len(checked.rows)
         self.fewest = scene.forest.fewest
         self.seconds = dict(clock.seconds)
 
@@ -93,7 +93,7 @@ class Grown:
         """
         self._check(count)
         if count == self.available:
-            return self._job.whole().splats
+            return self._checked.whole().splats
         with _on(self._device, self._threads):
             return self._plain.make(count, Tracker(None, ())).splats
 
@@ -116,9 +116,9 @@ class Grown:
         from nanogs.pipeline.estimates.durations import delivery_stages
 
         self._check(count)
-        job, start, clock = self._job, time.perf_counter(), StageClock()
-        refuse_misaligned_elements(job.splats, count)
-        stages = delivery_stages(job.parameters, self.available, count)
+        checked, start, clock = self._checked, time.perf_counter(), StageClock()
+        refuse_misaligned_elements(checked.splats, count)
+        stages = delivery_stages(checked.parameters, self.available, count)
         with (
             show_progress(progress) as on_step,
             _on(self._device, self._threads) as (device, threads),
@@ -126,7 +126,7 @@ class Grown:
             tracker = Tracker(on_step, stages)
             outcome = self._delivered(count, clock, tracker)
             tracker.finish()
-        report = job.report(Goal(count=count), count, outcome, threads, clock, start)
+        report = checked.report(Goal(count=count), count, outcome, threads, clock, start)
         notes = device_notes(self._device, device)
         return outcome.splats, replace(report, notes=(*report.notes, *notes))
 
@@ -181,7 +181,7 @@ class Grown:
         from nanogs.pipeline.run import deliver
 
         if count == self.available:
-            return self._job.whole()
+            return self._checked.whole()
         return deliver(self._scene, count, clock, progress)
 
     def _check(self, count: int) -> None:
@@ -240,12 +240,12 @@ def grow(
     with show_progress(progress) as on_step, _on(device, threads) as (_, used):
         original = as_splats(model)
         with clock.time("check"):
-            job = prepare_job(original, preset, overrides, cameras, nan, sh_degree)
-            job.refuse_too_large(None, max_memory, judged=True)
-        tracker = Tracker(on_step, build_stages(job.parameters, len(job.rows)))
-        scene = job.build(used, clock, tracker)
+            checked = check_model(original, preset, overrides, cameras, nan, sh_degree)
+            checked.refuse_too_large(None, max_memory, judged=True)
+        tracker = Tracker(on_step, build_stages(checked.parameters, len(checked.rows)))
+        scene = checked.build(used, clock, tracker)
         tracker.finish()
-    return Grown(original, job, scene, clock, device, threads)
+    return Grown(original, checked, scene, clock, device, threads)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""A checked simplification of a model in memory, shared by `simplify`, `grow` and `levels`."""
+"""A checked model in memory that is to be simplified; `simplify`, `grow` and `levels` share it."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -36,7 +36,7 @@ Deliver = Callable[[int, StageClock, Tracker], Outcome]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Job:
+class CheckedModel:
     """A model, and how it is to be simplified.
 
     Attributes:
@@ -176,15 +176,15 @@ class Job:
         )
 
 
-def prepare_job(
+def check_model(
     splats: Splats,
     preset: str,
     overrides: dict[str, Any],
     cameras: "Cameras | None",
     nan: NanPolicy,
     sh_degree: int | None = None,
-) -> Job:
-    """Make a job, after all checks that are possible before anything is computed.
+) -> CheckedModel:
+    """Do all checks that are possible before anything is computed, and find the usable rows.
 
     For a method that does not render, harmonics above `sh_degree` are removed here.
 
@@ -199,7 +199,7 @@ def prepare_job(
     if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(sh_degree)
     rows, views = usable_rows(splats, nan), chosen_cameras(splats, cameras, None, chosen)
-    return Job(splats, rows, preset, chosen, views, sh_degree)
+    return CheckedModel(splats, rows, preset, chosen, views, sh_degree)
 
 
 def import_stages(chosen: Parameters) -> None:

@@ -13,7 +13,7 @@ from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.estimates.stage_weights import level_stage
-from nanogs.pipeline.in_memory import Deliver, Job, NanPolicy, prepare_job
+from nanogs.pipeline.in_memory import CheckedModel, Deliver, NanPolicy, check_model
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters
 from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.progress import Progress, Stage, Tracker
@@ -115,14 +115,14 @@ def judged_levels(
     from nanogs.threads import use_threads  # imported here because it imports Numba
 
     with use_threads(threads):
-        job = prepare_job(as_splats(model), preset, overrides, cameras, nan, sh_degree)
-    refuse_misaligned_elements(job.splats, target_count(len(job.rows), ratios[-1], None))
-    counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
-    job.refuse_too_large(counts[0], max_memory, judged=judged)
+        checked = check_model(as_splats(model), preset, overrides, cameras, nan, sh_degree)
+    refuse_misaligned_elements(checked.splats, target_count(len(checked.rows), ratios[-1], None))
+    counts = [target_count(len(checked.rows), ratio, None) for ratio in ratios]
+    checked.refuse_too_large(counts[0], max_memory, judged=judged)
     from nanogs.pipeline.estimates.durations import levels_stages
 
-    stages = levels_stages(job.parameters, len(job.rows), counts)
-    return _drawn(job, ratios, device, threads, progress, stages)
+    stages = levels_stages(checked.parameters, len(checked.rows), counts)
+    return _drawn(checked, ratios, device, threads, progress, stages)
 
 
 def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
@@ -150,7 +150,7 @@ def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
 
 
 def _drawn(
-    job: Job,
+    checked: CheckedModel,
     ratios: Sequence[float],
     device: str | None,
     threads: int | None,
@@ -158,11 +158,11 @@ def _drawn(
     stages: Sequence[Stage],
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
     with show_progress(progress) as on_step:
-        yield from _deliver(job, ratios, device, threads, Tracker(on_step, stages))
+        yield from _deliver(checked, ratios, device, threads, Tracker(on_step, stages))
 
 
 def _deliver(
-    job: Job,
+    checked: CheckedModel,
     ratios: Sequence[float],
     device: str | None,
     threads: int | None,
@@ -176,10 +176,10 @@ def _deliver(
         from nanogs.threads import use_threads
 
         with use_device(device) as used, use_threads(threads) as threads_used:
-            smallest = target_count(len(job.rows), ratios[-1], None)
-            deliver = deliver or job.deliverer(smallest, threads_used, clock, progress)
+            smallest = target_count(len(checked.rows), ratios[-1], None)
+            deliver = deliver or checked.deliverer(smallest, threads_used, clock, progress)
             progress.begin(level_stage(number))
-            small, report = _level(job, deliver, ratio, threads_used, clock, start, progress)
+            small, report = _level(checked, deliver, ratio, threads_used, clock, start, progress)
         report = replace(report, notes=(*report.notes, *device_notes(device, used)))
         if number == len(ratios) - 1:
             progress.finish()
@@ -188,7 +188,7 @@ def _deliver(
 
 
 def _level(
-    job: Job,
+    checked: CheckedModel,
     deliver: Deliver,
     ratio: float,
     threads: int,
@@ -198,7 +198,7 @@ def _level(
 ) -> tuple[Splats, SimplifyReport]:
     from nanogs.pipeline.estimates.durations import delivery_stages
 
-    target = target_count(len(job.rows), ratio, None)
-    stages = delivery_stages(job.parameters, len(job.rows), target)
+    target = target_count(len(checked.rows), ratio, None)
+    stages = delivery_stages(checked.parameters, len(checked.rows), target)
     outcome = deliver(target, clock, progress.within(0, 1, stages))
-    return outcome.splats, job.report(Goal(ratio), target, outcome, threads, clock, start)
+    return outcome.splats, checked.report(Goal(ratio), target, outcome, threads, clock, start)
