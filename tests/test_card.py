@@ -19,6 +19,7 @@ from nanogs.errors import NotEnoughMemoryError
 from nanogs.fit.targets import ALPHA, WHITE, compute_gradients, make_target
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.gradients import SCALES
+from nanogs.kernels.project import MIN_ALPHA
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import prepare, render, view_on
 from nanogs.splats import RenderMode
@@ -48,13 +49,19 @@ def check_picture(splats, camera, **options):
     options = {"background": background, "depth": True, "contributions": True} | options
     on_card = render(prepared, camera, **options)
     on_cpu = render(prepared, camera, here=True, **options)
-    assert psnr(on_card.color, on_cpu.color) > CLOSE
-    assert np.abs(on_card.alpha - on_cpu.alpha).max() < 1e-4
+    # A splat whose alpha in a pixel is the least that is drawn, up to rounding, may be in one only.
+    differences = np.abs(on_card.alpha - on_cpu.alpha)
+    agree = differences < 1e-4
+    assert agree.mean() > 0.995
+    assert differences.max() < MIN_ALPHA
+    assert psnr(on_card.color[agree], on_cpu.color[agree]) > CLOSE
     assert on_card.drawn == on_cpu.drawn
     assert (np.isinf(on_card.depth) == np.isinf(on_cpu.depth)).all()
-    visible = on_cpu.alpha > 0.01
+    visible = agree & (on_cpu.alpha > 0.01)
     np.testing.assert_allclose(on_card.depth[visible], on_cpu.depth[visible], rtol=1e-4)
-    np.testing.assert_allclose(on_card.contributions, on_cpu.contributions, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(
+        on_card.contributions, on_cpu.contributions, rtol=1e-4, atol=MIN_ALPHA
+    )
     np.testing.assert_allclose(on_card.unoccluded, on_cpu.unoccluded, rtol=1e-9)
     return on_card
 

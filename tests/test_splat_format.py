@@ -100,6 +100,15 @@ def test_one_row_is_written_back(load, saved):
     assert saved(load(data)) == data
 
 
+@pytest.mark.parametrize("length", [0.97, 0.98828125, 0.99, 1.01, 1.0117, 1.03])
+def test_nearly_unit_quaternions_are_written_the_same_again(load, saved, length):
+    """Rounding moved a length away from 1, so that the second writing normalised it."""
+    model = random_splats(20, degree=0)
+    model.quats[:] = (length, 0, 0, 0)
+    once = saved(model)
+    assert saved(load(once)) == once
+
+
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(quats=hnp.arrays(np.float32, (20, 4), elements=st.floats(-4, 4, width=32)))
 def test_unit_quaternions_keep_their_bytes(load, saved, tmp_path, quats):

@@ -258,7 +258,7 @@ def test_a_psnr_is_approached_in_few_results_without_earlier_ones(available, at_
         count = curve.count_for(goal)
         misses.append(abs(truth(count) - goal.psnr))
         curve.add(Point(count, count, truth(count), coarse=False))
-    assert misses[1] <= max(misses[0], 0.01)
+    assert misses[1] <= max(misses[0], 0.05)  # a splat more or less, if few are left
     assert misses[-1] <= max(0.2, 0.1 * misses[0]), "the line through two results leads there"
 
 

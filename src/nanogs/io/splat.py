@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from nanogs._types import F32, F64, Array
+from nanogs._types import F32, U8, Array
 from nanogs.activations import SH_C0, alphas, base_colour, logit, rounded_bytes
 from nanogs.errors import FormatError
 from nanogs.findings import negative_scales
@@ -119,19 +119,23 @@ def _encode(splats: Splats) -> Array:
     out["scale"] = np.exp(splats.log_scales.astype(np.float64))
     out["rgba"][:, :3] = rounded_bytes((splats.sh[:, 0] * np.float64(SH_C0) + 0.5) * 255)
     out["rgba"][:, 3] = rounded_bytes(alphas(splats.opacity_logits) * 255)
-    out["quat"] = rounded_bytes(_near_unit(splats.quats) * 128 + 128)
+    out["quat"] = _rotation_bytes(splats.quats)
     return out
 
 
-def _near_unit(quats: F32) -> F64:
-    """Normalise quaternions, (R, 4), but for those of unit length up to the error of their bytes.
+def _rotation_bytes(quats: F32) -> U8:
+    """Encode quaternions, (R, 4), normalised but for those that bytes already hold as unit ones.
 
     These are kept, so that reading and writing a file again does not change it.
     """
     wide = quats.astype(np.float64)
     length = np.linalg.norm(wide, axis=1, keepdims=True)
     unit = np.where(length == 0, (1, 0, 0, 0), wide / np.where(length == 0, 1, length))
-    return np.where(np.abs(length - 1) < _BYTE_SLACK, wide, unit)
+    kept = rounded_bytes(wide * 128 + 128)
+    decoded = np.linalg.norm((kept.astype(np.float64) - 128) / 128, axis=1, keepdims=True)
+    near = (np.abs(decoded - 1) < _BYTE_SLACK) & (np.abs(length - 1) < 2 * _BYTE_SLACK)
+    result: U8 = np.where(near, kept, rounded_bytes(unit * 128 + 128))
+    return result
 
 
 FORMATS = (Format(_SUFFIX, SplatFile, write, file_bytes, losses, streams=True, max_degree=0),)
