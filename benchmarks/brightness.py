@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import nanogs
-from measured import SCENES, UP
+from measured import SCENES, UP, made_before
 from nanogs._types import F32, F64
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, prepare, render
@@ -32,7 +32,7 @@ def main() -> None:
     print("| scene | preset | pixels | largest | mean | views above 1 |")
     print("|---|---|--:|--:|--:|--:|")
     for name in options.only.split(","):
-        original = nanogs.load(BUILD / "scenes" / f"{name}.ply")
+        original = nanogs.load(made_before(BUILD / "scenes" / f"{name}.ply"))
         cameras = automatic_cameras(original, 8, split="test", up=UP.get(name))
         prepared = prepare(original)
         for preset in options.presets.split(","):

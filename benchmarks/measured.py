@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import pickle
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -248,6 +249,13 @@ def text_of(row: Row) -> str:
         f"{row['scene']} {row['ratio']:g} {row['method']} {row['kind']}: {row['psnr']:.2f} dB,"
         f" worst {row['least_psnr']:.2f}, SSIM {row['ssim']:.4f}, {row.get('seconds', 0):.1f} s"
     )
+
+
+def made_before(path: Path) -> Path:
+    """Return the path of a file that `quality.py` makes; end the program if it is absent."""
+    if not path.exists():
+        sys.exit(f"{path} is missing: run benchmarks/quality.py with this scene and ratio first.")
+    return path
 
 
 def digest_of_cameras(cameras: Iterable[Camera]) -> str:

@@ -11,7 +11,7 @@ import argparse
 import numpy as np
 
 import nanogs
-from measured import SCENES, UP, result_file
+from measured import SCENES, UP, made_before, result_file
 from nanogs.metrics import lpips
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
@@ -30,12 +30,12 @@ def main() -> None:
     print("| scene | ratio |", " | ".join((*RIVALS, *PRESETS)), "|")
     print("|---|--:|" + "--:|" * (len(RIVALS) + len(PRESETS)))
     for name in options.only.split(","):
-        original = nanogs.load(BUILD / "scenes" / f"{name}.ply")
+        original = nanogs.load(made_before(BUILD / "scenes" / f"{name}.ply"))
         for ratio in options.ratios.split(","):
             files = (
                 result_file(BUILD, name, float(ratio), method, rival_version()) for method in RIVALS
             )
-            models = [nanogs.load(file) for file in files]
+            models = [nanogs.load(made_before(file)) for file in files]
             models += [nanogs.simplify(original, ratio=float(ratio), preset=p)[0] for p in PRESETS]
             cells = (distances(original, model, UP.get(name)) for model in models)
             print(f"| {name} | {ratio} |", " | ".join(cells), "|", flush=True)
