@@ -37,9 +37,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as made:
             try:
                 _compare(folder / scene, Path(made), shares, options.views, options.preset)
-            except (
-                pytest.skip.Exception
-            ) as missing:  # as the tests do without Node, Chromium or the package
+            except pytest.skip.Exception as missing:  # Node, Chromium or the package is absent
                 sys.exit(str(missing))
 
 

@@ -54,9 +54,8 @@ def test_a_folder_is_written_if_the_output_is_meta_json(scene, tmp_path):
     path = tmp_path / "folder" / "meta.json"
     report = json.loads(run(scene, path, "--json").stdout)
     nanogs.save(nanogs.load(scene), tmp_path / "other" / "meta.json")
-    written = {entry.name: entry.read_bytes() for entry in path.parent.iterdir()}
-    expected = {entry.name: entry.read_bytes() for entry in (tmp_path / "other").iterdir()}
-    assert written == expected
+    written = launch.contents(path.parent)
+    assert written == launch.contents(tmp_path / "other")
     assert report["output_bytes"] == sum(map(len, written.values()))
     second_report = json.loads(run(path, path, "-w", "--sh-degree", "0", "--json").stdout)
     assert second_report["input_bytes"] == report["output_bytes"]

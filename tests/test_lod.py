@@ -13,7 +13,7 @@ import typer
 
 import nanogs
 from builders import model_bytes, random_splats
-from launch import run
+from launch import contents, run
 from nanogs import io
 from nanogs.cli.lod import exit_if_short
 from nanogs.errors import OptionError, OutputError
@@ -204,8 +204,7 @@ def test_the_same_input_gives_the_same_bytes(scene, tmp_path, out, fitted):
         result = run("lod", scene, tmp_path / str(number) / path, *options)
         assert result.returncode == 0, result.stderr
         folder = tmp_path / str(number) / "levels"
-        files = sorted(path for path in folder.rglob("*") if path.is_file())
-        made.append({str(path.relative_to(folder)): path.read_bytes() for path in files})
+        made.append(contents(folder))
     assert len(made[0]) > 1
     assert made[0] == made[1]
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import nanogs
 from builders import random_splats
 from crashes import CrashError
-from launch import run
+from launch import contents, run
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.levels_of_detail import write_levels
@@ -297,10 +297,7 @@ def test_blocks_and_resumed_jobs_keep_the_place(scene, tmp_path):
     write(tmp_path / "a", ZURICH.matrix(), resume=True)  # the same place as a matrix
     write(tmp_path / "b", ZURICH)
     assert np.array_equal(root_transform(tmp_path / "a" / "tileset.json"), ZURICH.matrix())
-    found = [
-        {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in "ab"
-    ]
-    assert found[0] == found[1]
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
 
 def test_sh_degree_and_min_opacity_apply_to_tiles(scene, tmp_path):

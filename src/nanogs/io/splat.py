@@ -66,7 +66,7 @@ def _decode(rows: Array, out: dict[str, Any], span: slice) -> int:
     rgba = rows["rgba"] / 255.0
     out["sh"][span, 0] = base_colour(rgba[:, :3])
     out["opacity_logits"][span] = logit(rgba[:, 3])
-    out["quats"][span] = (rows["quat"].astype(np.float32) - 128) / 128
+    out["quats"][span] = _decoded_rotations(rows["quat"])
     return int((rows["scale"] < 0).any(axis=1).sum())
 
 
@@ -123,6 +123,11 @@ def _encode(splats: Splats) -> Array:
     return out
 
 
+def _decoded_rotations(codes: U8) -> F32:
+    """Return the quaternions, (R, 4), of their bytes."""
+    return (codes.astype(np.float32) - np.float32(128)) / np.float32(128)
+
+
 def _rotation_bytes(quats: F32) -> U8:
     """Encode quaternions, (R, 4), normalised but for those that bytes already hold as unit ones.
 
@@ -132,7 +137,7 @@ def _rotation_bytes(quats: F32) -> U8:
     length = np.linalg.norm(wide, axis=1, keepdims=True)
     unit = np.where(length == 0, (1, 0, 0, 0), wide / np.where(length == 0, 1, length))
     kept = rounded_bytes(wide * 128 + 128)
-    decoded = np.linalg.norm((kept.astype(np.float64) - 128) / 128, axis=1, keepdims=True)
+    decoded = np.linalg.norm(_decoded_rotations(kept), axis=1, keepdims=True)
     near = (np.abs(decoded - 1) < _BYTE_SLACK) & (np.abs(length - 1) < 2 * _BYTE_SLACK)
     result: U8 = np.where(near, kept, rounded_bytes(unit * 128 + 128))
     return result

@@ -141,7 +141,7 @@ def detect_suffix(raw: Path, called: str, format: str | None, remedy: str) -> st
 
 
 def _to_send(output: Address, folder: Path, places: dict[str, str]) -> Path:
-    return _local_copy(_own(folder, output, places) / output.name, output)
+    return UrlFile(_own(folder, output, places) / output.name, str(output))
 
 
 def _own(folder: Path, address: Address, places: dict[str, str]) -> Path:
@@ -150,10 +150,6 @@ def _own(folder: Path, address: Address, places: dict[str, str]) -> Path:
     own.mkdir()
     places[f"{own}{os.sep}"] = f"{str(address).rpartition('/')[0]}/"
     return own
-
-
-def _local_copy(path: Path, address: Address) -> UrlFile:
-    return UrlFile(path, str(address))
 
 
 def _fetched(
@@ -181,7 +177,7 @@ def _fetched(
     if format or registry.find(raw) is None:
         suffix = detect_suffix(raw, str(path), format, remedy)
         raw = raw.rename(raw.with_name(f"{raw.name}{suffix}"))
-    model = _local_copy(raw, path)
+    model = UrlFile(raw, str(path))
     for file in registry.reader(model).open(model).files[1:]:
         name = PurePosixPath(file.relative_to(own).as_posix())
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -43,7 +43,7 @@ def begin() -> None:
     while _waiting:
         _waiting.pop()()
     if first:
-        _on_progress(begun=True)
+        _notify(begun=True)
 
 
 def end() -> None:
@@ -53,10 +53,10 @@ def end() -> None:
         _running -= 1
         last = _running == 0
     if last:
-        _on_progress(begun=False)
+        _notify(begun=False)
 
 
-def _on_progress(*, begun: bool) -> None:
+def _notify(*, begun: bool) -> None:
     global _logged  # noqa: PLW0603
     for callback in _watching:
         callback(begun)
