@@ -260,10 +260,11 @@ def test_the_three_sliders_move_together(studio):
 
 def test_drafts_are_shown_while_a_slider_moves(studio):
     studio.page.focus("#splats-range")
-    for _ in range(2):
+    numbers = []
+    for count in (2, 3):
         studio.page.keyboard.press("PageUp")
-        studio.page.wait_for_timeout(100)
-    older, newer = (studio.fake.wait("ask", count)["number"] for count in (2, 3))
+        numbers.append(studio.fake.wait("ask", count)["number"])
+    older, newer = numbers
     requested = studio.page.input_value("#splats")
     studio.fake.answer("draft", older, "green", splats=31)
     studio.shows(GREEN, "right")
@@ -360,17 +361,22 @@ def test_a_face_of_the_crop_box_can_be_dragged_in_the_picture(studio, face):
     page.mouse.down()
     page.mouse.move(*(start + 0.3 * (end - start)), steps=3)
     page.mouse.up()
-    studio.becomes(lambda: len([each for each, _ in studio.fake.asked if each == "filter"]) > 1)
-    page.wait_for_timeout(300)
-    asked = [body["choice"] for each, body in studio.fake.asked if each == "filter"]
-    sent = [choice["filters"]["box"] for choice in asked]
+
+    def last_box():
+        return [
+            body["choice"]["filters"]["box"] for each, body in studio.fake.asked if each == "filter"
+        ][-1]
+
     axis, is_high = "xyz".index(face[0]), face.endswith("high")
-    moved = np.array(sent[-1]).reshape(2, 3)
+    moved_end = axis + 3 * is_high
+    assert float(page.input_value(f"#{face}")) != [*low, *high][moved_end]
+    # The page waits for a pause in the movement before it asks for what its fields show.
+    studio.becomes(lambda: last_box()[moved_end] == float(page.input_value(f"#{face}")))
+    moved = np.array(last_box()).reshape(2, 3)
     share = (moved[int(is_high), axis] - (high if is_high else low)[axis]) / (high - low)[axis]
     assert 0.15 < (-share if is_high else share) < 0.45
     moved[int(is_high), axis] = (high if is_high else low)[axis]
     assert np.array_equal(moved, [low, high])  # no other face moved
-    assert float(page.input_value(f"#{face}")) == sent[-1][axis + 3 * is_high]
     assert np.abs(centre(face) - (start + 0.3 * (end - start))).max() < 30
     # At once, not with the next frame: until then, a handle of the removed box could be dragged.
     hidden = "[...document.querySelectorAll('.nv-handle')].every((dot) => dot.hidden)"
@@ -417,9 +423,10 @@ def test_another_up_turns_the_picture_and_the_old_one_restores_it(studio):
 
 def test_a_new_model_keeps_the_camera(studio):
     page = studio.page
+    first = studio.pixels()
     page.locator("#view canvas").focus()
     page.keyboard.press("ArrowRight")
-    studio.page.wait_for_timeout(100)
+    studio.becomes(lambda: not np.array_equal(studio.pixels(), first))
     turned = studio.pixels()
     page.fill("#splats", "40")
     page.press("#splats", "Enter")
