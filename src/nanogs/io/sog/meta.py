@@ -41,6 +41,8 @@ MODELS = {
     "antialiased": RenderMode.MIP,
     "2dgs": RenderMode.SURFEL,
 }
+ALPHA_LOGITS: F32 = logit(np.arange(CODES) / 255).astype(np.float32)
+"""(256,) the opacity logit of each byte, version 2."""
 MAX_COUNT = MAX_SIDE**2
 
 
@@ -192,7 +194,7 @@ class _Fields:
     def logits(self) -> F32:
         if self._version == 1:
             return self._between("sh0", 4)[:, 3]
-        return logit(np.arange(CODES) / 255).astype(np.float32)
+        return ALPHA_LOGITS
 
     def sh_rest(self) -> F32:
         if self._version == 2:

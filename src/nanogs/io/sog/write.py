@@ -10,7 +10,7 @@ import math
 import zipfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -243,15 +243,16 @@ def _encode(
     splats: Splats, groups: I64 | None, packing: Packing, submit: Submit, on_progress: PartProgress
 ) -> dict[str, Any]:
     """Compute and submit every texture, and return the contents of `meta.json`."""
-    codes, bounds = _codes(splats, packing.precision)
+    fine = packing.precision
+    scales, colours = _codebooks((splats.log_scales, fine.scales), (splats.sh[:, 0], fine.colours))
+    codes, bounds = _codes(_sizes_as_decoded(splats, scales, fine), fine)
     rows = _morton_order(codes, groups)
     codes = codes[rows]
     submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
     submit("means_u.webp", _picture((codes >> 8).astype(np.uint8)))
-    splats, fine = splats.take(rows), packing.precision
+    splats = splats.take(rows)
     quats, log_scales = minimise_rotation(splats)
     submit("quats.webp", _picture(_quats(quats, fine.rotation_step)))
-    scales, colours = _codebooks((log_scales, fine.scales), (splats.sh[:, 0], fine.colours))
     submit("scales.webp", _picture(nearest(log_scales, scales)))
     rgba = np.column_stack([nearest(splats.sh[:, 0], colours), _alphas(splats, fine.alphas)])
     submit("sh0.webp", _picture(rgba))
@@ -279,8 +280,27 @@ def _codebooks(*wanted: tuple[F32, int]) -> list[F32]:
 
 def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
     """Compute the default of `spare` that `write` uses for a model and `bits`."""
+    precision = Precision(bits)
+    scales = codebook(splats.log_scales, precision.scales)
     low, _, range_ = _bounds(_logarithms(splats))
-    return _spare(splats, Precision(bits), low, range_)
+    return _spare(_sizes_as_decoded(splats, scales, precision), precision, low, range_)
+
+
+def _sizes_as_decoded(splats: Splats, scales: F32, precision: Precision) -> Splats:
+    """Return the model with the scales and opacities that reading it again gives.
+
+    Bits are spared by these, so that a model that was read is written with as many as before.
+
+    Args:
+        splats: N splats.
+        scales: (256,) codebook of the log-scales.
+        precision: Precision of the alphas.
+    """
+    return replace(
+        splats,
+        log_scales=scales[nearest(splats.log_scales, scales)],
+        opacity_logits=sog_meta.ALPHA_LOGITS[_alphas(splats, precision.alphas)],
+    )
 
 
 def _logarithms(splats: Splats) -> F64:
