@@ -334,6 +334,30 @@ def test_options_for_blocks_without_effect_are_noted(scene, tmp_path, capsys, op
     assert note.endswith("because the model fits into --max-memory and needs no blocks.")
 
 
+@pytest.mark.parametrize(
+    ("name", "asked"), [("simplify", ["-r", "0.1"]), ("lod", ["--levels", "0.1"])]
+)
+def test_options_for_blocks_without_effect_are_noted_before_the_work(
+    scene, tmp_path, capsys, monkeypatch, name, asked
+):
+    """Somebody who asked for workers learns at once that a long run has none."""
+    target = tmp_path / ("a.ply" if name == "simplify" else "a")
+    arguments = [name, scene, target, *asked, "--preset", "fast", "--workers", "2"]
+    assert command(*arguments, "--dry-run") == 0
+    assert capsys.readouterr().err.count("--workers had no effect") == 1
+    module = f"nanogs.cli.{name}_run"
+    execute, seen = sys.modules[module].execute, []
+
+    def watched(*given):
+        seen.append(capsys.readouterr().err)
+        return execute(*given)
+
+    monkeypatch.setattr(f"{module}.execute", watched)
+    assert command(*arguments) == 0
+    assert "--workers had no effect" in seen[0]
+    assert "--workers" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("option", [["--resume"], ["--scratch", "x"]])
 def test_a_job_of_one_block_prints_no_note_about_blocks(
     scene, tmp_path, capsys, option, monkeypatch

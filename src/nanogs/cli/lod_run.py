@@ -61,7 +61,7 @@ def run_levels(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
     if not request.continues_job():
         sink.check()
     plan = plan_run(request, method)
-    if not method.hushed and (plan.divided or method.dry_run):
+    if not method.hushed:
         for note in plan.notes():
             warn(note)
     record: dict[str, Any] = {
@@ -80,7 +80,7 @@ def run_levels(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
     manifest, reports = execute(
         plan, lambda request: write_levels_of_files(request, sink, progress, arguments.sky)
     )
-    if not plan.divided:
+    if method.hushed and not plan.divided:
         manifest = replace(manifest, notes=(*plan.notes(), *manifest.notes))
     first, seconds = reports[0], time.perf_counter() - start
     made = {"reports": reports, "filters": first.filters, "total_seconds": seconds}

@@ -44,7 +44,7 @@ def run_one(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
         NanogsError: The file cannot be simplified as requested.
     """
     plan, method = _plan(arguments, pair), arguments.method
-    if plan.divided and not method.hushed:
+    if not method.hushed:
         for note in plan.notes():
             warn(note)
     if method.dry_run:
@@ -74,7 +74,7 @@ def _plan(arguments: Arguments, pair: Pair) -> Plan:
 def _made(plan: Plan, progress: Progress) -> Run:
     """Simplify a file, and return the report with names and sizes of the files."""
     request, report = plan.request, execute(plan, lambda request: simplify_files(request, progress))
-    if not plan.divided:
+    if plan.method.hushed and not plan.divided:
         report = replace(report, notes=(*plan.notes(), *report.notes))
     files: dict[str, Any] = {
         "frames": request.frame,
