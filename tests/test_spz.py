@@ -678,14 +678,14 @@ def test_losses_are_counted(tmp_path):
     model.sh[0, 0, 0] = 3.5
     model.sh[0:2, 2, 1] = -1.1
     mode = "The render mode 2dgs is left out, .spz has no tag for it"
-    outside = "outside ±1, the range of .spz; they were clamped to it."
+    outside = "outside ±1, the range of .spz; they are clamped to it."
     assert io.losses(model, tmp_path / "a.spz") == (
         "Extra columns are left out, .spz has no room for them: label.",
         "Further elements are left out, .spz has no room for them: camera.",
         "1 comment line is left out, .spz has no room for them.",
         f"{mode}: viewers will render the model as ordinary splats.",
-        "3 splats have log-scales outside -10 to 5.94, the range of .spz; they were clamped to it.",
-        "1 splat has base colours outside ±3.33, the range of .spz; they were clamped to it.",
+        "3 splats have log-scales outside -10 to 5.94, the range of .spz; they are clamped to it.",
+        "1 splat has base colours outside ±3.33, the range of .spz; they are clamped to it.",
         f"2 splats have higher SH coefficients {outside}",
     )
     clamped = round_trip(model, tmp_path / "a.spz")

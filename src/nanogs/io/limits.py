@@ -130,5 +130,5 @@ def clamped(rows: Bool, what: str) -> list[str]:
         what: The values and their range, inserted into the sentence.
     """
     count = int(rows.reshape(len(rows), -1).any(axis=1).sum())
-    text = f"{{:splat has|splats have}} {what}; they were clamped to it."
+    text = f"{{:splat has|splats have}} {what}; they are clamped to it."
     return [Finding(text, count)] if count else []
