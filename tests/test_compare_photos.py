@@ -8,6 +8,7 @@ from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import OptionError
 from nanogs.scoring.run import compare_files
 from test_bench import write_photographs
+from viewer_bundle import require_bundle
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +37,21 @@ def test_compare_returns_the_scores_of_the_command(folder):
     assert comparison.protocol.background == (1.0, 1.0, 1.0), "the data set's own"
     assert comparison.models[0].psnr > 45, "photographs of the model itself, in 8 bits"
     assert comparison.models[1].psnr < 40
+
+
+@pytest.mark.parametrize(
+    ("tests", "on_the_right"), [(["small"], "small"), (["small", "less"], "one of the others")]
+)
+def test_the_page_names_what_its_3d_view_shows_beside_the_original(
+    folder, tmp_path, tests, on_the_right
+):
+    """The original is in the table of photographs, and still on the left in 3D."""
+    require_bundle()
+    page = tmp_path / "page.html"
+    small = [(name, folder / "small.ply") for name in tests]
+    scene = ("scene", folder / "scene.ply")
+    compare_files(scene, small, photos=folder / "data", report=page, interactive=True)
+    assert f"The original is on the left, {on_the_right} on the right." in page.read_text("utf-8")
 
 
 def test_the_background_can_be_given(folder):

@@ -51,11 +51,20 @@ def render_page(
         extras=sorted({name for model in comparison.models for name in model.extras}),
         costs=all(model.cost for one in comparison.each for model in one.models),
         packed=any(model.packed for model in comparison.models),
-        moving=sum(not model.packed for model in comparison.models),
+        beside=_beside(comparison),
         viewer=viewer,
         viewer_policy=POLICY,
         plot=rate_distortion_plot(comparison.models) if several else "",
     )
+
+
+def _beside(comparison: Comparison) -> list[str]:
+    """Return the names of the models that the interactive part shows beside the original.
+
+    The first model of a comparison with photographs is the original itself.
+    """
+    names = [model.name for model in comparison.models if not model.packed]
+    return names if comparison.reference_splats else names[1:]
 
 
 def _text(name: str) -> str:
