@@ -365,6 +365,17 @@ def test_given_cameras_are_those_that_blocks_are_fitted_to(scene, splats, tmp_pa
         nanogs.simplify_blocks(scene, tmp_path / "c.ply", ratio=0.2, cameras="none.json", **BLOCKS)
 
 
+def test_many_small_blocks_are_expected_to_take_longer_if_they_are_rendered():
+    """Each block renders each view, however few splats it has."""
+    layout = Layout(2, False, (), "default", (), ())
+
+    def seconds(preset, memory):
+        return plan_blocks(500_000, layout, nanogs.presets[preset], (0.1,), memory).seconds
+
+    assert seconds("default", 400_000_000) > 1.5 * seconds("default", 520_000_000)
+    assert seconds("fast", 400_000_000) == seconds("fast", 520_000_000)
+
+
 @pytest.mark.parametrize("preset", ["fast", "default", "best"])
 @pytest.mark.parametrize("degree", range(4))
 def test_the_memory_named_in_a_refusal_is_enough(preset, degree):
