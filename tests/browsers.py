@@ -49,7 +49,7 @@ def pixels_of(element, name, **options):
     """Take a picture of a page or a part of it, (H, W, 3) float32 in [0, 1].
 
     Args:
-        seen: The page, or a locator of one of its elements.
+        element: The page, or a locator of one of its elements.
         name: Name of the picture in the folder of the environment variable NANOGS_SCREENSHOTS;
             without this variable, no picture is kept.
         **options: Options of Playwright's `screenshot`.
