@@ -109,6 +109,35 @@ def test_options_that_are_impossible_in_blocks_are_refused(scene, tmp_path, memo
     assert [path.name for path in tmp_path.iterdir()] == []
 
 
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--resume", "--preset", "paper"], "--resume divides a model into blocks, but the preset"),
+        (["--job", "job", "--drop-floaters"], "--job divides a model into blocks, but --drop-fl"),
+        (["--scratch", "s", "--preset", "paper"], "--scratch divides a model into blocks, but"),
+    ],
+)
+def test_a_small_model_is_not_called_too_large_if_an_option_divides_it(scene, tmp_path, more, said):
+    _, text = run("simplify", scene, tmp_path / "a.ply", "-r", "0.1", *more, code=2)
+    text = " ".join(text.split())
+    assert said in text
+    assert text.endswith("needs the whole model in memory; leave out one of the two.")
+
+
+@pytest.mark.parametrize(
+    ("wish", "remedy"),
+    [
+        (["--psnr", "30"], "provide more, or ask for a ratio or a count."),
+        (["--draw-cost", "50%"], "provide more, or ask for a ratio or a count."),
+        (["-r", "0.1", "--measure"], "provide more, or leave out the measurement."),
+    ],
+)
+def test_measuring_that_does_not_fit_is_refused_with_what_helps(scene, tmp_path, wish, remedy):
+    given = ["--max-memory", "215MB", "--preset", "fast", *wish]
+    _, text = run("simplify", scene, tmp_path / "a.ply", *given, code=2)
+    assert " ".join(text.split()).endswith(remedy)
+
+
 def test_a_scheduler_that_does_not_answer_is_an_error(scene, tmp_path, monkeypatch, capsys):
     """In this process, so that the timeout can be set to a short time."""
     pytest.importorskip("distributed")

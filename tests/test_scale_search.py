@@ -107,8 +107,19 @@ def test_a_size_for_the_whole_model_merges_nothing(scene, tmp_path):
 
 def test_a_size_too_small_for_one_splat_is_refused_and_leaves_no_files(scene, tmp_path):
     with pytest.raises(TooSmallError, match="a file of one splat of this model takes"):
-        nanogs.simplify_blocks(scene, tmp_path / "a.spz", size=20, **QUICK)
+        nanogs.simplify_blocks(scene, tmp_path / "a.spz", size=50, **QUICK)
     assert [*tmp_path.iterdir()] == []
+
+
+def test_a_size_far_too_small_is_refused_before_anything_is_computed(scene, tmp_path):
+    given = {"size": 20, "filters": [nanogs.filters.opaque_enough(0.1)], **QUICK}
+    with pytest.raises(TooSmallError, match="a file of one splat of this model takes about"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.spz", progress=pytest.fail, **given)
+    splats = random_splats(SPLATS)
+    splats.opacity_logits[: SPLATS // 2] = -40  # a page cannot show them
+    nanogs.save(splats, tmp_path / "b.ply")
+    report = nanogs.simplify_blocks(tmp_path / "b.ply", tmp_path / "a.html", size="2MB", **QUICK)
+    assert report.achieved_size <= 2e6
 
 
 def test_a_psnr_of_an_invisible_model_is_refused(tmp_path):

@@ -82,6 +82,12 @@ class Blocks:
         named["--scheduler"] = self.scheduler
         return [option for option, given in named.items() if given]
 
+    @property
+    def dividing(self) -> str:
+        """The first given option that makes blocks of any model, large or not; "" if none is."""
+        named = {"--job": self.job, "--resume": self.resume, "--scratch": self.scratch}
+        return next((option for option, given in named.items() if given), "")
+
     def unused(self) -> list[str]:
         """Return a note on options for blocks, which have no effect if the model fits in memory."""
         named: dict[str, object] = {"--workers": self.workers, "--scheduler": self.scheduler}

@@ -12,7 +12,7 @@ from nanogs.cli.console import err, key_value_table, show
 from nanogs.cli.filtering import parse_changes
 from nanogs.cli.importing import without_gc
 from nanogs.cli.method import Method
-from nanogs.errors import NotEnoughMemoryError
+from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
 from nanogs.kernels.compiling import when_compiling
@@ -133,7 +133,8 @@ class Plan:
             piped: Whether a model comes from stdin or goes to stdout.
 
         Raises:
-            NotEnoughMemoryError: There is such a request.
+            NotEnoughMemoryError: There is such a request, and the model does not fit.
+            OptionError: There is one, and the model would fit but for another option.
         """
         whole_only = {
             "--drop-floaters": any(each.whole for each in self.request.filters),
@@ -142,9 +143,15 @@ class Plan:
         }
         for option, asked in whole_only.items():
             if asked:
+                needs = f"but {option} needs the whole model in memory"
+                if self.memory().peak <= self.free.bytes:
+                    divides = self.method.blocks.dividing
+                    raise OptionError(
+                        f"{divides} divides a model into blocks, {needs}; leave out one of the two."
+                    )
                 raise NotEnoughMemoryError(
-                    f"{self._too_large()}; blocks would take less, but {option} needs the whole"
-                    " model in memory: leave that out, or provide more memory."
+                    f"{self._too_large()}; blocks would take less, {needs}: leave that out, or"
+                    " provide more memory."
                 )
 
     def _too_large(self) -> str:

@@ -4,12 +4,13 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.clock import StageClock
 from nanogs.defaults import DEFAULT_MEMORY
-from nanogs.errors import CrowdedError, OptionError, OutputError
+from nanogs.errors import CrowdedError, ModelError, OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
@@ -21,9 +22,11 @@ from nanogs.pipeline.estimates.block_plan import (
 )
 from nanogs.pipeline.job.folder import read_manifest
 from nanogs.pipeline.job.rows import (
+    SPAN,
     count_filtered,
     look_at,
     open_parts,
+    opened,
     refuse_large_whole,
     segments_of,
 )
@@ -140,8 +143,8 @@ def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters
     chosen = parameters(preset, overrides)
     if not isinstance(chosen, ForestParameters):
         raise OptionError(
-            f"The preset {preset} needs the whole model in memory; choose another one, or provide"
-            " more memory."
+            f"The preset {preset} needs the whole model in memory; choose another one, or leave out"
+            " the options for blocks and allow more memory with `max_memory`."
         )
     return chosen
 
@@ -168,7 +171,8 @@ def plan_job(
     seen = sought is not None and (sought.is_measured or renders(chosen))
     if request.measured or seen:
         with Joined(open_parts(request.inputs, request.render_mode)) as source:
-            room_for_measuring(source, request.max_memory)
+            remedy = "ask for a ratio or a count" if seen else "leave out the measurement"
+            room_for_measuring(source, request.max_memory, remedy)
     beside = pictures_bytes(PIXELS**2, VIEWS) if seen else 0
 
     delivered = layout.reduced(request.sh_degree)
@@ -203,7 +207,23 @@ def plan_job(
         search=sought,
         environment=request.environment,
     )
+    _refuse_small(request, settings)
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
+
+
+def _refuse_small(request: "Request", settings: Settings) -> None:
+    """Refuse a size that is far too small, by the first rows; not if these are unpacked only later.
+
+    Raises:
+        TooSmallError: It is.
+    """
+    if settings.search is None or settings.search.size is None or settings.unpacked:
+        return
+    with opened(settings) as source:
+        some = source.read(0, min(SPAN, source.count))
+    if some := some.take(some.finite()):
+        with suppress(ModelError):  # a page cannot show these rows, but perhaps others
+            request.refuse_small(some)
 
 
 def sought_by(request: "Request", layout: Layout, splats: int) -> SearchTarget | None:

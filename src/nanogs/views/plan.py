@@ -50,18 +50,20 @@ def room_for_pictures(
     return room_for_splats(f"Rendering {name}", [source_of(source)], pictures, memory, _LESS)
 
 
-def room_for_measuring(model: Source, max_memory: int | None) -> int:
+def room_for_measuring(
+    model: Source, max_memory: int | None, remedy: str = "leave out the measurement"
+) -> int:
     """Compute the budget for the splats of the views when streamed models are measured.
 
     Args:
         model: Any of the models.
         max_memory: Bytes that this process may use; by default the free memory, less a tenth.
+        remedy: What to do without the measurement, as the end of the message.
 
     Raises:
         NotEnoughMemoryError: There is not enough memory.
     """
-    pictures = pictures_bytes(PIXELS**2, VIEWS)
-    remedy = "free some, or leave out the measurement"
+    pictures, remedy = pictures_bytes(PIXELS**2, VIEWS), f"provide more, or {remedy}"
     return room_for_splats("Measuring", [model], pictures, allowed_memory(max_memory), remedy)
 
 
