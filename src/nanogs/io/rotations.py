@@ -1,5 +1,7 @@
 """Quaternions in "smallest three" form: the largest component is left out, as in most formats."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from nanogs import parallel
@@ -7,6 +9,8 @@ from nanogs._types import F32, F64, I64, Array
 from nanogs.activations import unit
 from nanogs.slices import slices
 from nanogs.splats import Splats
+
+_SAME = 1e-6  # difference of components that are the same, in float32
 
 
 def whole_quats(small: F64, largest: I64) -> F64:
@@ -25,17 +29,48 @@ def whole_quats(small: F64, largest: I64) -> F64:
     return quats
 
 
-def split_quats(quats: Array) -> tuple[I64, Array]:
-    """Return the index of the largest component, (R,), and the other three in order, (R, 3).
+def split_quats(quats: Array, left_out: I64 | None = None) -> tuple[I64, Array]:
+    """Return the index of the component to leave out, (R,), and the other three in order, (R, 3).
 
-    A quaternion whose largest component is negative is negated, so that no sign has to be stored.
+    A quaternion whose component to leave out is negative is negated, so that no sign has to be
+    stored.
 
     Args:
         quats: (R, 4) quaternions, with components in any order.
+        left_out: (R,) indices of the components to leave out; by default the largest ones.
     """
-    rows, largest = np.arange(len(quats)), np.abs(quats).argmax(axis=1)
-    signed = np.where(quats[rows, largest, None] < 0, -quats, quats)
-    return largest, signed[np.arange(4) != largest[:, None]].reshape(-1, 3)
+    if left_out is None:
+        left_out = np.abs(quats).argmax(axis=1)
+    rows = np.arange(len(quats))
+    signed = np.where(quats[rows, left_out, None] < 0, -quats, quats)
+    return left_out, signed[np.arange(4) != left_out[:, None]].reshape(-1, 3)
+
+
+def place_left_out(quats: F64, rounded: Callable[[F64], F64], error: float) -> I64:
+    """Return the index, (R,), of the component to leave out: the largest one before rounding.
+
+    Rounding can make another one the largest. A quaternion that another choice keeps as it is was
+    read from a file with that choice, which is made again, so that its bytes do not change.
+
+    Args:
+        quats: (R, 4) unit quaternions.
+        rounded: Rounds components, (R, 3), as the file does.
+        error: The largest error of a rounded component.
+    """
+    size = np.abs(quats)
+    places: I64 = size.argmax(axis=1)
+    # The component that is restored has the errors of the three others, at most.
+    rivals = size >= size.max(axis=1, keepdims=True) - 4.5 * error
+    rows = np.flatnonzero(rivals.sum(axis=1) > 1)
+    unchanged = np.zeros((len(rows), 4), bool)
+    for place in range(4):
+        found = rivals[rows, place]
+        left_out = np.full(found.sum(), place)
+        small = split_quats(quats[rows[found]], left_out)[1]
+        unchanged[found, place] = (np.abs(rounded(small) - small) < _SAME).all(axis=1)
+    read = unchanged.any(axis=1) & ~unchanged[np.arange(len(rows)), places[rows]]
+    places[rows[read]] = unchanged[read].argmax(axis=1)
+    return places
 
 
 def minimise_rotation(splats: Splats) -> tuple[F64, F32]:

@@ -31,7 +31,7 @@ from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
 from nanogs.io.palette import palette
 from nanogs.io.precision import FINEST, MOST_BITS, Precision, visibility
-from nanogs.io.rotations import minimise_rotation, split_quats
+from nanogs.io.rotations import minimise_rotation, place_left_out, split_quats
 from nanogs.io.spz.body import frame_record
 from nanogs.io.spz.header import (
     ANTIALIASED,
@@ -422,10 +422,17 @@ def _rotations(quats: F32, step: int) -> U8:
     It is the index of the largest component, then sign and magnitude of each other one; magnitudes
     are multiples of the step.
     """
-    largest, small = split_quats(quats[:, [1, 2, 3, 0]].astype(np.float64))
-    exact = np.minimum(np.abs(small) / np.sqrt(0.5), 1) * (MAGNITUDE / step)
-    magnitude = (np.minimum(np.rint(exact), MAGNITUDE // step) * step).astype(np.uint32)
-    parts = magnitude | (small < 0).astype(np.uint32) << 9
+    xyzw, one = quats[:, [1, 2, 3, 0]].astype(np.float64), np.sqrt(0.5) / MAGNITUDE
+
+    def magnitudes(small: F64) -> F64:
+        exact = np.minimum(np.abs(small) / np.sqrt(0.5), 1) * (MAGNITUDE / step)
+        whole: F64 = np.minimum(np.rint(exact), MAGNITUDE // step) * step
+        return whole
+
+    largest = place_left_out(xyzw, lambda v: np.copysign(magnitudes(v) * one, v), step / 2 * one)
+    _, small = split_quats(xyzw, largest)
+    # A magnitude of 0 has a sign too, which is read as that of a zero.
+    parts = magnitudes(small).astype(np.uint32) | np.signbit(small).astype(np.uint32) << 9
     packed = largest.astype(np.uint32) << 30 | parts[:, 0] << 20 | parts[:, 1] << 10 | parts[:, 2]
     result: U8 = packed.astype("<u4")[:, None].view(np.uint8)
     return result
