@@ -83,6 +83,7 @@ def test_view_options_beside_a_camera_file_are_refused(folder, words, option):
             ["simplify", "a.ply", "b.ply", "-r", "0.5", "--preset", "fast", "--view-size", "99"],
             "--views, --view-size, --cameras and --up have no effect, because the preset fast",
         ),
+        (["view", "a.ply", "--psnr"], "--psnr has no effect, because it compares two models;"),
         (["view", "a.ply", "--views", "2"], "--views has no effect, because the PSNR of"),
         (
             ["view", "a.ply", "a.ply", "--no-psnr", "--pixels", "9"],

@@ -49,8 +49,13 @@ def view(
         ),
     ] = None,
     psnr: Annotated[
-        bool, typer.Option(help="Measure the PSNR of B against A, as `nanogs compare` does.")
-    ] = True,
+        bool | None,
+        typer.Option(
+            "--psnr/--no-psnr",
+            help="Measure the PSNR of B against A, as `nanogs compare` does.",
+            show_default="psnr",
+        ),
+    ] = None,
     open_page: Annotated[
         bool | None,
         typer.Option(
@@ -85,8 +90,14 @@ def view(
         raise OptionError(
             f"A page shows one model or two, but {len(inputs)} were given; leave the others out."
         )
+    measured = len(inputs) > 1 and psnr is not False
+    if psnr and not measured:
+        raise OptionError(
+            "--psnr has no effect, because it compares two models; name a second one, or leave it"
+            " out."
+        )
     unused = [option for option, value in of_psnr.items() if value is not None]
-    if unused and not (psnr and len(inputs) > 1):
+    if unused and not measured:
         raise OptionError(
             f"{unused[0]} has no effect, because the PSNR of two models is not measured here;"
             " leave it out."
@@ -97,17 +108,17 @@ def view(
     with (
         fetched([path for _, path in inputs], quiet=run.hushed) as files,
         shown(quiet=run.hushed) as progress,
-        _threads(run.threads, len(inputs) > 1 and psnr),
+        _threads(run.threads, measured),
     ):
         named = [(name, file) for (name, _), file in zip(inputs, files, strict=True)]
         report = view_files(
             named, page, cameras=cameras, views=views or VIEWS, width=width, height=height, up=up,
-            background=color, psnr=psnr, level=level, render_mode=render_mode,
+            background=color, psnr=measured, level=level, render_mode=render_mode,
             overwrite=run.overwrite, progress=progress, max_memory=run.max_memory,
         )  # fmt: skip
     notes = [f"{model.name}: {options_in(note)}" for model in report.models for note in model.notes]
-    measured = "" if report.judged is None else f"; {report.judged.text}"
-    said = f"{page}: {bytes_text(report.output_bytes)}{measured}"
+    judged = "" if report.judged is None else f"; {report.judged.text}"
+    said = f"{page}: {bytes_text(report.output_bytes)}{judged}"
     run.report(report.to_dict(), partial(say, said), notes)
     show_page(page.resolve().as_uri(), str(page), open_page, quiet=run.json)
 
