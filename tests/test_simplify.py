@@ -112,7 +112,7 @@ def test_ratio_one_returns_the_same_bytes(preset):
     [(None, None, "exactly one of `ratio`"), (0.5, 5, "exactly one of `ratio`")]
     + [(bad, None, "ratio must be above 0") for bad in (0, -1, 1.01, math.nan, math.inf)]
     + [(None, bad, "count must be at least 1") for bad in (0, -1)]
-    + [(None, 11, "count 11 is above the 10 usable splats")],
+    + [(None, 11, "count 11 is above the 10 usable splats of .*; ask for at most")],
 )
 def test_invalid_ratios_and_counts_are_refused(preset, ratio, count, words):
     with pytest.raises(OptionError, match=words):

@@ -121,7 +121,7 @@ def target_count(available: int, ratio: float | None, count: int | None) -> int:
     if count > available:
         raise OptionError(
             f"The count {count:,} is above the {counted(available, 'usable splat')} of the input; "
-            "nanogs makes models smaller."
+            "ask for at most as many."
         )
     return count
 
