@@ -32,6 +32,15 @@ DOTTED = re.compile(r"`((?:[A-Za-z_]\w*\.)+[A-Za-z_]\w*)`")
 FILES = {"bin", "json", "lcc", "ply", "py", "rad", "txt"}
 FOREIGN = {"Client", "Transforms", "concurrent", "dataclasses", "json", "np", "numpy", "time"}
 FOREIGN |= {"torch", "typer"}
+NAME = re.compile(r"`([A-Za-z_]\w*)`")
+MODULE = re.compile(r"`([\w/]+\.py)`")
+SECTION = re.compile(r"^(Args|Attributes):\n((?: {4}.*\n?|\n)+)", re.MULTILINE)
+ENTRY = re.compile(r"^ {4}\**(\w+):", re.MULTILINE)
+# Names of formats, viewers and languages, and of views, which no code here has.
+THEIRS = {"Host", "NGSP", "RAD0", "RADC", "Xform", "f_dc", "finally", "fit_000", "fit_roam_000"}
+THEIRS |= {"fl_x", "fru", "envscale", "envshcoef", "ninf", "nnan", "scalesh", "lodInflate"}
+THEIRS |= {"lodBaseDistance", "lodBehindPenalty", "lodDistanceShrink", "lodMultiplier"}
+THEIRS |= {"lodRenderScale", "maximumScreenSpaceError"}
 # A number before a fixed plural, which is wrong if the number is 1.
 PLURAL = re.compile(
     r"\{[^{}]*\}\s+(splats|bytes|views|rows|photographs)\s+(with|have|has|are|were|is)\b"
@@ -187,3 +196,69 @@ def test_dotted_names_in_docstrings_and_comments_exist():
             if ours and name not in known:
                 stale.add(f"{path.name}: {name}")
     assert stale == set()
+
+
+def identifiers(tree: ast.AST) -> Iterator[str]:
+    """Yield the names in a piece of code, and the words of its short strings."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name():
+                yield node.id
+            case ast.Attribute():
+                yield node.attr
+            case ast.arg() | ast.keyword():
+                yield node.arg or ""
+            case ast.ClassDef() | ast.FunctionDef():
+                yield node.name
+            case ast.alias():
+                yield from node.name.split(".")
+            case ast.Constant(value=str() as text) if len(text) < 40:
+                yield from re.findall(r"\w+", text)
+
+
+def test_single_names_in_docstrings_and_comments_exist():
+    """A name that no code has any more is found, wherever it was defined."""
+    known = THEIRS | {path.stem for path in SOURCES} | {path.parent.name for path in SOURCES}
+    texts = {path: path.read_text(encoding="utf-8") for path in SOURCES}
+    for text in texts.values():
+        known |= set(identifiers(ast.parse(text)))
+    stale = {f"{p.name}: {name}" for p, text in texts.items() for name in NAME.findall(text)}
+    assert {name for name in stale if name.partition(": ")[2] not in known} == set()
+
+
+def test_modules_in_docstrings_and_comments_exist():
+    """A path is that of a module beside this one, or begins at the package or the repository."""
+    package = Path(nanogs.__file__).parent
+    stale = set()
+    for path in SOURCES:
+        for name in MODULE.findall(path.read_text(encoding="utf-8")):
+            folders = path.parent, package, package.parents[1]
+            if not any((folder / name).is_file() for folder in folders):
+                stale.add(f"{path.name}: {name}")
+    assert stale == set()
+
+
+def test_sections_of_docstrings_name_what_is_there():
+    """`Args` names only parameters, and `Attributes` only what the class has."""
+    wrong = set()
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ClassDef | ast.FunctionDef):
+                continue
+            for kind, text in SECTION.findall(ast.get_docstring(node) or ""):
+                names, known = ENTRY.findall(text), list(identifiers(node))
+                if kind == "Args" and isinstance(node, ast.FunctionDef):
+                    signature = ast.walk(node.args)
+                    known = [each.arg for each in signature if isinstance(each, ast.arg)]
+                if not set(names) <= set(known):
+                    wrong.add(f"{path.name}: {node.name}")
+    assert wrong == set()
+
+
+def test_the_map_of_the_modules_names_files_that_exist():
+    """The first column of the map in CONTRIBUTING.md."""
+    root = Path(__file__).parents[1]
+    text = (root / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^  (\w+(?:\.py|/))", text, re.MULTILINE)
+    assert len(listed) > 20
+    assert [name for name in listed if not (root / "src/nanogs" / name).exists()] == []

@@ -74,7 +74,7 @@ def published_costs(
     """C = lambda_geo KL(pi N_i + (1 - pi) N_j || N_m) + lambda_app |f_i - f_j|^2 for each pair.
 
     pairs: (E, 2); means, scales: (N, 3); quats: (N, 4) wxyz unit; log_masses: (N,);
-    features: (F, C), rows, seconds and shares: see `mixed.py`; normals: (S, 3)
+    features: (F, C), rows, seconds and shares: see `lazy_features.py`; normals: (S, 3)
     standard normal draws; jitter: added to every variance, squared scene units; out: (E,).
     """
     for edge in range(start, stop):

@@ -34,7 +34,7 @@ def merge_increments(
     - pi log |Sigma_i| - (1 - pi) log |Sigma_j|), pi = w_i / (w_i + w_j): the upper bound on the
     divergence of [R], eq. 21. Both add up over a subtree. Neither is NaN or infinite.
     pairs: (E, 2); weights: (N,) above 0; means: (N, 3); covariances: (N, 6); log_dets: (N,);
-    features, rows, seconds and shares: see `mixed.py`; out: (E, 2), colour and geometry.
+    features, rows, seconds and shares: see `lazy_features.py`; out: (E, 2), colour and geometry.
     """
     for edge in range(start, stop):
         i, j = pairs[edge, 0], pairs[edge, 1]

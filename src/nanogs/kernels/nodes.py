@@ -111,8 +111,8 @@ def gather_moments(
 
     mu_m = sum w mu / W, Sigma_m = sum w (Sigma + (mu - mu_m)(mu - mu_m)^T) / W, f_m = sum w f / W.
     starts (G + 1,) and members (N,): from `group_members`; weights: (N,), all above 0; coverages:
-    (N,); means: (N, 3); covariances: (N, 6); features, rows, seconds and shares: see `mixed.py`;
-    the new ones have G rows.
+    (N,); means: (N, 3); covariances: (N, 6); features, rows, seconds and shares: see
+    `lazy_features.py`; the new ones have G rows.
     """
     channels = features.shape[1]
     for group in range(start, stop):

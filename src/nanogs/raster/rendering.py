@@ -109,7 +109,7 @@ class Rendering:
             alpha; +inf where no splat was hit. None unless asked for.
         contributions: (N,) float64, sum of transmittance x alpha over the pixels. None unless asked
             for.
-        unhidden: (N,) float64, an estimate of `contributions` if nothing were in front of the
+        unoccluded: (N,) float64, an estimate of `contributions` if nothing were in front of the
             splat; 0 if its centre is outside the image. None unless asked for.
         drawn: Number of splats that can reach a pixel of this view.
         skipped: Number of rows left out because of a NaN or an infinity.

@@ -67,5 +67,5 @@ class JobHandler:
         self._answers = RequestHandler(cache, start)
         channel(event, shown)
 
-    def _saved(self, order: Any, channel: Channel) -> dict[str, Any]:  # noqa: ANN401 - an `Order`
+    def _saved(self, order: Any, channel: Channel) -> dict[str, Any]:  # noqa: ANN401 - a `SaveRequest`
         return saving.save(order, self._cache, channel.progress("save"))

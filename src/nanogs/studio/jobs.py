@@ -19,7 +19,7 @@ class Job:
             there are no requests.
         page: Name of the page that asked; empty for none.
         number: The page's own number of its request, or None.
-        work: The request: a `Choice` or an `Order`.
+        work: The request: a `Choice` or a `SaveRequest`.
         id: Unique number of the job, ascending.
     """
 

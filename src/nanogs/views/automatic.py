@@ -2,7 +2,7 @@
 
 All lengths are relative to the model's extent and all directions to its own frame, so that moving,
 scaling or turning a model does the same to its cameras, provided that the up direction turns too
-(see `stance`). Directions come from one low-discrepancy sequence, whose even members are for
+(see `up_frame`). Directions come from one low-discrepancy sequence, whose even members are for
 fitting and whose odd members are for testing: the two sets are disjoint, and the first n cameras of
 a larger set are the smaller set.
 """
@@ -136,21 +136,21 @@ def survey(
     given = None if up is None else unit_up(up)
     sampled = sample(model)
     if given is not None:
-        stance = frame_from_up(without_surroundings(sampled), given)
+        camera_frame = frame_from_up(without_surroundings(sampled), given)
     elif habit:
-        stance = frame_from_up(
+        camera_frame = frame_from_up(
             without_surroundings(sampled), detect_up(sampled, find_core(sampled))
         )
     else:
-        stance = frame_from_model(sampled, room=kind != "orbit")
+        camera_frame = frame_from_model(sampled, room=kind != "orbit")
     turn = np.eye(4)
-    turn[:3, :3] = stance.frame
-    sampled = seen_from(sampled, stance.frame)
+    turn[:3, :3] = camera_frame.frame
+    sampled = seen_from(sampled, camera_frame.frame)
     core = find_core(sampled)
     if kind == "auto":
-        room = stance.band == UPRIGHT and inside.is_room(sampled, core, np.array(UP))
+        room = camera_frame.band == UPRIGHT and inside.is_room(sampled, core, np.array(UP))
         kind = "inside" if room else "orbit"
-    return Survey(sampled, core, turn, kind, stance.band)
+    return Survey(sampled, core, turn, kind, camera_frame.band)
 
 
 def _check(count: int, width: int, height: int, fov: float | None, split: str) -> None:

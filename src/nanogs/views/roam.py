@@ -9,8 +9,8 @@ direction from the target, at a log-uniform distance, and is kept if
 - nothing is very near the camera, and enough of the image is covered,
 - it is in free space (see `free_space`).
 
-All lengths and directions are relative to the model's own extent and frame (see `stance`): moving,
-turning or scaling a model does the same to its cameras.
+All lengths and directions are relative to the model's own extent and frame (see `up_frame`):
+moving, turning or scaling a model does the same to its cameras.
 """
 
 import zlib

@@ -49,12 +49,12 @@ class CameraFrame:
 
 
 def frame_from_up(body: WeightedPoints, up: F64) -> CameraFrame:
-    """Return the stance of a model whose up direction (3,), unit, is known."""
+    """Return the frame and elevations for a model whose up direction (3,), unit, is known."""
     return CameraFrame(model_frame(body, up), UPRIGHT)
 
 
 def frame_from_model(sampled: SplatSample, *, room: bool) -> CameraFrame:
-    """Find the stance from the model itself; turning the model turns the stance.
+    """Find the frame from the model alone; turning the model turns the frame.
 
     Args:
         sampled: The model.

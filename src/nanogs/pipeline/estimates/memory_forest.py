@@ -33,7 +33,7 @@ _GROUPS = 12  # see `reassign.NEIGHBOURS`
 _FIT_TILES = 2
 # A splat that is rendered in a step of the fit: its projection, its sums, and those of its tiles.
 FIT_STEP = 8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F4 + _FIT_TILES * (25 * _F4 + _I4)
-# A splat that is fitted: Hessian entries, number of views it was in, distance moved (`ways_of`).
+# A splat that is fitted: Hessian entries, number of views it was in, `fit.state.displacements_of`.
 _CURVATURES = (55 + 1 + 12) * _F4 + _I4
 
 

@@ -45,7 +45,7 @@ class _Found(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """Searches for the count of a result in blocks that meets a target; see `Sought`.
+    """Searches for the count of a result in blocks that meets a target; see `SearchTarget`.
 
     Attributes:
         output: Path of the file to be written.
