@@ -71,7 +71,7 @@ def scene(splats: Splats) -> Scene:
     costs = np.empty((len(pairs), 2), np.float32)
     merge_increments(
         np.ascontiguousarray(pairs), leaves.weights, leaves.means, leaves.covariances, dets,
-        leaves.features, leaves.rows, leaves.seconds, leaves.shares, costs,
+        leaves.features, leaves.rows, leaves.second_rows, leaves.shares, costs,
     )  # fmt: skip
     forest = grow_forest(leaves, ForestParameters(), THREADS, nothing)
     target = max(1, len(leaves) // RATIO)
@@ -161,7 +161,7 @@ def test_increments(timed: Timed, scene: Scene) -> None:
             scene["dets"],
             leaves.features,
             leaves.rows,
-            leaves.seconds,
+            leaves.second_rows,
             leaves.shares,
             out,
         ),

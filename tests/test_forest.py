@@ -76,9 +76,9 @@ def test_gathering_conserves_the_weighted_moments_of_the_model(n, seed):
 def own_features(nodes):
     """Return the same nodes with a stored row of features for each node."""
     mixed = nodes.features[nodes.rows] * nodes.shares[:, :1]
-    mixed += nodes.features[nodes.seconds] * nodes.shares[:, 1:]
+    mixed += nodes.features[nodes.second_rows] * nodes.shares[:, 1:]
     rows = np.arange(len(nodes), dtype=np.int32)
-    unused = {"seconds": np.empty(0, np.int32), "shares": np.empty((0, 2))}
+    unused = {"second_rows": np.empty(0, np.int32), "shares": np.empty((0, 2))}
     return dataclasses.replace(nodes, features=mixed.astype(np.float32), rows=rows, **unused)
 
 

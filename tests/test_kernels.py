@@ -165,7 +165,7 @@ def test_merged_splats_have_the_same_costs_with_mixed_and_stored_features():
         pairs,
         features=pairs.colours(),
         rows=np.arange(28, dtype=np.int32),
-        seconds=np.empty(0, np.int32),
+        second_rows=np.empty(0, np.int32),
         shares=np.empty((0, 2)),
     )
     candidates = neighbour_pairs(pairs.means, 5, threads=1)
@@ -605,7 +605,7 @@ def shuffled(features):
     return moved, rows
 
 
-# `seconds` and `shares` of nodes that have one row of features each.
+# `second_rows` and `shares` of nodes that have one row of features each.
 UNMIXED = np.empty(0, np.int32), np.empty((0, 2))
 
 
@@ -613,11 +613,11 @@ def mixed(count, channels, seed):
     """Return kernel arguments that make each node's features a mean of two rows, and the means."""
     rng = np.random.default_rng(seed)
     table = rng.normal(size=(count + 5, channels)).astype(np.float32)
-    rows, seconds = rng.integers(0, count + 5, (2, count)).astype(np.int32)
+    rows, second_rows = rng.integers(0, count + 5, (2, count)).astype(np.int32)
     shares = rng.dirichlet((1, 1), count)
     shares[0] = (1, 0)
-    features = shares[:, :1] * table[rows] + shares[:, 1:] * table[seconds]
-    return (table, rows, seconds, shares), features.astype(np.float32)
+    features = shares[:, :1] * table[rows] + shares[:, 1:] * table[second_rows]
+    return (table, rows, second_rows, shares), features.astype(np.float32)
 
 
 def increments_of(pairs, weights, means, covariances, feature_arguments):

@@ -230,7 +230,7 @@ def test_shared_harmonics_are_weighted_means(entries, seed):
     weights = rng.uniform(0.1, 3, len(labels))
     sh = rng.normal(size=(len(labels), 4, 3)).astype(np.float32)
     before = sh.astype(np.float64)
-    SharedHarmonics.of(labels, entries, weights).level(sh)
+    SharedHarmonics.of(labels, entries, weights).average(sh)
     assert (sh[:, 0] == before[:, 0]).all()
     for k in range(entries):
         own = labels == k

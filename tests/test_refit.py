@@ -369,11 +369,11 @@ def test_a_restarted_descent_keeps_its_displacements_from_the_start():
     descent = Descent(splats, Fitting([target]), RefitParameters())
     for _ in range(5):
         descent._follow(target, ALL_BLOCKS, 1.0)
-    known = descent._ways[:, :-1].copy()
+    known = descent._displacements[:, :-1].copy()
     assert np.abs(known).max() > 0.05
     descent.begin(descent.state)
-    np.testing.assert_allclose(descent._ways[:, :-1], known, atol=1e-6)
-    np.testing.assert_array_equal(descent._ways[:, -1], 0)
+    np.testing.assert_allclose(descent._displacements[:, :-1], known, atol=1e-6)
+    np.testing.assert_array_equal(descent._displacements[:, -1], 0)
 
 
 def test_refit_raises_the_psnr_and_keeps_other_data():

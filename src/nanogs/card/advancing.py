@@ -87,15 +87,15 @@ def screen_jacobian(
     scales: wp.array2d[wp.float32],
     opacity: wp.float64,
     rotation: wp.mat33d,
-    lens: wp.array[wp.float64],
+    intrinsics: wp.array[wp.float64],
     mip: wp.bool,
 ) -> Jacobian:
     """Return the Jacobian of ln alpha by ten shape parameters; see `chain.screen_jacobian`.
 
     way: from the camera to the splat's centre, scene units; opacity: before any compensation.
     """
-    bounds = guard_bounds(lens)
-    fx, fy = lens[0], lens[1]
+    bounds = guard_bounds(intrinsics)
+    fx, fy = intrinsics[0], intrinsics[1]
     inv_w, slope, inv_h = geometry[i, 2], geometry[i, 3], wp.sqrt(geometry[i, 4])
     point = rotation * way
     per_depth = ONE / point[2]
@@ -265,7 +265,7 @@ def rotation_of(quat: wp.vec4d) -> wp.mat33d:
 class FittedSplats:
     """The arrays of N splats that are fitted; see the arguments of `advance.advance_splats`."""
 
-    given: wp.array3d[wp.float32]
+    initial_sh: wp.array3d[wp.float32]
     means: wp.array2d[wp.float64]
     log_scales: wp.array2d[wp.float64]
     quats: wp.array2d[wp.float64]
@@ -321,7 +321,7 @@ def recolour(
             gradient = wp.float64(0.0)
             if features[i, c] > 0.0 or totals[i, c] > 0.0:
                 gradient = wp.float64(basis[k]) * wp.float64(totals[i, c])
-            changed = wp.float64(moving.sh[i, k, c] - moving.given[i, k, c])
+            changed = wp.float64(moving.sh[i, k, c] - moving.initial_sh[i, k, c])
             change = wp.float32((gradient - held * changed) * step - back * changed)
             moving.sh[i, k, c] = moving.sh[i, k, c] + change
 
@@ -406,7 +406,7 @@ def advance_splats(
     totals: wp.array2d[wp.float32],
     rotation: wp.mat33d,
     position: wp.vec3d,
-    lens: wp.array[wp.float64],
+    intrinsics: wp.array[wp.float64],
     mip: wp.bool,
     degree: wp.int32,
     rules: StepConstants,
@@ -424,7 +424,7 @@ def advance_splats(
     way = wp.vec3d(moving.means[i, 0], moving.means[i, 1], moving.means[i, 2]) - position
     jacobian = screen_jacobian(
         geometry, i, way, moving.axes, moving.scales, wp.float64(moving.opacities[i]), rotation,
-        lens, mip,
+        intrinsics, mip,
     )  # fmt: skip
     sums = Sums()
     for k in range(SUMS):

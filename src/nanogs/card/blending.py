@@ -15,11 +15,11 @@ def blend_tiles(
     background: wp.vec4f,
     size: wp.vec2i,
     image: wp.array3d[wp.float32],
-    left: wp.array2d[wp.float32],
+    transmittance: wp.array2d[wp.float32],
 ) -> None:
     """Blend every tile's splats front to back, four channels; see `raster.blend_tiles`.
 
-    shapes: (E, 6); features: (N, 4); image: (H, W, 4) out; left: (H, W) out, transmittance.
+    shapes: (E, 6); features: (N, 4); image: (H, W, 4) out; transmittance: (H, W) out.
     """
     tile, pixel = wp.tid()
     tiles_x = (size[0] + TILE - 1) / TILE
@@ -41,6 +41,6 @@ def blend_tiles(
         light = shade.after
         e += 1
     light = wp.abs(light)
-    left[y, x] = light
+    transmittance[y, x] = light
     for c in range(4):
         image[y, x, c] = sums[c] + light * background[c]

@@ -95,9 +95,9 @@ class Model:
         self.opacities, self.reaches = engine.put(opacities), engine.put(reaches)
         self.keep = engine.put(keep)
 
-    def view(self, rotation: F64, position: F64, lens: F64, degree: int) -> "View":
+    def view(self, rotation: F64, position: F64, intrinsics: F64, degree: int) -> "View":
         """Project the model to a camera; the arguments are those of `project_splats`."""
-        return View(self, rotation, position, lens, degree)
+        return View(self, rotation, position, intrinsics, degree)
 
 
 class View:
@@ -108,13 +108,15 @@ class View:
         features: (N, 4) float32, red, green, blue and depth; undefined for splats not drawn.
     """
 
-    def __init__(self, model: Model, rotation: F64, position: F64, lens: F64, degree: int) -> None:
+    def __init__(
+        self, model: Model, rotation: F64, position: F64, intrinsics: F64, degree: int
+    ) -> None:
         engine, n = model.engine, model.count
         self.engine, self.count = engine, n
-        self.size = wp.vec2i(int(lens[4]), int(lens[5]))
-        self.tiles = -(-int(lens[4]) // TILE) * -(-int(lens[5]) // TILE)
+        self.size = wp.vec2i(int(intrinsics[4]), int(intrinsics[5]))
+        self.tiles = -(-int(intrinsics[4]) // TILE) * -(-int(intrinsics[5]) // TILE)
         self.rotation, self.position = wp.mat33d(*rotation.ravel()), wp.vec3d(*position)
-        self.lens, self.degree = engine.put(lens, np.float64), degree
+        self.intrinsics, self.degree = engine.put(intrinsics, np.float64), degree
         self.geometry = engine.empty((n, 8), wp.float64)
         self.features = engine.empty((n, CHANNELS), wp.float32)
         boxes, drawn = engine.empty((n,), wp.vec4i), wp.zeros(1, wp.int32, device=engine.device)
@@ -129,7 +131,7 @@ class View:
             return
         engine.launch(
             project_splats, n, model.means, model.factors, model.opacities, model.reaches,
-            model.keep, model.sh, self.rotation, self.position, self.lens, model.mip, degree,
+            model.keep, model.sh, self.rotation, self.position, self.intrinsics, model.mip, degree,
             self.geometry, self.features, boxes, self.depths, order, drawn,
         )  # fmt: skip
         self._list(boxes, order)
@@ -186,13 +188,13 @@ class View:
         """
         width, height = self.size
         image = self.engine.empty((height, width, CHANNELS), wp.float32)
-        left = self.engine.empty((height, width), wp.float32)
+        transmittance = self.engine.empty((height, width), wp.float32)
         behind = wp.vec4f(*[*background.tolist(), 0.0, 0.0, 0.0, 0.0][:CHANNELS])
         self.engine.launch(
             blend_tiles, (self.tiles, PIXELS), self.shapes, features, self.starts, self.entries,
-            wanted, behind, self.size, image, left,
+            wanted, behind, self.size, image, transmittance,
         )  # fmt: skip
-        return image, left
+        return image, transmittance
 
     def contributions(self, wanted: int = ALL_BLOCKS) -> F64:
         """(N,) float64, sums of each splat's weight T alpha over the pixels."""
@@ -233,7 +235,7 @@ class View:
         return features
 
     def weigh(
-        self, image: wp.array, goal: U8, white: float, alpha: float, wanted: int
+        self, image: wp.array, target: U8, white: float, alpha: float, wanted: int
     ) -> tuple[wp.array, wp.array, float]:
         """Return the residual of an image, its alpha, and the mean squared error per channel.
 
@@ -241,21 +243,21 @@ class View:
         """
         width, height = self.size
         residual = self.engine.empty((height, width, CHANNELS), wp.float32)
-        precision = self.engine.empty((height, width), wp.float32)
+        curvature_weights = self.engine.empty((height, width), wp.float32)
         errors = self.engine.empty((height, 2), wp.float64)
         self.engine.launch(
-            weigh_pixels, height, image, self.engine.put(goal), white, alpha, wanted, self.size,
-            residual, precision, errors,
+            weigh_pixels, height, image, self.engine.put(target), white, alpha, wanted, self.size,
+            residual, curvature_weights, errors,
         )  # fmt: skip
         total, pixels = errors.numpy().sum(axis=0)
-        return residual, precision, float(total) / (3 * max(float(pixels), 1))
+        return residual, curvature_weights, float(total) / (3 * max(float(pixels), 1))
 
     def gradients(
         self,
         features: wp.array,
         image: wp.array,
         residual: wp.array,
-        precision: wp.array,
+        curvature_weights: wp.array,
         wanted: int,
     ) -> wp.array:
         """(N, 25) float32, sums of gradient and curvature for each splat.
@@ -269,6 +271,6 @@ class View:
         partial = wp.zeros((len(self.entries), SUMS), dtype=wp.float32, device=self.engine.device)
         self.engine.launch_tiles(
             pull_kernel, self.tiles, self.shapes, features, self.starts, self.entries, self.slots,
-            wanted, self.size, image, residual, precision, partial,
+            wanted, self.size, image, residual, curvature_weights, partial,
         )  # fmt: skip
         return self._gathered(partial, SUMS)

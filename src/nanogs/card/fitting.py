@@ -40,7 +40,7 @@ class FittedModel:
         model: The model that is drawn: first the N splats, which are changed in place.
         columns: means, log_scales, quats, logits and touched of `fit.state.State`.
         displacements: (N, DISPLACEMENT) of `nanogs.kernels.advance`.
-        given: (N, K, 3) coefficients that ridges pull back to.
+        initial_sh: (N, K, 3) coefficients that ridges pull back to.
         axes: (N, 3, 3) rotation matrices.
         scales: (N, 3) scene units.
         pace: Parameters of the steps.
@@ -51,18 +51,18 @@ class FittedModel:
         model: Model,
         columns: Sequence[F64 | Bool],
         displacements: F32,
-        given: F32,
+        initial_sh: F32,
         axes: F32,
         scales: F32,
         pace: StepParameters,
     ) -> None:
-        put, n = model.engine.put, len(given)
+        put, n = model.engine.put, len(initial_sh)
         self._model, self._count = model, n
         moving = FittedSplats()
         moving.means, moving.log_scales, moving.quats, moving.logits, moving.touched = (
             put(column) for column in columns
         )
-        moving.given, moving.axes, moving.scales = put(given), put(axes), put(scales)
+        moving.initial_sh, moving.axes, moving.scales = put(initial_sh), put(axes), put(scales)
         moving.sh, moving.centres, moving.factors = model.sh, model.means, model.factors
         moving.opacities, moving.reaches = model.opacities, model.reaches
         moving.keep = model.keep
@@ -79,7 +79,7 @@ class FittedModel:
         self,
         camera: tuple[F64, F64, F64],
         degree: int,
-        goal: U8,
+        target: U8,
         shares: tuple[float, float],
         wanted: int,
         rate: float,
@@ -89,7 +89,7 @@ class FittedModel:
         Args:
             camera: Rotation, position and intrinsics, as `project_splats` takes them.
             degree: Spherical-harmonic degree.
-            goal: (H, W, 4) target image of the view.
+            target: (H, W, 4) target image of the view.
             shares: `white` and `alpha_scale` of `nanogs.kernels.backward.weigh_pixels`.
             wanted: Bit mask of the blocks of each tile whose pixels count.
             rate: Learning rate.
@@ -97,12 +97,12 @@ class FittedModel:
         view = self._model.view(*camera, degree)
         features = view.tinted(*shares)
         image, _ = view.blend(features, np.zeros(4, np.float32), wanted)
-        residual, precision, error = view.weigh(image, goal, *shares, wanted)
-        totals = view.gradients(features, image, residual, precision, wanted)
+        residual, curvature_weights, error = view.weigh(image, target, *shares, wanted)
+        totals = view.gradients(features, image, residual, curvature_weights, wanted)
         self._rules.rate = rate
         self._model.engine.launch(
             advance_splats, self._count, view.geometry, view.features, totals, view.rotation,
-            view.position, view.lens, self._model.mip, degree, self._rules, self._moving,
+            view.position, view.intrinsics, self._model.mip, degree, self._rules, self._moving,
         )  # fmt: skip
         return error
 

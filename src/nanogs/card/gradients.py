@@ -131,7 +131,7 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
         size: wp.vec2i,
         image: wp.array3d[wp.float32],
         residual: wp.array3d[wp.float32],
-        precision: wp.array2d[wp.float32],
+        curvature_weights: wp.array2d[wp.float32],
         partial: wp.array2d[wp.float32],
     ) -> None:
         """Sum as `nanogs.kernels.backward.gradient_tiles` does, but without `gradients.SCALES`.
@@ -171,7 +171,7 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
                             curvature += change * change
                             if c < 3:
                                 sums[c] += weight * error
-                        shared = weight * precision[xy[1], xy[0]]
+                        shared = weight * curvature_weights[xy[1], xy[0]]
                         sums[3] += shared
                         if weight < _SATURATED * after:
                             gradient, curvature = weight * gradient, shared * curvature
@@ -207,13 +207,13 @@ def gather_slots(
 @wp.kernel(enable_backward=False)
 def weigh_pixels(
     image: wp.array3d[wp.float32],
-    goal: wp.array3d[wp.uint8],
+    target: wp.array3d[wp.uint8],
     white: wp.float32,
     alpha_scale: wp.float32,
     wanted: wp.int32,
     size: wp.vec2i,
     residual: wp.array3d[wp.float32],
-    precision: wp.array2d[wp.float32],
+    curvature_weights: wp.array2d[wp.float32],
     errors: wp.array2d[wp.float64],
 ) -> None:
     """Compute the residual of an image, as `nanogs.kernels.backward.weigh_pixels` does.
@@ -227,13 +227,13 @@ def weigh_pixels(
         if starts_open(x, y, size, wanted):
             count += wp.float64(1.0)
             alpha = image[y, x, 3] / alpha_scale
-            change = wp.float32(goal[y, x, 3]) / 255.0 - alpha
-            precision[y, x] = alpha
+            change = wp.float32(target[y, x, 3]) / 255.0 - alpha
+            curvature_weights[y, x] = alpha
             residual[y, x, 3] = change * alpha_scale
             total += wp.float64(change * change * alpha_scale * alpha_scale)
             for c in range(3):
                 colour = wp.min(image[y, x, c] + white * alpha, 1.0)
-                error = wp.float32(goal[y, x, c]) / 255.0 - colour - white * change
+                error = wp.float32(target[y, x, c]) / 255.0 - colour - white * change
                 residual[y, x, c] = error
                 total += wp.float64(error * error)
     errors[y, 0] = total

@@ -59,15 +59,15 @@ def sh_basis(x: wp.float32, y: wp.float32, z: wp.float32, degree: wp.int32) -> B
 
 
 @wp.func
-def guard_bounds(lens: wp.array[wp.float64]) -> wp.vec4d:
+def guard_bounds(intrinsics: wp.array[wp.float64]) -> wp.vec4d:
     """Return the bounds of x/z, then of y/z, in the Jacobian; see `project.guard_bounds`."""
-    margin_x = (_GUARD - wp.float64(1.0)) * wp.float64(0.5) * lens[9] / lens[0]
-    margin_y = (_GUARD - wp.float64(1.0)) * wp.float64(0.5) * lens[10] / lens[1]
+    margin_x = (_GUARD - wp.float64(1.0)) * wp.float64(0.5) * intrinsics[9] / intrinsics[0]
+    margin_y = (_GUARD - wp.float64(1.0)) * wp.float64(0.5) * intrinsics[10] / intrinsics[1]
     return wp.vec4d(
-        -lens[7] / lens[0] - margin_x,
-        (lens[9] - lens[7]) / lens[0] + margin_x,
-        -lens[8] / lens[1] - margin_y,
-        (lens[10] - lens[8]) / lens[1] + margin_y,
+        -intrinsics[7] / intrinsics[0] - margin_x,
+        (intrinsics[9] - intrinsics[7]) / intrinsics[0] + margin_x,
+        -intrinsics[8] / intrinsics[1] - margin_y,
+        (intrinsics[10] - intrinsics[8]) / intrinsics[1] + margin_y,
     )
 
 
@@ -98,7 +98,7 @@ def project_splats(
     sh: wp.array3d[wp.float32],
     rotation: wp.mat33d,
     position: wp.vec3d,
-    lens: wp.array[wp.float64],
+    intrinsics: wp.array[wp.float64],
     mip: wp.bool,
     degree: wp.int32,
     geometry: wp.array2d[wp.float64],
@@ -123,9 +123,9 @@ def project_splats(
     way = wp.vec3d(means[i, 0], means[i, 1], means[i, 2]) - position
     point = rotation * way
     z = point[2]
-    if not z > lens[6]:
+    if not z > intrinsics[6]:
         return
-    bounds = guard_bounds(lens)
+    bounds = guard_bounds(intrinsics)
     inv_z = wp.float64(1.0) / z
     xz, yz = point[0] * inv_z, point[1] * inv_z
     tx = wp.min(wp.max(xz, bounds[0]), bounds[1])
@@ -135,8 +135,8 @@ def project_splats(
         axis = rotation * wp.vec3d(
             wp.float64(factors[i, 0, k]), wp.float64(factors[i, 1, k]), wp.float64(factors[i, 2, k])
         )
-        across[k] = lens[0] * inv_z * (axis[0] - tx * axis[2])
-        down[k] = lens[1] * inv_z * (axis[1] - ty * axis[2])
+        across[k] = intrinsics[0] * inv_z * (axis[0] - tx * axis[2])
+        down[k] = intrinsics[1] * inv_z * (axis[1] - ty * axis[2])
     normal = wp.cross(across, down)
     before = wp.dot(normal, normal)
     xx, xy, yy = wp.dot(across, across), wp.dot(across, down), wp.dot(down, down)
@@ -149,10 +149,10 @@ def project_splats(
         if not opacity >= _MIN_ALPHA:
             return
         reach = wp.float64(2.0) * wp.log(wp.float64(255.0) * opacity) + _SLACK
-    u, v = lens[0] * xz + lens[2], lens[1] * yz + lens[3]
+    u, v = intrinsics[0] * xz + intrinsics[2], intrinsics[1] * yz + intrinsics[3]
     rise = wp.sqrt(reach * yy)
-    columns = box_side(u, wp.sqrt(reach * xx), lens[4])
-    rows = box_side(v, rise, lens[5])
+    columns = box_side(u, wp.sqrt(reach * xx), intrinsics[4])
+    rows = box_side(v, rise, intrinsics[5])
     if columns[1] == 0 or rows[1] == 0:
         return
     boxes[i] = wp.vec4i(columns[0], rows[0], columns[1], rows[1])

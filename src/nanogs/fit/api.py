@@ -102,7 +102,7 @@ def fit_to_views(
     original_count: int,
     threads: int,
     on_progress: PartProgress,
-    sets: "PaletteSize | None" = None,
+    palette_size: "PaletteSize | None" = None,
 ) -> tuple[Splats, RefitReport]:
     """Fit a small model to given views.
 
@@ -114,17 +114,19 @@ def fit_to_views(
         original_count: Number of splats of the original, for the report.
         threads: Number of threads in use, for the report.
         on_progress: Progress callback: number of steps made, and their largest possible number.
-        sets: Palette of higher harmonics that the splats are to share; None for no palette.
+        palette_size: Palette of higher harmonics that the splats are to share; None for no palette.
     """
     from nanogs.fit.rounds import fit
     from nanogs.fit.shared import fit_shared
 
     clock = StageClock()
     with clock.time("fit"):
-        if sets is None:
+        if palette_size is None:
             fitted, outcome = fit(small, fitting, deciding, parameters, on_progress)
         else:
-            fitted, outcome = fit_shared(small, sets, fitting, deciding, parameters, on_progress)
+            fitted, outcome = fit_shared(
+                small, palette_size, fitting, deciding, parameters, on_progress
+            )
     report = RefitReport(
         parameters=asdict(parameters),
         original_count=original_count,

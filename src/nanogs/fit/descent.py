@@ -63,7 +63,7 @@ class Descent:
         self.views = views
         self.parameters = parameters
         self.finite: Bool = splats.finite()
-        self._given = np.ascontiguousarray(splats.sh)
+        self._initial_sh = np.ascontiguousarray(splats.sh)
         self._bands = _bands(splats.sh_degree, parameters)
         self._limits = np.array([*LIMITS, LOWEST_LOGIT, HIGHEST_LOGIT])
         self._random = np.random.default_rng(parameters.seed)
@@ -89,7 +89,7 @@ class Descent:
         self._seen = np.zeros(n, np.int32)
         self._blocks = np.zeros((n, PACKED), np.float32)
         self._weights = np.zeros(n, np.float32)
-        self._ways = displacements_of(state, self.splats)
+        self._displacements = displacements_of(state, self.splats)
         self._count = 0
 
     def running_mean(self) -> "RunningMean":
@@ -98,7 +98,7 @@ class Descent:
 
     def rest(self) -> None:
         """Free the memory that only steps need; `begin` must be called before further steps."""
-        del self._state, self._active, self._seen, self._blocks, self._weights, self._ways
+        del self._state, self._active, self._seen, self._blocks, self._weights, self._displacements
 
     def step(self, rate: float, share: float) -> float:
         """Take one step, on the next view.
@@ -115,12 +115,12 @@ class Descent:
         rate *= SLOWEST + (1 - SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
         error = self._follow(*self._next(), rate)
         if self.shared is not None:
-            self._level(self.shared)
+            self._average_shared(self.shared)
         return error
 
-    def _level(self, shared: "SharedHarmonics") -> None:
+    def _average_shared(self, shared: "SharedHarmonics") -> None:
         """Replace the harmonics of all splats of a palette entry by their mean."""
-        shared.level(self._state.sh)
+        shared.average(self._state.sh)
 
     def _next(self) -> tuple[Target, int]:
         """Return the next view, and a bit mask of the blocks of each tile that the step uses."""
@@ -152,7 +152,7 @@ class Descent:
             SIZES,
             self._limits,
             self._bands,
-            self._given,
+            self._initial_sh,
             state.means,
             state.log_scales,
             state.quats,
@@ -169,7 +169,7 @@ class Descent:
             self._seen,
             self._blocks,
             self._weights,
-            self._ways,
+            self._displacements,
         )
         return view.error
 

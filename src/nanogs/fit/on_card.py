@@ -48,8 +48,8 @@ class CardDescent(Descent):
         self._moving = FittedModel(
             uploaded(self._engine, model),
             [begun.means, begun.log_scales, begun.quats, begun.logits, begun.touched],
-            self._ways,
-            self._given,
+            self._displacements,
+            self._initial_sh,
             self._active.axes,
             self._active.scales,
             StepParameters(
@@ -66,9 +66,9 @@ class CardDescent(Descent):
         """Return an empty running mean on the device; its `add` includes the current state."""
         return CardRunningMean(self._moving)
 
-    def _level(self, shared: "SharedHarmonics") -> None:
+    def _average_shared(self, shared: "SharedHarmonics") -> None:
         sh = self.state.sh.copy()
-        shared.level(sh)
+        shared.average(sh)
         self._moving.recolour(sh)
 
     def _follow(self, target: Target, wanted: int, rate: float) -> float:

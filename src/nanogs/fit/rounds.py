@@ -32,7 +32,7 @@ LEAST = 0.05  # of the first learning rate: the fit ends if nothing was kept and
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class FitOutcome:
     """The result of `fit`; see `RefitReport` for the fields."""
 
     groups: tuple[GroupReport, ...]
@@ -99,7 +99,7 @@ def fit(
     parameters: RefitParameters,
     on_progress: PartProgress,
     shared: "SharedHarmonics | None" = None,
-) -> tuple[Splats, Outcome]:
+) -> tuple[Splats, FitOutcome]:
     """Fit a model in rounds.
 
     Args:
@@ -142,7 +142,7 @@ def fit(
     improved = any(report.share for report in reports)
     nothing = "No step of the fit improved the validation views, so the model was not changed."
     notes = () if improved else (nothing,)
-    outcome = Outcome(
+    outcome = FitOutcome(
         guard.reports(),
         _mean(guard.before),
         _mean(guard.best),

@@ -14,7 +14,7 @@ import numpy as np
 from nanogs._types import F32, F64, I32, I64
 from nanogs.fit.groups import Group
 from nanogs.fit.parameters import RefitParameters
-from nanogs.fit.rounds import Outcome, fit
+from nanogs.fit.rounds import FitOutcome, fit
 from nanogs.fit.targets import Fitting
 from nanogs.io.cells import by_label
 from nanogs.io.palette import palette
@@ -56,7 +56,7 @@ class SharedHarmonics:
         """Sort splats by their palette entry."""
         return cls(labels, *by_label(labels, entries), weights.astype(np.float32))
 
-    def level(self, sh: F32) -> None:
+    def average(self, sh: F32) -> None:
         """Replace the higher harmonics of the splats of each entry by their mean, in place.
 
         Args:
@@ -71,17 +71,17 @@ class SharedHarmonics:
 
 def fit_shared(
     small: Splats,
-    sets: PaletteSize,
+    palette_size: PaletteSize,
     fitting: Fitting,
     deciding: Sequence[Group],
     parameters: RefitParameters,
     on_progress: PartProgress,
-) -> tuple[Splats, Outcome]:
+) -> tuple[Splats, FitOutcome]:
     """Build a palette of higher harmonics, apply it to a model, and fit the result.
 
     Args:
         small: N splats with harmonics.
-        sets: Size and weights of the palette.
+        palette_size: Size and weights of the palette.
         fitting: Views to fit to.
         deciding: Validation views, which decide how much of each round is kept.
         parameters: Parameters of the fit.
@@ -90,8 +90,10 @@ def fit_shared(
     Returns:
         The fitted model, with no more sets of higher harmonics than asked for, and the outcome.
     """
-    found = palette(small.sh[:, 1:].reshape(len(small), -1), sets.most, sets.weights)
-    shared = SharedHarmonics.of(found.labels, len(found.entries), sets.weights)
+    found = palette(
+        small.sh[:, 1:].reshape(len(small), -1), palette_size.most, palette_size.weights
+    )
+    shared = SharedHarmonics.of(found.labels, len(found.entries), palette_size.weights)
     begun = _with(small, found.entries[found.labels])
     fitted, outcome = fit(begun, fitting, deciding, parameters, on_progress, shared)
     # Rows that never moved still have the entry of before the fit: all get the fitted one.

@@ -156,11 +156,13 @@ def _blend(
 def _weigh(target: Target, image: F32, wanted: int = ALL_BLOCKS) -> tuple[F32, F32, float]:
     """Return the residual (H, W, 4), the image's alpha (H, W) and the mean squared error."""
     residual = np.empty_like(image)
-    precision = np.empty(image.shape[:2], np.float32)
+    curvature_weights = np.empty(image.shape[:2], np.float32)
     errors = np.empty((len(image), 2))
-    backward.weigh_pixels(image, target.image, WHITE, ALPHA, wanted, residual, precision, errors)
+    backward.weigh_pixels(
+        image, target.image, WHITE, ALPHA, wanted, residual, curvature_weights, errors
+    )
     error, pixels = errors.sum(axis=0)
-    return residual, precision, float(error) / (3 * max(float(pixels), 1))
+    return residual, curvature_weights, float(error) / (3 * max(float(pixels), 1))
 
 
 def squared_error(model: PreparedSplats, target: Target) -> float:
@@ -182,12 +184,14 @@ def compute_gradients(model: PreparedSplats, target: Target, wanted: int = ALL_B
         wanted: Bit mask of the blocks of each tile whose pixels count.
     """
     view, features, image = _blend(model, target.camera, wanted)
-    residual, precision, error = _weigh(target, image, wanted)
-    return Gradients(view, sum_gradients(view, features, image, residual, precision, wanted), error)
+    residual, curvature_weights, error = _weigh(target, image, wanted)
+    return Gradients(
+        view, sum_gradients(view, features, image, residual, curvature_weights, wanted), error
+    )
 
 
 def sum_gradients(
-    view: Projection, features: F32, image: F32, residual: F32, precision: F32, wanted: int
+    view: Projection, features: F32, image: F32, residual: F32, curvature_weights: F32, wanted: int
 ) -> F32:
     """Return the (N, 25) float32 sums of `nanogs.kernels.backward.gradient_tiles` for each splat.
 
@@ -202,7 +206,7 @@ def sum_gradients(
         wanted,
         image,
         residual,
-        precision,
+        curvature_weights,
         partial,
     )
     totals = np.empty((len(features), gradients.SUMS), np.float32)

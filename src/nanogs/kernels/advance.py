@@ -61,19 +61,21 @@ def _reshape(
 
 
 @inline
-def _start(mean: F64, log_scales: F64, quat: F64, logit: float, way: F32, start: F64) -> None:
-    """Write the parameters, (11,), that a splat began with: the current ones less its way."""
+def _start(
+    mean: F64, log_scales: F64, quat: F64, logit: float, displacement: F32, start: F64
+) -> None:
+    """Write the (11,) parameters that a splat began with: the current ones less `displacement`."""
     for r in range(3):
-        start[r] = mean[r] - way[r]
-        start[3 + r] = log_scales[r] - way[3 + r]
+        start[r] = mean[r] - displacement[r]
+        start[3 + r] = log_scales[r] - displacement[3 + r]
     for r in range(4):
-        start[6 + r] = quat[r] - way[6 + r]
-    start[LOGIT] = logit - way[LOGIT]
+        start[6 + r] = quat[r] - displacement[6 + r]
+    start[LOGIT] = logit - displacement[LOGIT]
 
 
 @inline
 def _restore(
-    share: float, start: F64, mean: F64, log_scales: F64, quat: F64, logit: float, way: F32
+    share: float, start: F64, mean: F64, log_scales: F64, quat: F64, logit: float, displacement: F32
 ) -> float:
     """Undo a share of a splat's displacement, update the displacement, and return the logit."""
     length = 0.0
@@ -83,13 +85,13 @@ def _restore(
     length = math.sqrt(length)
     for r in range(4):
         quat[r] /= length
-        way[6 + r] = quat[r] - start[6 + r]
+        displacement[6 + r] = quat[r] - start[6 + r]
     for r in range(3):
         mean[r] += share * (start[r] - mean[r])
         log_scales[r] += share * (start[3 + r] - log_scales[r])
-        way[r], way[3 + r] = mean[r] - start[r], log_scales[r] - start[3 + r]
+        displacement[r], displacement[3 + r] = mean[r] - start[r], log_scales[r] - start[3 + r]
     logit += share * (start[LOGIT] - logit)
-    way[LOGIT] = logit - start[LOGIT]
+    displacement[LOGIT] = logit - start[LOGIT]
     return logit
 
 
@@ -115,7 +117,7 @@ def _recolour(
     curvature: float,
     rate: float,
     back: float,
-    given: F32,
+    initial_sh: F32,
     sh: F32,
 ) -> None:
     """Apply a step to a splat's coefficients (K, 3); a channel clipped at black only brightens."""
@@ -126,8 +128,8 @@ def _recolour(
         step = rate / (bands[k, 0] * curvature + held)
         for c in range(3):
             gradient = basis[k] * sums[c] if shown[c] > 0.0 or sums[c] > 0.0 else 0.0
-            way = sh[k, c] - given[k, c]
-            sh[k, c] += np.float32((gradient - held * way) * step - back * way)
+            change = sh[k, c] - initial_sh[k, c]
+            sh[k, c] += np.float32((gradient - held * change) * step - back * change)
 
 
 @parallel_kernel("order")
@@ -140,7 +142,7 @@ def advance_splats(
     totals: F32,
     rotation: F64,
     position: F64,
-    lens: F64,
+    intrinsics: F64,
     mip: bool,
     degree: int,
     rate: float,
@@ -150,7 +152,7 @@ def advance_splats(
     sizes: tuple[int, int, int],
     limits: F64,
     bands: F64,
-    given: F32,
+    initial_sh: F32,
     means: F64,
     log_scales: F64,
     quats: F64,
@@ -186,7 +188,7 @@ def advance_splats(
         totals: (N, 25) from `gather_entries`.
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.
-        lens: (11,) as `nanogs.kernels.project.project_splats` takes it.
+        intrinsics: (11,) as `nanogs.kernels.project.project_splats` takes them.
         mip: Whether opacities were compensated for the dilation.
         degree: Spherical-harmonic degree, of which `sh` has all coefficients.
         rate: Learning rate, 1 for the whole way to the minimum of the quadratic model;
@@ -198,7 +200,7 @@ def advance_splats(
         limits: (12,) largest steps of the ten parameters of shape, then least and largest logit of
             the opacity; a logit that starts below the least may stay there.
         bands: (K, 2) curvature of each coefficient for a weight of 1, and its ridge.
-        given: (N, K, 3) coefficients that the ridges pull back to.
+        initial_sh: (N, K, 3) coefficients that the ridges pull back to.
         means: (N, 3) in and out, scene units.
         log_scales: (N, 3) in and out.
         quats: (N, 4) in and out, wxyz, unit.
@@ -218,7 +220,7 @@ def advance_splats(
         displacements: (N, DISPLACEMENT) in and out, the splat's displacement since the fit began,
             and the largest `resolved_share` so far.
     """
-    bounds = guard_bounds(lens)
+    bounds = guard_bounds(intrinsics)
     point, basis = np.empty(3), np.empty(25)
     shape, screen, lanes = sizes
     jacobians, sums, products = new_chains(shape, screen, lanes)
@@ -237,7 +239,7 @@ def advance_splats(
             for r in range(3):
                 point[r] = means[i, r] - position[r]
             screen_jacobian(
-                geometry[i], point, axes[i], scales[i], opacities[i], rotation, lens, bounds,
+                geometry[i], point, axes[i], scales[i], opacities[i], rotation, intrinsics, bounds,
                 mip, jacobians[:, :, lane],
             )  # fmt: skip
             for k in range(len(sums)):
@@ -257,7 +259,7 @@ def advance_splats(
             )
             _recolour(
                 totals[i], features[i], point, degree, basis, bands, excesses[lane] * weights[i],
-                rates[lane], backs[lane], given[i], sh[i],
+                rates[lane], backs[lane], initial_sh[i], sh[i],
             )  # fmt: skip
             rows[lane] = i
             lane += 1

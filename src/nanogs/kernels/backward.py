@@ -44,15 +44,15 @@ def weigh_pixels(
     start: int,
     stop: int,
     image: F32,
-    goal: U8,
+    target: U8,
     white: float,
     alpha_scale: float,
     wanted: int,
     residual: F32,
-    precision: F32,
+    curvature_weights: F32,
     errors: F64,
 ) -> None:
-    """Compute the residual of an image, which is the target minus the image.
+    """Compute the residual of an image, which is the target minus the image, and its alpha.
 
     Colours are clipped at 1, as on a screen, so that one that is brighter in both has no residual.
 
@@ -60,12 +60,12 @@ def weigh_pixels(
         start: First row of the range.
         stop: The row after its last.
         image: (H, W, 4) blended colours less `white`, and alpha times `alpha_scale`.
-        goal: (H, W, 4) the target: colours over black and alpha, 255 is 1.
+        target: (H, W, 4) colours over black, and alpha; 255 is 1.
         white: Weight of the white background among those that errors are averaged over.
         alpha_scale: Weight of an error in alpha.
         wanted: Bit mask of the blocks of each tile that count; the others are not written.
         residual: (H, W, 4) out, the target minus the image, in the channels of `image`.
-        precision: (H, W) out, alpha of the image.
+        curvature_weights: (H, W) out, alpha of the image: the A of the module's docstring.
         errors: (H, 2) out, for each row the sum of the squared residuals, and the number of pixels
             that count.
     """
@@ -78,13 +78,13 @@ def weigh_pixels(
                 continue
             count += 1
             alpha = image[y, x, 3] / alpha_scale
-            change = goal[y, x, 3] / 255.0 - alpha
-            precision[y, x] = alpha
+            change = target[y, x, 3] / 255.0 - alpha
+            curvature_weights[y, x] = alpha
             residual[y, x, 3] = change * alpha_scale
             total += change * change * alpha_scale * alpha_scale
             for c in range(3):
                 colour = min(image[y, x, c] + white * alpha, 1.0)
-                error = goal[y, x, c] / 255.0 - colour - white * change
+                error = target[y, x, c] / 255.0 - colour - white * change
                 residual[y, x, c] = error
                 total += error * error
         errors[y, 0], errors[y, 1] = total, count
@@ -101,7 +101,7 @@ def gradient_tiles(
     wanted: int,
     image: F32,
     residual: F32,
-    precision: F32,
+    curvature_weights: F32,
     partial: F32,
 ) -> None:
     """Sum gradient and curvature over the pixels of each tile, for each of its splats.
@@ -118,18 +118,18 @@ def gradient_tiles(
         wanted: Bit mask of the blocks of each tile whose pixels count.
         image: (H, W, 4) the result of `blend_tiles` for these.
         residual: (H, W, 4) residual of each pixel, times the pixel's weight in the sum of squares.
-        precision: (H, W) that weight of each pixel, times its alpha.
+        curvature_weights: (H, W) that weight of each pixel, times its alpha.
         partial: (E, 25) out, for each entry: 0 to 2 the gradient by the first three channels, 3 the
-            sum of w x precision, their curvature; 4 to 9 the gradient by ln alpha times 1, p, q,
-            p², pq, q²; 10 to 24 the curvature of ln alpha times p^a q^b for a + b <= 4, b running
-            fastest.
+            sum of w times the curvature weights, their curvature; 4 to 9 the gradient by ln alpha
+            times 1, p, q, p², pq, q²; 10 to 24 the curvature of ln alpha times p^a q^b for
+            a + b <= 4, b running fastest.
     """
     height, width = image.shape[0], image.shape[1]
     tiles_x = (width + TILE - 1) // TILE
-    left = np.empty((LANES, LANES), np.float32)
+    transmittances = np.empty((LANES, LANES), np.float32)
     behind = np.empty((CHANNELS, LANES, LANES), np.float32)
     change = np.empty((CHANNELS, LANES, LANES), np.float32)
-    curvature_weight = np.zeros((LANES, LANES), np.float32)
+    tile_weights = np.zeros((LANES, LANES), np.float32)
     shapes = np.empty((BATCH, SHAPE), np.float32)
     values = np.empty((BATCH, CHANNELS), np.float32)
     marks = np.zeros(LANES, np.uint32)  # taken by `mark_blocks`, not used here
@@ -137,31 +137,31 @@ def gradient_tiles(
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         end = starts[tile + 1]
         partial[starts[tile] : end] = np.float32(0.0)
-        start_tile(left, x0, y0, width, height, wanted)
+        start_tile(transmittances, x0, y0, width, height, wanted)
         _load_tile(image, x0, y0, behind)
         _load_tile(residual, x0, y0, change)
         for y in range(min(TILE, height - y0)):
             for x in range(min(TILE, width - x0)):
                 block, lane = place_in_tile(x, y)
-                curvature_weight[block, lane] = precision[y0 + y, x0 + x]
+                tile_weights[block, lane] = curvature_weights[y0 + y, x0 + x]
         for first in range(starts[tile], end, BATCH):
-            light = open_blocks(left)
-            if light == 0:
+            open_mask = open_blocks(transmittances)
+            if open_mask == 0:
                 break
             count = min(BATCH, end - first)
             for j in range(count):
                 fetch(geometry, features, entries[first + j], x0, y0, CHANNELS, j, shapes, values)
             for j in range(count):
-                mark = mark_blocks(shapes, j, marks) & light
+                mark = mark_blocks(shapes, j, marks) & open_mask
                 gradient_blocks(
                     mark,
                     j,
                     shapes,
                     values,
-                    left,
+                    transmittances,
                     behind,
                     change,
-                    curvature_weight,
+                    tile_weights,
                     partial,
                     first + j,
                 )

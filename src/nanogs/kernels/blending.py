@@ -9,7 +9,7 @@ from nanogs.kernels.policy import simd_or_plain
 
 @simd_or_plain
 def blend_block(
-    mark: int, block: int, shapes: F32, values: F32, left: F32, weights: F32, planes: F32
+    mark: int, block: int, shapes: F32, values: F32, transmittances: F32, weights: F32, planes: F32
 ) -> None:
     """Blend splats into a block, in their order, and store their weights; see `shade_pixel`.
 
@@ -18,7 +18,7 @@ def blend_block(
         block: 0 to 15.
         shapes: (BATCH, 8) shapes of the splats.
         values: (BATCH, 3 or more) features; the first three are blended.
-        left: (16, 16) transmittances of the tile's blocks, in and out.
+        transmittances: (16, 16) transmittances of the tile's blocks, in and out.
         weights: (BATCH, 16) out, weights T alpha of these splats.
         planes: (3 or more, 16, 16) sums for the tile's blocks, in and out.
     """
@@ -26,8 +26,8 @@ def blend_block(
         if int(mark) >> j & 1 == 0:
             continue
         for lane in range(LANES):
-            x, y, light = PIXELS_X[block, lane], PIXELS_Y[block, lane], left[block, lane]
-            weight, left[block, lane], _, _ = shade_pixel(shapes, j, x, y, light)
+            x, y, light = PIXELS_X[block, lane], PIXELS_Y[block, lane], transmittances[block, lane]
+            weight, transmittances[block, lane], _, _ = shade_pixel(shapes, j, x, y, light)
             weights[j, lane] = weight
             for c in range(3):
                 planes[c, block, lane] += values[j, c] * weight

@@ -130,12 +130,12 @@ def shade_pixel(
 
 
 @simd_or_plain
-def open_blocks(left: F32) -> int:
-    """Return a bit mask of the blocks with a pixel that is not full; left: (16, 16)."""
+def open_blocks(transmittances: F32) -> int:
+    """Return a bit mask of the blocks with a pixel that is not full; transmittances: (16, 16)."""
     found = 0
     for block in range(LANES):
         for lane in range(LANES):
-            if left[block, lane] > _ZERO:
+            if transmittances[block, lane] > _ZERO:
                 found |= 1 << block
     return found
 

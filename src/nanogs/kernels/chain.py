@@ -147,7 +147,7 @@ def screen_jacobian(
     scales: F32,
     opacity: float,
     rotation: F64,
-    lens: F64,
+    intrinsics: F64,
     bounds: Bounds,
     mip: bool,
     jacobian: F64,
@@ -161,13 +161,13 @@ def screen_jacobian(
         scales: (3,) scene units.
         opacity: In [0, 1], before any compensation.
         rotation: (3, 3), world to camera.
-        lens: (2 or more,) fx and fy in pixels.
+        intrinsics: (2 or more,) fx and fy in pixels.
         bounds: Bounds of x / z and y / z, see `guard_bounds`.
         mip: Whether opacities were compensated for the dilation.
         jacobian: (10, 6) out, coefficients of 1, p, q, p², pq, q²; of the opacity's row the first
             alone is written, the others are 0.
     """
-    fx, fy = lens[0], lens[1]
+    fx, fy = intrinsics[0], intrinsics[1]
     inv_w, slope, inv_h = row[2], row[3], math.sqrt(row[4])
     x, y, z = _turned(rotation, point[0], point[1], point[2])
     per_depth = 1.0 / z

@@ -68,13 +68,13 @@ def _expected_log_mixture(
 def published_costs(
     start: int, stop: int,
     pairs: I32, means: F64, scales: F32, quats: F32, log_masses: F64,
-    features: F32, rows: I32, seconds: I32, shares: F64,
+    features: F32, rows: I32, second_rows: I32, shares: F64,
     normals: F64, jitter: float, lambda_geo: float, lambda_app: float, out: F32,
 ) -> None:  # fmt: skip
     """C = lambda_geo KL(pi N_i + (1 - pi) N_j || N_m) + lambda_app |f_i - f_j|^2 for each pair.
 
     pairs: (E, 2); means, scales: (N, 3); quats: (N, 4) wxyz unit; log_masses: (N,);
-    features: (F, C), rows, seconds and shares: see `lazy_features.py`; normals: (S, 3)
+    features: (F, C), rows, second_rows and shares: see `lazy_features.py`; normals: (S, 3)
     standard normal draws; jitter: added to every variance, squared scene units; out: (E,).
     """
     for edge in range(start, stop):
@@ -108,8 +108,8 @@ def published_costs(
             kl += pj * _expected_log_mixture(rj, vj, dj, lj, ri, vi, di, li, (-x, -y, -z), normals)
         distance = np.float64(0.0)
         for c in range(features.shape[1]):
-            difference = feature(features, rows, seconds, shares, i, c) - feature(
-                features, rows, seconds, shares, j, c
+            difference = feature(features, rows, second_rows, shares, i, c) - feature(
+                features, rows, second_rows, shares, j, c
             )
             distance += difference * difference
         out[edge] = lambda_geo * kl + lambda_app * distance

@@ -26,7 +26,7 @@ def log_determinants(start: int, stop: int, covariances: F64, out: F64) -> None:
 def merge_increments(
     start: int, stop: int,
     pairs: I32, weights: F64, means: F64, covariances: F64, log_dets: F64,
-    features: F32, rows: I32, seconds: I32, shares: F64, out: F32,
+    features: F32, rows: I32, second_rows: I32, shares: F64, out: F32,
 ) -> None:  # fmt: skip
     """For each pair, write the increase in colour and geometry error that merging it would cause.
 
@@ -34,7 +34,7 @@ def merge_increments(
     - pi log |Sigma_i| - (1 - pi) log |Sigma_j|), pi = w_i / (w_i + w_j): the upper bound on the
     divergence of [R], eq. 21. Both add up over a subtree. Neither is NaN or infinite.
     pairs: (E, 2); weights: (N,) above 0; means: (N, 3); covariances: (N, 6); log_dets: (N,);
-    features, rows, seconds and shares: see `lazy_features.py`; out: (E, 2), colour and geometry.
+    features, rows, second_rows and shares: see `lazy_features.py`; out: (E, 2), colour, geometry.
     """
     for edge in range(start, stop):
         i, j = pairs[edge, 0], pairs[edge, 1]
@@ -49,8 +49,8 @@ def merge_increments(
         )
         distance = np.float32(0.0)
         for c in range(features.shape[1]):
-            difference = feature(features, rows, seconds, shares, i, c) - feature(
-                features, rows, seconds, shares, j, c
+            difference = feature(features, rows, second_rows, shares, i, c) - feature(
+                features, rows, second_rows, shares, j, c
             )
             distance += difference * difference
         # Colours may differ by more than the square root of the largest float32.

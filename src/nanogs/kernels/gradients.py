@@ -58,8 +58,8 @@ def _write_sums(sums: F32, partial: F32, e: int) -> None:
 
 @simd_or_plain
 def gradient_blocks(
-    mark: int, j: int, shapes: F32, values: F32, left: F32, behind: F32, wanted: F32,
-    curvature_weight: F32, partial: F32, e: int,
+    mark: int, j: int, shapes: F32, values: F32, transmittances: F32, behind: F32, residual: F32,
+    curvature_weights: F32, partial: F32, e: int,
 ) -> None:  # fmt: skip
     """Sum gradient and curvature for a splat over the pixels of a tile.
 
@@ -68,11 +68,11 @@ def gradient_blocks(
         j: The splat's row in the batch.
         shapes: (BATCH, 8) see `blocks`.
         values: (BATCH, 4) the features that were blended.
-        left: (16, 16) transmittances of the tile's blocks, in and out.
+        transmittances: (16, 16) transmittances of the tile's blocks, in and out.
         behind: (4, 16, 16) in, sum of the contributions of this splat and those behind it to the
             pixels; out, of those behind it alone.
-        wanted: (4, 16, 16) residuals of the pixels, times their weight in the sum of squares.
-        curvature_weight: (16, 16) that weight, times the pixel's alpha.
+        residual: (4, 16, 16) residuals of the pixels, times their weight in the sum of squares.
+        curvature_weights: (16, 16) that weight, times the pixel's alpha.
         partial: (E, 25) out, in row e, see `backward.gradient_tiles`.
         e: The row.
     """
@@ -81,21 +81,21 @@ def gradient_blocks(
         if int(mark) >> block & 1 == 0:
             continue
         for lane in range(LANES):
-            x, y, light = PIXELS_X[block, lane], PIXELS_Y[block, lane], left[block, lane]
-            weight, left[block, lane], p, q = shade_pixel(shapes, j, x, y, light)
+            x, y, light = PIXELS_X[block, lane], PIXELS_Y[block, lane], transmittances[block, lane]
+            weight, transmittances[block, lane], p, q = shade_pixel(shapes, j, x, y, light)
             shades[0, lane], shades[1, lane], shades[2, lane] = weight, p, q
         for lane in range(LANES):
-            weight, after = shades[0, lane], abs(left[block, lane])
+            weight, after = shades[0, lane], abs(transmittances[block, lane])
             inverse = np.float32(1.0) / after
-            gradient, curvature, shared = _ZERO, _ZERO, weight * curvature_weight[block, lane]
+            gradient, curvature, shared = _ZERO, _ZERO, weight * curvature_weights[block, lane]
             for c in range(CHANNELS):
                 back = behind[c, block, lane] - weight * values[j, c]
                 behind[c, block, lane] = back
                 change = values[j, c] - back * inverse
-                gradient += change * wanted[c, block, lane]
+                gradient += change * residual[c, block, lane]
                 curvature += change * change
             for c in range(3):
-                sums[c, lane] += weight * wanted[c, block, lane]
+                sums[c, lane] += weight * residual[c, block, lane]
             sums[3, lane] += shared
             if weight < _SATURATED * after:
                 gradient, curvature = weight * gradient, shared * curvature

@@ -13,19 +13,13 @@ rounding included.
 import numpy as np
 
 from nanogs._types import F64, I32, I64, Bool
+from nanogs.kernels.knn_tree import DEEPEST, squared_length
 from nanogs.kernels.lanes import LANES, box_keys, distance_keys, insert, lowest_bit, within
 from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
 
 _FAR = 0x7FF00000  # the key of infinity
 _CLOSED = -1  # bound of a query that is finished: below every key
 _NOTES = 512  # candidates that are noted before the nearest of them are selected
-_DEEPEST = 64  # size of the stack for a tree of 2^31 points: one node per level, and a few
-
-
-@exact_inline
-def _square(x: float, y: float, z: float) -> float:
-    """Squared length, computed as in `lanes.py`, so that equal pairs give equal numbers."""
-    return x * x + y * y + z * z
 
 
 @exact_inline
@@ -34,7 +28,7 @@ def _box_to_box(boxes: F64, a: int, b: int) -> float:
     x = max(0.0, boxes[a, 0] - boxes[b, 3], boxes[b, 0] - boxes[a, 3])
     y = max(0.0, boxes[a, 1] - boxes[b, 4], boxes[b, 1] - boxes[a, 4])
     z = max(0.0, boxes[a, 2] - boxes[b, 5], boxes[b, 2] - boxes[a, 5])
-    return _square(x, y, z)
+    return squared_length(x, y, z)
 
 
 @exact_inline
@@ -51,7 +45,7 @@ def _keep_nearest(
     x, y, z = points[query], points[n + query], points[2 * n + query]
     for i in range(count):
         p = found[at + i]
-        full[i] = _square(x - points[p], y - points[n + p], z - points[2 * n + p])
+        full[i] = squared_length(x - points[p], y - points[n + p], z - points[2 * n + p])
         ids[i] = rows[p]
     for i in range(count):
         rank = 0
@@ -190,8 +184,8 @@ def search_tree(
     counts = np.empty(LANES, dtype=np.int64)
     full = np.empty(room)
     ids = np.empty(2 * room, dtype=np.int32)
-    stack = np.empty(3 * _DEEPEST, dtype=np.int64)
-    gaps = np.empty(_DEEPEST)
+    stack = np.empty(3 * DEEPEST, dtype=np.int64)
+    gaps = np.empty(DEEPEST)
     leaves = (n + LANES - 1) // LANES
     for leaf in range((start + LANES - 1) // LANES, (stop + LANES - 1) // LANES):
         begin = leaf * LANES

@@ -12,7 +12,14 @@ from nanogs._types import F64, I32, I64
 from nanogs.kernels.lanes import LANES
 from nanogs.kernels.policy import exact_inline, exact_kernel, exact_parallel_kernel
 
+DEEPEST = 64  # size of a search's stack for 2^31 points: one node per level, and a few
 _SAMPLE = 31  # size of the sample that a pivot is chosen from, if many points are split
+
+
+@exact_inline
+def squared_length(x: float, y: float, z: float) -> float:
+    """Return the squared length, computed as in `lanes.py`: equal pairs give equal numbers."""
+    return x * x + y * y + z * z
 
 
 @exact_inline
@@ -131,9 +138,9 @@ def _leaves_below(node: int, leaves: int) -> tuple[int, int]:
 def _split_all(points: F64, rows: I32, boxes: F64, node: int, first: int, last: int) -> None:
     """Split a node and all nodes below it."""
     sample = np.empty(_SAMPLE)
-    nodes = np.empty(64, dtype=np.int64)
-    firsts = np.empty(64, dtype=np.int64)
-    lasts = np.empty(64, dtype=np.int64)
+    nodes = np.empty(DEEPEST, dtype=np.int64)
+    firsts = np.empty(DEEPEST, dtype=np.int64)
+    lasts = np.empty(DEEPEST, dtype=np.int64)
     nodes[0], firsts[0], lasts[0] = node, first, last
     waiting = 1
     while waiting > 0:

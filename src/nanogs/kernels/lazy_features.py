@@ -4,8 +4,8 @@ The features of nodes that a first pass of merges makes would take nearly half t
 model's own. Instead they are computed from these when needed, with the rounding to float32 that
 storing them would bring.
 
-Throughout, features: (F, C); rows: (N,) row of each of N splats; seconds: (N,) second row of each,
-or (0,) if each has only one; shares: (N, 2) weights of both, or (0, 2).
+Throughout, features: (F, C); rows: (N,) row of each of N splats; second_rows: (N,) second row of
+each, or (0,) if each has only one; shares: (N, 2) weights of both, or (0, 2).
 """
 
 import numpy as np
@@ -16,19 +16,19 @@ from nanogs.kernels.policy import inline, parallel_kernel
 
 @inline
 def feature(
-    features: F32, rows: I32, seconds: I32, shares: F64, splat: int, channel: int
+    features: F32, rows: I32, second_rows: I32, shares: F64, splat: int, channel: int
 ) -> np.float32:  # fmt: skip
     """Return one channel of a splat's features."""
-    if len(seconds) == 0:
+    if len(second_rows) == 0:
         return np.float32(features[rows[splat], channel])
-    first, second = features[rows[splat], channel], features[seconds[splat], channel]
+    first, second = features[rows[splat], channel], features[second_rows[splat], channel]
     return np.float32(shares[splat, 0] * first + shares[splat, 1] * second)
 
 
 @parallel_kernel("out")
 def mean_features(
     start: int, stop: int,
-    features: F32, rows: I32, seconds: I32, shares: F64,
+    features: F32, rows: I32, second_rows: I32, shares: F64,
     firsts: I32, others: I32, weights: F64, out: F32,
 ) -> None:  # fmt: skip
     """Compute weighted means of the features of pairs of splats.
@@ -37,6 +37,6 @@ def mean_features(
     """
     for i in range(start, stop):
         for c in range(features.shape[1]):
-            first = feature(features, rows, seconds, shares, firsts[i], c)
-            other = feature(features, rows, seconds, shares, others[i], c)
+            first = feature(features, rows, second_rows, shares, firsts[i], c)
+            other = feature(features, rows, second_rows, shares, others[i], c)
             out[i, c] = weights[i, 0] * first + weights[i, 1] * other

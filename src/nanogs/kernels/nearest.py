@@ -5,21 +5,15 @@ import math
 import numpy as np
 
 from nanogs._types import F64, I32
+from nanogs.kernels.knn_tree import DEEPEST, squared_length
 from nanogs.kernels.lanes import LANES
 from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
-
-_DEEPEST = 64  # size of the stack for a tree of 2^31 points: one node per level, and a few
-
-
-@exact_inline
-def _square(x: float, y: float, z: float) -> float:
-    return x * x + y * y + z * z
 
 
 @exact_inline
 def _to_box(x: float, y: float, z: float, boxes: F64, node: int) -> float:
     """Squared distance between a position and the box of a node."""
-    return _square(
+    return squared_length(
         max(0.0, boxes[node, 0] - x, x - boxes[node, 3]),
         max(0.0, boxes[node, 1] - y, y - boxes[node, 4]),
         max(0.0, boxes[node, 2] - z, z - boxes[node, 5]),
@@ -37,8 +31,8 @@ def find_nearest(
     nearest: (Q,) out.
     """
     n = len(rows)
-    stack = np.empty(3 * _DEEPEST, dtype=np.int64)
-    gaps = np.empty(_DEEPEST)
+    stack = np.empty(3 * DEEPEST, dtype=np.int64)
+    gaps = np.empty(DEEPEST)
     for place in range(start, stop):
         x, y, z = places[place, 0], places[place, 1], places[place, 2]
         least, found, waiting = np.inf, -1, 1
@@ -61,7 +55,7 @@ def find_nearest(
                     waiting += 1
                 continue
             for p in range(first * LANES, min(n, last * LANES)):
-                square = _square(x - points[p], y - points[n + p], z - points[2 * n + p])
+                square = squared_length(x - points[p], y - points[n + p], z - points[2 * n + p])
                 if square < least or (square == least and rows[p] < found):
                     least, found = square, rows[p]
         distances[place], nearest[place] = math.sqrt(least), found

@@ -104,14 +104,14 @@ def gather_moments(
     start: int, stop: int,
     starts: I64, members: I32,
     weights: F64, coverages: F64, means: F64, covariances: F64,
-    features: F32, rows: I32, seconds: I32, shares: F64,
+    features: F32, rows: I32, second_rows: I32, shares: F64,
     new_weights: F64, new_coverages: F64, new_means: F64, new_covariances: F64, new_features: F32,
 ) -> None:  # fmt: skip
     """Compute weighted mean, covariance and features of every group; sum weights and coverages.
 
     mu_m = sum w mu / W, Sigma_m = sum w (Sigma + (mu - mu_m)(mu - mu_m)^T) / W, f_m = sum w f / W.
     starts (G + 1,) and members (N,): from `group_members`; weights: (N,), all above 0; coverages:
-    (N,); means: (N, 3); covariances: (N, 6); features, rows, seconds and shares: see
+    (N,); means: (N, 3); covariances: (N, 6); features, rows, second_rows and shares: see
     `lazy_features.py`; the new ones have G rows.
     """
     channels = features.shape[1]
@@ -144,7 +144,7 @@ def gather_moments(
             yz += share * (covariances[row, 4] + dy * dz)
             zz += share * (covariances[row, 5] + dz * dz)
             for c in range(channels):
-                colour[c] += share * feature(features, rows, seconds, shares, row, c)
+                colour[c] += share * feature(features, rows, second_rows, shares, row, c)
         new_weights[group], new_coverages[group] = total, covered
         new_means[group, 0], new_means[group, 1], new_means[group, 2] = x, y, z
         new_covariances[group, 0], new_covariances[group, 1] = xx, xy

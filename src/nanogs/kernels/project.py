@@ -45,7 +45,7 @@ def _project_gaussian(
     y: float,
     z: float,
     rotation: F64,
-    lens: F64,
+    intrinsics: F64,
     bounds: tuple[float, float, float, float],
     row: F64,
 ) -> tuple[float, float, float]:
@@ -60,11 +60,11 @@ def _project_gaussian(
     """
     inv_z = 1.0 / z
     xz, yz = x * inv_z, y * inv_z
-    row[0] = lens[0] * xz + lens[2]
-    row[1] = lens[1] * yz + lens[3]
+    row[0] = intrinsics[0] * xz + intrinsics[2]
+    row[1] = intrinsics[1] * yz + intrinsics[3]
     tx = min(max(xz, bounds[0]), bounds[1])
     ty = min(max(yz, bounds[2]), bounds[3])
-    jx, jy = lens[0] * inv_z, lens[1] * inv_z
+    jx, jy = intrinsics[0] * inv_z, intrinsics[1] * inv_z
     xx = xy = yy = 0.0
     ax = ay = az = bx = by = bz = 0.0
     for k in range(3):
@@ -129,7 +129,7 @@ def _beside(
     x: float,
     y: float,
     z: float,
-    lens: F64,
+    intrinsics: F64,
     steepest: tuple[float, float],
 ) -> bool:
     """Return whether a splat is outside the picture in any orientation: cheap frustum culling.
@@ -146,9 +146,9 @@ def _beside(
     dilation = DILATION * z * z
     across = WIDER * reach * (square * steepest[0] + dilation)
     along = WIDER * reach * (square * steepest[1] + dilation)
-    u, v = lens[0] * x + lens[2] * z, lens[1] * y + lens[3] * z
-    left, right = 0.5 * z - u, u - (lens[4] - 0.5) * z
-    above, below = 0.5 * z - v, v - (lens[5] - 0.5) * z
+    u, v = intrinsics[0] * x + intrinsics[2] * z, intrinsics[1] * y + intrinsics[3] * z
+    left, right = 0.5 * z - u, u - (intrinsics[4] - 0.5) * z
+    above, below = 0.5 * z - v, v - (intrinsics[5] - 0.5) * z
     beyond_x, beyond_y = max(left, right), max(above, below)
     beside = beyond_x > 0.0 and beyond_x * beyond_x > across
     return bool(beside or (beyond_y > 0.0 and beyond_y * beyond_y > along))
@@ -170,12 +170,14 @@ def reaches_of(opacities: F32) -> F32:
 
 
 @inline
-def guard_bounds(lens: F64) -> tuple[float, float, float, float]:
+def guard_bounds(intrinsics: F64) -> tuple[float, float, float, float]:
     """Return the bounds of x/z and y/z in the Jacobian ([K]), from the size of the whole picture.
 
-    lens: as `project_splats` takes it. The order is least and largest x/z, least and largest y/z.
+    intrinsics: as `project_splats` takes them. The order is least and largest x/z, least and
+    largest y/z.
     """
-    fx, fy, cx, cy, width, height = lens[0], lens[1], lens[7], lens[8], lens[9], lens[10]
+    fx, fy = intrinsics[0], intrinsics[1]
+    cx, cy, width, height = intrinsics[7], intrinsics[8], intrinsics[9], intrinsics[10]
     margin_x = (GUARD - 1.0) * 0.5 * width / fx
     margin_y = (GUARD - 1.0) * 0.5 * height / fy
     return (
@@ -196,7 +198,7 @@ def project_splats(
     sh: F32,
     rotation: F64,
     position: F64,
-    lens: F64,
+    intrinsics: F64,
     mip: bool,
     degree: int,
     geometry: F64,
@@ -216,8 +218,8 @@ def project_splats(
         sh: (N, K, 3) with K >= (degree + 1)².
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.
-        lens: (11,) fx, fy, cx, cy, width, height in pixels, near in scene units, and cx, cy, width
-            and height of the whole picture that this is a part of.
+        intrinsics: (11,) fx, fy, cx, cy, width, height in pixels, near in scene units, and cx, cy,
+            width and height of the whole picture that this is a part of.
         mip: Multiply opacities by sqrt(det before / det after dilation).
         degree: Spherical-harmonic degree to evaluate.
         geometry: (N, 8) out, see the module's docstring.
@@ -228,13 +230,13 @@ def project_splats(
     """
     coefficients = (degree + 1) ** 2
     basis = np.empty(25, np.float32)
-    bounds = guard_bounds(lens)
+    bounds = guard_bounds(intrinsics)
     px, py, pz = position[0], position[1], position[2]
     r = rotation
-    near, width, height = lens[6], lens[4], lens[5]
+    near, width, height = intrinsics[6], intrinsics[4], intrinsics[5]
     steepest = (
-        lens[0] * lens[0] * (1.0 + max(bounds[0] * bounds[0], bounds[1] * bounds[1])),
-        lens[1] * lens[1] * (1.0 + max(bounds[2] * bounds[2], bounds[3] * bounds[3])),
+        intrinsics[0] * intrinsics[0] * (1.0 + max(bounds[0] * bounds[0], bounds[1] * bounds[1])),
+        intrinsics[1] * intrinsics[1] * (1.0 + max(bounds[2] * bounds[2], bounds[3] * bounds[3])),
     )
     for i in range(start, stop):
         ahead = min(i + AHEAD, len(means) - 1)
@@ -253,10 +255,10 @@ def project_splats(
             continue
         x = r[0, 0] * dx + r[0, 1] * dy + r[0, 2] * dz
         y = r[1, 0] * dx + r[1, 1] * dy + r[1, 2] * dz
-        if _beside(factors[i], float(reaches[i]), x, y, z, lens, steepest):
+        if _beside(factors[i], float(reaches[i]), x, y, z, intrinsics, steepest):
             continue
         row = geometry[i]
-        xx, yy, ratio = _project_gaussian(factors[i], x, y, z, rotation, lens, bounds, row)
+        xx, yy, ratio = _project_gaussian(factors[i], x, y, z, rotation, intrinsics, bounds, row)
         opacity, reach = float(opacities[i]), float(reaches[i])
         if mip:
             opacity *= math.sqrt(max(0.0, ratio))

@@ -37,13 +37,13 @@ def place_in_tile(x: int, y: int) -> tuple[int, int]:
 
 
 @inline
-def start_tile(left: F32, x0: int, y0: int, width: int, height: int, wanted: int) -> None:
+def start_tile(transmittances: F32, x0: int, y0: int, width: int, height: int, wanted: int) -> None:
     """Set the transmittances of a tile's blocks: 1, or -1 outside the image and if not wanted."""
     for y in range(TILE):
         for x in range(TILE):
             block, lane = place_in_tile(x, y)
             inside = y0 + y < height and x0 + x < width and wanted >> block & 1 == 1
-            left[block, lane] = np.float32(1.0) if inside else np.float32(-1.0)
+            transmittances[block, lane] = np.float32(1.0) if inside else np.float32(-1.0)
 
 
 @inline
@@ -86,14 +86,20 @@ def fetch(
 
 @inline
 def _write_tile(
-    x0: int, y0: int, left: F32, planes: F32, background: F32, image: F32, transmittance: F32
+    x0: int,
+    y0: int,
+    transmittances: F32,
+    planes: F32,
+    background: F32,
+    image: F32,
+    transmittance: F32,
 ) -> None:
     """Copy a tile's pixels into the image, over the background."""
     height, width, channels = image.shape
     for y in range(min(TILE, height - y0)):
         for x in range(min(TILE, width - x0)):
             block, lane = place_in_tile(x, y)
-            light = abs(left[block, lane])
+            light = abs(transmittances[block, lane])
             transmittance[y0 + y, x0 + x] = light
             for c in range(channels):
                 image[y0 + y, x0 + x, c] = planes[c, block, lane] + light * background[c]
@@ -112,14 +118,14 @@ def _read_tile(probes: F32, x0: int, y0: int, planes: F32) -> None:
 
 @inline
 def _blend_batch(
-    light: int, marks: U32, shapes: F32, values: F32, channels: int, left: F32, weights: F32,
-    planes: F32, probes: F32, sums: F32,
+    open_mask: int, marks: U32, shapes: F32, values: F32, channels: int, transmittances: F32,
+    weights: F32, planes: F32, probes: F32, sums: F32,
 ) -> None:  # fmt: skip
-    """Blend a batch of splats into the blocks in `light`, and sum their weights times probes."""
+    """Blend a batch of splats into the open blocks, and sum their weights times probes."""
     for block in range(LANES):
-        if marks[block] == 0 or light >> block & 1 == 0:
+        if marks[block] == 0 or open_mask >> block & 1 == 0:
             continue
-        blending.blend_block(marks[block], block, shapes, values, left, weights, planes)
+        blending.blend_block(marks[block], block, shapes, values, transmittances, weights, planes)
         for c in range(3, channels):
             blending.add_block(marks[block], block, weights, values, c, planes)
         for p in range(len(probes)):
@@ -168,7 +174,7 @@ def blend_tiles(
     height, width, channels = image.shape
     tiles_x = (width + TILE - 1) // TILE
     blended = max(channels, 3)
-    left = np.empty((LANES, LANES), np.float32)
+    transmittances = np.empty((LANES, LANES), np.float32)
     planes = np.empty((blended, LANES, LANES), np.float32)
     probed = np.empty((len(probes), LANES, LANES), np.float32)
     shapes = np.empty((BATCH, SHAPE), np.float32)
@@ -183,11 +189,11 @@ def blend_tiles(
             for p in range(len(probes)):
                 partial[e, p] = np.float32(0.0)
         _clear(planes)
-        start_tile(left, x0, y0, width, height, wanted)
+        start_tile(transmittances, x0, y0, width, height, wanted)
         _read_tile(probes, x0, y0, probed)
         for first in range(starts[tile], end, BATCH):
-            light = blocks.open_blocks(left)
-            if light == 0:
+            open_mask = blocks.open_blocks(transmittances)
+            if open_mask == 0:
                 break
             count = min(BATCH, end - first)
             for block in range(LANES):
@@ -202,10 +208,19 @@ def blend_tiles(
                 blocks.mark_blocks(shapes, j, marks)
             _clear(sums)
             _blend_batch(
-                light, marks, shapes, values, channels, left, weights, planes, probed, sums
+                open_mask,
+                marks,
+                shapes,
+                values,
+                channels,
+                transmittances,
+                weights,
+                planes,
+                probed,
+                sums,
             )
             _add_up(sums, partial, first, count)
-        _write_tile(x0, y0, left, planes, background, image, transmittance)
+        _write_tile(x0, y0, transmittances, planes, background, image, transmittance)
 
 
 @parallel_kernel("totals", least=1)

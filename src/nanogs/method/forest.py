@@ -162,7 +162,7 @@ def _increments(call: Callable[..., None], pairs: I32, nodes: Nodes, dets: F64) 
     increments = np.empty((len(pairs), 2), dtype=np.float32)
     call(
         pairs, nodes.weights, nodes.means, nodes.covariances, dets,
-        nodes.features, nodes.rows, nodes.seconds, nodes.shares, increments,
+        nodes.features, nodes.rows, nodes.second_rows, nodes.shares, increments,
     )  # fmt: skip
     return increments
 

@@ -33,8 +33,8 @@ class Gaussians:
         rows: (N,) int32, row of the features for each splat.
         sources: (N,) int32, row in the input of the splat itself or of its dominant member.
         merged: (N,) bool, False for an unchanged splat of the input.
-        seconds: (N,) int32, a second row of the features for each splat, whose features are then
-            the weighted mean of both; empty, (0,), if each splat has one row.
+        second_rows: (N,) int32, a second row of the features for each splat, whose features are
+            then the weighted mean of both; empty, (0,), if each splat has one row.
         shares: (N, 2) float64, the weights of that mean, or (0, 2).
     """
 
@@ -46,7 +46,7 @@ class Gaussians:
     rows: I32
     sources: I32
     merged: Bool
-    seconds: I32 = field(default_factory=lambda: np.empty(0, np.int32))
+    second_rows: I32 = field(default_factory=lambda: np.empty(0, np.int32))
     shares: F64 = field(default_factory=lambda: np.empty((0, 2)))
 
     def __len__(self) -> int:
@@ -63,7 +63,7 @@ class Gaussians:
             pick(self.rows, rows),
             pick(self.sources, rows),
             pick(self.merged, rows),
-            pick(self.seconds, rows) if len(self.seconds) else self.seconds,
+            pick(self.second_rows, rows) if len(self.second_rows) else self.second_rows,
             pick(self.shares, rows) if len(self.shares) else self.shares,
         )
 
@@ -82,7 +82,7 @@ class Gaussians:
         """
         means = np.empty((len(firsts), self.features.shape[1]), np.float32)
         mean_features(
-            self.features, self.rows, self.seconds, self.shares, firsts, others, weights, means
+            self.features, self.rows, self.second_rows, self.shares, firsts, others, weights, means
         )
         return means
 

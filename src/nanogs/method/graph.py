@@ -1,4 +1,7 @@
-"""Stage 2, graph: the k nearest neighbours of every centre, as candidate pairs."""
+"""The k nearest neighbours of every centre, as candidate pairs.
+
+A stage of both methods; stage 2 of the published one.
+"""
 
 import numpy as np
 

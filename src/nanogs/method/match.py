@@ -1,4 +1,7 @@
-"""Stage 4, match: choose disjoint pairs, cheapest first, from rows and costs alone."""
+"""Choose disjoint pairs, cheapest first, from rows and costs alone.
+
+A stage of both methods; stage 4 of the published one.
+"""
 
 from dataclasses import dataclass
 

@@ -41,8 +41,8 @@ class Nodes:
         features: (F, C) float32, all spherical-harmonic coefficients; those of splats are the
             input's own, in its order, and are not copied.
         rows: (N,) int32, row of the features for each node.
-        seconds: (N,) int32, a second row of the features for each node, whose features are then the
-            weighted mean of both; empty, (0,), if each node has one row.
+        second_rows: (N,) int32, a second row of the features for each node, whose features are then
+            the weighted mean of both; empty, (0,), if each node has one row.
         shares: (N, 2) float64, the weights of that mean, or (0, 2).
     """
 
@@ -52,7 +52,7 @@ class Nodes:
     covariances: F64
     features: F32
     rows: I32
-    seconds: I32 = field(default_factory=lambda: np.empty(0, np.int32))
+    second_rows: I32 = field(default_factory=lambda: np.empty(0, np.int32))
     shares: F64 = field(default_factory=lambda: np.empty((0, 2)))
 
     def __len__(self) -> int:
@@ -223,7 +223,7 @@ def gather_pairs(leaves: Nodes, starts: I64, members: I32) -> Nodes:
 
     parallel.for_each(slices(groups, SLICE_STEPS), share)
     return replace(
-        merged, features=leaves.features, rows=rows[0], seconds=rows[1], shares=shares
+        merged, features=leaves.features, rows=rows[0], second_rows=rows[1], shares=shares
     )  # fmt: skip
 
 
@@ -248,7 +248,7 @@ def _gathered(nodes: Nodes, starts: I64, members: I32, features: F32, rows: I32)
         nodes.covariances,
         features,
         nodes.rows,
-        nodes.seconds,
+        nodes.second_rows,
         nodes.shares,
         result.weights,
         result.coverages,

@@ -54,8 +54,8 @@ class PreparedSplats:
         sh_degree: 0 to 4.
         render_mode: The rasteriser the model was trained for.
         skipped: Number of rows with NaN, or with an infinity other than in the opacity's logit.
-        room: Arrays that every view's projection is written to, in place of the one before; None if
-            each view gets new memory, which the system has to clear first.
+        buffers: Arrays that every view's projection is written to, in place of the one before; None
+            if each view gets new memory, which the system has to clear first.
     """
 
     means: F
@@ -67,14 +67,14 @@ class PreparedSplats:
     sh_degree: int
     render_mode: RenderMode
     skipped: int
-    room: ProjectionBuffers | None = None
+    buffers: ProjectionBuffers | None = None
 
     def __len__(self) -> int:
         return len(self.means)
 
     def with_buffers(self) -> "PreparedSplats":
-        """Return the same splats with a `room`: each view overwrites the projection before it."""
-        return replace(self, room=_room(len(self)))
+        """Return the same splats with `buffers`: each view overwrites the projection before it."""
+        return replace(self, buffers=_buffers(len(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,11 +231,13 @@ def render(
         )
     view = project(prepared, camera, sh_degree=sh_degree)
     probes = np.ones((1 if contributions else 0, camera.height, camera.width), np.float32)
-    image, left, totals = blend(view, camera, view.features, behind, probes, wanted)
-    rendering = rendering_of(image, left, len(view.order), prepared.skipped, prepared.render_mode)
+    image, transmittance, totals = blend(view, camera, view.features, behind, probes, wanted)
+    rendering = rendering_of(
+        image, transmittance, len(view.order), prepared.skipped, prepared.render_mode
+    )
     if not contributions:
         return rendering
-    shares, unoccluded = totals[:, 0].copy(), _unhidden(view, camera)
+    shares, unoccluded = totals[:, 0].copy(), _unoccluded(view, camera)
     return replace(rendering, contributions=shares, unoccluded=unoccluded)
 
 
@@ -251,10 +253,10 @@ def _render_on(
 ) -> Rendering:
     """Render on a device; `background` has four channels if depth is asked for, or else three."""
     view = view_on(engine, prepared, camera, sh_degree=sh_degree)
-    image, left = view.blend(view.features, background, wanted)
+    image, transmittance = view.blend(view.features, background, wanted)
     channels = image.numpy()[:, :, : len(background)]
     rendering = rendering_of(
-        channels, left.numpy(), view.drawn, prepared.skipped, prepared.render_mode
+        channels, transmittance.numpy(), view.drawn, prepared.skipped, prepared.render_mode
     )
     if not contributions:
         return rendering
@@ -298,17 +300,19 @@ def uploaded(engine: "Engine", prepared: PreparedSplats) -> "Model":
     )
 
 
-def rendering_of(image: F32, left: F32, drawn: int, skipped: int, mode: RenderMode) -> Rendering:
+def rendering_of(
+    image: F32, transmittance: F32, drawn: int, skipped: int, mode: RenderMode
+) -> Rendering:
     """Create a rendering from the results of `blend`.
 
     Args:
         image: (H, W, 3) or, with depth, (H, W, 4), over the background.
-        left: (H, W) transmittance.
+        transmittance: (H, W), from which alpha is computed.
         drawn: Number of splats that can reach a pixel.
         skipped: Number of rows that are not finite.
         mode: The rasteriser that the model was trained for.
     """
-    alpha = 1 - left
+    alpha = 1 - transmittance
     return Rendering(
         color=np.ascontiguousarray(image[..., :3]),
         alpha=alpha,
@@ -354,7 +358,7 @@ def project_rows(
     """
     check_camera(camera)
     degree = _degree(prepared, sh_degree)
-    room = prepared.room or _room(len(prepared))
+    buffers = prepared.buffers or _buffers(len(prepared))
     projection.project_splats(
         prepared.means,
         prepared.factors,
@@ -365,11 +369,11 @@ def project_rows(
         *camera_arrays(camera),
         prepared.render_mode is RenderMode.MIP,
         degree,
-        room.geometry,
-        room.features,
-        room.boxes,
+        buffers.geometry,
+        buffers.features,
+        buffers.boxes,
     )
-    return room.geometry, room.features, room.boxes
+    return buffers.geometry, buffers.features, buffers.boxes
 
 
 def blend(
@@ -399,7 +403,7 @@ def blend(
     probes = np.ascontiguousarray(probes)  # a kernel would be compiled for each layout
     assert features.shape[1] >= len(background)  # noqa: S101 - kernels do not check
     image = np.empty((camera.height, camera.width, len(background)), np.float32)
-    left = np.empty(image.shape[:2], np.float32)
+    transmittance = np.empty(image.shape[:2], np.float32)
     partial = np.empty((len(view.entries), len(probes)), np.float32)
     raster.blend_tiles(
         view.geometry,
@@ -409,11 +413,11 @@ def blend(
         wanted,
         background,
         image,
-        left,
+        transmittance,
         probes,
         partial,
     )
-    return image, left, _sums(view.entries, partial, len(features))
+    return image, transmittance, _sums(view.entries, partial, len(features))
 
 
 def _sums(entries: I32, partial: F32, count: int) -> F64:
@@ -444,7 +448,7 @@ def probe(view: Projection, camera: Camera, probes: F32) -> F64:
     return blend(view, camera, view.features, np.empty(0, np.float32), probes)[2]
 
 
-def _room(n: int) -> ProjectionBuffers:
+def _buffers(n: int) -> ProjectionBuffers:
     return ProjectionBuffers(
         _rows_of_a_line(n), np.empty((n, 4), np.float32), np.empty(n, np.int64)
     )
@@ -467,7 +471,7 @@ def _depth_order(features: F32, boxes: I64) -> I64:
     return sorted_rows(keys)
 
 
-def _unhidden(view: Projection, camera: Camera) -> F64:
+def _unoccluded(view: Projection, camera: Camera) -> F64:
     totals = np.zeros(len(view.geometry))
     raster.add_unoccluded(view.geometry, view.boxes, camera.width, camera.height, totals)
     return totals

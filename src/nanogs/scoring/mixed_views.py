@@ -145,7 +145,7 @@ class StreamLevels:
         some = replace(self.prepared, keep=self.prepared.keep & rows)
         view = project(some, camera)
         behind = background_of(background, depth=False)
-        image, _left, _ = blend(view, camera, view.features, behind)
+        image, _, _ = blend(view, camera, view.features, behind)
         parts = [np.zeros((camera.height, camera.width, 0), np.float32)]
         for first in range(0, len(levels), _CHANNELS):
             lights = np.zeros((len(rows), _CHANNELS), np.float32)

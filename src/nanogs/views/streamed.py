@@ -270,7 +270,7 @@ class _Sheet:
     """An image of which some parts are drawn."""
 
     image: F32
-    left: F32
+    transmittance: F32
     drawn: int = 0
 
 
@@ -344,13 +344,13 @@ class _Drawing:
         part, camera = gathered.part, self._cameras[gathered.part.view]
         view = self._arena.projection(gathered.pages, gathered.count, camera)
         self._arena.give(gathered.pages)  # nothing is written to them before the next pass
-        image, left, _ = blend(view, camera, view.features, self._behind)
-        sheet = self._sheets.setdefault(part.view, _Sheet(image, left))
+        image, transmittance, _ = blend(view, camera, view.features, self._behind)
+        sheet = self._sheets.setdefault(part.view, _Sheet(image, transmittance))
         if sheet.image is not image:
             rows = slice(part.top * TILE, part.bottom * TILE)
             columns = slice(part.left * TILE, part.right * TILE)
             sheet.image[rows, columns] = image[rows, columns]
-            sheet.left[rows, columns] = left[rows, columns]
+            sheet.transmittance[rows, columns] = transmittance[rows, columns]
         sheet.drawn += gathered.corners
 
     def _finished(self, view: int) -> Rendering:
@@ -358,4 +358,4 @@ class _Drawing:
         sheet = self._sheets.pop(view)
         mode = RenderMode(self._source.columns.render_mode)
         skipped = sum(self._skipped.values())
-        return rendering_of(sheet.image, sheet.left, sheet.drawn, skipped, mode)
+        return rendering_of(sheet.image, sheet.transmittance, sheet.drawn, skipped, mode)

@@ -13,7 +13,7 @@ from nanogs.kernels.simd.blocks import REALS, alpha_of, light_through, pixels_of
 
 @intrinsic
 def blend_block(
-    typing: Any, mark: Any, block: Any, shapes: Any, values: Any, left: Any, weights: Any,
+    typing: Any, mark: Any, block: Any, shapes: Any, values: Any, transmittances: Any, weights: Any,
     planes: Any,
 ) -> Any:  # fmt: skip
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -42,7 +42,9 @@ def blend_block(
             plane_table.store(sums[c], vec.index(c), block)
         return context.get_dummy_value()
 
-    signature = types.void(types.uint32, types.int64, shapes, values, left, weights, planes)
+    signature = types.void(
+        types.uint32, types.int64, shapes, values, transmittances, weights, planes
+    )
     return signature, generate
 
 

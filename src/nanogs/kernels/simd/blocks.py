@@ -89,9 +89,9 @@ def mark_blocks(typing: Any, shapes: Any, j: Any, marks: Any) -> Any:
 
 
 @intrinsic
-def open_blocks(typing: Any, left: Any) -> Any:
+def open_blocks(typing: Any, transmittances: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        light = vec.Table(context, builder, left, args[0], REALS)
+        light = vec.Table(context, builder, transmittances, args[0], REALS)
         found = vec.index(0)
         for block in range(LANES):
             mask = builder.fcmp_ordered(">", light.load(vec.index(block)), vec.fill(REALS, 0.0))
@@ -100,7 +100,7 @@ def open_blocks(typing: Any, left: Any) -> Any:
             found = builder.or_(found, bit)
         return found
 
-    return types.int64(left), generate
+    return types.int64(transmittances), generate
 
 
 @intrinsic

@@ -42,12 +42,12 @@ def _write_sums(builder: Any, sums: list[Any], out: Any, e: Any) -> None:
 
 @intrinsic
 def gradient_blocks(
-    typing: Any, mark: Any, j: Any, shapes: Any, values: Any, left: Any, behind: Any, wanted: Any,
-    curvature_weight: Any, partial: Any, e: Any,
+    typing: Any, mark: Any, j: Any, shapes: Any, values: Any, transmittances: Any, behind: Any,
+    residual: Any, curvature_weights: Any, partial: Any, e: Any,
 ) -> Any:  # fmt: skip
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         mark, j, e = builder.trunc(args[0], vec.WORD), args[1], args[9]
-        shape_table, value_table, light, rear, wants, trusts, out = (
+        shape_table, value_table, light, rear, residuals, curvature_weight, out = (
             vec.Table(context, builder, kind, array, REALS)
             for kind, array in zip(signature.args[2:9], args[2:9], strict=True)
         )
@@ -63,20 +63,20 @@ def gradient_blocks(
             light.store(after, block)
             after = vec.magnitude(builder, after)
             inverse = vec.div(builder, vec.fill(REALS, 1.0), after)
-            changes, wanted = [], []
+            changes, errors = [], []
             for c, colour in zip(channels, colours, strict=True):
                 back = vec.sub(builder, rear.load(c, block), vec.mul(builder, weight, colour))
                 rear.store(back, c, block)
                 changes.append(vec.sub(builder, colour, vec.mul(builder, back, inverse)))
-                wanted.append(wants.load(c, block))
-            shared = vec.mul(builder, weight, trusts.load(block))
+                errors.append(residuals.load(c, block))
+            shared = vec.mul(builder, weight, curvature_weight.load(block))
             bound = vec.mul(builder, vec.fill(REALS, SATURATED), after)
             free = builder.fcmp_ordered("<", weight, bound)
-            gradient = vec.with_products(builder, zero, *zip(changes, wanted, strict=True))
+            gradient = vec.with_products(builder, zero, *zip(changes, errors, strict=True))
             curvature = vec.with_products(builder, zero, *zip(changes, changes, strict=True))
             gradient = builder.select(free, vec.mul(builder, weight, gradient), zero)
             curvature = builder.select(free, vec.mul(builder, shared, curvature), zero)
-            terms = [vec.mul(builder, weight, want) for want in wanted[:3]] + [shared]
+            terms = [vec.mul(builder, weight, error) for error in errors[:3]] + [shared]
             terms += _moments(builder, gradient, p, q, GRADIENTS) + _moments(
                 builder, curvature, p, q, CURVATURE_POWERS
             )
@@ -88,6 +88,15 @@ def gradient_blocks(
 
     place = types.int64
     signature = types.void(
-        place, place, shapes, values, left, behind, wanted, curvature_weight, partial, place
+        place,
+        place,
+        shapes,
+        values,
+        transmittances,
+        behind,
+        residual,
+        curvature_weights,
+        partial,
+        place,
     )
     return signature, generate

@@ -50,7 +50,7 @@ def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperP
             masses,
             gaussians.features,
             gaussians.rows,
-            gaussians.seconds,
+            gaussians.second_rows,
             gaussians.shares,
             normals,
             JITTER,

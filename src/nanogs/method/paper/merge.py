@@ -51,11 +51,11 @@ def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:
     result.sources[rows] = gaussians.sources[dominant]
     result.merged[rows] = True
     if not gaussians.merged.any():  # keep referring to the features of the model
-        return replace(result, seconds=gaussians.rows[others], shares=shares)
+        return replace(result, second_rows=gaussians.rows[others], shares=shares)
     return replace(
         result,
         features=gaussians.mean_features(kept, others, shares),
         rows=np.arange(len(kept), dtype=np.int32),
-        seconds=np.empty(0, np.int32),
+        second_rows=np.empty(0, np.int32),
         shares=np.empty((0, 2)),
     )

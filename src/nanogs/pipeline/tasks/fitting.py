@@ -64,10 +64,10 @@ def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
         validation=sum(len(group.targets) for group in views.deciding),
     )
     most = scene.settings.entries(len(part), scene.target(level))
-    sets = PaletteSize(most, weights_of_colours(part, views.fitting)) if most else None
+    palette_size = PaletteSize(most, weights_of_colours(part, views.fitting)) if most else None
     fitted, report = fit_to_views(
         part, views.fitting, views.deciding, parameters, views.count, scene.threads,
-        scene.on_progress, sets,
+        scene.on_progress, palette_size,
     )  # fmt: skip
     return scene.keep_fit(name, level, fitted, report)
 
