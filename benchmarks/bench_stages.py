@@ -25,7 +25,7 @@ from nanogs.kernels.forest import log_determinants, merge_increments
 from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.raster import blend_tiles
 from nanogs.method import cut, gaussians, graph, match, nodes, order
-from nanogs.method.extent import dilation
+from nanogs.method.extent import estimate_dilation
 from nanogs.method.forest import grow_forest
 from nanogs.method.paper import cost, merge
 from nanogs.method.paper.parameters import PaperParameters
@@ -62,7 +62,7 @@ def scene(splats: Splats) -> Scene:
     rows = np.flatnonzero(splats.finite())
     origin = gaussians.scene_origin(splats.means[rows])
     alphas = splats.opacities()[rows]
-    pixel = dilation(splats.means[rows] - origin, alphas, splats.render_mode, 720)
+    pixel = estimate_dilation(splats.means[rows] - origin, alphas, splats.render_mode, 720)
     rows = rows[order.morton_order(splats.means[rows] - origin)]
     leaves = nodes.activate_nodes(splats, rows, origin, pixel)
     pairs = graph.neighbour_pairs(leaves.means, 8, THREADS)

@@ -20,8 +20,8 @@ from nanogs.method.extent import (
     NEAR,
     Dilation,
     Viewers,
-    dilation,
-    viewers,
+    estimate_dilation,
+    viewers_at,
 )
 from nanogs.method.growth import area_needs, blocked, widened
 from nanogs.method.integrals import exponential_integral
@@ -77,7 +77,7 @@ def ball(count, radius, seed=3):
 def test_the_pixel_size_is_that_of_a_view_of_the_surroundings_of_a_splat():
     means = ball(4000, 7.0)
     means[0] = 0
-    sizes = dilation(means, np.ones(4000), RenderMode.DEFAULT, 512)
+    sizes = estimate_dilation(means, np.ones(4000), RenderMode.DEFAULT, 512)
     radius = 7 * np.cbrt(0.25)
     assert sizes.radii[0] == pytest.approx(radius, rel=0.03)
     assert sizes.at(means[:1])[0] == pytest.approx(np.sqrt(0.3) * 2 * radius / 512, rel=0.03)
@@ -86,7 +86,7 @@ def test_the_pixel_size_is_that_of_a_view_of_the_surroundings_of_a_splat():
 
 
 def test_mip_models_have_no_dilation():
-    sizes = dilation(ball(100, 1.0), np.ones(100), RenderMode.MIP, 512)
+    sizes = estimate_dilation(ball(100, 1.0), np.ones(100), RenderMode.MIP, 512)
     assert sizes.at(ball(5, 1.0)).tolist() == [0] * 5
     assert sizes.least == 0
 
@@ -115,17 +115,17 @@ def test_pixel_sizes_equal_the_reference_for_any_number_of_threads():
 def test_nearness_falls_with_the_squared_distance_beyond_the_scene():
     """Up to 2.5 radii it is 1; from there it falls as the size of a splat in the picture does."""
     means = ball(5000, 3.0)
-    sizes = dilation(means, np.ones(len(means)), RenderMode.DEFAULT, 512.0)
+    sizes = estimate_dilation(means, np.ones(len(means)), RenderMode.DEFAULT, 512.0)
     near = NEAR * np.quantile(sizes.radii, 0.1)
     distances = np.array([0.0, 0.5 * near, near, 2 * near, 1e6 * near])
     assert sizes.nearness_at(distances) == pytest.approx([1, 1, 1, 1 / 4, 1e-12])
     assert (sizes.nearness(means) == 1).all()
-    mip = dilation(means, np.ones(len(means)), RenderMode.MIP, 512.0)
+    mip = estimate_dilation(means, np.ones(len(means)), RenderMode.MIP, 512.0)
     assert (mip.nearness_at(distances) == sizes.nearness_at(distances)).all()
 
 
 def test_nearness_is_one_everywhere_for_a_scene_at_one_point():
-    sizes = dilation(np.zeros((9, 3)), np.ones(9), RenderMode.DEFAULT, 512.0)
+    sizes = estimate_dilation(np.zeros((9, 3)), np.ones(9), RenderMode.DEFAULT, 512.0)
     assert (sizes.nearness_at(np.array([0.0, 5.0])) == 1).all()
 
 
@@ -199,10 +199,10 @@ def test_nearness_to_viewers_equals_the_reference_for_any_number_of_threads():
     finally:
         numba.set_num_threads(threads)
     assert single_threaded.tobytes() == found.tobytes()
-    assert viewers(places, points).apart == pytest.approx(
+    assert viewers_at(places, points).apart == pytest.approx(
         APART * np.quantile(np.sqrt(squares.min(axis=1)), 0.25), rel=0.1
     )
-    coincident = viewers(np.zeros((2, 3)), np.zeros((9, 3)))
+    coincident = viewers_at(np.zeros((2, 3)), np.zeros((9, 3)))
     assert coincident.apart == 0
     assert (coincident.nearness(points) == 1).all()
 
@@ -225,19 +225,24 @@ def test_most_splats_are_kept_near_the_users_cameras(tmp_path, blocks):
 
 def test_far_copies_of_a_scene_hardly_change_its_pixel_sizes():
     means, alphas = ball(4000, 1.0), np.ones(4000)
-    without_copies = dilation(means, alphas, RenderMode.DEFAULT, 512).at(means)
+    without_copies = estimate_dilation(means, alphas, RenderMode.DEFAULT, 512).at(means)
     for copies in (2, 3):
         copied = np.concatenate([means + [1e6 * c, 0, 0] for c in range(copies)])
-        found = dilation(copied, np.tile(alphas, copies), RenderMode.DEFAULT, 512).at(means)
+        found = estimate_dilation(copied, np.tile(alphas, copies), RenderMode.DEFAULT, 512).at(
+            means
+        )
         assert (found / without_copies).max() < 2
 
 
 def test_surroundings_are_weighted_by_alpha_unless_all_alphas_are_zero():
     means = np.array([[0.0, 0, 0]] * 50 + [[1.0, 0, 0]] * 50)
-    one_side = dilation(means, np.r_[np.zeros(50), np.ones(50)], RenderMode.DEFAULT, 512)
+    one_side = estimate_dilation(means, np.r_[np.zeros(50), np.ones(50)], RenderMode.DEFAULT, 512)
     assert one_side.radii.tolist() == [1.0] * 25 + [0.0] * 25
-    assert dilation(means, np.zeros(100), RenderMode.DEFAULT, 512).radii.tolist() == [0.0] * 50
-    assert dilation(means[:1], np.ones(1), RenderMode.DEFAULT, 512).at(means[:1])[0] == 0
+    assert (
+        estimate_dilation(means, np.zeros(100), RenderMode.DEFAULT, 512).radii.tolist()
+        == [0.0] * 50
+    )
+    assert estimate_dilation(means[:1], np.ones(1), RenderMode.DEFAULT, 512).at(means[:1])[0] == 0
 
 
 # Light
@@ -418,7 +423,7 @@ def test_needles_keep_their_mean_brightness_over_a_range_of_distances(pixels, ri
     factor of two, and the sum is right. Summed over eight hedges, because single ones vary."""
     before, after = np.zeros((2, 2))
     for splats in map(hedge, range(8)):
-        pixel_sizes = dilation(
+        pixel_sizes = estimate_dilation(
             splats.means.astype(float), splats.opacities(), RenderMode.DEFAULT, 512
         )
         focal = 4.0 * np.sqrt(0.3) / np.median(pixel_sizes.at(splats.means.astype(float)))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from nanogs.errors import OutputError
-from nanogs.method.extent import dilation
+from nanogs.method.extent import estimate_dilation
 from nanogs.method.gaussians import scene_origin
 from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.options.presets import PRESETS
@@ -85,10 +85,10 @@ def test_outliers_do_not_change_pixel_sizes_or_the_scene_origin(distance):
     splats = random_splats(2000)
     means, alphas = splats.means.astype(np.float64), splats.opacities()
     inner = means[9:].copy()
-    without_outliers = dilation(means, alphas, RenderMode.DEFAULT, 512).at(inner)
+    without_outliers = estimate_dilation(means, alphas, RenderMode.DEFAULT, 512).at(inner)
     means[:5, 0] = distance
     means[5:9] = -distance
-    with_outliers = dilation(means, alphas, RenderMode.DEFAULT, 512).at(inner)
+    with_outliers = estimate_dilation(means, alphas, RenderMode.DEFAULT, 512).at(inner)
     assert with_outliers == pytest.approx(without_outliers, rel=0.05)
     assert np.abs(scene_origin(means)).max() < 0.2
 

@@ -223,7 +223,7 @@ def test_every_row_is_in_one_block_of_bounded_size(tmp_path_factory, counts, blo
     job, records, all_codes = settings(block, counts), [], []
     for number, count in enumerate(counts):
         codes = np.sort(rng.integers(0, spread, count).astype(np.uint64))
-        columns = {CODES: codes, DIGEST: codes[:: job.every]}
+        columns = {CODES: codes, DIGEST: codes[:: job.rows_per_code]}
         records.append(write_table(scratch, f"s{number}", columns, {"splats": count}))
         all_codes.append(codes)
     if not sum(counts):
@@ -240,7 +240,7 @@ def test_every_row_is_in_one_block_of_bounded_size(tmp_path_factory, counts, blo
     for number in range(found.blocks):
         pieces = found.pieces(number)
         inside = np.concatenate([c[p] for c, p in zip(all_codes, pieces, strict=True)])
-        assert 0 < len(inside) <= block + 2 * job.every * len(counts)
+        assert 0 < len(inside) <= block + 2 * job.rows_per_code * len(counts)
         assert int(inside.min()) > last
         last = int(inside.max())
 
@@ -263,7 +263,7 @@ def test_settings_survive_json():
     before = json.loads(json.dumps(job.to_dict()))
     assert differences(before, job) == []
     assert differences(before | {"counts": [8], "asked": None}, job) == ["counts", "asked"]
-    assert (job.splats, job.read) == (40, 70)
+    assert (job.splats, job.read_count) == (40, 70)
 
 
 def test_differences_are_named_by_the_options_of_the_user():

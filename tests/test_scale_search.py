@@ -9,7 +9,7 @@ from builders import random_splats
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
 from nanogs.pipeline.search.file_size import ENOUGH
 from nanogs.pipeline.search.in_blocks import TRIED
-from nanogs.pipeline.search.job_results import COUNT, MARKED, JobResults
+from nanogs.pipeline.search.job_results import COUNT, MEASURED, JobResults
 from nanogs.pipeline.search.psnr import SPAN
 from nanogs.report import StopReason
 from nanogs.scoring.file_judge import file_judge
@@ -135,17 +135,17 @@ class Killed(BaseException):
     """A simulated end of the process, which leaves its files as they are."""
 
 
-def kill_after(monkeypatch, marks):
-    """Make a search end after `marks` results were marked, before the next one is kept."""
-    marked, left = JobResults.marked, [marks]
+def kill_after(monkeypatch, measured):
+    """Make a search end after `measured` results were measured, before the next one is kept."""
+    make_and_measure, left = JobResults.make_and_measure, [measured]
 
-    def mark_or_kill(results, *given):
+    def measure_or_kill(results, *given):
         if left[0] == 0:
             raise Killed
         left[0] -= 1
-        return marked(results, *given)
+        return make_and_measure(results, *given)
 
-    monkeypatch.setattr(JobResults, "marked", mark_or_kill)
+    monkeypatch.setattr(JobResults, "make_and_measure", measure_or_kill)
 
 
 def levels_in(job):
@@ -155,23 +155,27 @@ def levels_in(job):
 
 @pytest.mark.parametrize("wish", [{"psnr": 26.0}, {"size": 40_000}], ids=str)
 def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, monkeypatch, wish):
-    marked, seen = JobResults.marked, []
+    make_and_measure, seen = JobResults.make_and_measure, []
     with monkeypatch.context() as patch:
-        patch.setattr(JobResults, "marked", lambda *given: seen.append(1) or marked(*given))
+        patch.setattr(
+            JobResults,
+            "make_and_measure",
+            lambda *given: seen.append(1) or make_and_measure(*given),
+        )
         whole = nanogs.simplify_blocks(scene, tmp_path / "a.spz", **wish, **LOOKS)
     tried = len(seen)
     assert tried >= 2
     assert whole.packings
     out, job = tmp_path / "b.spz", tmp_path / "b.spz.job"
-    for marks in sorted({0, tried // 2, tried - 1}):
+    for measured in sorted({0, tried // 2, tried - 1}):
         with monkeypatch.context() as patch:
-            kill_after(patch, marks)
+            kill_after(patch, measured)
             with pytest.raises(Killed):
                 nanogs.simplify_blocks(scene, out, resume=True, **wish, **LOOKS)
-        assert len([*job.rglob(f"{MARKED}-*.json")]) == marks
+        assert len([*job.rglob(f"{MEASURED}-*.json")]) == measured
         assert len(levels_in(job)) <= 2
         assert not out.exists()
-    (job / "scratch" / f"{TRIED}.spz").touch()  # a kill while a result is marked may leave these
+    (job / "scratch" / f"{TRIED}.spz").touch()  # a kill while a result is measured may leave these
     (job / f"{TRIED}.spz").touch()
     resumed = nanogs.simplify_blocks(scene, out, resume=True, **wish, **LOOKS)
     assert out.read_bytes() == (tmp_path / "a.spz").read_bytes()
@@ -183,17 +187,17 @@ def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, mo
 
 def test_discarded_results_are_removed_from_a_remote_scratch(scene, tmp_path, monkeypatch):
     fsspec = pytest.importorskip("fsspec")
-    marked, seen = JobResults.marked, []
+    make_and_measure, seen = JobResults.make_and_measure, []
 
     def counted(results, *given):
-        found = marked(results, *given)
+        found = make_and_measure(results, *given)
         names = fsspec.filesystem("memory").find("/search")
         seen.append(
             {name.rpartition("/part-")[2].split("-")[0] for name in names if "/part-" in name}
         )
         return found
 
-    monkeypatch.setattr(JobResults, "marked", counted)
+    monkeypatch.setattr(JobResults, "make_and_measure", counted)
     given = {"scratch": "memory://search", **LOOKS}
     nanogs.simplify_blocks(scene, tmp_path / "a.spz", psnr=26.0, **given)
     assert len(seen) >= 3
@@ -246,7 +250,7 @@ def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
     monkeypatch.setattr("nanogs.pipeline.search.packer.guess_count", lambda *_: 123)
     with pytest.raises(OutputError, match=r"belongs to another search, which tried .* and not 123"):
         nanogs.simplify_blocks(scene, out, size=40_000, resume=True, **QUICK)
-    record = json.loads((job / "scratch" / f"{MARKED}-0-00000.json").read_bytes())
+    record = json.loads((job / "scratch" / f"{MEASURED}-0-00000.json").read_bytes())
     assert json.loads(record["record"])["facts"][COUNT] != 123
 
 

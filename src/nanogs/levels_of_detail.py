@@ -30,7 +30,7 @@ from nanogs.lod.usual import default_ratios
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.estimates.durations import levels_stages
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
-from nanogs.pipeline.files import cameras_of, fitted_for, stated_frame
+from nanogs.pipeline.files import cameras_of, limit_degree, options_with_frame
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import import_stages
 from nanogs.pipeline.levels import checked_ratios, judged_levels
@@ -201,7 +201,7 @@ def write_levels_of_files(
     """
     refuse_device(request.device, request.preset, request.parameters, request.goal)
     plan = plan_files(request)
-    options, unstated = stated_frame(request, _file(sink))
+    options, unstated = options_with_frame(request, _file(sink))
     if plan.divided:
         request.refuse_device_in_blocks()
         unstated = (*unstated, *device_notes(request.device, CPU))
@@ -220,7 +220,7 @@ def _written(
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make and write the levels of files by a plan; the work of `write_levels_of_files`."""
     if plan.divided:
-        request, left_out = fitted_for(request, plan.sh_degree, _file(sink))
+        request, left_out = limit_degree(request, plan.sh_degree, _file(sink))
         request, beside = sky.in_blocks(request)
         sink = _with(sink, beside)
         written, made = fill_in_blocks(request, sink, on_step)
@@ -256,7 +256,7 @@ def _whole(
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make and write the levels of a model in memory."""
     whole, filtered, notes = prepared
-    request, left_out = fitted_for(request, whole.sh_degree, _file(sink))
+    request, left_out = limit_degree(request, whole.sh_degree, _file(sink))
     splats, beside = sky.in_memory(request, whole)
     sink = _with(sink, beside)
     if beside is not None and not beside.own and is_measured(request):

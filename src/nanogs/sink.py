@@ -77,7 +77,7 @@ class Written(NamedTuple):
         return tuple(DrawCost.usual(*each) for each in self.costs or ())
 
     @property
-    def marks(self) -> Judged | None:
+    def scores(self) -> Judged | None:
         """PSNR and SSIM with the protocol of the measurement; None if not measured."""
         return None if self.judged is None else Judged.usual(*self.judged)
 

@@ -29,9 +29,8 @@ except ImportError:  # Windows: each process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
-SIMD_OR_PLAIN = (
-    "simd_or_plain"  # attribute of functions that `policy` compiles as vectors or plain code
-)
+# Attribute of functions that `policy` compiles as vectors or as plain code.
+SIMD_OR_PLAIN = "simd_or_plain"
 
 
 def cached(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba's own

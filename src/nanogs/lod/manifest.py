@@ -155,7 +155,7 @@ def describe_levels(
         parameters=first.parameters,
         levels=tuple(map(_entry, reports, written)),
         notes=tuple(dict.fromkeys(notes)),
-        protocol=next((each.marks.protocol for each in written if each.marks), None),
+        protocol=next((each.scores.protocol for each in written if each.scores), None),
         environment=EnvironmentFile(*beside) if beside else None,
     )
 

@@ -21,7 +21,7 @@ from nanogs._types import F64, I32, I64
 from nanogs.errors import OptionError
 from nanogs.io.in_order import in_order
 from nanogs.lod.links import Shapes, parents_of, shapes_of
-from nanogs.method.extent import Dilation, dilation
+from nanogs.method.extent import Dilation, estimate_dilation
 from nanogs.method.nodes import (
     LIGHTEST,
     Nodes,
@@ -37,9 +37,9 @@ from nanogs.splats import Splats, concatenate
 
 MOST_CHILDREN = (1 << 16) - 1
 _TOGETHER = 4  # number of splats merged into one above the coarsest level
-# Size in pixels of a splat's surroundings for `dilation`. Coarse splats are drawn far away: the
-# fewer pixels they are merged for, the rounder they become. With 128 to 256, and axes that may grow
-# by a factor of two, three scenes looked best.
+# Size in pixels of a splat's surroundings for `estimate_dilation`. Coarse splats are drawn far
+# away: the fewer pixels they are merged for, the rounder they become. With 128 to 256, and axes
+# that may grow by a factor of two, three scenes looked best.
 _PIXELS = 160
 _GROWTH = 2.0
 _SAMPLE = 1 << 16  # about the number of leaves from which `Units` are computed
@@ -267,7 +267,7 @@ def units_of(leaves: Source) -> Units:
     some = leaves.take(np.arange(0, leaves.count, leaves.count // _SAMPLE + 1))
     means = some.means.astype(np.float64)
     origin = means.mean(axis=0)
-    added = dilation(means - origin, some.opacities(), some.render_mode, _PIXELS)
+    added = estimate_dilation(means - origin, some.opacities(), some.render_mode, _PIXELS)
     thinnest = thinnest_axis(some.scales(), means, added.least)
     rows: I32 = np.arange(len(some), dtype=np.int32)
     nodes = activate_nodes(some, rows, origin, added, thinnest)

@@ -109,7 +109,7 @@ class Viewers:
         return found
 
 
-def viewers(places: F64, means: F64) -> Viewers:
+def viewers_at(places: F64, means: F64) -> Viewers:
     """Make viewers from the positions of cameras.
 
     Args:
@@ -121,7 +121,7 @@ def viewers(places: F64, means: F64) -> Viewers:
     return Viewers(np.ascontiguousarray(places), APART * float(np.quantile(nearest, 0.25)))
 
 
-def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilation:
+def estimate_dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilation:
     """Estimate the dilation by the rasteriser in a view of the model as a whole.
 
     In that view a splat's surroundings, the ball around it that holds a quarter of the alpha, are

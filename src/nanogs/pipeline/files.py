@@ -23,7 +23,7 @@ from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import NanPolicy, import_stages
-from nanogs.pipeline.options.cameras import chosen_cameras
+from nanogs.pipeline.options.cameras import cameras_asked_for
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, renders
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.reading import read_changed, reading_stages
@@ -177,10 +177,10 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
         NanogsError: The request cannot be carried out.
     """
     request.check()
-    options, notes = stated_frame(request, request.output)
+    options, notes = options_with_frame(request, request.output)
     request = replace(request, format_options=options)
     plan = plan_files(request)
-    request, left_out = fitted_for(request, plan.sh_degree, request.output)
+    request, left_out = limit_degree(request, plan.sh_degree, request.output)
     notes = (*notes, *left_out)
     if plan.divided:
         request.refuse_device_in_blocks()
@@ -189,7 +189,7 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
     return replace(report, notes=(*report.notes, *notes))
 
 
-def fitted_for(request: Request, degree: int, output: Path) -> tuple[Request, tuple[str, ...]]:
+def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, tuple[str, ...]]:
     """Lower the degree of the result's harmonics to the highest that the format can store.
 
     The result is then fitted at this degree, which makes up for the harmonics left out.
@@ -209,7 +209,9 @@ def fitted_for(request: Request, degree: int, output: Path) -> tuple[Request, tu
     return replace(request, sh_degree=most), (degree_left_out(known.suffix, most),)
 
 
-def stated_frame(request: Request, output: Path) -> tuple["FormatOptions | None", tuple[str, ...]]:
+def options_with_frame(
+    request: Request, output: Path
+) -> tuple["FormatOptions | None", tuple[str, ...]]:
     """Return format options and notes to store the frame that the inputs state.
 
     See `keep_stated_frame`.
@@ -319,7 +321,7 @@ def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -
 
 def cameras_of(request: Request, splats: Splats) -> "Sequence[Camera] | None":
     """Return the cameras asked for; None if the preset chooses its own or does not render."""
-    return chosen_cameras(splats, request.cameras, request.up, request.parameters)
+    return cameras_asked_for(splats, request.cameras, request.up, request.parameters)
 
 
 def _stages(request: Request, plan: Plan) -> list[Stage]:

@@ -16,15 +16,12 @@ from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.estimates.block_plan import (
-    ScalePlan,
-    plan_blocks,
-)
+from nanogs.pipeline.estimates.block_plan import ScalePlan, plan_blocks
 from nanogs.pipeline.job.folder import read_manifest
 from nanogs.pipeline.job.rows import (
     SPAN,
     count_filtered,
-    look_at,
+    describe_inputs,
     open_parts,
     opened,
     refuse_large_whole,
@@ -95,15 +92,15 @@ def fill_in_blocks(
         search = Search(request.output, request.format_options, folder, max_memory).find
     measured = bool(request.measured) and request.goal.psnr is None
     costed = bool(request.measured) and request.goal.draw_cost is None
-    ending = ResultWriter(sink, reports, measured, max_memory, costed)
-    job = BlockJob(settings, folder, request.scratch, ending, search)
-    where = Execution(request.threads, request.executor, request.patience)
+    writer = ResultWriter(sink, reports, measured, max_memory, costed)
+    job = BlockJob(settings, folder, request.scratch, writer, search)
+    execution = Execution(request.threads, request.executor, request.patience)
     try:
-        made = job.run(where, clock, on_step, resume=request.resume)
+        done, written = job.run(execution, clock, on_step, resume=request.resume)
     except CrowdedError as error:
         limit = "block" if request.block else "max_memory"
         raise CrowdedError(f"{error}; raise `{limit}`.") from None
-    return made[1], reports(*made)
+    return written, reports(done, written)
 
 
 def block_memory(
@@ -166,8 +163,8 @@ def plan_job(
     chosen = block_parameters(request.preset, request.overrides)
     changes, goals = request.changes, request.goals
     changes.check()
-    inputs, layout = look_at(request.inputs, changes)
-    sought = sought_by(request, layout, sum(each.splats for each in inputs))
+    inputs, layout = describe_inputs(request.inputs, changes)
+    sought = search_target(request, layout, sum(each.splats for each in inputs))
     seen = sought is not None and (sought.is_measured or renders(chosen))
     if request.measured or seen:
         with Joined(open_parts(request.inputs, request.render_mode)) as source:
@@ -226,7 +223,7 @@ def _refuse_small(request: "Request", settings: Settings) -> None:
             request.refuse_small(some)
 
 
-def sought_by(request: "Request", layout: Layout, splats: int) -> SearchTarget | None:
+def search_target(request: "Request", layout: Layout, splats: int) -> SearchTarget | None:
     """Return the target of the search for a count; None if the count is known beforehand.
 
     Args:

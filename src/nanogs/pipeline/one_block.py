@@ -15,7 +15,7 @@ from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target, as_target, make_target
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method.cut import cut
-from nanogs.method.extent import Dilation, Viewers, dilation
+from nanogs.method.extent import Dilation, Viewers, estimate_dilation
 from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.gaussians import scene_origin
 from nanogs.method.nodes import Nodes, activate_nodes, normalised, prominence, without_coverages
@@ -167,11 +167,11 @@ class OneBlock(Scene):
 
         parallel.for_each(slices(len(usable), SLICE_STEPS), convert)
         pixels = self.settings.parameters.pixels
-        added = dilation(means, opacities, splats.render_mode, pixels)
-        standing: Dilation | Viewers = added
+        dilation = estimate_dilation(means, opacities, splats.render_mode, pixels)
+        viewers: Dilation | Viewers = dilation
         if self.cameras and not isinstance(self.cameras, FoundCameras):
-            standing = viewers_of(self.cameras, origin, means)
-        self._survey = _Placed(self.usable[morton_order(means)], origin, added, standing)
+            viewers = viewers_of(self.cameras, origin, means)
+        self._survey = _Placed(self.usable[morton_order(means)], origin, dilation, viewers)
         return self.write(name, {}, {})
 
     def sample(self) -> Splats:
@@ -260,10 +260,10 @@ class OneBlock(Scene):
         return self.write(name, {}, {"seconds": seconds})
 
     def _activated(self, coverages: F64 | None = None) -> Nodes:
-        rows, origin, added, viewers = self._placed
-        nodes = activate_nodes(self.splats, rows, origin, added, coverages=coverages)
+        rows, origin, dilation, viewers = self._placed
+        nodes = activate_nodes(self.splats, rows, origin, dilation, coverages=coverages)
         visible = self.visible if self.measures else None
-        if viewers is added and visible is None:
+        if viewers is dilation and visible is None:
             return nodes
         weights = prominence(nodes.coverages, nodes.means, viewers)
         if visible is not None:
@@ -307,10 +307,10 @@ class OneBlock(Scene):
             if labels is members.labels:
                 return groups
         assert self._leaves is not None  # noqa: S101 - an earlier stage
-        origin, added = self._placed.origin, self._placed.dilation
+        origin, dilation = self._placed.origin, self._placed.dilation
         del self._stored[:-1]
         groups = store_groups(
-            self._leaves, members.labels, self.splats, origin, added,
+            self._leaves, members.labels, self.splats, origin, dilation,
             growth=None if self.measures else self.settings.parameters.growth,
         )  # fmt: skip
         self._stored.append((members.labels, groups))

@@ -218,7 +218,7 @@ class Scene(ABC):
 
     @abstractmethod
     def open(self, block: int) -> Block:
-        """The splats of a block."""
+        """Return the splats of a block, and their visibility if it is known."""
 
     @abstractmethod
     def cut(self, block: int, level: int, balance: int) -> I32:

@@ -43,10 +43,10 @@ from nanogs.pipeline.tasks.parts import read_part
 from nanogs.pipeline.tasks.settle import (
     GONE,
     GROUP,
+    block_with_halo,
     read_cover,
     settled,
     settled_cover,
-    view_of,
     write_settled,
 )
 from nanogs.pipeline.tasks.units import Units, survey, units_of
@@ -338,11 +338,11 @@ class Work(Scene):
         splats = splats_of(columns, settings.layout)
         weighing = self.weighing(columns.get(VISIBLE))
         leaves = leaves_of(splats, morton_rows(columns[CODES]), self.units, weighing)
-        view = view_of(leaves, labels, own, self.groups(block, level), halo)
-        found = settled(view, settings.parameters.rounds, self.threads)
+        area = block_with_halo(leaves, labels, own, self.groups(block, level), halo)
+        found = settled(area, settings.parameters.rounds, self.threads)
         # If results are measured, growth does not depend on covers.
-        cover = None if self.measures else settled_cover(view, found.labels, self.units.dilation())
-        return write_settled(self.scratch, name, found, view, columns, cover)
+        cover = None if self.measures else settled_cover(area, found.labels, self.units.dilation())
+        return write_settled(self.scratch, name, found, area, columns, cover)
 
     @property
     def deciding(self) -> Sequence[Camera]:

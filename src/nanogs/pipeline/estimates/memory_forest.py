@@ -103,9 +103,9 @@ def graph_bytes(k: int) -> float:
 def match_bytes(k: int) -> float:
     """Return the bytes per splat of matching.
 
-    Pairs with costs and flags, and for each row its cheapest pair and the one it was joined in.
-
-    The steps after it, with batches of keys and the matched pairs sorted, take no more.
+    These are the pairs with their costs, and for each row a flag, its cheapest pair and the one it
+    was joined in. The steps after that, with sorted batches of keys and the matched pairs, take no
+    more.
     """
     return pairs_of(k) * (2 * _I4 + _F4) + 1 + 2 * _I8
 

@@ -56,7 +56,7 @@ def locked(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise output_error(folder, error) from error
     with file:
-        _take(file, folder)
+        _lock(file, folder)
         with cleaned_up(partial(_remove_unless_begun, folder)):
             yield
 
@@ -85,7 +85,7 @@ def _refuse_foreign(folder: Path) -> None:
         )
 
 
-def _take(file: BinaryIO, folder: Path) -> None:
+def _lock(file: BinaryIO, folder: Path) -> None:
     try:
         if os.name == "nt":
             import msvcrt

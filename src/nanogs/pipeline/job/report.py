@@ -46,11 +46,11 @@ def report_of(
     count = written.splats
     stop = StopReason.TARGET if count == target else StopReason.NO_PROGRESS
     cost, original = written.drawn or (None, None)
-    drawn = {"cost": cost, "original_cost": original}
     entries = {
         "stop": stop,
-        "judged": written.marks,
-        **drawn,
+        "judged": written.scores,
+        "cost": cost,
+        "original_cost": original,
         **entries_of(work, level),
         **done.entries,
     }
@@ -82,7 +82,7 @@ def report_of(
             handed=sum(count_of(record) for record in settled),
             resumed=done.kept,
         ),
-        read_count=settings.read,
+        read_count=settings.read_count,
         filters=_filter_reports(settings),
     )
 
@@ -92,7 +92,7 @@ def _filter_reports(settings: Settings) -> tuple[FilterReport, ...]:
     if settings.filters is None:
         return ()
     filters = [filter_of(*plain) for plain in settings.filters.plain]
-    counts = pairwise((settings.read, *settings.filters.left))
+    counts = pairwise((settings.read_count, *settings.filters.left))
     return tuple(
         FilterReport(each.name, each.argument, before - left, left)
         for each, (before, left) in zip(filters, counts, strict=True)

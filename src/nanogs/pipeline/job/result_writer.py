@@ -26,7 +26,7 @@ from nanogs.sink import Sink, Written
 from nanogs.source import InMemory, Joined, Source, Turned
 from nanogs.store.scratch import hash_file
 
-Tell = Callable[[Done, Sequence[Written]], list[SimplifyReport]]
+MakeReports = Callable[[Done, Sequence[Written]], list[SimplifyReport]]
 """Makes a report for each result that was written."""
 
 
@@ -43,7 +43,7 @@ class ResultWriter:
     """
 
     sink: Sink
-    reports: Tell
+    reports: MakeReports
     measured: bool = False
     max_memory: int | None = None
     costed: bool = False
@@ -92,9 +92,8 @@ class ResultWriter:
             on_progress: PartProgress = progress.part
             if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
                 filling.add_trees(trees_of(work), levels, even_sample(work), on_progress)
-                on_progress = (
-                    ignore_progress  # `finish` writes everything, and reports the progress itself
-                )
+                # `finish` writes everything, and reports the progress itself.
+                on_progress = ignore_progress
             for number, level in enumerate(done.levels):
                 if not isinstance(self.sink.chunks, Chunked):
                     on_progress(number, len(done.levels))

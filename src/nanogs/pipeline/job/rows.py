@@ -68,7 +68,7 @@ def check_nan(nan: str) -> None:
         raise OptionError(f"`nan` must be 'drop' or 'error', not {nan!r}.")
 
 
-def look_at(
+def describe_inputs(
     paths: Sequence[Path], changes: Changes = NOTHING
 ) -> tuple[tuple[InputFile, ...], Layout]:
     """Describe the input files, and the columns of their splats; no row is read.
@@ -179,14 +179,14 @@ def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None
     if finite.all():
         return splats
     if settings.nan == "error":
-        where = _place(settings, segment.start + int(np.argmin(finite)))
+        where = _row_name(settings, segment.start + int(np.argmin(finite)))
         raise ModelError(
             f'{where} holds a NaN or an infinite value; leave such splats out with `nan="drop"`.'
         )
     return splats.take(finite)
 
 
-def _place(settings: Settings, row: int) -> str:
+def _row_name(settings: Settings, row: int) -> str:
     """Name a row of the model, to begin a sentence."""
     if settings.filters is not None:
         return f"Row {row} of those that filters leave"

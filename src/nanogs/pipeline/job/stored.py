@@ -83,23 +83,23 @@ class BlockJob:
         settings: Everything that decides the results.
         folder: Of the job.
         scratch: Folder or URL of the intermediate files, or None for one in the job folder.
-        ending: Makes the results from the tasks' files.
+        writer: Makes the results from the tasks' files.
         search: Finds the result, if its count is not known beforehand.
     """
 
     settings: Settings
     folder: Path
     scratch: str | None
-    ending: ResultWriter
+    writer: ResultWriter
     search: Search | None = None
 
     def run(
-        self, where: Execution, clock: StageClock, on_step: Progress | None, *, resume: bool
+        self, execution: Execution, clock: StageClock, on_step: Progress | None, *, resume: bool
     ) -> tuple[Done, list[Written]]:
         """Do what is left of the job.
 
         Args:
-            where: The workers that do its tasks.
+            execution: The workers that do its tasks.
             clock: Gets the seconds of each stage.
             on_step: Called with each step; its stage is "wait" while a cluster has no worker.
             resume: Whether a job that was begun is continued.
@@ -111,14 +111,14 @@ class BlockJob:
             NanogsError: The job is another one, cannot be done, or is in use.
         """
         stages = job_stages(self.settings)
-        if self.ending.measured:
+        if self.writer.measured:
             stages.append(measure_stage(self.settings.splats))
         progress = Tracker(on_step, stages)
         with locked(self.folder), _resume_hint(self.folder):
             place = self._found(resume=resume)
             resumed = place is not None
-            runner = where.runner(progress)
-            with use_threads(where.threads) as threads:
+            runner = execution.runner(progress)
+            with use_threads(execution.threads) as threads:
                 scratch = open_scratch(place or self._new_place())
                 scratch.prepare()
                 if resumed:
@@ -135,7 +135,7 @@ class BlockJob:
                     raise
                 progress.begin("write")
                 with clock.time("write"):
-                    written = self.ending.finish(done, self.folder, progress)
+                    written = self.writer.finish(done, self.folder, progress)
             self._remove(scratch)
         progress.finish()
         return done, written
@@ -149,7 +149,7 @@ class BlockJob:
         """
         found = read_manifest(self.folder)
         if found is None:
-            self.ending.check(self.folder, resume=resume)
+            self.writer.check(self.folder, resume=resume)
             return None
         if not resume:
             raise OutputError(
@@ -164,7 +164,7 @@ class BlockJob:
                 f"{self.folder} holds another job (what differs: {what}); resume it with the same"
                 " inputs and options, or remove the folder."
             )
-        self.ending.check_begun(self.folder)
+        self.writer.check_begun(self.folder)
         return place
 
     def _scratch_parent(self) -> str:

@@ -37,7 +37,7 @@ def fit_cameras(
     return cameras_for(splats, source, count=count, width=size, height=size, up=up, split="fit")
 
 
-def chosen_cameras(
+def cameras_asked_for(
     splats: "Splats",
     given: "Cameras | None",
     up: Sequence[float] | None,

@@ -181,7 +181,7 @@ class Settings:
     @property
     def splats(self) -> int:
         """Rows that filters leave of all inputs."""
-        return self.filters.left[-1] if self.filters else self.read
+        return self.filters.left[-1] if self.filters else self.read_count
 
     @property
     def result_layout(self) -> Layout:
@@ -203,12 +203,12 @@ class Settings:
         return self.sharing.entries(count, whole)
 
     @property
-    def read(self) -> int:
+    def read_count(self) -> int:
         """Rows of all inputs."""
         return sum(file.splats for file in self.inputs)
 
     @property
-    def every(self) -> int:
+    def rows_per_code(self) -> int:
         """Number of rows of a sorted segment for each code of its digest.
 
         A block's count can be off by two of these for every segment: a sixteenth of a block at

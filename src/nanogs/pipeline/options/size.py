@@ -30,7 +30,7 @@ class Files(Protocol[R_contra]):
     def shows(self) -> bool:
         """Whether the views to choose by show the original, so that files can be compared."""
 
-    def seen(self, result: R_contra, sh_degree: int, options: Options) -> PackingReport:
+    def measure(self, result: R_contra, sh_degree: int, options: Options) -> PackingReport:
         """Write a result to a file; measure its bytes, and its quality on the views to choose by.
 
         Args:

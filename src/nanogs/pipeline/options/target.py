@@ -25,7 +25,7 @@ class Goal:
         draw_cost: Most that it may take to draw, as a share of the original's splats a pixel.
 
     Raises:
-        OptionError: Not exactly one is given, or it is out of any range.
+        OptionError: Not exactly one is given, or it is out of its range.
     """
 
     ratio: float | None = None

@@ -155,8 +155,8 @@ def search_draw_cost(
     """
     available = results.available
 
-    def attempts(some: Results[T], mark: Callable[[T], float]) -> Attempts[T, float]:
-        return Attempts(some, mark, lambda share: share <= asked, _measuring, COUNTS, progress)
+    def attempts(some: Results[T], measure: Callable[[T], float]) -> Attempts[T, float]:
+        return Attempts(some, measure, lambda share: share <= asked, _measuring, COUNTS, progress)
 
     progress.begin("search")
     if asked >= 1:

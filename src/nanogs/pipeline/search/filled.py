@@ -66,10 +66,10 @@ def _smallest(packer: Packer[T]) -> Packing:
         packer.progress.begin("guess")
         if packer.guess(packing) > FEW * fewest:
             return packing
-        chosen = packer.made(packing)
+        chosen = packer.results_for(packing)
         part = packer.progress.within(0, 1, chosen.stages(fewest))
         size = partial(packer.files.bytes_of, options=packing.options(fewest))
-        _, needed = chosen.marked(fewest, size, part)
+        _, needed = chosen.make_and_measure(fewest, size, part)
     if needed > request.size:
         raise too_small(request.size, fewest, needed)
     return packing
@@ -81,13 +81,9 @@ def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
     Raises:
         TooSmallError: Not even the fewest splats fit in this packing.
     """
-    request, files, progress, packing = (
-        packer.request,
-        packer.files,
-        packer.progress,
-        packed.packing,
-    )
-    chosen = packer.made(packing)
+    request, files, progress = packer.request, packer.files, packer.progress
+    packing = packed.packing
+    chosen = packer.results_for(packing)
     if (known := request.known.file_bytes) is not None:
         like = packer.sample.with_sh_degree(packing.sh_degree)
         count = count_for_size(chosen.available, request.size, lambda n: known(like, n))

@@ -58,8 +58,8 @@ class HeldFiles:
         with self.clock.time("measure"):
             return bool(self.views.kinds)
 
-    def seen(self, result: Outcome, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
-        """Encode a result and measure its bytes and quality; see `Files.seen`."""
+    def measure(self, result: Outcome, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
+        """Encode a result and measure its bytes and quality; see `Files.measure`."""
         with self.clock.time("encode"):
             bare = self._turned(result.splats.with_sh_degree(sh_degree))
             options = {**options, **derived_options(bare, self.path, {**self.given, **options})}

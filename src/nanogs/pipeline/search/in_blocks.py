@@ -227,8 +227,8 @@ class _Files:
         with self.clock.time("measure"):
             return bool(self.views.kinds)
 
-    def seen(self, result: Result, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
-        """Write a result to a file and measure it; see `Files.seen`."""
+    def measure(self, result: Result, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
+        """Write a result to a file and measure it; see `Files.measure`."""
         with self.clock.time("encode"), result_of(result.work, result.level) as source:
             bare = Reduced(source, sh_degree)
             options = {**options, **self._settled(bare, options)}

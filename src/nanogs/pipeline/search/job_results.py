@@ -13,7 +13,7 @@ from nanogs.pipeline.stages import level_stages
 from nanogs.pipeline.work import Work
 from nanogs.progress import Stage, Tracker
 
-MARKED, COUNT, MARK = "marked", "count", "mark"
+MEASURED, COUNT, VALUE = "marked", "count", "mark"  # names in the job's tables
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,8 +100,8 @@ class JobResults:
         self._do(result, progress)
         return result
 
-    def marked(
-        self, count: int, mark: Callable[[Result], M], progress: Tracker
+    def make_and_measure(
+        self, count: int, measure: Callable[[Result], M], progress: Tracker
     ) -> tuple[Result, M]:
         """Make and measure the result of a count, or reuse its stored measurement.
 
@@ -109,7 +109,7 @@ class JobResults:
             OutputError: The stored measurement is of another count: of another search.
         """
         result = self._next(count)
-        work, task = result.work, Task(MARKED, 0, result.level)
+        work, task = result.work, Task(MEASURED, 0, result.level)
         if self.run.resumed and is_done(work, task):
             facts = work.record(task).facts
             if facts[COUNT] != count:
@@ -118,10 +118,10 @@ class JobResults:
                     f" {facts[COUNT]:,} splats and not {count:,}; remove the job's folder."
                 )
             self.tried.made.append(result)
-            return result, facts[MARK]
+            return result, facts[VALUE]
         self._do(result, progress)
-        found = mark(result)
-        work.write(task.name, {}, {COUNT: count, MARK: found})
+        found = measure(result)
+        work.write(task.name, {}, {COUNT: count, VALUE: found})
         return result, found
 
     def keep(self, result: Result) -> None:

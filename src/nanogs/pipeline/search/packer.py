@@ -127,11 +127,11 @@ class Packer(Generic[T]):
             some, available, self.request.size, encode, self.request.known.overhead_bytes()
         )
 
-    def made(self, packing: Packing) -> Results[T]:
+    def results_for(self, packing: Packing) -> Results[T]:
         """Return a maker of results that suit a packing."""
         return self.results.packed(packing.sh_degree, self.request.sharing(packing))
 
-    def within(self, count: int) -> int:
+    def deliverable(self, count: int) -> int:
         """Return the deliverable count nearest to a count."""
         return min(max(count, self.results.fewest), self.results.available)
 
@@ -144,32 +144,36 @@ class Packer(Generic[T]):
         count = self.guess(choices.first)
 
         def shown(share: float) -> PackingReport:
-            some = self.within(round(share * count))
+            some = self.deliverable(round(share * count))
             part = self.progress.within(0, PACKINGS, plain.stages(some))
-            _, found = plain.marked(some, lambda one: asdict(self._seen(one, packing)), part)
+            _, found = plain.make_and_measure(
+                some, lambda one: asdict(self._measure(one, packing)), part
+            )
             return PackingReport(**found)
 
         return slope_of(choices, *map(shown, CUTS))
 
-    def _attempt(self, packing: Packing, count: int, look: MeasureFiles) -> list[PackingReport]:
+    def _attempt(
+        self, packing: Packing, count: int, measure_files: MeasureFiles
+    ) -> list[PackingReport]:
         """Make a result of `count` splats and measure files of it; see `packing.MakeAndMeasure`."""
-        count = self.within(count)
-        some = self.made(packing)
+        count = self.deliverable(count)
+        some = self.results_for(packing)
         brief = some.brief()
         stages = [*brief.stages(count), Stage("encode", 1.0)]
         part = self.progress.within(self.tried, PACKINGS, stages)
         self.tried += 1
 
-        def mark(result: T) -> list[dict[str, Any]]:
+        def measure(result: T) -> list[dict[str, Any]]:
             part.begin("encode")
-            return [asdict(each) for each in look(partial(self._seen, result))]
+            return [asdict(each) for each in measure_files(partial(self._measure, result))]
 
-        _, found = brief.marked(count, mark, part)
+        _, found = brief.make_and_measure(count, measure, part)
         return [PackingReport(**each) for each in found]
 
-    def _seen(self, result: T, packing: Packing) -> PackingReport:
+    def _measure(self, result: T, packing: Packing) -> PackingReport:
         options = packing.options(self.files.count(result))
-        return self.files.seen(result, packing.sh_degree, options)
+        return self.files.measure(result, packing.sh_degree, options)
 
 
 @dataclass(eq=False)
@@ -202,19 +206,17 @@ class PackingForPsnr(Generic[T]):
             A maker of results that suit the packing, and a count whose file has about the same
             size.
         """
-        if (
-            self.request.known.file_bytes is not None
-        ):  # only the count decides it: nothing to choose
-            return self.results, count
+        if self.request.known.file_bytes is not None:
+            return self.results, count  # the count alone decides the size: nothing to choose
         self.progress.begin("guess")
         plain = self.results.plain(rounds=0)
-        within = self.progress.within(0, 1, plain.stages(count))
-        _, size = plain.marked(count, partial(self.files.bytes_of, options={}), within)
+        part = self.progress.within(0, 1, plain.stages(count))
+        _, size = plain.make_and_measure(count, partial(self.files.bytes_of, options={}), part)
         request = self.request._replace(size=size, by_psnr=True)
         packer = Packer(self.results, request, self.sample(), self.files, self.progress)
         packed = packer.pack()
         self.packed = packed if packed.packings else None
-        return packer.made(packed.packing), packed.count
+        return packer.results_for(packed.packing), packed.count
 
     def options(self, result: T) -> dict[str, Any]:
         """Return the format options that a result is packed with."""

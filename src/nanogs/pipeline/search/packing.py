@@ -245,7 +245,9 @@ class _Search:
         first = self.choices.first
         saved = SAVED if self.choices.bits else 1.0
         count = min(max(int(saved * self.guess(first)), 1), self.available)
-        probes = self._tried(first, count, lambda seen: self._look(first, seen, lower=True))
+        probes = self._tried(
+            first, count, lambda measure: self._measure_files(first, measure, lower=True)
+        )
         best = self._keep(first, [probe for probe in probes if self._is_packed(probe, first)])
         found = self._best_file(first)
         others = [probe for probe in probes if self._promises(probe, found)]
@@ -329,8 +331,8 @@ class _Search:
         return self._worth(self._best_file(packing))
 
     def _make(self, packing: Packing, count: int, *, near: bool = False) -> Packing:
-        look = partial(self._look, packing, near=near)
-        return self._keep(packing, self._tried(packing, count, look))
+        measure_files = partial(self._measure_files, packing, near=near)
+        return self._keep(packing, self._tried(packing, count, measure_files))
 
     def _is_far(self, found: PackingReport, near: float = NEAR) -> bool:
         """Whether a file's size is too far off to show how good one of the right size is."""
@@ -357,8 +359,8 @@ class _Search:
         names = self.choices.bits
         return tuple((name, probe.options[name]) for name in names)
 
-    def _look(
-        self, packing: Packing, seen: MeasureFile, *, lower: bool = False, near: bool = False
+    def _measure_files(
+        self, packing: Packing, measure: MeasureFile, *, lower: bool = False, near: bool = False
     ) -> list[PackingReport]:
         """Measure files of a result; of the first one also with other bits, palette and degrees.
 
@@ -367,14 +369,14 @@ class _Search:
 
         Args:
             packing: How the result is packed.
-            seen: Packs the result and measures the file.
+            measure: Packs the result and measures the file.
             lower: Whether it is the first result.
             near: Whether other bits are tried only if the file is near the size, since otherwise
                 another result is made, and not far behind the best.
         """
         chosen = dict(packing.bits)
         larger = packing.share is not None and packing.share < FIRST_SHARE
-        best = seen(packing)
+        best = measure(packing)
         probes = [best]
         if near and (self._is_far(best) or self._worth(best) < self._most - FINE):
             return probes
@@ -384,7 +386,7 @@ class _Search:
                 for value in way:
                     changed = chosen | {name: value}
                     probes.append(
-                        seen(replace(packing, bits=tuple(changed.items()), derived_options=()))
+                        measure(replace(packing, bits=tuple(changed.items()), derived_options=()))
                     )
                     if self._worth(probes[-1]) <= self._worth(best):
                         break
@@ -393,9 +395,9 @@ class _Search:
                     break
         packing = replace(packing, bits=tuple(chosen.items()))
         if lower and packing.sharing:
-            probes.append(seen(replace(packing, share=SMALLER[0])))
+            probes.append(measure(replace(packing, share=SMALLER[0])))
         for degree in reversed(self.choices.degrees[:-1]) if lower else ():
-            probes.append(seen(replace(packing, sh_degree=degree)))
+            probes.append(measure(replace(packing, sh_degree=degree)))
             if not self._promises(probes[-1], best):
                 break
         return probes
@@ -417,15 +419,17 @@ class _Search:
         # More splats would fill the room that is left, unless these are all.
         return over if found.count < self.available else max(over, 0)
 
-    def _tried(self, packing: Packing, count: int, look: MeasureFiles) -> list[PackingReport]:
-        probes = self.attempt(packing, count, look)
+    def _tried(
+        self, packing: Packing, count: int, measure_files: MeasureFiles
+    ) -> list[PackingReport]:
+        probes = self.attempt(packing, count, measure_files)
         self.probes += probes
         return probes
 
     def _alone(self, packing: Packing, count: int) -> list[PackingReport]:
         """Make a result of another count for a packing that was tried, and measure one file."""
         packing = self.again(packing)
-        return self._tried(packing, count, lambda seen: [seen(packing)])
+        return self._tried(packing, count, lambda measure: [measure(packing)])
 
     def _expected(self, packing: Packing) -> int:
         """Estimate the count that fills the size, from those for the model's own splats."""

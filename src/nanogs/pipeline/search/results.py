@@ -58,12 +58,14 @@ class Results(Protocol[T]):
     def make(self, count: int, progress: Tracker) -> T:
         """Make the result of a count."""
 
-    def marked(self, count: int, mark: Callable[[T], M], progress: Tracker) -> tuple[T, M]:
+    def make_and_measure(
+        self, count: int, measure: Callable[[T], M], progress: Tracker
+    ) -> tuple[T, M]:
         """Make the result of a count, and measure it.
 
         Args:
             count: Number of splats.
-            mark: Measures the result. It must depend on the result alone and return values that
+            measure: Measures the result. It must depend on the result alone and return values that
                 JSON can hold, because a resumed run reads them from its files.
             progress: Notified of each stage.
         """
@@ -81,7 +83,7 @@ class Attempts(Generic[T, M]):
 
     Attributes:
         results: Makes results of the model.
-        mark: Measures a result.
+        measure: Measures a result.
         meets: Whether a result with this measurement meets what is asked.
         measuring: Returns the stage of measuring for a count.
         expected: Number of results that the search makes, about.
@@ -90,7 +92,7 @@ class Attempts(Generic[T, M]):
     """
 
     results: Results[T]
-    mark: Callable[[T], M]
+    measure: Callable[[T], M]
     meets: Callable[[M], bool]
     measuring: Callable[[int], Stage]
     expected: int
@@ -105,11 +107,11 @@ class Attempts(Generic[T, M]):
         part = self.progress.within(self._tried, self.expected, stages)
         self._tried += 1
 
-        def mark(result: T) -> M:
+        def measure(result: T) -> M:
             part.begin(measuring.name)
-            return self.mark(result)
+            return self.measure(result)
 
-        result, found = self.results.marked(count, mark, part)
+        result, found = self.results.make_and_measure(count, measure, part)
         if self.meets(found):
             self.results.keep(result)
             self.best = result
@@ -117,7 +119,7 @@ class Attempts(Generic[T, M]):
 
     def found(self) -> T:
         """Return the best result of a search that has ended with a count that it tried."""
-        assert self.best is not None, "the count that was found is one that meets the wish"  # noqa: S101
+        assert self.best is not None, "a count that was found meets the target"  # noqa: S101
         return self.best
 
 
@@ -170,12 +172,12 @@ class HeldResults:
         """Make the result of a count."""
         return deliver(self.scene, count, self.clock, progress)
 
-    def marked(
-        self, count: int, mark: Callable[[Outcome], M], progress: Tracker
+    def make_and_measure(
+        self, count: int, measure: Callable[[Outcome], M], progress: Tracker
     ) -> tuple[Outcome, M]:
-        """Make the result of a count, and measure it; see `Results.marked`."""
+        """Make the result of a count, and measure it; see `Results.make_and_measure`."""
         outcome = self.make(count, progress)
-        return outcome, mark(outcome)
+        return outcome, measure(outcome)
 
     def keep(self, result: Outcome) -> None:
         """Do nothing: the caller holds the result itself."""

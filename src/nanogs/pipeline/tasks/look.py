@@ -82,10 +82,8 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     del drawn
     visible, missed = visibility_of(looked, anywhere)
     # Values of the block alone: the rows after `count` belong to its surroundings.
-    own, missed_light = (
-        replace(own, visible=visible[:count]),
-        missed_light_of(looked, anywhere, count),
-    )
+    own = replace(own, visible=visible[:count])
+    missed_light = missed_light_of(looked, anywhere, count)
     record = scene.keep_look(name, own, missed[:count], lights, missed_light)
     if scene.measures:
         _refuse_small(scene.deciding)

@@ -33,20 +33,20 @@ class Partition:
 
     @property
     def blocks(self) -> int:
-        """The number of blocks."""
+        """Number of blocks."""
         return len(self.bounds[0]) - 1
 
     def pieces(self, block: int) -> list[slice]:
-        """The rows of a block in each segment."""
+        """Return the rows of a block in each segment."""
         return [slice(each[block], each[block + 1]) for each in self.bounds]
 
     def count(self, block: int) -> int:
-        """Splats of a block."""
+        """Return the number of splats of a block."""
         return sum(piece.stop - piece.start for piece in self.pieces(block))
 
     @property
     def splats(self) -> int:
-        """Splats of all blocks."""
+        """Number of splats of all blocks."""
         return sum(each[-1] for each in self.bounds)
 
     def to_dict(self) -> dict[str, Any]:
@@ -75,9 +75,10 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
     splats = sum(int(record.facts["splats"]) for record in segments)
     if splats == 0:
         raise ModelError(NONE_USABLE)
-    slack = 2 * settings.every * len(segments)  # a range may be off by half of it at either end
+    # A range may be off by half of it at either end.
+    slack = 2 * settings.rows_per_code * len(segments)
     room = max(settings.block - slack, 1)
-    splitters = _splitters(scratch, segments, settings.every, -(-splats // room))
+    splitters = _splitters(scratch, segments, settings.rows_per_code, -(-splats // room))
     bounds = []
     for record in segments:
         with Table(scratch, record) as table:
@@ -94,18 +95,20 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
 
 
 def len_of(record: Record) -> int:
-    """Rows of a segment."""
+    """Return the number of rows of a segment."""
     return record.columns[CODES].shape[0]
 
 
-def _splitters(scratch: Scratch, segments: Sequence[Record], every: int, blocks: int) -> U64:
+def _splitters(
+    scratch: Scratch, segments: Sequence[Record], rows_per_code: int, blocks: int
+) -> U64:
     """Return (blocks - 1,) Morton codes: the lowest that belongs to each block after the first."""
     codes, weights = [], []
     for record in segments:
         with Table(scratch, record) as table:
             codes.append(table.read(DIGEST))
-        full, rest = divmod(len_of(record), every)
-        weights.append(np.array([every] * full + [rest] * (rest > 0), np.int64))
+        full, rest = divmod(len_of(record), rows_per_code)
+        weights.append(np.array([rows_per_code] * full + [rest] * (rest > 0), np.int64))
     merged, heavy = np.concatenate(codes), np.concatenate(weights)
     order = np.argsort(merged, kind="stable")
     before = np.cumsum(heavy[order]) - heavy[order]

@@ -30,7 +30,7 @@ COVER = {name: f"cover_{name}" for name in ("means", "covariances", "alphas")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class BlockWithHalo:
     """A block and its halo: the block's splats and groups first, then those of the halo.
 
     Attributes:
@@ -49,12 +49,12 @@ class View:
 
 
 class Settled(NamedTuple):
-    """The result of reassigning the splats of a view.
+    """The result of reassigning the splats of a block and its halo.
 
     Attributes:
         after: (N,) int32, the group of each of the block's own rows, of which every group of the
             block keeps one.
-        labels: (V,) int32, the group of each leaf of the view, with `after` for the block's own.
+        labels: (V,) int32, the group of each leaf, with `after` for the block's own.
         rounds: Number of rounds in which splats moved.
     """
 
@@ -63,37 +63,37 @@ class Settled(NamedTuple):
     rounds: int
 
 
-def settled(view: View, rounds: int, threads: int) -> Settled:
+def settled(area: BlockWithHalo, rounds: int, threads: int) -> Settled:
     """Reassign, and find the group in which each of the block's splats ends.
 
     Args:
-        view: The block and its halo.
+        area: The block and its halo.
         rounds: Rounds of reassignment, at most.
         threads: Threads for the nearest-neighbour query.
     """
-    own = view.leaves.rows < view.own
-    rows = view.leaves.rows[own]
-    before, after = np.empty(view.own, np.int32), np.empty(view.own, np.int32)
-    weights = np.empty(view.own)
-    before[rows], weights[rows] = view.labels[own], view.leaves.weights[own]
-    total = view.groups + sum(len(each.groups) for each in view.halo)
-    moved, done = reassign(view.leaves, view.labels, total, rounds, threads)
+    own = area.leaves.rows < area.own
+    rows = area.leaves.rows[own]
+    before, after = np.empty(area.own, np.int32), np.empty(area.own, np.int32)
+    weights = np.empty(area.own)
+    before[rows], weights[rows] = area.labels[own], area.leaves.weights[own]
+    total = area.groups + sum(len(each.groups) for each in area.halo)
+    moved, done = reassign(area.leaves, area.labels, total, rounds, threads)
     after[rows] = moved[own]
-    keep_every_group(after, before, weights, view.groups)
+    keep_every_group(after, before, weights, area.groups)
     moved[own] = after[rows]
     return Settled(after, moved, done)
 
 
-def settled_cover(view: View, labels: I32, dilation: Dilation) -> Cover:
+def settled_cover(area: BlockWithHalo, labels: I32, dilation: Dilation) -> Cover:
     """Return a block's groups after reassignment, as covers of other blocks' groups.
 
     Args:
-        view: The block and its halo.
+        area: The block and its halo.
         labels: (V,) the group of each leaf.
         dilation: As `activate_nodes` takes it.
     """
-    own = labels < view.groups
-    return cover_of(without_features(view.leaves, own), labels[own], view.groups, dilation)
+    own = labels < area.groups
+    return cover_of(without_features(area.leaves, own), labels[own], area.groups, dilation)
 
 
 def read_cover(table: Table, groups: I64) -> Cover:
@@ -129,7 +129,7 @@ def write_settled(
     scratch: Scratch,
     name: str,
     found: Settled,
-    view: View,
+    area: BlockWithHalo,
     columns: dict[str, Array],
     cover: Cover | None,
 ) -> Record:
@@ -139,16 +139,16 @@ def write_settled(
         scratch: Where to write.
         name: Of the table.
         found: The result of reassignment.
-        view: The block and its halo.
-        columns: Of the view's splats, codes among them.
+        area: The block and its halo.
+        columns: Of the splats of the block and its halo, codes among them.
         cover: The groups as covers of other blocks' groups, if growth depends on them.
     """
-    after, start = found.after, view.groups
+    after, start = found.after, area.groups
     rows: list[I64] = [np.empty(0, np.int64)]
     groups: list[I64] = [np.empty(0, np.int64)]
     handed: dict[str, list[int]] = {}
     count = 0
-    for each in view.halo:
+    for each in area.halo:
         gone = np.flatnonzero((after >= start) & (after < start + len(each.groups)))
         if len(gone):
             rows.append(gone)
@@ -156,18 +156,20 @@ def write_settled(
             handed[str(each.block)] = [count, count + len(gone)]
             count += len(gone)
         start += len(each.groups)
-    labels = np.where(after < view.groups, after, GONE).astype(np.int32)
+    labels = np.where(after < area.groups, after, GONE).astype(np.int32)
     taken = np.concatenate(rows)
     table: dict[str, Array | Sorted] = {LABELS: labels, GROUP: np.concatenate(groups)}
     table |= {key: Sorted(column, taken) for key, column in columns.items()}
     if cover is not None:
         table |= {column: getattr(cover, name) for name, column in COVER.items()}
-    facts = {"handed": handed, "seen": len(view.leaves) - view.own, ROUNDS: found.rounds}
+    facts = {"handed": handed, "seen": len(area.leaves) - area.own, ROUNDS: found.rounds}
     return write_table(scratch, name, table, facts)
 
 
-def view_of(leaves: Nodes, labels: I32, own: int, groups: int, halo: Sequence[Halo]) -> View:
-    """Make a view from labels by row.
+def block_with_halo(
+    leaves: Nodes, labels: I32, own: int, groups: int, halo: Sequence[Halo]
+) -> BlockWithHalo:
+    """Put a block and its halo together, from labels by row.
 
     Args:
         leaves: A node for each splat; rows are the block's own first, then those of each halo.
@@ -180,4 +182,4 @@ def view_of(leaves: Nodes, labels: I32, own: int, groups: int, halo: Sequence[Ha
     for each in halo:
         by_row.append(each.labels + np.int32(start))
         start += len(each.groups)
-    return View(leaves, np.concatenate(by_row)[leaves.rows], own, groups, halo)
+    return BlockWithHalo(leaves, np.concatenate(by_row)[leaves.rows], own, groups, halo)

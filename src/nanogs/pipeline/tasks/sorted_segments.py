@@ -44,7 +44,7 @@ def spill(
     splats = read_segment(settings, segment, unpacked)
     codes = units.codes(splats)
     order = np.argsort(codes, kind="stable")
-    digest = codes[order[:: settings.every]]
+    digest = codes[order[:: settings.rows_per_code]]
     columns = sorted_columns(splats, order) | {CODES: Sorted(codes, order), DIGEST: digest}
     facts = {
         "splats": len(splats),

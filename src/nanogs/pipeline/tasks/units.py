@@ -8,7 +8,7 @@ import numpy as np
 
 from nanogs._types import F64, U64
 from nanogs.errors import NONE_USABLE, ModelError
-from nanogs.method.extent import MOST_VIEWERS, Dilation, Viewers, dilation, viewers
+from nanogs.method.extent import MOST_VIEWERS, Dilation, Viewers, estimate_dilation, viewers_at
 from nanogs.method.gaussians import scene_origin
 from nanogs.method.nodes import activate_nodes, prominence, thinnest_axis
 from nanogs.method.order import code_box, codes_in
@@ -92,17 +92,19 @@ def survey(settings: Settings, unpacked: Unpacked | None = None) -> Units:
         raise ModelError(NONE_USABLE)
     origin = scene_origin(some.means)
     means = some.means - origin
-    added = dilation(means, some.opacities(), some.render_mode, settings.parameters.pixels)
-    thinnest = thinnest_axis(some.scales(), means, added.least)
-    nodes = activate_nodes(some, np.arange(len(some)), origin, added, thinnest)
+    dilation = estimate_dilation(
+        means, some.opacities(), some.render_mode, settings.parameters.pixels
+    )
+    thinnest = thinnest_axis(some.scales(), means, dilation.least)
+    nodes = activate_nodes(some, np.arange(len(some)), origin, dilation, thinnest)
     cameras = settings.asked.given()
     given_viewers = viewers_of(cameras, origin, means) if cameras else None
-    typical = float(prominence(nodes.coverages, nodes.means, given_viewers or added).mean())
+    typical = float(prominence(nodes.coverages, nodes.means, given_viewers or dilation).mean())
     corner, width = code_box(means)
     return Units(
         origin=tuple(map(float, origin)),
-        anchors=tuple(map(tuple, np.column_stack((added.anchors, added.radii)).tolist())),
-        per_radius=added.per_radius,
+        anchors=tuple(map(tuple, np.column_stack((dilation.anchors, dilation.radii)).tolist())),
+        per_radius=dilation.per_radius,
         places=tuple(map(tuple, given_viewers.places.tolist())) if given_viewers else (),
         apart=given_viewers.apart if given_viewers else 0.0,
         thinnest=thinnest,
@@ -121,4 +123,4 @@ def viewers_of(cameras: Sequence[Camera], origin: F64, means: F64) -> Viewers:
         means: (N, 3) float64, N >= 1, splats of the model, relative to the origin.
     """
     places = np.array([camera.position for camera in pick_evenly(cameras, MOST_VIEWERS)])
-    return viewers(places - origin, means)
+    return viewers_at(places - origin, means)
