@@ -118,7 +118,7 @@ def wall(distance, width=3.0, beside=0.0):
 
 def accepted(*parts):
     """Return whether a view from the origin along z is accepted, if its target is at distance 1."""
-    lens = replace(roam._lens(1, 512, 512, 60), near=0.02)
+    lens = replace(roam._test_camera(1, 512, 512, 60), near=0.02)
     splats = prepare(concatenate(parts))
     return roam._shown(splats, roam.Candidate(lens, np.array([0.0, 0, 1]), 1.0)) is not None
 
@@ -137,7 +137,7 @@ def is_free(scene, *positions):
     space = FreeSpace(prepare(scene))
     for position in positions:
         space.add(np.array(position))
-    return space.has(replace(roam._lens(1, 512, 512, 60), near=0.02), np.array([0.0, 0, 1]))
+    return space.has(replace(roam._test_camera(1, 512, 512, 60), near=0.02), np.array([0.0, 0, 1]))
 
 
 def test_a_position_is_free_if_a_free_one_sees_it_and_no_splat_covers_it():

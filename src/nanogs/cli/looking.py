@@ -130,11 +130,11 @@ class RenderOptions:
         Raises:
             NanogsError: As for `nanogs.mode_evidence`.
         """
-        from nanogs.scoring.modes import look_at
+        from nanogs.scoring.modes import render_findings
 
         behind = None if self.background is None else options.parse_background(self.background)
         given: dict[str, Any] = {"photos": self.photos, "images": self.images}
-        return look_at(
+        return render_findings(
             model, self.cameras or "auto", **given, split=self.split or "test",
             background=behind, views=self.views or VIEWS,
             pixels=options.parse_pixels(self.pixels or str(PIXELS)), up=self.up,

@@ -200,7 +200,7 @@ class CpuRunningMean:
 
 
 def _bands(degree: int, parameters: RefitParameters) -> F64:
-    """(K, 2) curvature and ridge of each spherical-harmonic coefficient of a splat of weight 1.
+    """Compute (K, 2) curvature and ridge of each harmonic coefficient of a splat of weight 1.
 
     All coefficients move at once, so each is given a share p of the change of colour and the
     curvature Y² / p: the base colour gets half, the other bands equal parts of the other half, and

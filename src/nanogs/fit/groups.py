@@ -28,7 +28,7 @@ class Group:
     targets: tuple[Target, ...]
 
     def psnr(self, model: PreparedSplats) -> float:
-        """Mean PSNR over the views, dB, so that a view with large errors does not dominate."""
+        """Return the mean PSNR over the views, dB: so no view with large errors dominates."""
         errors = [squared_error(model, target) for target in self.targets]
         return float(-10 * np.log10(np.maximum(errors, EXACT)).mean())
 

@@ -122,7 +122,7 @@ def start(splats: Splats) -> State:
 
 
 def displacements_of(state: State, splats: Splats) -> F32:
-    """(N, DISPLACEMENT) displacement of each parameter from the model that the state started from.
+    """Compute the (N, DISPLACEMENT) displacements of the parameters since the fit began.
 
     See `nanogs.kernels.advance`, also for the last column, which is 0 here. The displacement from a
     value that is not finite, such as the logit of opacity 0, is 0.
@@ -188,6 +188,6 @@ def store(state: State, splats: Splats) -> Splats:
 
 
 def _facing(quats: F64, others: F64) -> F64:
-    """(N, 4) the same rotations: q or -q, whichever is nearer to the quaternion in `others`."""
+    """Return (N, 4) the same rotations: q or -q, the one nearer to the quaternion in `others`."""
     dots = np.einsum("ni,ni->n", quats, others)[:, None]
     return np.where(dots < 0, -quats, quats)

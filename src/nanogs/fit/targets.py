@@ -166,7 +166,7 @@ def _weigh(target: Target, image: F32, wanted: int = ALL_BLOCKS) -> tuple[F32, F
 
 
 def squared_error(model: PreparedSplats, target: Target) -> float:
-    """Mean squared error per channel of a view, the mean over black and white backgrounds."""
+    """Return the mean squared error per channel of a view, over black and white backgrounds."""
     engine = engine_in_use()
     if engine is not None:
         view = view_on(engine, model, target.camera)

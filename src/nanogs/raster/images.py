@@ -7,7 +7,7 @@ from nanogs.raster.rendering import Rendering
 
 
 def color_image(rendering: Rendering, transparent: bool) -> Array:
-    """(H, W, 3 or 4) uint8 image of a rendering; RGBA with straight alpha if transparent.
+    """Return the (H, W, 3 or 4) uint8 image of a rendering: RGB, or RGBA with straight alpha.
 
     A transparent image needs a rendering over black, whose colours are premultiplied.
     """
@@ -15,7 +15,7 @@ def color_image(rendering: Rendering, transparent: bool) -> Array:
 
 
 def straight(rendering: Rendering) -> F32:
-    """(H, W, 4) float32 in [0, 1]: RGBA with straight alpha, of a rendering over black."""
+    """Return (H, W, 4) float32 in [0, 1]: RGBA with straight alpha, of a rendering over black."""
     color, alpha = rendering.color, rendering.alpha[..., None]
     divided = np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0)
     both: F32 = np.concatenate([divided, alpha], axis=2)
@@ -23,7 +23,7 @@ def straight(rendering: Rendering) -> F32:
 
 
 def depth_image(rendering: Rendering) -> Array:
-    """(H, W) uint16 depth image: near is bright, linear in depth; 0 where no splat was hit."""
+    """Return the (H, W) uint16 depth image: near is bright, linear in depth; 0 for no splat."""
     depth = rendering.depth
     image = np.zeros(rendering.alpha.shape, dtype=np.uint16)
     if depth is None or not np.isfinite(depth).any():

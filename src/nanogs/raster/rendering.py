@@ -126,7 +126,7 @@ class Rendering:
     notes: tuple[str, ...]
 
     def shown(self) -> F32:
-        """(H, W, 3) float32: the colours clipped to [0, 1], as on a screen."""
+        """Return (H, W, 3) float32: the colours clipped to [0, 1], as on a screen."""
         return np.clip(self.color, 0.0, 1.0)
 
 
@@ -279,7 +279,7 @@ def view_on(
 
 
 def camera_arrays(camera: Camera) -> tuple[F64, F64, F64]:
-    """(3, 3) rotation, (3,) position and (11,) intrinsics of a camera, as kernels take them."""
+    """Return (3, 3) rotation, (3,) position, (11,) intrinsics of a camera, as kernels take them."""
     rotation = np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64)
     return rotation, camera.position, camera.intrinsics
 
@@ -438,7 +438,7 @@ def _sums(entries: I32, partial: F32, count: int) -> F64:
 
 
 def probe(view: Projection, camera: Camera, probes: F32) -> F64:
-    """(N, P) float64: sums over the pixels of each splat's weight T alpha times the probes.
+    """Compute (N, P) float64, sums over the pixels of each splat's weight T alpha times the probes.
 
     Args:
         view: From `project`, of this camera.
@@ -455,13 +455,13 @@ def _buffers(n: int) -> ProjectionBuffers:
 
 
 def _rows_of_a_line(n: int) -> F64:
-    """(n, 8) float64, uninitialised, each row aligned to one cache line of 64 bytes."""
+    """Return (n, 8) float64, uninitialised, each row aligned to one cache line of 64 bytes."""
     flat = np.empty(8 * n + 7, np.float64)
     return flat[-flat.ctypes.data % 64 // 8 :][: 8 * n].reshape(n, 8)
 
 
 def _depth_order(features: F32, boxes: I64) -> I64:
-    """Indices of the drawn splats, nearest first, ties by index."""
+    """Return the indices of the drawn splats, nearest first, ties by index."""
     runs = list(slices(len(boxes), SLICE_STEPS))
     counts = parallel.map_ordered(runs, lambda rows: np.count_nonzero(boxes[rows]))  # HIDDEN is 0
     ends = np.cumsum([0, *counts])

@@ -102,10 +102,10 @@ def compare(
         NotEnoughMemoryError: It takes more memory than is free or allowed, even row by row.
         OptionError: An argument is out of range, there is no such device, or no model is given.
     """
-    called, asked = _names(models, names), requested_views(cameras, pixels)
+    called, asked = _names(models, names), compared_views(cameras, pixels)
     views = None if views is None else view_count(views)
     background = None if background is None else plain_background(background)
-    chosen = views is not None or up is not None or asked != requested_views("auto", PIXELS)
+    chosen = views is not None or up is not None or asked != compared_views("auto", PIXELS)
     if photos is not None and chosen:
         raise OptionError(
             "`photos` cannot be combined with options for views, because photographs have views of"
@@ -167,7 +167,7 @@ def compare(
 
 
 @dataclass(frozen=True, slots=True)
-class RequestedViews:
+class ComparedViews:
     """The requested views: cameras, or else kinds of automatic views (or a file) and sizes."""
 
     cameras: "list[Camera]"
@@ -202,20 +202,20 @@ class RequestedViews:
         return view_sets(model, self.sources, self.sizes, views=views, up=up)
 
 
-def requested_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> RequestedViews:
+def compared_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> ComparedViews:
     """Parse the requested views; arguments and errors are those of `compare`."""
     from nanogs.scoring.view_sets import parse_sources
 
     if isinstance(cameras, Camera):
-        return RequestedViews([cameras])
+        return ComparedViews([cameras])
     names = [cameras] if isinstance(cameras, str | PathLike) else list(cameras)
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     if not sources or len(sources) < len(names):
         given = [camera for camera in names if isinstance(camera, Camera)]
-        return RequestedViews(given_cameras(given if len(given) == len(names) else []))
+        return ComparedViews(given_cameras(given if len(given) == len(names) else []))
     sources = parse_sources(sources[0]) if len(sources) == 1 else sources
     several = pixels if isinstance(pixels, list) else [pixels]
-    return RequestedViews([], sources, [picture_size(size) for size in several])
+    return ComparedViews([], sources, [picture_size(size) for size in several])
 
 
 def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:

@@ -38,14 +38,14 @@ class NamedModel:
         splats: The model. A source is read some rows at a time if `compare_models` has `room`, and
             otherwise loaded.
         file_bytes: Size of its file, or None.
-        packed: Suffix of the format if the model is read back from a packed file; it is then also
-            compared with the last model before it that has none. Otherwise empty.
+        packed_as: Suffix of the format if the model is read back from a packed file; it is then
+            also compared with the last model before it that has none. Otherwise empty.
     """
 
     name: str
     splats: Splats | Source
     file_bytes: int | None = None
-    packed: str = ""
+    packed_as: str = ""
 
     @property
     def sh_degree(self) -> int:
@@ -250,10 +250,10 @@ def score_models(
         raise OptionError("Name at least one model to compare.")
     sheets = [Sheet(view.camera.name, data_uri(view.image)) for view in views if pictures]
     scores: list[ModelScore] = []
-    unpacked = Unpacked(keep=any(model.packed for model in models))
+    unpacked = Unpacked(keep=any(model.packed_as for model in models))
     progress.begin("score")
     for model in models:
-        unpacked.begin(model.packed)
+        unpacked.begin(model.packed_as)
         remaining = iter(sheets)
         done = count(len(scores) * len(views) + 1)
 

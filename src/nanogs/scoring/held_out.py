@@ -77,13 +77,13 @@ class HeldOut:
         """
         beside = Unpacked(keep=True)
 
-        def marks(small: Splats, form: str) -> ModelScore:
+        def scored(small: Splats, form: str) -> ModelScore:
             beside.begin(form)
             drawn = as_drawn(small, self.max_memory)
             return beside.end(score("", drawn, self.views, BLACK, on_view=beside.see_view))
 
-        marks(model, "")
-        means = marks(packed, suffix)
+        scored(model, "")
+        means = scored(packed, suffix)
         return Judged(means.psnr, means.ssim, self.protocol), means.packed
 
 
@@ -99,9 +99,9 @@ class SelectionViews:
 
     def judge(self, small: Splats | Source) -> tuple[float, float]:
         """Compute PSNR, dB, and SSIM of a model; raises the errors of `HeldOut.psnr`."""
-        marks = [kind.judge(small) for kind in self.kinds]
-        ssims = [each.ssim for each in marks]
-        return mean_psnr([each.psnr for each in marks]), sum(ssims) / len(ssims)
+        scores = [kind.judge(small) for kind in self.kinds]
+        ssims = [each.ssim for each in scores]
+        return mean_psnr([each.psnr for each in scores]), sum(ssims) / len(ssims)
 
 
 def held_out(

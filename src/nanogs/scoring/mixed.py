@@ -23,14 +23,14 @@ from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
-from nanogs.scoring.api import Pixels, file_name, requested_views
+from nanogs.scoring.api import Pixels, compared_views, file_name
 from nanogs.views.cameras import Cameras, view_count
 
 if TYPE_CHECKING:
     from nanogs.scoring.mixed_views import MixedView
 
 SEAM_LOSS = 0.3  # dB; a higher loss at seams gets a note
-_LESS = "free some, or look at a smaller model or at smaller pictures (`pixels`)"
+_REMEDY = "free some, or look at a smaller model or at smaller pictures (`pixels`)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class MixedComparison:
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Return plain dictionaries, lists, numbers and strings."""
         return asdict(self)
 
 
@@ -135,7 +135,7 @@ def compare_mixed(
         refuse_address(path, "download the stream, and give the path of its file")
     called = _names(original, paths, names)
     _check(paths, budget)
-    asked = requested_views(cameras, pixels)
+    asked = compared_views(cameras, pixels)
     views = None if views is None else view_count(views)
     background = plain_background(background)
     limit = None if max_memory is None else as_bytes(max_memory)
@@ -155,7 +155,7 @@ def compare_mixed(
         )
         tracker.begin("read")
         whole = as_splats(original)
-        together = [read_levels(path) for path in paths]
+        stream_levels = [read_levels(path) for path in paths]
         for found in asked.sets(whole, views, up):
             tracker.begin("render")
             ready = prepare(whole)
@@ -168,14 +168,14 @@ def compare_mixed(
             cameras = [view.camera for view in seen]
             protocol = views_of(cameras, found.kind, background=background)
             tracker.begin("score")
-            for done, (name, stream) in enumerate(zip(called[1:], together, strict=True)):
-                marks = list["MixedView"]()
+            for done, (name, stream) in enumerate(zip(called[1:], stream_levels, strict=True)):
+                view_scores = list["MixedView"]()
                 for number, view in enumerate(seen):
                     tracker.part(done * len(seen) + number, len(paths) * len(seen))
-                    marks.append(stream.score(view, background, budget))
+                    view_scores.append(stream.score(view, background, budget))
                 levels = tuple(np.diff(stream.ends).tolist())
                 apart = stream.chunks.environment
-                scores.append(_means(name, levels, apart, budget, protocol, marks))
+                scores.append(_means(name, levels, apart, budget, protocol, view_scores))
                 notes += _notes(scores[-1], len(stream.chunks.boxes))
         tracker.finish()
     return MixedComparison(called[0], len(whole), tuple(scores), tuple(dict.fromkeys(notes)))
@@ -216,7 +216,7 @@ def _refuse_too_large(
         held += 2 * sum(map(model_bytes, infos))  # the levels as read, and concatenated
         counts.append(sum(info.splats for info in infos))
     needed = held + scoring_bytes(counts, pixels, views)
-    refuse_too_large("Comparing mixed levels", needed, allowed_memory(limit), _LESS)
+    refuse_too_large("Comparing mixed levels", needed, allowed_memory(limit), _REMEDY)
 
 
 def _levels(path: Path) -> Sequence[int]:

@@ -117,10 +117,10 @@ class StreamLevels:
         rows, counts = self.drawn(choice), np.bincount(choice[choice != NOTHING], minlength=levels)
         shown = np.flatnonzero(counts).tolist()
         image, shares = self._picture(rows, camera, background, shown)
-        marks = psnr(view.image, image), ssim(view.image, image)
+        scores = psnr(view.image, image), ssim(view.image, image)
         own = MixedView(
-            camera.name, tuple(counts.tolist()), int(np.count_nonzero(rows)), *marks, None, *marks,
-            0.0, 0.0, 0.0,
+            camera.name, tuple(counts.tolist()), int(np.count_nonzero(rows)),
+            *scores, None, *scores, 0.0, 0.0, 0.0,
         )  # fmt: skip
         if not shown:
             return own

@@ -88,7 +88,7 @@ class ModeEvidence:
         return tuple(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Return plain dictionaries, lists, numbers and strings."""
         return asdict(self) | {"sentences": list(self.sentences)}
 
 
@@ -139,7 +139,7 @@ def mode_evidence(
         NotEnoughMemoryError: It takes more memory than is free or allowed, even row by row.
         OptionError: An argument is out of range.
     """
-    return look_at(
+    return render_findings(
         model, cameras, photos=photos, images=images, split=split, background=background,
         views=views, pixels=pixels, up=up, threads=threads, max_memory=max_memory,
         progress=progress,
@@ -159,7 +159,7 @@ class RenderFindings:
     cost: DrawCost
 
 
-def look_at(
+def render_findings(
     model: Model,
     cameras: Cameras = "auto",
     *,
@@ -238,7 +238,7 @@ def evidence_on(
     thin, faded = _splats_in_sight(model, cameras)
     shown: list[tuple[F32, F32]] = []
     leaks, apart = np.zeros(2), []
-    marks: dict[RenderMode, list[float]] = {mode: [] for mode in MODES if photographs}
+    psnrs: dict[RenderMode, list[float]] = {mode: [] for mode in MODES if photographs}
     for mode in MODES:
         tagged = drawable(Tagged(source_of(model), mode), room)
         done = MODES.index(mode) * len(cameras)
@@ -247,7 +247,7 @@ def evidence_on(
             on_progress(done + number, len(MODES) * len(cameras))
             image = picture.shown()
             if photographs:
-                marks[mode].append(psnr(photographs[number], image))
+                psnrs[mode].append(psnr(photographs[number], image))
             if mode is RenderMode.DEFAULT:
                 shown.append((image, picture.alpha))
                 continue
@@ -260,7 +260,7 @@ def evidence_on(
         faded=faded,
         leak=float(leaks[0] / leaks[1]) if leaks[1] else None,
         between=mean_psnr(apart),
-        photographs={mode.value: mean_psnr(values) for mode, values in marks.items()},
+        photographs={mode.value: mean_psnr(values) for mode, values in psnrs.items()},
         protocol=protocol,
     )
 
@@ -283,11 +283,11 @@ def _splats_in_sight(model: Splats | Source, cameras: "Sequence[Camera]") -> tup
             widths = least[sight] * max(camera.fx, camera.fy) / features[sight, 3]
             seen += len(sight)
             thin += int(np.count_nonzero(widths < np.sqrt(DILATION)))
-            faded += int(np.count_nonzero(_kept(geometry[sight]) < FADED))
+            faded += int(np.count_nonzero(_antialiasing_factors(geometry[sight]) < FADED))
     return (thin / seen, faded / seen) if seen else (0.0, 0.0)
 
 
-def _kept(geometry: "F64") -> "F64":
+def _antialiasing_factors(geometry: "F64") -> "F64":
     """Compute the antialiasing factor (N,) of opacities: sqrt(det before / det after dilation).
 
     Args:

@@ -11,7 +11,7 @@ from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.plan import room_for_splats
 
-LESS = "free some, or compare fewer or smaller views (`views`, `pixels`) or smaller models"
+REMEDY = "free some, or compare fewer or smaller views (`views`, `pixels`) or smaller models"
 
 
 def room_for_comparison(
@@ -43,7 +43,7 @@ def room_for_comparison(
     held = models_bytes([model for model in models if isinstance(model, Splats)], all_of_it=given)
     others = held + pictures_bytes(pixels, views)
     read = [source_of(source) for source in sources]
-    return room_for_splats("Comparing these models", read, others, memory, LESS)
+    return room_for_splats("Comparing these models", read, others, memory, REMEDY)
 
 
 def needed_bytes(models: Sequence[Model], pixels: int, views: int, *, all_of_it: bool) -> int:

@@ -9,7 +9,7 @@ from nanogs.io import open as open_model
 from nanogs.io.parts import FileSource
 from nanogs.progress import Stage, Tracker
 from nanogs.scoring.packing import (
-    Packing,
+    PackingFormats,
     has_format,
     notes_on,
     refuse_too_large_to_pack,
@@ -26,7 +26,7 @@ S = TypeVar("S", bound=Splats | Source)
 
 def write_packed_files(
     models: Sequence[tuple[str, S]],
-    packing: Packing,
+    packing: PackingFormats,
     stack: ExitStack,
     max_memory: int | None,
     progress: Tracker,
@@ -68,13 +68,13 @@ def write_packed_files(
     return found
 
 
-def files_of(models: Sequence[Splats | Source], packing: Packing) -> int:
+def files_of(models: Sequence[Splats | Source], packing: PackingFormats) -> int:
     """Count the files that `write_packed_files` writes."""
     return sum(not has_format(source, suffix) for source in models for suffix in packing)
 
 
 def packing_notes(
-    models: Sequence[tuple[str, Splats | Source]], packing: Packing
+    models: Sequence[tuple[str, Splats | Source]], packing: PackingFormats
 ) -> tuple[str, ...]:
     """Return notes on models whose files are packed already, in one of the formats or another."""
     notes = []

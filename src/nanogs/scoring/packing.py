@@ -14,7 +14,7 @@ from nanogs.progress import Progress
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
-Packing = Mapping[str, FormatOptions]
+PackingFormats = Mapping[str, FormatOptions]
 """Formats in which models are packed, by suffix, with the options for writing each."""
 
 # Formats by their name in `FileInfo` or suffix -> the format that encodes values in the same way.
@@ -24,7 +24,7 @@ _ROUNDED = {"sog", "spz", "compressed.ply", "splat", "ksplat"}  # formats that q
 
 def packing_of(
     formats: str | Sequence[str], format_options: FormatOptions | None = None
-) -> Packing:
+) -> PackingFormats:
     """Return the formats by suffix, each with the options that it supports.
 
     Args:
@@ -55,7 +55,7 @@ def packing_of(
     return packing
 
 
-def refuse_packed(source: Splats | Source, packing: Packing) -> None:
+def refuse_packed(source: Splats | Source, packing: PackingFormats) -> None:
     """Refuse a format that the model's file already has.
 
     Raises:
@@ -98,7 +98,7 @@ def _packed_as(source: FileSource) -> str:
 
 
 def refuse_too_large_to_pack(
-    source: Splats | Source, packing: Packing, max_memory: int | None, others: int = 0
+    source: Splats | Source, packing: PackingFormats, max_memory: int | None, others: int = 0
 ) -> None:
     """Refuse formats for which there is not enough memory to convert the model's file.
 

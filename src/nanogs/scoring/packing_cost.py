@@ -27,7 +27,7 @@ from nanogs.protocol import PIXELS, VIEWS, Judged
 from nanogs.quantities import as_bytes
 from nanogs.scoring.needed import needed_bytes
 from nanogs.scoring.packing import (
-    Packing,
+    PackingFormats,
     notes_on,
     packing_of,
     refuse_packed,
@@ -68,11 +68,11 @@ class PackedFile:
     def text(self) -> str:
         """Size and scores: "1.2 MB, 14.3 bytes a splat; 41.20 dB / 0.9912 of the model ..."."""
         size = f"{bytes_text(self.file_bytes)}, {number_text(self.splat_bytes, 1)} bytes a splat"
-        marks = f"{number_text(self.judged.psnr)} dB / {number_text(self.judged.ssim, 4)}"
-        return f"{size}; {marks} of the model unpacked"
+        scores = f"{number_text(self.judged.psnr)} dB / {number_text(self.judged.ssim, 4)}"
+        return f"{size}; {scores} of the model unpacked"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Return plain dictionaries, lists, numbers and strings."""
         return {**asdict(self), "splat_bytes": self.splat_bytes}
 
 
@@ -140,7 +140,7 @@ def packing_cost(
     return PackingCost(files, notes_on(source))
 
 
-def _stages(packing: Packing) -> list[Stage]:
+def _stages(packing: PackingFormats) -> list[Stage]:
     stages = [Stage("read", 1.0), Stage("render", 4.0)]
     for suffix in packing:
         stages += [Stage("write", _SLOW.get(suffix, 1.0)), Stage("score", 4.0)]
@@ -148,7 +148,11 @@ def _stages(packing: Packing) -> list[Stage]:
 
 
 def _measured(
-    given: Model, source: Splats | Source, packing: Packing, limit: int | None, tracker: Tracker
+    given: Model,
+    source: Splats | Source,
+    packing: PackingFormats,
+    limit: int | None,
+    tracker: Tracker,
 ) -> tuple[PackedFile, ...]:
     """Write and score the files; the model is loaded if it fits in memory twice."""
     from nanogs.scoring.held_out import held_out

@@ -21,7 +21,7 @@ from nanogs.scoring.comparison import (
     Sheet,
     compare_with_photographs,
 )
-from nanogs.scoring.needed import LESS, room_for_comparison
+from nanogs.scoring.needed import REMEDY, room_for_comparison
 from nanogs.scoring.on_sets import compare_on_sets
 from nanogs.scoring.packed_models import (
     files_of,
@@ -208,7 +208,7 @@ def _room(
         paths = [source.path for source in sources]
         return room_for_comparison(paths, sources, pixels, views, max_memory)
     needed = compare_bytes([source.info for source in sources], pixels, views, paged=True)
-    remedy = f"{LESS}, or leave the models out of the page (`interactive=False`)"
+    remedy = f"{REMEDY}, or leave the models out of the page (`interactive=False`)"
     refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), remedy)
     return None
 
@@ -244,7 +244,7 @@ def _stages(
 
 def _viewer(models: Sequence[NamedModel], found: _Found, up: Sequence[float] | None) -> str:
     """Return the page's interactive part, with the given models but not their packed files."""
-    models = [model for model in models if not model.packed]
+    models = [model for model in models if not model.packed_as]
     held = [source_of(model.splats).load() for model in models]
     opening = opening_for(held[0], found.start, up)
     return viewer_part(_shown(models, held, found.comparison, opening), opening, found.behind)

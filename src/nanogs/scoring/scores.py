@@ -95,7 +95,7 @@ class ModelScore:
     cost: DrawCost | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Return plain dictionaries, lists, numbers and strings."""
         return asdict(self)
 
 

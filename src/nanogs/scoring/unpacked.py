@@ -23,20 +23,20 @@ class Unpacked:
     _suffix: str = ""
     _score: ModelScore | None = None
     _images: list[F32] = field(default_factory=list)
-    _marks: list[tuple[float, float]] = field(default_factory=list)
+    _view_scores: list[tuple[float, float]] = field(default_factory=list)
 
     def begin(self, suffix: str) -> None:
         """Begin a model; `suffix` is the format of a packed file, or "" for an unpacked model."""
         self._suffix = suffix
-        self._marks.clear()
+        self._view_scores.clear()
         if not suffix:
             self._images.clear()
 
     def see(self, rendering: Rendering) -> None:
         """Receive the render of the model's next view; the order is the same for each model."""
         if self._suffix:
-            beside, image = self._images[len(self._marks)], rendering.shown()
-            self._marks.append((psnr(beside, image), ssim(beside, image)))
+            beside, image = self._images[len(self._view_scores)], rendering.shown()
+            self._view_scores.append((psnr(beside, image), ssim(beside, image)))
         elif self.keep:
             self._images.append(rendering.shown())
 
@@ -50,7 +50,7 @@ class Unpacked:
             self._score = score
         if not self._suffix or self._score is None:
             return score
-        whole, (psnrs, ssims) = self._score, zip(*self._marks, strict=True)
+        whole, (psnrs, ssims) = self._score, zip(*self._view_scores, strict=True)
         same = whole.psnr == score.psnr  # avoids inf - inf
         loss = PackingLoss(
             format=self._suffix,

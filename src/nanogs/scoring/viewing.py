@@ -70,7 +70,7 @@ class ViewReport:
     seconds: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
+        """Return plain dictionaries, lists, numbers and strings."""
         return asdict(self)
 
 
@@ -134,8 +134,8 @@ def view_files(
         found: list[Camera] = []
         if measured or cameras not in FOUND:
             found = cameras_for(models[0], cameras, count=views, width=width, height=height, up=up)
-        place = AUTOMATIC.get(cameras, "auto") if cameras in FOUND else found[0]
-        start = opening_for(models[0], place, up)
+        first_view = AUTOMATIC.get(cameras, "auto") if cameras in FOUND else found[0]
+        start = opening_for(models[0], first_view, up)
     judged = None
     if measured:
         kind: Kind = FOUND.get(cameras, "given")

@@ -45,7 +45,7 @@ class Arena:
         self._boxes = np.empty(self._capacity, np.int64)
         self._free = list(range(pages))[::-1]
 
-    def times(self, count: int, tiles: int) -> float:
+    def needed_share(self, count: int, tiles: int) -> float:
         """Return the memory of a part over that of the arena; a part can be drawn up to 1.
 
         Args:

@@ -99,21 +99,21 @@ def automatic_cameras(
     scene = survey(model, kind, up, habit=habit)
     angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
     focal = max(width, height) / 2 / np.tan(angle / 2)
-    lens = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
+    tangents = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
     numbers = 2 * np.arange(count) + (split == "test")
     return [
         Camera(width, height, focal, focal, width / 2, height / 2, pose @ scene.turn, name, near)
         for name, (pose, near) in zip(
-            (f"{split}_{i:03}" for i in range(count)), _poses(scene, lens, numbers), strict=True
+            (f"{split}_{i:03}" for i in range(count)), _poses(scene, tangents, numbers), strict=True
         )
     ]
 
 
-def _poses(scene: Survey, lens: F64, numbers: I64) -> list[tuple[F64, float]]:
+def _poses(scene: Survey, tangents: F64, numbers: I64) -> list[tuple[F64, float]]:
     up = np.array(UP)
     if scene.kind == "orbit":
-        return orbit.poses(scene.sampled, scene.core, up, lens, numbers, scene.band)
-    return inside.poses(scene.sampled, scene.core, up, lens, numbers)
+        return orbit.poses(scene.sampled, scene.core, up, tangents, numbers, scene.band)
+    return inside.poses(scene.sampled, scene.core, up, tangents, numbers)
 
 
 def survey(

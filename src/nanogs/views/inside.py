@@ -86,7 +86,7 @@ def _box(points: F64, areas: F64, frame: F64) -> Box:
 
 
 def poses(
-    sampled: SplatSample, core: Core, up: F64, lens: F64, numbers: I64
+    sampled: SplatSample, core: Core, up: F64, tangents: F64, numbers: I64
 ) -> list[tuple[F64, float]]:
     """Compute the (4, 4) world-to-camera matrix and near plane of each view.
 
@@ -97,7 +97,7 @@ def poses(
         sampled: The model.
         core: The room.
         up: (3,) float64, unit.
-        lens: (2,) float64, tangents of half the fields of view.
+        tangents: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, numbers of the views in the sequence, 0 or more.
     """
     grid = build_grid(sampled, core.centre, 1.3 * core.radius)
@@ -106,7 +106,7 @@ def poses(
     for number in numbers.tolist():
         tries = low_discrepancy(number * TRIES + np.arange(TRIES), 5)
         candidates = [_candidate(box, one) for one in tries]
-        scores = [_score(grid, pose, lens, core.radius) for pose in candidates]
+        scores = [_score(grid, pose, tangents, core.radius) for pose in candidates]
         views.append((candidates[int(np.argmax(scores))], NEAR * core.radius))
     return views
 
@@ -122,9 +122,9 @@ def _candidate(box: Box, draw: F64) -> F64:
     return look_at(position, position + direction, box.frame[2])
 
 
-def _score(grid: Grid, pose: F64, lens: F64, radius: float) -> float:
+def _score(grid: Grid, pose: F64, tangents: F64, radius: float) -> float:
     """Score a pose: high if most rays hit something, none very near, and the view is deep."""
-    hits = view_hits(grid, pose, lens, 2.5 * radius)
+    hits = view_hits(grid, pose, tangents, 2.5 * radius)
     seen = np.isfinite(hits)
     blocked = float((hits < CLEARANCE * radius).mean())
     cramped = float((hits < 3 * CLEARANCE * radius).mean())

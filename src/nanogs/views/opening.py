@@ -43,25 +43,25 @@ class Opening:
 
 
 def opening_for(
-    splats: Splats, place: Kind | Camera = "auto", up: Sequence[float] | F64 | None = None
+    splats: Splats, view: Kind | Camera = "auto", up: Sequence[float] | F64 | None = None
 ) -> Opening:
     """Choose the initial camera for a model.
 
     Args:
         splats: The model.
-        place: A camera to start from, or the kind of view, as for `views.automatic_cameras`.
+        view: A camera to start from, or the kind of view, as for `views.automatic_cameras`.
         up: (3,) direction in scene coordinates; found from the model by default.
 
     Raises:
         ModelError: No splat is visible.
         OptionError: An argument is out of range.
     """
-    if isinstance(place, Camera):
+    if isinstance(view, Camera):
         scene = survey(splats, "orbit", up)
-        pose = place.world_to_camera @ scene.turn.T  # in the model's own frame, as below
-        lens = min(place.width / place.fx, place.height / place.fy) / 2
-        return _opening(scene, pose, lens, place.near, _ahead(pose, scene.core.centre))
-    scene = survey(splats, place, up)
+        pose = view.world_to_camera @ scene.turn.T  # in the model's own frame, as below
+        lens = min(view.width / view.fx, view.height / view.fy) / 2
+        return _opening(scene, pose, lens, view.near, _ahead(pose, scene.core.centre))
+    scene = survey(splats, view, up)
     angle = ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV
     lens = float(np.tan(np.radians(angle / 2)))
     square = np.full(2, lens)
@@ -87,10 +87,10 @@ def _ahead(pose: F64, point: F64) -> float:
     return float(pose[2, :3] @ point + pose[2, 3])
 
 
-def _depth(scene: Survey, pose: F64, lens: F64) -> float:
+def _depth(scene: Survey, pose: F64, tangents: F64) -> float:
     """Return the median distance at which the rays of a view in a room end, scene units."""
     core = scene.core
     grid = build_grid(scene.sampled, core.centre, GRID_HALF * core.radius)
-    hits = view_hits(grid, pose, lens, REACH * core.radius)
+    hits = view_hits(grid, pose, tangents, REACH * core.radius)
     seen = hits[np.isfinite(hits)]
     return float(np.median(seen)) if len(seen) else core.radius

@@ -29,7 +29,12 @@ DETOURS = ((1, 0), (0.85, 0), (0.85, 0.25), (0.7, 0.25), (0.7, 0.5), (0.5, 0.5),
 
 
 def poses(
-    sampled: SplatSample, core: Core, up: F64, lens: F64, numbers: I64, band: tuple[float, float]
+    sampled: SplatSample,
+    core: Core,
+    up: F64,
+    tangents: F64,
+    numbers: I64,
+    band: tuple[float, float],
 ) -> list[tuple[F64, float]]:
     """Compute the (4, 4) world-to-camera matrix and near plane of cameras of the orbit.
 
@@ -37,7 +42,7 @@ def poses(
         sampled: The model.
         core: The model without strays.
         up: (3,) float64, unit.
-        lens: (2,) float64, tangents of half the fields of view.
+        tangents: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, members of the sequence of directions.
         band: Lowest and highest elevation, radians.
     """
@@ -47,12 +52,12 @@ def poses(
     turn, lift, pull = low_discrepancy(numbers / 2, 3).T
     lowest, highest = np.sin(band)
     elevation = np.arcsin(lowest + lift * (highest - lowest))  # uniform over the band's area
-    distance = NEAREST * (FARTHEST / NEAREST) ** pull * radius / lens.min()
+    distance = NEAREST * (FARTHEST / NEAREST) ** pull * radius / tangents.min()
     places = zip((2 * np.pi * turn).tolist(), elevation.tolist(), distance.tolist(), strict=True)
-    return [_unblocked(grid, centre, level_frame(up), lens, *place) for place in places]
+    return [_unblocked(grid, centre, level_frame(up), tangents, *place) for place in places]
 
 
-def overview(sampled: SplatSample, core: Core, up: F64, lens: F64) -> tuple[F64, float, F64]:
+def overview(sampled: SplatSample, core: Core, up: F64, tangents: F64) -> tuple[F64, float, F64]:
     """Return the pose and near plane of a view of the whole model, and the (3,) centre of the view.
 
     The arguments are those of `poses`.
@@ -60,8 +65,8 @@ def overview(sampled: SplatSample, core: Core, up: F64, lens: F64) -> tuple[F64,
     centre, radius = _focus(sampled, core)
     grid = build_grid(sampled, centre, GRID_HALF * radius)
     azimuth, elevation, distance = OVERVIEW
-    distance *= radius / float(lens.min())
-    pose, near = _unblocked(grid, centre, level_frame(up), lens, azimuth, elevation, distance)
+    distance *= radius / float(tangents.min())
+    pose, near = _unblocked(grid, centre, level_frame(up), tangents, azimuth, elevation, distance)
     return pose, near, centre
 
 
@@ -84,7 +89,7 @@ def _unblocked(
     grid: Grid,
     centre: F64,
     frame: F64,
-    lens: F64,
+    tangents: F64,
     azimuth: float,
     elevation: float,
     distance: float,
@@ -100,7 +105,7 @@ def _unblocked(
         reach = pull * distance
         position = centre + reach * (np.array([*level, np.sin(lift)]) @ frame)
         pose = look_at(position, centre, frame[2])
-        hits = view_hits(grid, pose, lens, reach)
+        hits = view_hits(grid, pose, tangents, reach)
         blocked = float((hits < TOO_NEAR * reach).mean()) + (not grid.free(position))
         tried.append((blocked, pose, NEAR * reach))
         if blocked <= ACCEPTED:

@@ -18,7 +18,7 @@ from nanogs.splats import Splats
 LEAST = 32_000_000  # least budget, bytes: a tile may draw some hundred thousand splats
 
 
-_LESS = "free some, or render smaller pictures (`pixels`) or a smaller model"
+_REMEDY = "free some, or render smaller pictures (`pixels`) or a smaller model"
 
 
 def room_for_pictures(
@@ -47,7 +47,7 @@ def room_for_pictures(
         return None
     pictures += held if isinstance(model, Splats) else 0
     name = source_of(source).name
-    return room_for_splats(f"Rendering {name}", [source_of(source)], pictures, memory, _LESS)
+    return room_for_splats(f"Rendering {name}", [source_of(source)], pictures, memory, _REMEDY)
 
 
 def room_for_measuring(

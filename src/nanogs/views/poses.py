@@ -39,17 +39,17 @@ def look_at(position: F64, target: F64, up: F64) -> F64:
     return pose
 
 
-def _view_rays(pose: F64, lens: F64) -> F64:
+def _view_rays(pose: F64, tangents: F64) -> F64:
     """Return the (RAYS², 3) unit directions of a regular grid over the image."""
     side = (np.arange(RAYS) + 0.5) / RAYS * 2 - 1
-    x, y = np.meshgrid(side * lens[0], side * lens[1])
+    x, y = np.meshgrid(side * tangents[0], side * tangents[1])
     rays = np.stack([x.ravel(), y.ravel(), np.ones(RAYS * RAYS)], axis=1) @ pose[:3, :3]
     directions: F64 = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     return directions
 
 
-def view_hits(grid: Grid, pose: F64, lens: F64, reach: float) -> F64:
+def view_hits(grid: Grid, pose: F64, tangents: F64, reach: float) -> F64:
     """Return the (RAYS²,) distances at which a view's rays are stopped; see `Grid.first_hits`."""
-    rays = _view_rays(pose, lens)
+    rays = _view_rays(pose, tangents)
     origin: F64 = -pose[:3, :3].T @ pose[:3, 3]
     return grid.first_hits(np.broadcast_to(origin, rays.shape), rays, reach)

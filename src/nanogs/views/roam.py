@@ -130,10 +130,10 @@ def roaming_cameras(
         ModelError: No splat is visible, or no camera was found.
         OptionError: An argument is out of range.
     """
-    lens = _lens(count, width, height, fov)
+    test_camera = _test_camera(count, width, height, fov)
     scene = _scene(splats, up)
     known = _begin(scene, splats, up, split)
-    for candidate in _candidates(scene, known, lens, split, TRIES * count):
+    for candidate in _candidates(scene, known, test_camera, split, TRIES * count):
         if _accepts(scene, known, candidate):
             on_progress(len(known.cameras), count)
         if len(known.cameras) == count:
@@ -149,7 +149,7 @@ def roaming_cameras(
     ]
 
 
-def _lens(count: int, width: int, height: int, fov: float) -> Camera:
+def _test_camera(count: int, width: int, height: int, fov: float) -> Camera:
     """Make the camera, at the origin, with the low resolution that candidates are tested at."""
     if count < 1 or width < 1 or height < 1:
         raise OptionError(
@@ -203,7 +203,7 @@ def _add(known: SearchState, place: F64, contributions: F64) -> None:
 
 
 def _candidates(
-    scene: Scene, known: SearchState, lens: Camera, split: str, tries: int
+    scene: Scene, known: SearchState, test_camera: Camera, split: str, tries: int
 ) -> Iterator[Candidate]:
     """Draw candidates: targets, directions and distances; `known` may grow during the iteration."""
     random = np.random.default_rng(zlib.crc32(split.encode()))
@@ -217,7 +217,7 @@ def _candidates(
         position = target + distance * _direction(draw[1], draw[2]) @ scene.frame
         if np.linalg.norm(position - scene.centre) <= AWAY * scene.radius:
             pose = look_at(position, target, scene.frame[2])
-            camera = replace(lens, world_to_camera=pose, near=NEAR * distance)
+            camera = replace(test_camera, world_to_camera=pose, near=NEAR * distance)
             yield Candidate(camera, target, distance)
 
 

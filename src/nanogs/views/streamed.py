@@ -180,30 +180,30 @@ class _Pass:
     """One pass over the source, for as many parts as fit into the arena.
 
     Attributes:
-        now: The parts being gathered; if the arena is full, the last ones are left for a later
-            pass.
+        gathering: The parts being gathered; if the arena is full, the last ones are left for a
+            later pass.
     """
 
     def __init__(self, arena: Arena, parts: Sequence[Part], extents: "_Extents") -> None:
         self._arena, self._extents = arena, extents
-        self.now = [_Gathered(part) for part in parts]
+        self.gathering = [_Gathered(part) for part in parts]
 
     def wants(self, number: int) -> bool:
         """Return whether any part may draw splats of a block."""
-        return any(self._extents.meets(number, gathered.part) for gathered in self.now)
+        return any(self._extents.meets(number, gathered.part) for gathered in self.gathering)
 
     def add(self, number: int, block: PreparedSplats, cameras: Sequence[Camera]) -> None:
         """Project a block onto each view that may show it, and keep the splats that parts draw."""
-        wanted = [one for one in self.now if self._extents.meets(number, one.part)]
+        wanted = [one for one in self.gathering if self._extents.meets(number, one.part)]
         for view, group in groupby(wanted, lambda gathered: gathered.part.view):
-            if self.now[-1].part.view >= view:  # some of its parts are still being gathered
+            if self.gathering[-1].part.view >= view:  # some of its parts are still being gathered
                 projected = project_rows(block, cameras[view])
                 self._extents.note(number, view, projected[2])
                 for gathered in group:
                     self._keep(gathered, *projected)
 
     def _keep(self, gathered: _Gathered, geometry: F64, features: F32, boxes: I64) -> None:
-        if gathered not in self.now:  # another part took its pages
+        if gathered not in self.gathering:  # another part took its pages
             return
         part = gathered.part
         rows, cut = np.empty_like(boxes), np.empty_like(boxes)
@@ -214,7 +214,7 @@ class _Pass:
         gathered.corners += corners
         gathered.count += count
         gathered.tiles += tiles
-        if not gathered.over and self._arena.times(gathered.count, gathered.tiles) > 1:
+        if not gathered.over and self._arena.needed_share(gathered.count, gathered.tiles) > 1:
             self._only_count(gathered)
         if self._room_for(gathered):
             places = self._arena.places(gathered.pages, start, gathered.count)
@@ -226,12 +226,12 @@ class _Pass:
         Returns False if the part itself was dropped.
         """
         lacking = -(-gathered.count // self._arena.page) - len(gathered.pages)
-        while gathered in self.now and not gathered.over:
+        while gathered in self.gathering and not gathered.over:
             pages = self._arena.take(max(lacking, 0))
             if pages is not None:
                 gathered.pages += pages
                 return True
-            self._arena.give(self.now.pop().pages)
+            self._arena.give(self.gathering.pop().pages)
         return False
 
     def _only_count(self, gathered: _Gathered) -> None:
@@ -241,8 +241,8 @@ class _Pass:
         """
         gathered.over = True
         self._arena.give(gathered.pages)
-        while self.now[-1] is not gathered:
-            self._arena.give(self.now.pop().pages)
+        while self.gathering[-1] is not gathered:
+            self._arena.give(self.gathering.pop().pages)
 
 
 class _Extents:
@@ -294,8 +294,8 @@ class _Drawing:
         while waiting:
             passed = self._gather(waiting[:most])
             # The next pass starts at most twice as many parts as fitted into this one.
-            waiting, most = self._left(passed, waiting), 2 * len(passed.now)
-            for view, group in groupby(passed.now, lambda gathered: gathered.part.view):
+            waiting, most = self._left(passed, waiting), 2 * len(passed.gathering)
+            for view, group in groupby(passed.gathering, lambda gathered: gathered.part.view):
                 for gathered in group:
                     self._draw(gathered)
                 if not any(part.view == view for part in waiting):
@@ -306,7 +306,7 @@ class _Drawing:
         """Read the source once, and gather some parts, or as many of the first as fit."""
         passed, count = _Pass(self._arena, parts, self._extents), self._source.count
         for number, start in enumerate(range(0, count, BLOCK_ROWS)):
-            coming = passed.now[-1].part.view - self._done
+            coming = passed.gathering[-1].part.view - self._done
             self._on_progress(self._done + coming * start / count, len(self._cameras))
             if passed.wants(number):
                 block = prepare(self._source.read(start, min(start + BLOCK_ROWS, count)))
@@ -316,7 +316,7 @@ class _Drawing:
 
     def _left(self, passed: _Pass, waiting: Sequence[Part]) -> list[Part]:
         """Return the remaining parts; those that were too large are divided."""
-        known = {gathered.part: gathered for gathered in passed.now}
+        known = {gathered.part: gathered for gathered in passed.gathering}
         left: list[Part] = []
         for part in waiting:
             if part not in known:
@@ -326,8 +326,8 @@ class _Drawing:
         return left
 
     def _divided(self, gathered: _Gathered) -> list[Part]:
-        times = self._arena.times(gathered.count, gathered.tiles)
-        pieces = gathered.part.divided(max(int(np.ceil(times)), 2))
+        needed_share = self._arena.needed_share(gathered.count, gathered.tiles)
+        pieces = gathered.part.divided(max(int(np.ceil(needed_share)), 2))
         if len(pieces) == 1:
             camera = self._cameras[gathered.part.view]
             raise NotEnoughMemoryError(
