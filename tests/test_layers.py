@@ -79,7 +79,6 @@ FORBIDDEN = {
 # Exceptions to this, some of them for good.
 EXCEPTIONS = {
     ("method.forest", "nanogs.progress"): "passes are told of one by one",
-    ("method.visibility", "nanogs.progress"): "views are told of one by one",
     ("method.paper.passes", "nanogs.progress"): "passes are told of one by one",
     ("method.forest", "nanogs.clock"): "the report has the seconds of each pass",
     ("method.paper.passes", "nanogs.clock"): "the report has the seconds of each pass",

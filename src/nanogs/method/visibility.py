@@ -9,7 +9,6 @@ import numpy as np
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError
 from nanogs.formatting import counted
-from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, render
 from nanogs.splats import Splats
@@ -145,15 +144,11 @@ def visibility_of(
     return visible, missed
 
 
-def roaming_views(
-    splats: Splats, count: int, on_progress: PartProgress = ignore_progress
-) -> tuple[list[Camera], tuple[str, ...]]:
+def roaming_views(splats: Splats, count: int) -> tuple[list[Camera], tuple[str, ...]]:
     """Find small roaming cameras; return them, and a note if fewer than `count` were found."""
     found: list[Camera] = []
     with suppress(ModelError):  # none was found; the note says so
-        found = roaming_cameras(
-            splats, count, width=SMALL, height=SMALL, split="fit", on_progress=on_progress
-        )
+        found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit")
     lacking = f"Only {len(found)} of {counted(count, 'roaming view')} could be found."
     return found, (lacking,) if len(found) < count else ()
 

@@ -156,7 +156,7 @@ def compare(
                 behind, frames = photographs(Path(photos), images, split, background, limit)
                 comparison, _ = compare_with_photographs(
                     str(photos), every, frames, split=split, background=behind, extras=extras,
-                    costs=True, room=room_beside_photographs(room, frames, packed=bool(packing)),
+                    room=room_beside_photographs(room, frames, packed=bool(packing)),
                     progress=tracker,
                 )  # fmt: skip
             tracker.finish()

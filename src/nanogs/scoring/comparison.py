@@ -197,11 +197,10 @@ def compare_with_photographs(
     background: Background,
     extras: Sequence[str] = (),
     pictures: bool = False,
-    costs: bool = False,
     room: int | None = None,
     progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
-    """Score models against photographs.
+    """Score models against photographs, and measure the draw cost of each.
 
     Args:
         source: The photographs' folder, as shown to the reader.
@@ -211,7 +210,6 @@ def compare_with_photographs(
         background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
         extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
         pictures: Also make the pictures for a page.
-        costs: Also measure the draw cost of each model.
         room: As for `compare_models`.
         progress: Receives the stage "score".
 
@@ -220,7 +218,7 @@ def compare_with_photographs(
     """
     protocol = views_of(_cameras(views), "photographs", split, background)
     scores, sheets = score_models(
-        models, views, protocol, extras=extras, pictures=pictures, costs=costs, room=room,
+        models, views, protocol, extras=extras, pictures=pictures, costs=True, room=room,
         progress=progress or Tracker(None, []),
     )  # fmt: skip
     return _comparison(source, None, views, [], protocol, scores, []), sheets

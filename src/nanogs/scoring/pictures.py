@@ -8,6 +8,7 @@ import numpy as np
 from nanogs._types import F32
 from nanogs.raster.images import to_bytes
 
+_WEBP_QUALITY = 85
 ERROR_FULL_SCALE = 0.25  # mean absolute difference shown in the map's brightest colour
 # Every 15th colour of "inferno", by Nathaniel Smith and Stéfan van der Walt (CC0).
 _INFERNO = (
@@ -28,10 +29,10 @@ def error_map(reference: F32, image: F32) -> F32:
     return np.stack(channels, axis=2).astype(np.float32)
 
 
-def data_uri(image: F32, *, quality: int = 85) -> str:
+def data_uri(image: F32) -> str:
     """Encode the image as a WebP `data:` URL, for self-contained pages."""
     from PIL import Image
 
     buffer = io.BytesIO()
-    Image.fromarray(to_bytes(image)).save(buffer, format="WEBP", quality=quality)
+    Image.fromarray(to_bytes(image)).save(buffer, format="WEBP", quality=_WEBP_QUALITY)
     return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -191,7 +191,7 @@ class _Scoring(NamedTuple):
         room = room_beside_photographs(self.room, frames, packed=packed)
         found = compare_with_photographs(
             source, models, frames, split=split, background=behind, extras=self.extras,
-            pictures=self.pictures, costs=True, room=room, progress=self.progress,
+            pictures=self.pictures, room=room, progress=self.progress,
         )  # fmt: skip
         return _Found(*found, frames[0].camera, behind)
 
