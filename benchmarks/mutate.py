@@ -5,9 +5,9 @@
 Each file must be read as a model or refused with a `FormatError`, in less than ten seconds of
 processor time, and in less memory than four times its size plus 200 MB; warnings are errors.
 Otherwise the format's run stops, and its last file is kept in build/mutated. Each format has a
-separate process, so that a crash is noticed. `tests/seeds.py` has the files and the ways to damage
-them. Memory is the peak resident memory while one file is read and described; only Linux reports
-it.
+separate process, so that a crash is noticed. `tests/fuzz_seeds.py` has the files and the mutations
+that damage them. Memory is the peak resident memory while one file is read and described; only
+Linux reports it.
 """
 
 import argparse
@@ -27,7 +27,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "build" / "mutated"
-PATIENCE = 10  # seconds of processor time for one file
+TIMEOUT = 10  # seconds of processor time for one file
 STUCK = 600  # seconds of wall-clock time, for a file whose reader hangs without using the processor
 FREE_BYTES = 200 << 20
 TIMES = 4
@@ -41,13 +41,13 @@ def main() -> None:
     if options.worker:
         print(json.dumps(run_format(options.only, options.count, options.seed, options.worker)))
         return
-    import seeds
+    import fuzz_seeds
 
     results = []
     print(
         "| format | files | models | refused | slowest | most memory |\n|---|---|---|---|---|---|"
     )
-    for name in options.only.split(",") if options.only else seeds.FORMATS:
+    for name in options.only.split(",") if options.only else fuzz_seeds.FORMATS:
         results.append(_in_a_process(name, options.count, options.seed))
         print(_line(results[-1]), flush=True)
     if options.out:
@@ -98,27 +98,29 @@ def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]
     """Damage and read files of a format; return the figures, with the failure if there was one.
 
     Args:
-        name: A format of `seeds.FORMATS`.
+        name: A format of `fuzz_seeds.FORMATS`.
         count: Number of files.
         seed: Seed of the random numbers.
         folder: Folder for one file at a time.
     """
-    import seeds
+    import fuzz_seeds
     from damage import outcome
 
     warnings.simplefilter("error")
     faulthandler.register(signal.SIGPROF, chain=True)
-    made, rng = seeds.made(name), np.random.default_rng(seed)
-    for files in made.seeds:  # so that time and memory of imports and tables are not measured
+    damaged_format, rng = fuzz_seeds.format_named(name), np.random.default_rng(seed)
+    for (
+        files
+    ) in damaged_format.seeds:  # so that time and memory of imports and tables are not measured
         assert outcome(_placed(folder, files)) == "model"
     found = {"model": 0, "refused": 0}
     slowest, most, failure = 0.0, 0, ""
     for number in range(count):
-        files = made.damaged(rng)
+        files = damaged_format.damaged(rng)
         path = _placed(folder, files)
         before, start = _resident(reset=True), time.process_time()
         faulthandler.dump_traceback_later(STUCK, exit=True)
-        signal.setitimer(signal.ITIMER_PROF, PATIENCE)  # ends the process, even within C code
+        signal.setitimer(signal.ITIMER_PROF, TIMEOUT)  # ends the process, even within C code
         found[outcome(path)] += 1
         signal.setitimer(signal.ITIMER_PROF, 0)
         faulthandler.cancel_dump_traceback_later()

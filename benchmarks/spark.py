@@ -5,7 +5,7 @@
 Each model is written as `.rad`, like `nanogs lod` does, and as `.spz`, from which Spark (its npm
 package) builds a tree itself: `lod: true`, its quick method, and `lod: "quality"`. All are drawn in
 Chromium from the same cameras with the same maximum number of splats (`lodSplatCount`), and
-compared with our renders of the whole model. The page is that of `tests/sparkpage.py`.
+compared with our renders of the whole model. The page is that of `tests/spark_page.py`.
 """
 
 import argparse
@@ -56,7 +56,7 @@ def _compare(path: Path, made: Path, shares: list[float], views: int, preset: st
     from nanogs.raster.rendering import render
     from nanogs.splats import RenderMode
     from nanogs.views.automatic import automatic_cameras
-    from sparkpage import in_spark
+    from spark_page import render_in_spark
 
     model = nanogs.load(path)
     nanogs.write_levels(model, made / "a.rad", RATIOS, layout="spark tree", preset=preset)
@@ -73,8 +73,8 @@ def _compare(path: Path, made: Path, shares: list[float], views: int, preset: st
         for file, mesh in ways.values():
             found = []
             for camera, target in zip(cameras, targets, strict=True):
-                shown, state = in_spark(
-                    file, camera, made, mesh=mesh, calm=4, lodSplatCount=count, **blurs
+                shown, state = render_in_spark(
+                    file, camera, made, mesh=mesh, still_frames=4, lodSplatCount=count, **blurs
                 )
                 found.append((psnr(shown, target), state["splats"]))
             mean, drawn = np.mean(found, axis=0)

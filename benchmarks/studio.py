@@ -26,7 +26,7 @@ import nanogs
 from nanogs.datasets.synthetic import make_scene
 
 ROOT = Path(__file__).resolve().parents[1]
-PATIENCE = 600_000  # milliseconds
+TIMEOUT = 600_000  # milliseconds
 COLUMNS = {
     "draft": "told", "model": "model there", "decoded": "decoded", "coarse": "coarse picture",
     "made": "result's picture", "measured": "measured",
@@ -144,7 +144,7 @@ def _measure(model: Path, folder: Path, options: argparse.Namespace) -> list[dic
             for ratio in ratios:
                 before = page.evaluate("Number(document.body.dataset.number)")
                 page.evaluate(SLIDE, ratio)
-                page.wait_for_function(MEASURED, arg=before, timeout=PATIENCE)
+                page.wait_for_function(MEASURED, arg=before, timeout=TIMEOUT)
                 got = {"model": model.name, "splats": splats, "ratio": ratio, "round": turn}
                 seconds = page.evaluate("seen")
                 del seconds["begun"]
@@ -171,11 +171,11 @@ def _peak(pid: int) -> int:
 @contextmanager
 def _opened(model: Path, folder: Path, preset: str) -> Iterator[Any]:
     """Start a studio and open its page with `WATCH` inserted; yield both."""
-    import studiopage
+    import studio_page
     from studio import running  # type: ignore[attr-defined]  # the one of the tests
 
     with (
-        studiopage.browser() as chromium,
+        studio_page.browser() as chromium,
         running(model.resolve(), "--preset", preset, cwd=folder) as studio,
     ):
         page = chromium.new_page(viewport={"width": 1280, "height": 800})
@@ -186,7 +186,7 @@ def _opened(model: Path, folder: Path, preset: str) -> Iterator[Any]:
 
 def _settle(page: Any) -> None:  # noqa: ANN401 - a page of Playwright
     """Wait until the page's first result is measured."""
-    page.wait_for_function("() => document.body.dataset.state === 'measured'", timeout=PATIENCE)
+    page.wait_for_function("() => document.body.dataset.state === 'measured'", timeout=TIMEOUT)
 
 
 def _show(found: list[dict[str, Any]]) -> None:

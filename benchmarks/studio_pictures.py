@@ -25,7 +25,7 @@ from nanogs.datasets.plant import load_plant
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "images"
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-PATIENCE = 300_000  # milliseconds
+TIMEOUT = 300_000  # milliseconds
 SPLATS = 5_682  # a twentieth
 COARSE = 6  # number of coarse points that the studio adds to the plot while it is idle
 
@@ -39,7 +39,7 @@ def main() -> None:
         for name, width, height in (("studio", 1280, 800), ("studio_phone", 390, 844)):
             size = {"width": width, "height": height}
             page = chromium.new_page(viewport=size, color_scheme="dark")  # type: ignore[arg-type]
-            page.set_default_timeout(PATIENCE)
+            page.set_default_timeout(TIMEOUT)
             page.goto(address)
             _choose(page)
             picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")

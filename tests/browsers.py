@@ -15,7 +15,7 @@ CHROMIUM = next(
 )
 # WebGL in software, so that machines without a graphics card render the same pictures.
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-PATIENCE = 60_000  # timeout, milliseconds
+TIMEOUT = 60_000  # timeout, milliseconds
 
 
 @contextlib.contextmanager

@@ -58,7 +58,7 @@ def same_pixel(deviation):
 
 
 def row(gaussians, index):
-    """Return one splat in the form that the twins (plain reimplementations) take."""
+    """Return one splat in the form that `reference_kernels` takes."""
     return {
         "mean": gaussians.means[index],
         "scales": gaussians.scales[index],

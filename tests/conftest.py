@@ -125,6 +125,6 @@ def temporary(tmp_path, monkeypatch):
 
 
 @pytest.fixture(autouse=True)
-def no_width_of_a_terminal(monkeypatch):
+def no_terminal_width(monkeypatch):
     """Let tables be as wide as necessary: some test of a whole run sets COLUMNS."""
     monkeypatch.delenv("COLUMNS", raising=False)

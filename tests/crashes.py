@@ -7,13 +7,13 @@ class CrashError(Exception):
     """The simulated crash of a run."""
 
 
-def crash_at(function, done, *places):
-    """Wrap a function: its calls number `places` raise CrashError and append "crash" to `done`."""
+def crash_at(function, events, *call_numbers):
+    """Wrap a function: calls of these numbers raise CrashError and append "crash" to `events`."""
     calls = itertools.count(1)
 
     def call(*arguments, **options):
-        if next(calls) in places:
-            done.append("crash")
+        if next(calls) in call_numbers:
+            events.append("crash")
             raise CrashError
         return function(*arguments, **options)
 

@@ -30,7 +30,7 @@ def harmonics(codes):
     return struct.pack("<16I", *words, 0)
 
 
-def many(rng, count):
+def random_rows(rng, count):
     """Make the rows and the harmonics of random splats."""
     rows, coefficients = [], []
     for _ in range(count):
@@ -87,12 +87,12 @@ def model(cells, *, depth, quality=False, environment=(), changes=None, name="sc
     return files
 
 
-def usual(rng, *, quality=False, environment=0):
+def typical_model(rng, *, quality=False, environment=0):
     """Return the files of a model of three cells and two levels; one cell lacks the finer level."""
     cells = [
-        (0, 0, [many(rng, 20), many(rng, 6)]),
-        (1, 0, [([], []), many(rng, 3)]),
-        (-1, 2, [many(rng, 9), many(rng, 2)]),
+        (0, 0, [random_rows(rng, 20), random_rows(rng, 6)]),
+        (1, 0, [([], []), random_rows(rng, 3)]),
+        (-1, 2, [random_rows(rng, 9), random_rows(rng, 2)]),
     ]
-    sky = many(rng, environment) if environment else ()
+    sky = random_rows(rng, environment) if environment else ()
     return model(cells, depth=2, quality=quality, environment=sky)

@@ -52,7 +52,7 @@ def splat_transform(*arguments):
 
 
 @contextlib.contextmanager
-def served(**folders):
+def serve_folders(**folders):
     """Start a server for some folders, each at `/name/`; yield its address and its requests."""
     requests = []
 
@@ -63,12 +63,12 @@ def served(**folders):
                 self.send_response(204)
                 self.end_headers()
                 return
-            wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
-            path = Path(self.translate_path(self.path)) if wanted else None
+            byte_range = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+            path = Path(self.translate_path(self.path)) if byte_range else None
             if path is None or not path.is_file():
                 super().do_GET()
                 return
-            data = path.read_bytes()[int(wanted[1]) : int(wanted[2]) + 1]
+            data = path.read_bytes()[int(byte_range[1]) : int(byte_range[2]) + 1]
             self.send_response(206)
             self.send_header("Content-Length", str(len(data)))
             self.end_headers()

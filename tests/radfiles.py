@@ -11,7 +11,7 @@ def padded(data):
     return data + b"\0" * (-len(data) % 8)
 
 
-def described(magic, content):
+def json_block(magic, content):
     text = content if isinstance(content, bytes) else json.dumps(content).encode()
     return magic + struct.pack("<I", len(text)) + padded(text)
 
@@ -40,7 +40,7 @@ def chunk(columns, /, count, base=0, **more):
         payload += padded(data)
     content = {"version": 1, "base": base, "count": count, "payloadBytes": len(payload)}
     content |= {"properties": entries} | more
-    return described(b"RADC", content) + struct.pack("<Q", len(payload)) + payload
+    return json_block(b"RADC", content) + struct.pack("<Q", len(payload)) + payload
 
 
 def rad(chunks, count, /, **more):
@@ -51,14 +51,14 @@ def rad(chunks, count, /, **more):
         offset += len(data)
     content = {"version": 1, "type": "gsplat", "count": count, "maxSh": 0, "chunkSize": 65_536,
                "allChunkBytes": offset, "chunks": entries} | more  # fmt: skip
-    return described(b"RAD0", content) + b"".join(chunks)
+    return json_block(b"RAD0", content) + b"".join(chunks)
 
 
 def by_component(values, kind="<f4"):
     return np.asarray(values).astype(kind).T.tobytes()
 
 
-def usual(count, seed=0):
+def typical_columns(count, seed=0):
     """Return the columns of a random model without harmonics, and its values by name."""
     rng = np.random.default_rng(seed)
     values = {
@@ -85,12 +85,14 @@ def small_tree(seed=0):
         The chunks, the values of all nodes by name, and the rows of the leaves.
     """
     counts, starts = [3, 2, 2, 0, 0, 0, 0, 0], [1, 4, 6, 0, 0, 0, 0, 0]
-    _, values = usual(8, seed)
+    _, values = typical_columns(8, seed)
     parts = []
     for first, last in ((0, 5), (5, 8)):
         rows = slice(first, last)
-        own = [column(n, "f32", by_component(v[rows])) for n, v in values.items()]
-        parts.append(chunk(own + tree_columns(counts[rows], starts[rows]), last - first, first))
+        node_columns = [column(n, "f32", by_component(v[rows])) for n, v in values.items()]
+        parts.append(
+            chunk(node_columns + tree_columns(counts[rows], starts[rows]), last - first, first)
+        )
     return parts, values, np.flatnonzero(np.array(counts) == 0)
 
 
@@ -101,7 +103,7 @@ def with_palette(count=6, entries=4, seed=0):
     labels = rng.integers(0, entries, count)
     codes = [column(f"sh{i + 1}_code", "f32", by_component(b)) for i, b in enumerate(bands)]
     columns = [
-        *usual(count, seed)[0],
+        *typical_columns(count, seed)[0],
         *codes,
         column("sh_label", "u16", by_component(labels, "<u2")),
     ]
@@ -109,15 +111,15 @@ def with_palette(count=6, entries=4, seed=0):
     return data, labels, np.concatenate(bands, axis=1).reshape(entries, 8, 3)
 
 
-def parts_of(data):
+def parse_rad(data):
     """Return the description of a file, and for each chunk its description and packed payload."""
     (length,) = struct.unpack_from("<I", data, 4)
     head, end = json.loads(data[8 : 8 + length]), 8 + length + -length % 8
     chunks = []
     for entry in head["chunks"]:
-        at = end + entry["offset"]
-        (size,) = struct.unpack_from("<I", data, at + 4)
-        start = at + 8 + size + -size % 8
-        payload = data[start + 8 : at + entry["bytes"]]
-        chunks.append((json.loads(data[at + 8 : at + 8 + size]), payload))
+        chunk_start = end + entry["offset"]
+        (size,) = struct.unpack_from("<I", data, chunk_start + 4)
+        start = chunk_start + 8 + size + -size % 8
+        payload = data[start + 8 : chunk_start + entry["bytes"]]
+        chunks.append((json.loads(data[chunk_start + 8 : chunk_start + 8 + size]), payload))
     return head, chunks

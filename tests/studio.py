@@ -30,17 +30,17 @@ def running(scene, *options, cwd, env=None):
 
 
 class Started:
-    """The process of the command; `told` is what it printed, and `url` the studio's address."""
+    """The process of the command: `output` is the JSON that it printed, `url` its address."""
 
     def __init__(self, process):
         self.process = process
         text = ""
         while not text.endswith("}\n"):
-            connection = process.stdout.readline()
-            assert connection, process.stderr.read()
-            text += connection
-        self.told = json.loads(text)
-        self.url = self.told["url"]
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            text += line
+        self.output = json.loads(text)
+        self.url = self.output["url"]
 
     def request(self, method, path="", body=None, headers=None, whole=False):
         """Send a request; return status, headers and bytes.
@@ -52,12 +52,12 @@ class Started:
         usual = {"Host": parts.netloc}
         if method == "POST":
             usual |= {"Origin": f"http://{parts.netloc}", "Content-Type": "application/json"}
-        given = {k: v for k, v in (usual | (headers or {})).items() if v is not None}
+        all_headers = {k: v for k, v in (usual | (headers or {})).items() if v is not None}
         connection.putrequest(method, path if whole else parts.path + path, skip_host=True)
         data = json.dumps(body).encode() if isinstance(body, dict) else body or b""
-        if method == "POST" and "Content-Length" not in given:
-            given["Content-Length"] = str(len(data))
-        for name, value in given.items():
+        if method == "POST" and "Content-Length" not in all_headers:
+            all_headers["Content-Length"] = str(len(data))
+        for name, value in all_headers.items():
             connection.putheader(name, value)
         connection.endheaders(data)
         answer = connection.getresponse()
@@ -76,10 +76,10 @@ class Page:
         self.studio, self.name, self.number = studio, name or token_hex(8), 0
         self.events, self.seen = queue.Queue(), []
         parts = urlsplit(studio.url)
-        self.line = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60)
-        self.line.request("GET", f"{parts.path}events?page={self.name}")
-        self.socket = self.line.sock
-        self.answer = self.line.getresponse()
+        self.connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60)
+        self.connection.request("GET", f"{parts.path}events?page={self.name}")
+        self.socket = self.connection.sock
+        self.answer = self.connection.getresponse()
         assert self.answer.status == 200, self.answer.read()
         self.reader = threading.Thread(target=self._read, daemon=True)
         self.reader.start()
@@ -101,7 +101,7 @@ class Page:
             self.socket.shutdown(socket.SHUT_RDWR)
         self.reader.join()
         self.answer.close()
-        self.line.close()
+        self.connection.close()
         self.socket.close()
 
     def wait(self, *kinds, number=None, seconds=60):

@@ -154,7 +154,7 @@ def test_all_views_are_rendered_in_one_call(monkeypatch):
 # Voxels
 
 
-def moments_twin(gaussians, rows):
+def reference_moments(gaussians, rows):
     """Compute the mass-weighted mean, covariance, opacity and coefficients in plain numpy."""
     masses = gaussians.opacities[rows] * gaussians.scales[rows].astype(float).prod(axis=1)
     shares = masses / masses.sum()
@@ -176,7 +176,7 @@ def moments_twin(gaussians, rows):
 
 
 def covariance_of(gaussians, row):
-    return moments_twin(gaussians, np.array([row]))[1]
+    return reference_moments(gaussians, np.array([row]))[1]
 
 
 def test_a_merged_splat_has_the_moments_of_its_members():
@@ -186,7 +186,7 @@ def test_a_merged_splat_has_the_moments_of_its_members():
     assert len(merged) == 7
     for group in range(7):
         rows = np.flatnonzero(labels == group)
-        mean, covariance, opacity, features = moments_twin(gaussians, rows)
+        mean, covariance, opacity, features = reference_moments(gaussians, rows)
         np.testing.assert_allclose(merged.means[group], mean, atol=1e-12)
         np.testing.assert_allclose(covariance_of(merged, group), covariance, rtol=1e-4, atol=1e-6)
         assert merged.opacities[group] == pytest.approx(opacity)

@@ -15,7 +15,7 @@ from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.registry import sniff
 from strategies import assert_same, splats
-from torchfiles import File, Raw, call, captured, gsplat, name, nerfstudio, pickled
+from torchfiles import Raw, TorchFile, call, gsplat, name, nerfstudio, pickled, reference_trainer
 
 SHARED = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=30
@@ -24,7 +24,7 @@ WRITERS = {"a.pt": gsplat, "a.ckpt": nerfstudio}
 
 
 def write_checkpoint(path, content, **kwargs):
-    path.write_bytes(File(content, **kwargs).bytes())
+    path.write_bytes(TorchFile(content, **kwargs).bytes())
     return path
 
 
@@ -101,7 +101,7 @@ def test_files_of_other_ranks_are_named_in_the_notes(tmp_path):
 
 def exploit(*code):
     """Return a file whose data runs `code` when it is loaded with Python's pickle."""
-    return File({"means": Raw(b"".join(code))})
+    return TorchFile({"means": Raw(b"".join(code))})
 
 
 EXPLOITS = {
@@ -141,7 +141,7 @@ HARMLESS = {
     "a_huge_place": exploit(b"N", b"r\xff\xff\xff\xff"),
     "unknown_extension": exploit(b"\x82\x01"),
     "no_storage": exploit(call(name("torch._utils", "_rebuild_tensor_v2"), 1, 0, (), ())),
-    "endless": File({"means": Raw(b"}" + b"q\x00X\x01\x00\x00\x00ah\x00s")}),
+    "endless": TorchFile({"means": Raw(b"}" + b"q\x00X\x01\x00\x00\x00ah\x00s")}),
     "nested": exploit(b"]" * 100_000),
     "truncated": exploit(b"X\xff\xff\xff\x7f"),
 }
@@ -180,7 +180,7 @@ def tensor_of(shape, steps, offset=0, count=12):
 def test_tensors_that_do_not_fit_their_storage_are_refused(tmp_path, shape, steps, offset, count):
     content = gsplat(random_splats(4, degree=0))
     content["splats"]["means"] = tensor_of(shape, steps, offset, count)
-    file = File(content)
+    file = TorchFile(content)
     file.storages[0] = np.zeros(12, np.float32).tobytes()
     (tmp_path / "a.pt").write_bytes(file.bytes())
     with pytest.raises(FormatError):
@@ -205,7 +205,9 @@ def test_checkpoints_without_usable_splats_are_refused_with_the_reason(tmp_path)
         "no splats": {"weights": np.ones(3, np.float32)},
         "its tensors: none": [1, 2],
         r"its tensors: 0, 1\.0": (np.ones(3, np.float32), [np.ones(2, np.float32)]),
-        "flat 2DGS": captured(model)[0][:4] + (model.log_scales[:, :2],) + captured(model)[0][5:],
+        "flat 2DGS": reference_trainer(model)[0][:4]
+        + (model.log_scales[:, :2],)
+        + reference_trainer(model)[0][5:],
         "network": {"splats": {"means": model.means, "features": model.means}},
         "2 models": {"a": gsplat(model)["splats"], "b": gsplat(model)["splats"]},
         "not floats": {"splats": gsplat(model)["splats"] | {"means": np.ones((4, 3), np.int64)}},
@@ -234,7 +236,7 @@ def test_checkpoints_without_usable_splats_are_refused_with_the_reason(tmp_path)
 
 
 def test_damaged_files_give_a_format_error_or_a_model(tmp_path):
-    seed, rng = File(nerfstudio(random_splats(3))).bytes(), np.random.default_rng(0)
+    seed, rng = TorchFile(nerfstudio(random_splats(3))).bytes(), np.random.default_rng(0)
     path = tmp_path / "a.ckpt"
     outcomes = {"model": 0, "refused": 0}
     for _ in range(400):
@@ -247,12 +249,12 @@ def test_damaged_files_give_a_format_error_or_a_model(tmp_path):
 @pytest.mark.parametrize("degree", [0, 3])
 def test_checkpoints_of_the_reference_trainer_are_read(tmp_path, degree, legacy):
     model = random_splats(30, degree=degree)
-    path = write_checkpoint(tmp_path / "chkpnt30000.pth", captured(model), legacy=legacy)
+    path = write_checkpoint(tmp_path / "chkpnt30000.pth", reference_trainer(model), legacy=legacy)
     assert_same(io.load(path), model)
     info = io.inspect(path)
     assert (info.splats, info.sh_degree) == (30, degree)
     assert info.encoding == ("binary_little_endian" if legacy else "zip")
-    write_checkpoint(path, captured(model)[0], legacy=legacy)  # without the iteration
+    write_checkpoint(path, reference_trainer(model)[0], legacy=legacy)  # without the iteration
     assert_same(io.load(path), model)
 
 
@@ -277,7 +279,7 @@ def test_code_is_refused_in_old_files_too(tmp_path, legacy):
 
 
 def test_every_truncation_of_an_old_file_is_refused(tmp_path):
-    data = File(gsplat(random_splats(2, degree=0)), legacy=True).bytes()
+    data = TorchFile(gsplat(random_splats(2, degree=0)), legacy=True).bytes()
     for size in range(1, len(data)):
         (tmp_path / "a.pt").write_bytes(data[:size])
         with pytest.raises(FormatError):
@@ -285,7 +287,7 @@ def test_every_truncation_of_an_old_file_is_refused(tmp_path):
 
 
 def test_an_old_file_with_wrong_storage_sizes_is_refused(tmp_path):
-    file = File(gsplat(random_splats(4, degree=0)), legacy=True)
+    file = TorchFile(gsplat(random_splats(4, degree=0)), legacy=True)
     for size in (-1, 11, 13, 2**40, 2**62):
         file.sizes[0] = size
         (tmp_path / "a.pt").write_bytes(file.bytes())

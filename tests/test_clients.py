@@ -7,15 +7,15 @@ and sort by depth in other ways, but position, orientation and colours of the mo
 import pytest
 
 import nanogs
-from cesiumpage import in_cesium
+from cesium_page import render_in_cesium
 from conftest import scene_path
-from looking import seen_from_the_start
 from nanogs import io
 from nanogs.lod.layout import Layout
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
-from sparkpage import in_spark
-from supersplatpage import in_supersplat, standing_at
+from spark_page import render_in_spark
+from supersplat_page import camera_options, render_in_supersplat
+from views_and_scores import opening_camera
 
 pytestmark = [
     pytest.mark.slow,
@@ -35,7 +35,7 @@ def seen(request):
     """A scene with fewer splats, and a camera that looks at it."""
     whole = nanogs.load(scene_path(SCENES[request.param]))
     model, _ = nanogs.simplify(whole, count=SPLATS, preset="fast")
-    return model, seen_from_the_start(model, WIDTH, HEIGHT, up=(0, -1, 0))
+    return model, opening_camera(model, WIDTH, HEIGHT, up=(0, -1, 0))
 
 
 def assert_same(picture, model, camera):
@@ -53,8 +53,8 @@ def test_supersplat_loads_a_streamed_model_from_coarse_to_fine(seen, tmp_path):
     model, camera = seen
     path = tmp_path / "web" / "lod-meta.json"
     nanogs.write_levels(model, path.parent, LEVELS, layout=Layout.SOG, preset="fast")
-    start = standing_at(camera)
-    picture, requests = in_supersplat(path, tmp_path, SPLATS, WIDTH, HEIGHT, **start)
+    start = camera_options(camera)
+    picture, requests = render_in_supersplat(path, tmp_path, SPLATS, WIDTH, HEIGHT, **start)
     assert requests == [f"scene/{name}" for name in ("lod-meta.json", *CHUNKS)]
     assert_same(picture, io.load(path, level=0), camera)
 
@@ -63,7 +63,7 @@ def test_spark_draws_a_rad_file_with_levels_of_detail(seen, tmp_path):
     model, camera = seen
     path = tmp_path / "model.rad"
     nanogs.write_levels(model, path, LEVELS, layout=Layout.TREE, preset="fast")
-    picture, state = in_spark(path, camera, tmp_path, mesh={"paged": True}, lodRenderScale=0)
+    picture, state = render_in_spark(path, camera, tmp_path, mesh={"paged": True}, lodRenderScale=0)
     assert state["splats"] == SPLATS
     assert_same(picture, model, camera)
 
@@ -73,7 +73,7 @@ def test_spark_draws_a_quantised_spz_file(seen, tmp_path):
     model, camera = seen
     path = tmp_path / "model.spz"
     nanogs.save(model, path, format_options={"bits": 6})
-    picture, state = in_spark(path, camera, tmp_path)
+    picture, state = render_in_spark(path, camera, tmp_path)
     assert state["total"] == SPLATS
     assert_same(picture, model, camera)
 
@@ -82,7 +82,7 @@ def test_cesium_draws_3d_tiles(seen, tmp_path):
     model, camera = seen
     path = tmp_path / "tiles" / "tileset.json"
     nanogs.write_levels(model, path.parent, LEVELS, layout=Layout.TILES, preset="fast")
-    picture, state = in_cesium(path, camera, tmp_path)
+    picture, state = render_in_cesium(path, camera, tmp_path)
     assert state["splats"] == SPLATS
     assert set(state["asked"]) == {"scene/1_0.glb", "scene/0_0.glb"}
     assert_same(picture, model, camera)

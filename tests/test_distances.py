@@ -10,7 +10,7 @@ from scipy.integrate import trapezoid
 from scipy.special import exp1
 
 import nanogs
-import twins
+import reference_kernels as reference
 from builders import random_splats, same_pixel
 from nanogs.datasets.synthetic import make_scene
 from nanogs.method.extent import (
@@ -47,9 +47,9 @@ def test_footprints_are_the_rms_area_over_directions_at_two_distances(pixel):
     directions = np.random.default_rng(0).normal(size=(20_000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     rng = np.random.default_rng(1)
-    sigmas = [twins.covariance(np.exp(rng.uniform(-3, 0, 3)), q) for q in
+    sigmas = [reference.covariance(np.exp(rng.uniform(-3, 0, 3)), q) for q in
               np.linalg.qr(rng.normal(size=(4, 4)))[0]]  # fmt: skip
-    found = footprints(np.array([twins.pack(sigma) for sigma in sigmas]), pixel)
+    found = footprints(np.array([reference.pack(sigma) for sigma in sigmas]), pixel)
     for sigma, area in zip(sigmas, found, strict=True):
         far, near = (sigma + p**2 * np.eye(3) for p in (pixel, pixel / NEARER))
         expected = (rms_area(far, directions) + rms_area(near, directions)) / 2

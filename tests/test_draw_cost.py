@@ -25,7 +25,7 @@ from nanogs.views.automatic import automatic_cameras
 from nanogs.views.costing import views_of
 from nanogs.views.covering import cost_on
 from nanogs.views.plan import LEAST
-from raster_twin import NEARLY, splat_on_screen
+from reference_raster import ROUNDING_MARGIN, splat_on_screen
 from test_raster import make_camera, make_splats, one_splat
 
 
@@ -43,7 +43,7 @@ def cover_reference(splats, camera):
         power = -0.5 * np.einsum("...i,ij,...j", offsets, np.linalg.inv(covariance), offsets)
         alpha = opacity * np.exp(np.minimum(power, 0))
         counts += alpha >= 1 / 255
-        sure &= np.abs(alpha * 255 - 1) > NEARLY
+        sure &= np.abs(alpha * 255 - 1) > ROUNDING_MARGIN
     return counts, sure
 
 

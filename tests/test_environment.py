@@ -25,7 +25,7 @@ from nanogs.source import InMemory
 from nanogs.splats import concatenate
 from nanogs.views.poses import look_at
 from npm_packages import package
-from supersplatpage import in_supersplat, standing_at
+from supersplat_page import camera_options, render_in_supersplat
 from test_lod_stream import leaves
 from test_rad_spark import lopsided
 
@@ -473,7 +473,7 @@ def test_supersplat_fetches_the_environment_once_and_renders_it_in_place(tmp_pat
     focal = 160 / np.tan(np.radians(25))
     pose = look_at(np.array([-2.0, -1, 4]), np.zeros(3), np.array([0.0, -1, 0]))
     camera = Camera(320, 240, focal, focal, 160, 120, pose, near=0.01)
-    picture, requests = in_supersplat(path, pages, 900 + 700, **standing_at(camera))
+    picture, requests = render_in_supersplat(path, pages, 900 + 700, **camera_options(camera))
     assert requests[0] == "scene/lod-meta.json"
     assert "scene/env/meta.json" in requests[1:3]  # may come together with a level
     assert {"scene/0_0/meta.json", "scene/1_0/meta.json"} <= set(requests)

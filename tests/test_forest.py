@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import nanogs
-import twins
+import reference_kernels as reference
 from builders import model_bytes, random_splats, same_pixel
 from nanogs.clock import StageClock
 from nanogs.kernels.assign import assign_nearest, invert_covariances
@@ -135,7 +135,7 @@ def test_stored_groups_block_as_much_light_as_their_members(n, seed, pixel):
     small = stored.grown(1.0)
     assert len(small) == groups
     alphas = small.opacities()
-    sigmas = [twins.pack(twins.covariance(s, q)) for s, q in
+    sigmas = [reference.pack(reference.covariance(s, q)) for s, q in
               zip(small.scales(), small.unit_quats(), strict=True)]  # fmt: skip
     covered = alphas * footprints(np.array(sigmas), pixel)
     by_centre = np.argsort(small.means[:, 0], kind="stable")
@@ -161,7 +161,7 @@ def test_thin_splats_and_points_get_a_minimum_thickness():
     splats = random_splats(3)
     splats.log_scales[:] = [[0, 0, -30], [-np.inf] * 3, [0, 0, 0]]
     nodes, rows = nodes_of(splats, pixel=0.5)
-    values = [np.linalg.eigvalsh(twins.unpack(six)) for six in nodes.covariances]
+    values = [np.linalg.eigvalsh(reference.unpack(six)) for six in nodes.covariances]
     least = dict(zip(rows.tolist(), (np.sqrt(v[0]) for v in values), strict=True))
     assert least == {0: pytest.approx(1e-3, rel=1e-4), 1: pytest.approx(5e-4), 2: pytest.approx(1)}
 
@@ -183,25 +183,25 @@ def test_a_forest_joins_all_splats_and_merges_each_node_once(n, k, seed):
     assert [p.merged for p in forest.passes] == np.bincount(forest.levels)[1:].tolist()
     assert all(p.count_after == p.count_before - p.merged for p in forest.passes)
     if n > 1:
-        assert sorted(twins.leaves_below(forest.children, 2 * n - 2, n)) == list(range(n))
+        assert sorted(reference.leaves_below(forest.children, 2 * n - 2, n)) == list(range(n))
 
 
 def test_increments_equal_the_reference_for_the_merged_nodes():
     nodes, _ = nodes_of(random_splats(40, seed=4), 0.01)
     forest = grow_forest(nodes, ForestParameters(k=6), 1, ignore_progress)
-    sigmas = np.array([twins.unpack(six) for six in nodes.covariances])
+    sigmas = np.array([reference.unpack(six) for six in nodes.covariances])
 
     def moments(node):
-        leaves = twins.leaves_below(forest.children, node, 40)
+        leaves = reference.leaves_below(forest.children, node, 40)
         weights = nodes.weights[leaves]
         arrays = (nodes.means[leaves], sigmas[leaves], nodes.features[nodes.rows[leaves]])
-        return twins.group_moments(weights, weights, *arrays)
+        return reference.group_moments(weights, weights, *arrays)
 
     for pair, increment in zip(forest.children, forest.increments, strict=True):
         weights, _, means, covariances, features = (
             np.array(part) for part in zip(*map(moments, pair), strict=True)
         )
-        expected = twins.merge_increment(weights, means, covariances, features)
+        expected = reference.merge_increment(weights, means, covariances, features)
         assert np.allclose(increment, expected, rtol=1e-3, atol=1e-5)
 
 
@@ -519,7 +519,7 @@ def scaled(splats, factor):
 
 
 def turned(splats, quat):
-    turn = twins.rotation_matrix(quat)
+    turn = reference.rotation_matrix(quat)
     return dataclasses.replace(
         splats,
         means=splats.means @ turn.T,
@@ -577,7 +577,7 @@ def test_moved_scaled_and_turned_scenes_are_simplified_alike(preset, change):
     assert np.allclose(matched.opacities(), matched_changed.opacities(), atol=2e-3)
     assert np.allclose(matched.sh, matched_changed.sh, atol=1e-3)
     for a, b in zip(range(len(matched)), range(len(matched_changed)), strict=True):
-        first, second = (twins.covariance(s.scales()[i], s.unit_quats()[i])
+        first, second = (reference.covariance(s.scales()[i], s.unit_quats()[i])
                          for s, i in ((matched, a), (matched_changed, b)))  # fmt: skip
         assert np.allclose(first, second, atol=2e-3 * np.abs(first).max())
 

@@ -1,4 +1,4 @@
-"""Each kernel compared with its float64 reference implementation in `twins`."""
+"""Each kernel compared with its float64 reference implementation in `reference_kernels`."""
 
 import dataclasses
 import itertools
@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import twins
+import reference_kernels as reference
 from builders import gaussians_of, random_splats, row
 from nanogs.errors import ModelError
 from nanogs.kernels.assign import assign_nearest, invert_covariances
@@ -59,7 +59,7 @@ def random_quats(count, seed=0):
 def test_rotation_matrix_equals_the_quaternion_product():
     for quat in random_quats(50):
         # float32 quaternions have unit length to 1e-7 only, which affects the formulas differently.
-        assert np.allclose(rotation_matrix(quat), twins.rotation_matrix(quat), atol=1e-6)
+        assert np.allclose(rotation_matrix(quat), reference.rotation_matrix(quat), atol=1e-6)
 
 
 @pytest.mark.parametrize("quat", [*np.eye(4), *random_quats(50, seed=1)])
@@ -78,9 +78,9 @@ def test_mixed_covariance_is_the_second_moment_of_the_mixture():
         covariance(rotation_matrix(p["quat"]), *(p["scales"].astype(np.float64) ** 2))
         for p in (a, b)
     ]
-    share = twins.fraction(a, b)
+    share = reference.fraction(a, b)
     mixed = mix(share, sigmas[0], 1 - share, sigmas[1], share * (1 - share), a["mean"] - b["mean"])
-    assert np.allclose(twins.unpack(mixed), twins.moments(a, b)[1], rtol=1e-6)
+    assert np.allclose(reference.unpack(mixed), reference.moments(a, b)[1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1e-2, 1e-4, 1e-6])
@@ -89,10 +89,10 @@ def test_eigen_is_accurate_for_thin_splats(ratio):
         sigma = covariance(rotation_matrix(quat), 1.0, 0.5, ratio**2)
         values, axes = eigen(sigma)
         axes = np.array(axes)
-        assert np.allclose(axes @ np.diag(values) @ axes.T, twins.unpack(sigma), atol=1e-14)
+        assert np.allclose(axes @ np.diag(values) @ axes.T, reference.unpack(sigma), atol=1e-14)
         assert np.allclose(axes.T @ axes, np.eye(3), atol=1e-14)
         assert np.linalg.det(axes) == pytest.approx(1)
-        assert np.allclose(np.sort(values), np.linalg.eigvalsh(twins.unpack(sigma)), atol=1e-15)
+        assert np.allclose(np.sort(values), np.linalg.eigvalsh(reference.unpack(sigma)), atol=1e-15)
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=6, max_size=6), st.sampled_from([1e-30, 1, 1e30]))
@@ -101,7 +101,9 @@ def test_eigen_reconstructs_any_symmetric_matrix_in_any_unit(entries, unit):
     values, axes = eigen(sigma)
     axes = np.array(axes)
     largest = max(map(abs, sigma))
-    assert np.allclose(axes @ np.diag(values) @ axes.T, twins.unpack(sigma), atol=1e-13 * largest)
+    assert np.allclose(
+        axes @ np.diag(values) @ axes.T, reference.unpack(sigma), atol=1e-13 * largest
+    )
 
 
 def test_eigen_rotates_a_matrix_with_equal_diagonals_by_45_degrees():
@@ -114,7 +116,7 @@ def test_log_det_equals_the_determinant():
     for quat in random_quats(20, seed=5):
         sigma = covariance(rotation_matrix(quat), 1.0, 0.01, 1e-4)
         assert log_det(sigma, 1e-8) == pytest.approx(
-            np.linalg.slogdet(twins.unpack(sigma))[1], abs=1e-9
+            np.linalg.slogdet(reference.unpack(sigma))[1], abs=1e-9
         )
 
 
@@ -148,7 +150,7 @@ def test_costs_equal_the_reference(samples, degree):
     parameters = PaperParameters(samples=samples, seed=7, lambda_geo=0.7, lambda_app=1.3)
     costs = pair_costs(g, pairs, log_masses(g), parameters)
     normals = np.random.default_rng(7).standard_normal((samples, 3))
-    expected = [twins.cost(row(g, i), row(g, j), normals, JITTER, 0.7, 1.3) for i, j in pairs]
+    expected = [reference.cost(row(g, i), row(g, j), normals, JITTER, 0.7, 1.3) for i, j in pairs]
     assert np.allclose(costs, expected, rtol=1e-5, atol=1e-5)
 
 
@@ -159,7 +161,7 @@ def test_merged_splats_have_the_same_costs_with_mixed_and_stored_features():
     pairs = merge(g, MergePlan(first, np.zeros(12, np.float32), 0), log_masses(g))
     assert pairs.features is g.features
     for index, (i, j) in zip(range(12), first, strict=True):
-        expected = twins.merged(row(g, i), row(g, j))["features"]
+        expected = reference.merged(row(g, i), row(g, j))["features"]
         assert np.allclose(pairs.colours()[index], expected, atol=1e-6)
     stored = dataclasses.replace(
         pairs,
@@ -214,11 +216,11 @@ def test_merge_equals_the_reference():
     assert len(result) == 27
     for i, j in plan.pairs:
         index = int(np.flatnonzero(np.isin(result.sources, (i, j)))[0])
-        expected, found = twins.merged(row(g, i), row(g, j)), row(result, index)
+        expected, found = reference.merged(row(g, i), row(g, j)), row(result, index)
         assert result.merged[index]
         assert np.allclose(found["mean"], expected["mean"], rtol=1e-12)
         assert np.allclose(
-            twins.covariance(found["scales"], found["quat"]), expected["covariance"], atol=1e-7
+            reference.covariance(found["scales"], found["quat"]), expected["covariance"], atol=1e-7
         )
         assert found["opacity"] == pytest.approx(expected["opacity"], rel=1e-12)
         assert np.allclose(found["features"], expected["features"], atol=1e-6)
@@ -254,7 +256,7 @@ def test_neighbours_are_the_nearest(k):
     means = np.random.default_rng(13).normal(size=(300, 3))
     found = nearest_neighbours(means, k, threads=2)
     distances = np.linalg.norm(means[found] - means[:, None], axis=2)
-    assert np.allclose(distances, twins.neighbour_distances(means, k))
+    assert np.allclose(distances, reference.neighbour_distances(means, k))
     assert not (found == np.arange(300)[:, None]).any()
 
 
@@ -271,7 +273,7 @@ def test_neighbours_are_the_nearest_among_coincident_centres(n, k, positions, se
     found = nearest_neighbours(means, k, threads=1)
     assert found.shape == (n, min(k, n - 1))
     distances = np.linalg.norm(means[found] - means[:, None], axis=2)
-    assert np.allclose(distances, twins.neighbour_distances(means, k))
+    assert np.allclose(distances, reference.neighbour_distances(means, k))
     assert not (found == np.arange(n)[:, None]).any()
     assert all(len(set(row)) == len(row) for row in found.tolist())
 
@@ -293,14 +295,14 @@ def test_coincident_groups_exclude_centres_that_are_only_close():
 def test_each_pair_is_listed_once_for_both_directions():
     means = np.random.default_rng(14).normal(size=(200, 3))
     pairs = neighbour_pairs(means, 6, threads=1)
-    assert list(map(tuple, pairs.tolist())) == twins.pairs_of(nearest_neighbours(means, 6, 1))
+    assert list(map(tuple, pairs.tolist())) == reference.pairs_of(nearest_neighbours(means, 6, 1))
 
 
 def test_pairs_of_a_row_that_is_a_neighbour_of_all_others():
     """Its list of pairs is long, and most of its pairs come from the lists of the others."""
     neighbours = np.stack([(np.arange(400) + 1) % 400, np.full(400, 200)], axis=1).astype(np.int32)
     neighbours[199:201, 1] = [5, 7]
-    expected, starts = twins.pairs_of(neighbours), np.empty(401, dtype=np.int64)
+    expected, starts = reference.pairs_of(neighbours), np.empty(401, dtype=np.int64)
     count_pairs(neighbours, starts)
     firsts, seconds = np.empty((2, starts[-1]), dtype=np.int32)
     fill_seconds(neighbours, starts, starts[:-1].copy(), seconds)
@@ -315,7 +317,7 @@ def test_pairs_between_different_stretches_of_rows(threads):
     means = np.random.default_rng(41).normal(size=(20_000, 3))
     neighbours = nearest_neighbours(means, 4, threads)
     pairs = neighbour_pairs(means, 4, threads)
-    assert list(map(tuple, pairs.tolist())) == twins.pairs_of(neighbours)
+    assert list(map(tuple, pairs.tolist())) == reference.pairs_of(neighbours)
 
 
 def collected(firsts, seconds, costs, taken, end, keys):
@@ -388,7 +390,7 @@ def test_matching_in_batches_gives_the_same_pairs(monkeypatch):
     for smallest in (1 << 16, 50, 1):
         monkeypatch.setattr(matching, "SMALLEST_BATCH", smallest)
         plans.append(match(pairs, costs, 400, 195))
-    expected = twins.greedy(pairs, costs.tolist(), 195)
+    expected = reference.greedy(pairs, costs.tolist(), 195)
     for plan in plans:
         assert list(map(tuple, plan.pairs.tolist())) == expected
         assert plan.without_cost == np.isnan(costs).sum() > 0
@@ -411,7 +413,7 @@ def test_matching_in_rounds_gives_the_same_pairs(monkeypatch, stretch):
     for threads in (1, 2):
         with use_threads(threads):
             plan = match(pairs, costs, 400, 195)
-        assert list(map(tuple, plan.pairs.tolist())) == twins.greedy(pairs, costs.tolist(), 195)
+        assert list(map(tuple, plan.pairs.tolist())) == reference.greedy(pairs, costs.tolist(), 195)
         assert (np.diff(plan.costs) >= 0).all()
     assert max(unmatched) < 100  # most pairs are matched in rounds
 
@@ -447,7 +449,7 @@ def test_matching_is_greedy_and_breaks_ties_by_pair(costs, limit, seed):
     pairs = all_pairs[np.sort(rng.choice(len(all_pairs), len(costs), replace=False))]
     costs = np.array(costs, dtype=np.float32)
     plan = match(pairs, costs, 12, limit)
-    assert list(map(tuple, plan.pairs.tolist())) == twins.greedy(pairs, costs.tolist(), limit)
+    assert list(map(tuple, plan.pairs.tolist())) == reference.greedy(pairs, costs.tolist(), limit)
     assert plan.without_cost == np.isnan(costs).sum()
 
 
@@ -456,7 +458,7 @@ def test_morton_codes_interleave_the_bits_of_the_cells():
     low, high = np.quantile(means, (0.01, 0.99), axis=0)
     width = (high - low).max()
     cells = np.clip((means - low + width) / (3 * width) * 2**21, 0, 2**21 - 1).astype(int)
-    assert morton_codes(means).tolist() == [twins.morton_code(cell) for cell in cells]
+    assert morton_codes(means).tolist() == [reference.morton_code(cell) for cell in cells]
 
 
 def test_outliers_do_not_put_all_other_splats_into_one_cell():
@@ -474,7 +476,7 @@ def random_covariances(count, seed=0):
     scales = np.exp(rng.uniform(-4, 0.5, (count, 3)))
     quats = random_quats(count, seed)
     return np.array(
-        [twins.pack(twins.covariance(s, q)) for s, q in zip(scales, quats, strict=True)]
+        [reference.pack(reference.covariance(s, q)) for s, q in zip(scales, quats, strict=True)]
     )
 
 
@@ -509,9 +511,9 @@ def test_covariances_have_the_axes_of_the_splats_and_a_minimum_thickness(flattes
     out = np.empty((50, 6))
     covariances_of(g.scales, g.quats, flattest, least, out)
     for six, scales, quat in zip(out, g.scales, g.quats, strict=True):
-        expected = twins.floored_covariance(scales, quat, flattest, least)
-        assert np.allclose(twins.unpack(six), expected, rtol=1e-5, atol=1e-6 * expected.max())
-        assert np.linalg.eigvalsh(twins.unpack(six))[0] >= 0.999 * least**2
+        expected = reference.floored_covariance(scales, quat, flattest, least)
+        assert np.allclose(reference.unpack(six), expected, rtol=1e-5, atol=1e-6 * expected.max())
+        assert np.linalg.eigvalsh(reference.unpack(six))[0] >= 0.999 * least**2
 
 
 def test_group_members_and_heaviest_members():
@@ -562,16 +564,16 @@ def test_gathered_moments_equal_the_reference(own):
     new = (np.empty(9), np.empty(9), np.empty((9, 3)), np.empty((9, 6)), np.empty((9, 12), "f4"))
     gather_moments(starts, members, *nodes[:-1], *feature_arguments, *new)
     weights, coverages, means, covariances, features = nodes
-    sigmas = np.array([twins.unpack(six) for six in covariances])
+    sigmas = np.array([reference.unpack(six) for six in covariances])
     for group in range(9):
         own = labels == group
-        weight, coverage, mean, sigma, colour = twins.group_moments(
+        weight, coverage, mean, sigma, colour = reference.group_moments(
             weights[own], coverages[own], means[own], sigmas[own], features[own]
         )
         assert new[0][group] == pytest.approx(weight)
         assert new[1][group] == pytest.approx(coverage)
         assert np.allclose(new[2][group], mean, rtol=1e-13)
-        assert np.allclose(twins.unpack(new[3][group]), sigma, rtol=1e-10, atol=1e-12)
+        assert np.allclose(reference.unpack(new[3][group]), sigma, rtol=1e-10, atol=1e-12)
         assert np.allclose(new[4][group], colour, rtol=1e-5, atol=1e-6)
 
 
@@ -582,7 +584,7 @@ def test_principal_axes_reproduce_the_covariance():
     principal_axes(covariances, scales, quats)
     for six, s, q in zip(covariances, scales, quats, strict=True):
         assert np.linalg.norm(q) == pytest.approx(1, abs=1e-6)
-        assert np.allclose(twins.covariance(s, q), twins.unpack(six), atol=2e-6 * six.max())
+        assert np.allclose(reference.covariance(s, q), reference.unpack(six), atol=2e-6 * six.max())
 
 
 def test_log_determinants_and_inverses_equal_the_reference():
@@ -591,10 +593,10 @@ def test_log_determinants_and_inverses_equal_the_reference():
     log_determinants(covariances, dets)
     invert_covariances(covariances, inverses, second_dets)
     for six, inverse, det, second_det in zip(covariances, inverses, dets, second_dets, strict=True):
-        sigma = twins.unpack(six)
+        sigma = reference.unpack(six)
         assert det == pytest.approx(np.linalg.slogdet(sigma)[1], abs=1e-8)
         assert second_det == pytest.approx(det, abs=1e-8)
-        assert np.allclose(twins.unpack(inverse) @ sigma, np.eye(3), atol=1e-8)
+        assert np.allclose(reference.unpack(inverse) @ sigma, np.eye(3), atol=1e-8)
 
 
 def shuffled(features):
@@ -635,9 +637,11 @@ def test_merge_increments_equal_the_reference(own):
         feature_arguments, features = mixed(20, 12, seed=30)
     pairs = np.array([(i, j) for i in range(20) for j in range(i + 1, 20)], dtype=np.int32)
     found = increments_of(pairs, weights, means, covariances, feature_arguments)
-    sigmas = np.array([twins.unpack(six) for six in covariances])
+    sigmas = np.array([reference.unpack(six) for six in covariances])
     for pair, increment in zip(pairs, found, strict=True):
-        expected = twins.merge_increment(weights[pair], means[pair], sigmas[pair], features[pair])
+        expected = reference.merge_increment(
+            weights[pair], means[pair], sigmas[pair], features[pair]
+        )
         assert np.allclose(increment, expected, rtol=1e-5)
 
 
@@ -647,7 +651,7 @@ def test_geometry_increment_is_an_upper_bound_of_the_kl_divergence(apart):
     weights = np.array([2.0, 0.5])
     means = np.array([[0, 0, 0], [apart, 0, 0]])
     covariances = random_covariances(1, seed=26)[[0, 0]] * np.array([[1.0], [1 + apart]])
-    sigmas = np.array([twins.unpack(six) for six in covariances])
+    sigmas = np.array([reference.unpack(six) for six in covariances])
     found = increments_of(
         np.array([[0, 1]], np.int32),
         weights,
@@ -655,7 +659,7 @@ def test_geometry_increment_is_an_upper_bound_of_the_kl_divergence(apart):
         covariances,
         (*shuffled(np.zeros((2, 3), np.float32)), *UNMIXED),
     )
-    divergence = twins.divergence_from_merged(weights, means, sigmas, 20_000, seed=26)
+    divergence = reference.divergence_from_merged(weights, means, sigmas, 20_000, seed=26)
     assert found[0, 1] / weights.sum() >= divergence - 0.02
     assert found[0, 0] == 0
     assert (abs(found[0, 1]) < 1e-6) == (apart == 0)
@@ -670,7 +674,7 @@ def test_subtree_sums_and_scores_that_no_child_exceeds():
     raise_to_children(children, scores)
     assert (sums[:30] == 0).all()
     for node in range(30, len(sums)):
-        below = twins.merges_below(children, node, 30)
+        below = reference.merges_below(children, node, 30)
         assert sums[node] == pytest.approx(increments[below].sum())
         assert scores[node] == increments[below].max()
 
@@ -683,7 +687,7 @@ def test_root_of_each_is_the_highest_node_reached_by_chosen_merges(merged):
     root_of_each(children, done, roots)
     expected = np.arange(30)
     for merge_number in range(merged):  # later merges overrule those below them
-        expected[twins.leaves_below(children, 30 + merge_number, 30)] = 30 + merge_number
+        expected[reference.leaves_below(children, 30 + merge_number, 30)] = 30 + merge_number
     assert roots[:30].tolist() == expected.tolist()
 
 
@@ -701,11 +705,11 @@ def test_assignment_equals_the_reference(lambda_app):
         labels, candidates, means, covariances, *shuffled(features), means[clusters], inverses,
         dets, features[clusters], lambda_app, moved, least,
     )  # fmt: skip
-    sigmas = np.array([twins.unpack(six) for six in covariances])
+    sigmas = np.array([reference.unpack(six) for six in covariances])
     for i in range(60):
         allowed = [labels[i], *candidates[labels[i]]]
         misfits = [
-            twins.misfit(
+            reference.misfit(
                 means[i], sigmas[i], features[i], means[c], sigmas[c], features[c], lambda_app
             )
             for c in clusters[allowed]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-import twins
+import reference_kernels as reference
 from nanogs.kernels import lanes
 from nanogs.neighbours import nearest_neighbours, nearest_to
 
@@ -40,7 +40,7 @@ PLACES = {
 def test_neighbours_are_the_first_by_distance_and_row(places, n, k, seed):
     means = PLACES[places](np.random.default_rng(seed), n)
     scale = 2.0 ** {"tiny": 100, "huge": -600}.get(places, 0)
-    expected = twins.nearest_neighbours(means * scale, k)
+    expected = reference.nearest_neighbours(means * scale, k)
     assert nearest_neighbours(means, k, threads=1).tolist() == expected
 
 

@@ -30,8 +30,8 @@ def quality(request):
 
 
 @pytest.fixture
-def usual(tmp_path, quality):
-    files = lccfiles.usual(np.random.default_rng(3), quality=quality, environment=5)
+def typical_model(tmp_path, quality):
+    files = lccfiles.typical_model(np.random.default_rng(3), quality=quality, environment=5)
     return write_files(tmp_path / "scan", files)
 
 
@@ -59,15 +59,17 @@ def test_a_splat_made_by_hand_is_read_in_another_frame(tmp_path):
     assert model.notes == ()
 
 
-def test_levels_and_the_environment_are_read(usual, quality):
+def test_levels_and_the_environment_are_read(typical_model, quality):
     """The finest level is the model; the environment is part of each."""
-    info = io.inspect(usual)
+    info = io.inspect(typical_model)
     assert (info.format, info.splats, info.sh_degree) == ("lcc", 34, 3 * quality)
-    assert info.file_bytes == sum(path.stat().st_size for path in usual.parent.iterdir())
-    with io.open(usual) as source:
+    assert info.file_bytes == sum(path.stat().st_size for path in typical_model.parent.iterdir())
+    with io.open(typical_model) as source:
         assert (source.levels, source.environment) == ((34, 16), 5)
-        assert {path.name for path in source.files} == {p.name for p in usual.parent.iterdir()}
-    fine, coarse = io.load(usual), io.load(usual, level=1)
+        assert {path.name for path in source.files} == {
+            p.name for p in typical_model.parent.iterdir()
+        }
+    fine, coarse = io.load(typical_model), io.load(typical_model, level=1)
     assert model_bytes(fine[29:]) == model_bytes(coarse[11:])
     low, high = np.array(lccfiles.ENV_SCALES)
     assert (fine.scales()[29:] >= low.min()).all()
@@ -76,13 +78,13 @@ def test_levels_and_the_environment_are_read(usual, quality):
         low, high = np.array(lccfiles.ENV_SH)
         assert np.abs(fine.sh[29:, 1:]).max() < 3 * high.max()
     with pytest.raises(OptionError, match="levels 0 to 1; level 2"):
-        io.load(usual, level=2)
+        io.load(typical_model, level=2)
 
 
-def test_rows_read_in_parts_equal_those_of_the_whole(usual, monkeypatch):
-    whole = io.load(usual)
+def test_rows_read_in_parts_equal_those_of_the_whole(typical_model, monkeypatch):
+    whole = io.load(typical_model)
     monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 3)
-    with io.open(usual) as source:
+    with io.open(typical_model) as source:
         for start in range(0, 35, 4):
             for stop in range(start, 35):
                 assert model_bytes(source.read(start, stop)) == model_bytes(whole[start:stop])
@@ -90,11 +92,11 @@ def test_rows_read_in_parts_equal_those_of_the_whole(usual, monkeypatch):
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_splat_transform_reads_the_same(usual, tmp_path, level):
+def test_splat_transform_reads_the_same(typical_model, tmp_path, level):
     """Except for the environment, which it leaves out of a .ply."""
     out = tmp_path / "out.ply"
-    splat_transform("-L", level, usual, out)
-    theirs, ours = io.load(out), io.load(usual, level=level)
+    splat_transform("-L", level, typical_model, out)
+    theirs, ours = io.load(out), io.load(typical_model, level=level)
     assert len(ours) == len(theirs) + 5
     ours = ours[: len(theirs)]
     assert np.array_equal(ours.means, theirs.means)
@@ -104,17 +106,17 @@ def test_splat_transform_reads_the_same(usual, tmp_path, level):
     assert np.allclose(covariances(ours), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
 
 
-def test_commands_read_lcc(usual, tmp_path):
-    shown = run("info", usual.parent)
+def test_commands_read_lcc(typical_model, tmp_path):
+    shown = run("info", typical_model.parent)
     assert shown.returncode == 0, shown.stderr
     assert "0: 34, 1: 16 splats" in shown.stdout
-    done = run("convert", usual, tmp_path / "a.ply", "--level", "1")
+    done = run("convert", typical_model, tmp_path / "a.ply", "--level", "1")
     assert done.returncode == 0, done.stderr
     assert len(io.load(tmp_path / "a.ply")) == 16
-    done = run("simplify", usual, tmp_path / "b.spz", "-r", "0.5", "--preset", "fast")
+    done = run("simplify", typical_model, tmp_path / "b.spz", "-r", "0.5", "--preset", "fast")
     assert done.returncode == 0, done.stderr
     assert len(io.load(tmp_path / "b.spz")) == 17
-    refused = run("convert", usual, tmp_path / "b.lcc")
+    refused = run("convert", typical_model, tmp_path / "b.lcc")
     assert refused.returncode == 2
     assert "does not write this format" in refused.stderr
 
@@ -138,7 +140,7 @@ def test_extreme_alphas_and_zero_scales_become_infinite(tmp_path):
 
 def test_older_files_have_harmonics_if_they_state_their_range(tmp_path):
     rng = np.random.default_rng(1)
-    rows, sh = lccfiles.many(rng, 4)
+    rows, sh = lccfiles.random_rows(rng, 4)
     files = lccfiles.model(
         [(0, 0, [(rows, sh)])], depth=1, quality=True, changes={"fileType": None}
     )
@@ -147,7 +149,7 @@ def test_older_files_have_harmonics_if_they_state_their_range(tmp_path):
 
 def changed(name, data):
     """Return the usual files with one of them replaced or removed."""
-    files = lccfiles.usual(np.random.default_rng(3), quality=True, environment=5)
+    files = lccfiles.typical_model(np.random.default_rng(3), quality=True, environment=5)
     files = {key: value for key, value in files.items() if key != name or data is not None}
     return files | ({name: data(files[name])} if data else {})
 

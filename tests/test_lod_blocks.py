@@ -33,7 +33,7 @@ from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.tasks.chunked import group_blocks
 from nanogs.source import Layout as Columns
 from nanogs.splats import concatenate
-from supersplatpage import in_supersplat
+from supersplat_page import render_in_supersplat
 from test_lod_stream import assert_binary, files, leaves
 from test_scale_runs import wall
 from test_tiles import corners, level_of, tiles
@@ -263,7 +263,7 @@ def test_the_streamed_tree_is_binary_and_covers_every_row_once(made):
 def test_supersplat_streams_levels_that_were_made_in_blocks(made, tmp_path):
     """SuperSplat loads the coarsest level first, and in the end every file of the finest."""
     path = made[Layout.SOG][0] / "lod-meta.json"
-    pixels, requested = in_supersplat(path, tmp_path, 600)
+    pixels, requested = render_in_supersplat(path, tmp_path, 600)
     names = json.loads(path.read_text())["filenames"]
     assert {f"scene/{name}" for name in names if name.startswith("0_")} <= set(requested)
     assert requested[1].startswith("scene/2_")

@@ -28,7 +28,7 @@ from nanogs.lod.folder import LevelsFolder, made_files
 from nanogs.lod.layout import Layout, output_of
 from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.threads import most_threads, use_threads
-from supersplatpage import in_supersplat
+from supersplat_page import render_in_supersplat
 from test_cli import assert_refused
 from test_sog_write import angle, in_order_of
 
@@ -460,7 +460,7 @@ def test_levels_of_a_real_scene_have_the_requested_counts(tmp_path):
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 def test_supersplat_streams_from_the_coarsest_to_the_finest_level(path, tmp_path):
     """The coarsest level is loaded first, the finest in the end, and the picture is not empty."""
-    pixels, requested = in_supersplat(path, tmp_path, 450)
+    pixels, requested = render_in_supersplat(path, tmp_path, 450)
     assert requested[:2] == ["scene/lod-meta.json", "scene/2_0/meta.json"]
     assert {"scene/0_0/meta.json", "scene/0_1/meta.json"} <= set(requested)
     assert (pixels.max(axis=2) > 0.16).mean() > 0.05
@@ -476,7 +476,8 @@ def test_supersplat_reads_palettes_of_any_size(tmp_path):
     io.save(io.load(tmp_path / "a.sog"), tmp_path / "b.ply")
     start = {"position": [6, 6, 6], "target": [0, 0, 0]}
     packed, plain = (
-        in_supersplat(tmp_path / name, tmp_path, 900, **start)[0] for name in ("a.sog", "b.ply")
+        render_in_supersplat(tmp_path / name, tmp_path, 900, **start)[0]
+        for name in ("a.sog", "b.ply")
     )
     assert (plain.max(axis=2) > 0.16).mean() > 0.05
     assert np.abs(packed - plain).mean() < 0.002

@@ -173,7 +173,7 @@ def pooled(image):
     return windows[::2, ::2].max(axis=(-1, -2))
 
 
-def lpips_twin(a, b, weights):
+def reference_lpips(a, b, weights):
     """Compute LPIPS with AlexNet by eq. 1 of the paper, with the features of five layers."""
     layers = [weights["AlexNet_0"][f"Conv_{i}"] for i in range(5)]
     features = []
@@ -203,7 +203,7 @@ def test_lpips_agrees_with_a_plain_implementation():
     first = np.asarray(weights["AlexNet_0"]["Conv_0"]["kernel"])[0, 0, 0, 0]
     assert first == pytest.approx(0.11864, abs=1e-5), "of the AlexNet that was trained"
     assert lpips(smooth, noisy, net="alex") == pytest.approx(
-        lpips_twin(smooth, noisy, weights), rel=1e-4
+        reference_lpips(smooth, noisy, weights), rel=1e-4
     )
     for net in ("alex", "vgg"):
         assert lpips(smooth, smooth, net=net) == 0

@@ -18,7 +18,7 @@ from nanogs.scoring.modes import ModeEvidence, evidence_on
 from nanogs.splats import RenderMode
 from nanogs.views.costing import views_of
 from nanogs.views.plan import LEAST
-from raster_twin import splat_on_screen
+from reference_raster import splat_on_screen
 from test_raster import make_camera, make_splats
 
 

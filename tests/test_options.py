@@ -24,7 +24,7 @@ from nanogs.method.parameters import ForestParameters
 from nanogs.quantities import as_bytes, parse_bytes
 from nanogs.ranges import check_ranges, known_parameters, parameter
 from test_cli import assert_refused
-from test_comfort import run
+from test_cli_usability import run
 
 COMMANDS = get_command(app).commands
 

@@ -10,12 +10,12 @@ import pytest
 import nanogs
 from builders import random_splats
 from launch import run
-from looking import marks
 from nanogs.errors import ModelError, NotEnoughMemoryError, OptionError
 from nanogs.io.parts import FileSource
 from nanogs.memory import LIBRARIES
 from nanogs.views.automatic import automatic_cameras
 from test_cli import assert_refused
+from views_and_scores import mean_psnr_ssim
 
 FORMATS = [".sog", ".spz", ".splat", ".compressed.ply"]
 WORDS = "8 held-out views of {} pixels"
@@ -31,12 +31,12 @@ def scene(request, tmp_path_factory):
     return path
 
 
-def twin(scene, folder, suffix, **options):
+def packed_numbers(scene, folder, suffix, **options):
     """Return bytes, PSNR and SSIM of a file that is saved, loaded and rendered by hand."""
-    splats, path = nanogs.load(scene), folder / f"twin{suffix}"
+    splats, path = nanogs.load(scene), folder / f"packed{suffix}"
     nanogs.save(splats, path, format_options=options)
     cameras = automatic_cameras(splats, 8, width=128, height=128, split="test")
-    return [path.stat().st_size, *marks(splats, nanogs.load(path), cameras)]
+    return [path.stat().st_size, *mean_psnr_ssim(splats, nanogs.load(path), cameras)]
 
 
 def numbers(file):
@@ -49,7 +49,7 @@ def test_scores_equal_those_of_files_saved_and_loaded_by_hand(scene, tmp_path, t
     assert [file.format for file in cost.files] == FORMATS
     assert cost.notes == ()
     for file in cost.files:
-        assert numbers(file) == pytest.approx(twin(scene, tmp_path, file.format))
+        assert numbers(file) == pytest.approx(packed_numbers(scene, tmp_path, file.format))
         assert file.judged.protocol.text == WORDS.format(128)
         assert file.splats == 400
         assert file.splat_bytes == file.file_bytes / 400
@@ -59,8 +59,8 @@ def test_scores_equal_those_of_files_saved_and_loaded_by_hand(scene, tmp_path, t
 def test_a_format_gets_the_options_that_it_has(scene, tmp_path, temporary):
     chosen = {"bits": 5, "palette": 9, "spz_version": None}
     sog, spz = nanogs.packing_cost(scene, ["sog", "spz"], format_options=chosen).files
-    assert numbers(sog) == pytest.approx(twin(scene, tmp_path, ".sog", bits=5, palette=9))
-    assert numbers(spz) == pytest.approx(twin(scene, tmp_path, ".spz", bits=5, palette=9))
+    assert numbers(sog) == pytest.approx(packed_numbers(scene, tmp_path, ".sog", bits=5, palette=9))
+    assert numbers(spz) == pytest.approx(packed_numbers(scene, tmp_path, ".spz", bits=5, palette=9))
 
 
 @small

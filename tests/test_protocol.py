@@ -8,7 +8,6 @@ import pytest
 
 import nanogs
 from launch import run
-from looking import looked
 from nanogs.datasets.synthetic import make_scene
 from nanogs.method.parameters import ForestParameters
 from nanogs.protocol import Protocol
@@ -16,6 +15,7 @@ from nanogs.scoring.file_judge import file_judge
 from nanogs.scoring.held_out import held_out
 from nanogs.views.automatic import automatic_cameras
 from viewer_bundle import require_bundle
+from views_and_scores import scene_with_views
 
 WORDS = "8 held-out views of 512 pixels"
 FEW = ("--views", "4", "--view-size", "64", "--steps", "2")  # a small fit
@@ -138,7 +138,9 @@ def test_held_out_views_are_not_used_for_fitting():
     scene = make_scene(500)
     held_out_cameras = automatic_cameras(scene, split="test")
     fit_cameras = automatic_cameras(scene, 40, split="fit", habit=False)
-    views = looked(scene, None, ForestParameters(views=14, view_size=768, further=20, roaming=4))
+    views = scene_with_views(
+        scene, None, ForestParameters(views=14, view_size=768, further=20, roaming=4)
+    )
     fit_cameras += [view.camera for view in views.fitting] + list(views.views.further)
     fit_cameras += [view.camera for group in views.groups for view in group.targets]
     positions = {tuple(camera.position.round(6)) for camera in fit_cameras}

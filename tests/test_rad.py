@@ -16,7 +16,7 @@ from nanogs.activations import SH_C0, rotations
 from nanogs.errors import FormatError, OutputError
 from nanogs.io.rad import values, write
 from nanogs.splats import RenderMode
-from radfiles import by_component, chunk, column, rad, small_tree, usual, with_palette
+from radfiles import by_component, chunk, column, rad, small_tree, typical_columns, with_palette
 from strategies import splats
 
 C0 = SH_C0
@@ -30,7 +30,7 @@ def read(folder, data, name="a.rad"):
 
 def replaced(count, *columns, seed=0):
     """Return the usual columns with some of them replaced."""
-    own = {entry["property"]: (entry, data) for entry, data in usual(count, seed)[0]}
+    own = {entry["property"]: (entry, data) for entry, data in typical_columns(count, seed)[0]}
     return list((own | {entry["property"]: (entry, data) for entry, data in columns}).values())
 
 
@@ -44,7 +44,7 @@ def covariances(model):
 
 
 def test_float_columns_are_read(tmp_path):
-    columns, given = usual(7)
+    columns, given = typical_columns(7)
     model = read(tmp_path, rad([chunk(columns, 7)], 7))
     np.testing.assert_array_equal(model.means, given["center"])
     np.testing.assert_allclose(model.opacities(), given["alpha"][:, 0], rtol=1e-5)
@@ -99,7 +99,7 @@ def test_octahedral_rotations_are_read(tmp_path):
 def test_bands_of_harmonics_are_read(tmp_path, encoding):
     """Bands 1 and 2: the coefficients in order, each as RGB."""
     rng = np.random.default_rng(3)
-    columns, expected = list(usual(4)[0]), []
+    columns, expected = list(typical_columns(4)[0]), []
     for name, width in (("sh1", 9), ("sh2", 15)):
         if encoding.startswith("f"):
             stored = rng.integers(-64, 64, (4, width)) / 32
@@ -125,8 +125,8 @@ def test_palettes_of_harmonics_are_read(tmp_path):
 
 
 def test_uncompressed_columns_and_gaps_between_chunks_are_read(tmp_path):
-    first, _ = usual(3, seed=1)
-    second, given = usual(2, seed=2)
+    first, _ = typical_columns(3, seed=1)
+    second, given = typical_columns(2, seed=2)
     plain = [(entry | {"compression": None}, data) for entry, data in second]
     parts = [chunk(first, 3), b"\0" * 16, chunk(plain, 2, base=3)]
     sizes = [len(part) for part in parts]
@@ -170,7 +170,7 @@ def test_alphas_above_1_are_opaque_and_larger(tmp_path):
     """As Spark draws them with `lodInflate`; an alpha rounded to just above 1 is only opaque."""
     alphas = by_component([[0.5], [1.0039], [1.5]])
     model = read(tmp_path, rad([chunk(replaced(3, column("alpha", "f32", alphas)), 3)], 3))
-    plain = usual(3)[1]["scales"]
+    plain = typical_columns(3)[1]["scales"]
     factor = np.exp((3**2 - 1) / np.e) ** (1 / 3)
     np.testing.assert_allclose(model.scales() / plain, np.array([[1], [1], [factor]]) * np.ones(3),
                                rtol=1e-5)  # fmt: skip
@@ -213,7 +213,7 @@ def test_values_that_bytes_would_hold_badly_are_stored_as_floats(tmp_path):
     io.save(model, tmp_path / "a.rad")
     back = io.load(tmp_path / "a.rad")
     np.testing.assert_allclose(back.sh, model.sh, atol=0.004, rtol=0.001)
-    head, [(header, _)] = radfiles.parts_of((tmp_path / "a.rad").read_bytes())
+    head, [(header, _)] = radfiles.parse_rad((tmp_path / "a.rad").read_bytes())
     encodings = {entry["property"]: entry["encoding"] for entry in header["properties"]}
     assert (encodings["rgb"], encodings["sh1"]) == ("f16", "f32")
     assert head["maxSh"] == 1
@@ -226,7 +226,7 @@ def test_models_of_several_chunks_are_read_and_written_in_parts(tmp_path):
     done = run("convert", tmp_path / "a.ply", tmp_path / "b.rad", "--json")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "a.rad").read_bytes() == (tmp_path / "b.rad").read_bytes()
-    _, chunks = radfiles.parts_of((tmp_path / "a.rad").read_bytes())
+    _, chunks = radfiles.parse_rad((tmp_path / "a.rad").read_bytes())
     assert [header["count"] for header, _ in chunks] == [65_536, 65_536, 8_928]
     assert [header["base"] for header, _ in chunks] == [0, 65_536, 131_072]
     back = io.load(tmp_path / "a.rad")
@@ -274,7 +274,7 @@ def test_octahedral_points_of_axes_give_the_axes_back():
 
 def broken(change, count=4):
     """Return a file after `change` has edited its header, its chunk's header or its columns."""
-    columns, _ = usual(count)
+    columns, _ = typical_columns(count)
     head, part = {}, {"count": count}
     change(head, part, columns)
     return rad([chunk(columns, **part)], count, **head)
@@ -322,27 +322,27 @@ def test_contradicting_headers_are_refused(tmp_path, name):
 def test_a_decompression_bomb_is_refused_before_it_is_unpacked(tmp_path):
     columns = [
         column(entry["property"], "f32", bytes(4 * 3_000_000 * len(data) // 16))
-        for entry, data in usual(4)[0]
+        for entry, data in typical_columns(4)[0]
     ]
     with pytest.raises(FormatError, match="far more than splats can be compressed"):
         read(tmp_path, rad([chunk(columns, 3_000_000)], 3_000_000))
 
 
 def test_columns_longer_than_their_rows_are_refused(tmp_path):
-    columns, _ = usual(4)
+    columns, _ = typical_columns(4)
     columns[0] = columns[0][0], columns[0][1] + bytes(1 << 24)
     with pytest.raises(FormatError, match="does not hold the 48 bytes"):
         read(tmp_path, rad([chunk(columns, 4)], 4))
 
 
 def test_labels_beyond_the_palette_are_refused(tmp_path):
-    columns = [*usual(2)[0], column("sh1_code", "f32", by_component(np.zeros((2, 9)))),
+    columns = [*typical_columns(2)[0], column("sh1_code", "f32", by_component(np.zeros((2, 9)))),
                column("sh_label", "u16", struct.pack("<2H", 1, 2))]  # fmt: skip
     with pytest.raises(FormatError, match="beyond the palette's 2"):
         read(tmp_path, rad([chunk(columns, 2)], 2, maxSh=1, shCodeCount=2))
 
 
 def test_a_tree_without_leaves_is_refused(tmp_path):
-    columns = [*usual(1)[0], *radfiles.tree_columns([1], [0])]
+    columns = [*typical_columns(1)[0], *radfiles.tree_columns([1], [0])]
     with pytest.raises(FormatError, match="no leaf"):
         read(tmp_path, rad([chunk(columns, 1)], 1, lodTree=True))

@@ -10,7 +10,6 @@ import radfiles
 from builders import random_splats
 from crashes import CrashError, crash_at
 from launch import run
-from looking import seen_from_the_start
 from nanogs import io, sink
 from nanogs.errors import OptionError
 from nanogs.levels_of_detail import write_levels
@@ -23,9 +22,10 @@ from nanogs.pipeline.job.folder import MANIFEST
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.raster.rendering import render
 from nanogs.source import Layout as Columns
-from sparkpage import in_spark
+from spark_page import render_in_spark
 from test_rad_lod import rows_sorted, tree_of
 from test_rad_spark import lopsided
+from views_and_scores import opening_camera
 
 RATIOS = (1, 0.5, 0.25, 0.1)
 TREE = "spark tree"
@@ -78,7 +78,7 @@ def test_each_splat_is_within_the_bounds_of_its_children(made, scene, tmp_path):
     """Above the blocks, at the roots of the blocks, and below them."""
     write(scene, tmp_path / "further.rad", (1, 0.5, 0.02))
     for path in (made[0], tmp_path / "further.rad"):
-        _, chunks = radfiles.parts_of(path.read_bytes())
+        _, chunks = radfiles.parse_rad(path.read_bytes())
         header, payload = chunks[0]
         entry = next(each for each in header["properties"] if each["property"] == "center")
         data = radfiles.inflated(payload[entry["offset"] : entry["offset"] + entry["bytes"]])
@@ -94,7 +94,7 @@ def test_each_splat_is_within_the_bounds_of_its_children(made, scene, tmp_path):
 def test_trees_made_in_blocks_look_like_those_made_in_memory(model, scene, made, tmp_path):
     """At all levels, also those above the coarsest: blocks leave no visible seams."""
     write(scene, tmp_path / "a.rad", block=None)
-    camera = seen_from_the_start(model)
+    camera = opening_camera(model)
     whole = render(model, camera).shown()
     losses = [
         np.subtract(*(
@@ -111,12 +111,14 @@ def test_trees_made_in_blocks_look_like_those_made_in_memory(model, scene, made,
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 def test_spark_draws_trees_made_in_blocks(model, made, tmp_path):
     """All splats, or no more than a limit allows, from several levels."""
-    camera = seen_from_the_start(model)
+    camera = opening_camera(model)
     whole = render(model, camera).shown()
-    shown, state = in_spark(made[0], camera, tmp_path, mesh={"paged": True}, lodRenderScale=0)
+    shown, state = render_in_spark(
+        made[0], camera, tmp_path, mesh={"paged": True}, lodRenderScale=0
+    )
     assert state["splats"] == 3000
     assert psnr(shown, whole) > 30
-    few, state = in_spark(made[0], camera, tmp_path, mesh={"paged": True}, lodSplatCount=900)
+    few, state = render_in_spark(made[0], camera, tmp_path, mesh={"paged": True}, lodSplatCount=900)
     assert 700 < state["splats"] <= 900
     assert 22 < psnr(few, whole) < psnr(shown, whole)
 

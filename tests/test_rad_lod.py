@@ -12,7 +12,6 @@ import nanogs
 import radfiles
 from builders import model_bytes, random_splats
 from launch import run
-from looking import seen_from_the_start
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.formatting import bytes_text
@@ -23,16 +22,17 @@ from nanogs.lod.tree import Layer, as_rows, build, layers_of, units_of
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
 from nanogs.source import InMemory
-from radfiles import chunk, rad, tree_columns, usual
-from sparkpage import in_spark
+from radfiles import chunk, rad, tree_columns, typical_columns
+from spark_page import render_in_spark
 from test_rad_spark import lopsided
+from views_and_scores import opening_camera
 
 RATIOS = (1, 0.5, 0.25, 0.1)
 
 
 def tree_of(path):
     """Return the number of children and the first child of each row, as stored in the file."""
-    _, chunks = radfiles.parts_of(path.read_bytes())
+    _, chunks = radfiles.parse_rad(path.read_bytes())
     found = {"child_count": [], "child_start": []}
     for header, payload in chunks:
         for entry in header["properties"]:
@@ -118,7 +118,7 @@ def test_coarser_levels_look_like_the_model(tmp_path):
     """Each node covers what its leaves cover, so a coarser level changes the picture little."""
     model = lopsided(2000)
     nanogs.write_levels(model, tmp_path / "a.rad", RATIOS, layout="spark tree", preset="fast")
-    camera = seen_from_the_start(model)
+    camera = opening_camera(model)
     whole = render(model, camera).shown()
     scores = [psnr(render(nanogs.load(tmp_path / "a.rad", level=n), camera).shown(), whole)
              for n in range(4)]  # fmt: skip
@@ -168,7 +168,7 @@ def test_trees_made_in_blocks_look_like_the_model(tmp_path):
     assert source.levels[0] == 3000
     np.testing.assert_array_equal(rows_sorted(source.load().means), rows_sorted(model.means))
     assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "a.rad"}
-    camera = seen_from_the_start(model)
+    camera = opening_camera(model)
     whole = render(model, camera).shown()
     assert psnr(render(nanogs.load(tmp_path / "a.rad", level=1), camera).shown(), whole) > 25
 
@@ -303,7 +303,7 @@ def test_splats_get_the_parent_of_their_own_cluster():
 
 def tree_file(counts, starts):
     count = len(counts)
-    columns = [*usual(count)[0], *tree_columns(counts, starts)]
+    columns = [*typical_columns(count)[0], *tree_columns(counts, starts)]
     return rad([chunk(columns, count)], count, lodTree=True)
 
 
@@ -371,18 +371,18 @@ def frontier(rows, counts, starts, camera, most):
 def test_spark_draws_the_expected_rows_of_a_tree(tmp_path, paged):
     """All splats if the limit allows it, else the expected rows of several levels."""
     model = lopsided(3000)
-    camera = seen_from_the_start(model)
+    camera = opening_camera(model)
     path, mesh = tmp_path / "a.rad", {"paged": paged}
     nanogs.write_levels(model, path, RATIOS, layout="spark tree", preset="fast")
     whole = render(model, camera).shown()
-    shown, state = in_spark(path, camera, tmp_path, mesh=mesh, lodRenderScale=0)
+    shown, state = render_in_spark(path, camera, tmp_path, mesh=mesh, lodRenderScale=0)
     assert state["splats"] == 3000
     assert psnr(shown, whole) > 30
     levels = [InMemory(each) for each, _ in nanogs.levels(model, RATIOS, preset="fast")]
     rows, tree = as_rows(levels[0], layers_of(levels))
     chosen = frontier(rows.load(), tree.counts, tree.starts, camera, 900)
     expected = render(rows.load().take(chosen), camera).shown()
-    few, state = in_spark(path, camera, tmp_path, mesh=mesh, lodSplatCount=900)
+    few, state = render_in_spark(path, camera, tmp_path, mesh=mesh, lodSplatCount=900)
     assert abs(state["splats"] - len(chosen)) < 5  # Spark keeps sizes as half floats
     assert psnr(few, expected) > 30
     assert 22 < psnr(few, whole) < psnr(shown, whole)

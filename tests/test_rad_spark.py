@@ -8,11 +8,11 @@ import pytest
 import nanogs
 from builders import random_splats
 from conftest import scene_path
-from looking import seen_from_the_start
 from nanogs import io
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
-from sparkpage import in_spark
+from spark_page import render_in_spark
+from views_and_scores import opening_camera
 
 pytestmark = pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 
@@ -35,10 +35,10 @@ def lopsided(count=400):
 
 def test_spark_draws_what_nanogs_renders(tmp_path):
     model = lopsided()
-    camera = seen_from_the_start(model)
+    camera = opening_camera(model)
     nanogs.save(model, tmp_path / "a.rad")
     rendered = render(io.load(tmp_path / "a.rad"), camera).shown()
-    shown, state = in_spark(tmp_path / "a.rad", camera, tmp_path)
+    shown, state = render_in_spark(tmp_path / "a.rad", camera, tmp_path)
     assert (state["splats"], state["total"]) == (len(model), len(model))
     assert (rendered.max(axis=2) > 0.2).mean() > 0.05
     assert psnr(shown, rendered) > 35
@@ -50,7 +50,7 @@ def test_spark_draws_what_nanogs_renders(tmp_path):
 def test_spark_draws_a_real_model_as_nanogs_renders_it(tmp_path):
     model = nanogs.load(scene_path("biker.spz"))
     model = model.take(np.arange(0, len(model), 4))
-    camera = seen_from_the_start(model, 160, 160)
+    camera = opening_camera(model, 160, 160)
     nanogs.save(model, tmp_path / "a.rad")
-    shown, _ = in_spark(tmp_path / "a.rad", camera, tmp_path, calm=3)
+    shown, _ = render_in_spark(tmp_path / "a.rad", camera, tmp_path, still_frames=3)
     assert psnr(shown, render(model, camera).shown()) > 40

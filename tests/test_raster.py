@@ -1,4 +1,4 @@
-"""The rasteriser: comparisons with its twin in float64, difficult inputs and invariants."""
+"""The rasteriser: comparisons with a reference in float64, difficult inputs and invariants."""
 
 import dataclasses
 import math
@@ -17,7 +17,7 @@ from nanogs.kernels import project as project_kernels
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import SURFEL_NOTE, prepare, probe, project, render
 from nanogs.splats import RenderMode, Splats
-from raster_twin import render_twin, sh_basis
+from reference_raster import render_reference, sh_basis
 
 TOLERANCE = 1e-4
 
@@ -52,8 +52,8 @@ def one_splat(mean=(0, 0, 4), scale=0.3, logit=2.0, colour=0.9, **changes):
     )
 
 
-def check_against_twin(splats, camera, background=(0.2, 0.5, 0.9)):
-    color, alpha, weighted, contributions, sure = render_twin(splats, camera, background)
+def check_against_reference(splats, camera, background=(0.2, 0.5, 0.9)):
+    color, alpha, weighted, contributions, sure = render_reference(splats, camera, background)
     image = render(splats, camera, background=background, depth=True, contributions=True)
     assert sure.mean() > 0.9  # enough pixels must be left to compare
     assert np.abs(image.color - color)[sure].max() < TOLERANCE
@@ -69,14 +69,14 @@ def check_against_twin(splats, camera, background=(0.2, 0.5, 0.9)):
 
 
 @pytest.mark.parametrize("degree", range(5))
-def test_matches_twin_with_harmonics(degree):
-    check_against_twin(make_splats(degree=degree, seed=degree), make_camera())
+def test_matches_reference_with_harmonics(degree):
+    check_against_reference(make_splats(degree=degree, seed=degree), make_camera())
 
 
 def test_probes_are_summed_with_the_weights_of_each_splat():
     splats, camera = make_splats(seed=3), make_camera()
     planes = np.random.default_rng(4).normal(size=(3, 21, 37)).astype(np.float32)
-    *_, sums, sure = render_twin(splats, camera, probes=planes)
+    *_, sums, sure = render_reference(splats, camera, probes=planes)
     found = probe(project(prepare(splats), camera), camera, planes)
     assert found.shape == sums.shape == (40, 3)
     assert np.abs(sums).max() > 1
@@ -91,14 +91,14 @@ def test_probes_are_summed_with_the_weights_of_each_splat():
     [(-1.5, 0.8), (-2, 2.5), (1.5, 0.5), (-6, 0.5)],
     ids=["usual", "needles", "huge", "tiny"],
 )
-def test_matches_twin_for_every_size(seed, size, spread):
-    check_against_twin(make_splats(60, seed, size=size, spread=spread), make_camera())
+def test_matches_reference_for_every_size(seed, size, spread):
+    check_against_reference(make_splats(60, seed, size=size, spread=spread), make_camera())
 
 
 @pytest.mark.parametrize("mode", [RenderMode.MIP, RenderMode.SURFEL])
-def test_matches_twin_in_other_render_modes(mode):
+def test_matches_reference_in_other_render_modes(mode):
     splats = make_splats(80, size=-3, render_mode=mode)
-    image, _ = check_against_twin(splats, make_camera())
+    image, _ = check_against_reference(splats, make_camera())
     assert image.notes == ((SURFEL_NOTE,) if mode is RenderMode.SURFEL else ())
 
 
@@ -109,12 +109,12 @@ def test_mip_compensation_dims_splats_smaller_than_a_pixel():
     assert 0 < render(mip, camera).alpha.max() < 0.1 * render(tiny, camera).alpha.max()
 
 
-def test_matches_twin_with_off_centre_principal_point_and_unequal_focal_lengths():
+def test_matches_reference_with_off_centre_principal_point_and_unequal_focal_lengths():
     camera = make_camera(fx=22.0, fy=41.0, cx=5.25, cy=17.5)
-    check_against_twin(make_splats(80, size=-0.5), camera)
+    check_against_reference(make_splats(80, size=-0.5), camera)
 
 
-def test_matches_twin_from_a_turned_camera():
+def test_matches_reference_from_a_turned_camera():
     angle = 0.7
     pose = np.eye(4)
     pose[:3, :3] = [
@@ -123,32 +123,32 @@ def test_matches_twin_from_a_turned_camera():
         [math.sin(angle), 0, math.cos(angle)],
     ]
     pose[:3, 3] = (0.3, -0.2, 1.5)
-    check_against_twin(make_splats(80, 3, degree=3), make_camera(world_to_camera=pose))
+    check_against_reference(make_splats(80, 3, degree=3), make_camera(world_to_camera=pose))
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 33), (64, 5)])
-def test_matches_twin_at_odd_sizes(size):
-    check_against_twin(make_splats(50, 5), make_camera(*size))
+def test_matches_reference_at_odd_sizes(size):
+    check_against_reference(make_splats(50, 5), make_camera(*size))
 
 
-def test_matches_twin_inside_the_cloud_with_splats_behind_and_far_beside():
+def test_matches_reference_inside_the_cloud_with_splats_behind_and_far_beside():
     rng = np.random.default_rng(7)
     means = rng.normal(0, 2, (200, 3)).astype(np.float32)
-    image, _ = check_against_twin(make_splats(200, 7, means=means), make_camera())
+    image, _ = check_against_reference(make_splats(200, 7, means=means), make_camera())
     assert image.drawn < 150
 
 
-def test_matches_twin_where_many_splats_fill_the_pixels():
+def test_matches_reference_where_many_splats_fill_the_pixels():
     logits = np.full(300, 3, np.float32)
     splats = make_splats(300, 8, size=-0.5, opacity_logits=logits)
-    image, alpha = check_against_twin(splats, make_camera())
+    image, alpha = check_against_reference(splats, make_camera())
     assert alpha.max() > 0.9995
     assert image.alpha.max() < 1 - 0.9e-4  # the splat that would pass 1 - 1e-4 is not blended
 
 
-def test_matches_twin_with_opacities_of_one_and_zero():
+def test_matches_reference_with_opacities_of_one_and_zero():
     logits = np.tile(np.array([np.inf, -np.inf, 0, 90, -90], np.float32), 12)
-    check_against_twin(make_splats(60, 9, opacity_logits=logits), make_camera())
+    check_against_reference(make_splats(60, 9, opacity_logits=logits), make_camera())
 
 
 def test_opaque_splat_stops_at_alpha_099():
@@ -261,7 +261,7 @@ def test_needle_of_a_million_pixels_keeps_its_width():
         log_scales=np.log(np.array([[1e5, 1e-3, 1e-3]], np.float32)),
         quats=np.array([[math.cos(0.4), 0, 0, math.sin(0.4)]], np.float32),
     )
-    check_against_twin(splats, make_camera(width=64, height=64))
+    check_against_reference(splats, make_camera(width=64, height=64))
 
 
 def test_model_without_splats_shows_the_background():

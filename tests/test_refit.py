@@ -1,4 +1,4 @@
-"""Refit: its kernels against their twins in float64, and its promises on small scenes."""
+"""Refit: its kernels against reference versions in float64, and its promises on small scenes."""
 
 import dataclasses
 import itertools
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba.core import config
 
-import refit_twin
+import reference_refit
 from builders import cloud_pair, model_bytes
 from conftest import peer_path, scene_path
 from nanogs import RefitParameters, refit
@@ -38,12 +38,12 @@ from nanogs.scoring.scores import reference_views, score
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.roam import roaming_cameras
-from refit_twin import (
-    AdvanceTwin,
-    blend_twin,
-    moved,
+from reference_refit import (
+    ReferenceFit,
+    blend_reference,
+    gradient_reference,
+    perturbed,
     pixel_weights,
-    pull_twin,
     shape_terms,
 )
 
@@ -74,7 +74,7 @@ def gradient_sums(splats, camera, residual, precision, wanted=ALL_BLOCKS):
     features = np.zeros_like(view.features)
     features[view.order, :3] = view.features[view.order, :3] - np.float32(0.5)
     features[:, 3] = 0.7
-    image = blend_twin(splats, camera, features).astype(np.float32)
+    image = blend_reference(splats, camera, features).astype(np.float32)
     totals = sum_gradients(view, features, image, residual, precision, wanted)
     return features.astype(np.float64), totals
 
@@ -87,11 +87,11 @@ def random_pixels(camera, seed=5):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("size", [(37, 21), (16, 16), (50, 7)])
-def test_pulls_match_their_twin(seed, size):
+def test_gradients_match_their_reference(seed, size):
     splats, camera = make_splats(20, seed), make_camera(*size)
     residual, precision = random_pixels(camera)
     features, totals = gradient_sums(splats, camera, residual, precision)
-    expected = pull_twin(splats, camera, features, residual, precision)
+    expected = gradient_reference(splats, camera, features, residual, precision)
     scale = np.abs(expected).max(axis=0)
     assert (np.abs(totals - expected).max(axis=0) < 1e-3 * scale).all()
 
@@ -176,7 +176,7 @@ def test_colour_gradients_are_the_adjoint_of_blending():
     residual, precision = random_pixels(camera)
     _, totals = gradient_sums(splats, camera, residual, precision)
     colours = np.random.default_rng(6).normal(size=(20, 3))
-    forward = (blend_twin(splats, camera, colours) * residual[..., :3]).sum()
+    forward = (blend_reference(splats, camera, colours) * residual[..., :3]).sum()
     assert (colours * totals[:, :3]).sum() == pytest.approx(forward, rel=1e-4)
 
 
@@ -188,7 +188,7 @@ def shape_sums(splats, camera, residual, precision):
     """Gradients and Hessian blocks of shape parameters, from sums without an alpha threshold."""
     view = project(prepare(splats), camera)
     features = random_features(splats)
-    totals = pull_twin(splats, camera, features, residual, precision, cutoff=0.0)
+    totals = gradient_reference(splats, camera, features, residual, precision, cutoff=0.0)
     active = activate(start(splats), splats, splats.finite())
     gradients, blocks = np.zeros((len(splats), 10)), np.zeros((len(splats), 55))
     model = active.model
@@ -209,7 +209,9 @@ def test_shape_gradients_match_finite_differences(mode, parameter):
     features, step = random_features(splats), 1e-4
     for i in drawn:
         ends = [
-            blend_twin(moved(splats, i, parameter, sign * step), camera, features, cutoff=0.0)
+            blend_reference(
+                perturbed(splats, i, parameter, sign * step), camera, features, cutoff=0.0
+            )
             for sign in (-1, 1)
         ]
         slope = ((ends[1] - ends[0]) * residual).sum() / (2 * step)
@@ -231,7 +233,9 @@ def test_hessian_blocks_bound_the_curvature_from_above():
         change = 0.0
         for i, parameter in itertools.product(drawn, range(10)):
             ends = [
-                blend_twin(moved(splats, i, parameter, sign * step), camera, features, cutoff=0.0)
+                blend_reference(
+                    perturbed(splats, i, parameter, sign * step), camera, features, cutoff=0.0
+                )
                 for sign in (-1, 1)
             ]
             change = change + direction[i, parameter] * (ends[1] - ends[0]) / (2 * step)
@@ -298,23 +302,23 @@ def test_a_damped_step_does_not_depend_on_the_other_lanes():
 
 
 @pytest.mark.parametrize("mode", [RenderMode.DEFAULT, RenderMode.MIP])
-def test_a_descent_step_matches_its_twin(mode):
+def test_a_descent_step_matches_its_reference(mode):
     """Two views in turn, so that the second step uses curvatures kept from the first."""
     splats = make_splats(12, 5, size=-1.5, mode=mode, degree=2)
     original = make_splats(12, 6, size=-1.5, mode=mode, degree=2)
     near = dataclasses.replace(make_camera(), fx=60.0, fy=60.0)
     targets = [make_target(prepare(original), camera) for camera in (make_camera(), near)]
     descent = Descent(splats, Fitting(targets), RefitParameters())
-    twin = AdvanceTwin(splats, RefitParameters(), len(targets))
+    reference = ReferenceFit(splats, RefitParameters(), len(targets))
     for target, rate in zip(targets, (0.3, 0.7), strict=True):
         model = activate(descent.state, splats, descent.finite).model
-        twin.follow(compute_gradients(model, target), target.camera, rate)
+        reference.step(compute_gradients(model, target), target.camera, rate)
         descent._follow(target, ALL_BLOCKS, rate)
     state = descent.state
     assert state.touched.any()
     for name in ("means", "log_scales", "quats", "logits", "sh"):
-        np.testing.assert_allclose(getattr(state, name), getattr(twin, name), atol=2e-5)
-    np.testing.assert_array_equal(state.touched, twin.seen > 0)
+        np.testing.assert_allclose(getattr(state, name), getattr(reference, name), atol=2e-5)
+    np.testing.assert_array_equal(state.touched, reference.seen > 0)
     # The model that the kernel leaves for the next view equals one activated from the state.
     fresh, kept = activate(state, splats, descent.finite).model, descent._active.model
     np.testing.assert_allclose(kept.factors, fresh.factors, atol=1e-6)
@@ -328,14 +332,14 @@ def test_splats_smaller_than_a_pixel_have_a_low_resolved_share(scale):
     """For a ball of `scale` pixels, the square of variance / (variance + dilation)."""
     ball = np.array([0.0, 0.0, 1 / math.sqrt(scale**2 + 0.3), 0.0, 1 / (scale**2 + 0.3)])
     assert resolved_share(ball) == pytest.approx((scale**2 / (scale**2 + 0.3)) ** 2)
-    assert resolved_share(ball) == pytest.approx(refit_twin.resolved_share(ball))
+    assert resolved_share(ball) == pytest.approx(reference_refit.resolved_share(ball))
 
 
 def test_the_resolved_share_of_a_needle_is_that_of_its_long_axis():
     needle = np.array([0.0, 0.0, 1 / math.sqrt(1e-6 + 0.3), 0.0, 1 / (20.0**2 + 0.3)])
     assert resolved_share(needle) == pytest.approx(0.5, abs=1e-3)
     leaning = np.array([0.0, 0.0, 0.4, -1.3, 0.9])
-    assert resolved_share(leaning) == pytest.approx(refit_twin.resolved_share(leaning))
+    assert resolved_share(leaning) == pytest.approx(reference_refit.resolved_share(leaning))
 
 
 def test_a_step_on_a_view_from_far_away_hardly_changes_scales():

@@ -44,7 +44,7 @@ from nanogs.source import Layout
 from nanogs.store.columns import CODES
 from nanogs.store.scratch import FolderScratch, open_scratch
 from nanogs.store.tables import Table, read_record, verified, write_table
-from torchfiles import File
+from torchfiles import TorchFile
 
 FAST = {"preset": "fast", "block": 400, "threads": 1}
 REASSIGNED = {**FAST, "rounds": 2}
@@ -379,7 +379,7 @@ def test_a_file_that_cannot_be_read_in_parts_must_fit_in_a_block(tmp_path):
     trained = {name: getattr(splats, name) for name in ("means", "quats")}
     trained |= {"scales": splats.log_scales, "opacities": splats.opacity_logits}
     trained |= {"sh0": splats.sh[:, :1], "shN": splats.sh[:, 1:]}
-    (tmp_path / "a.pt").write_bytes(File({"splats": trained}).bytes())
+    (tmp_path / "a.pt").write_bytes(TorchFile({"splats": trained}).bytes())
     small = tmp_path / "b.ply"
     report = nanogs.simplify_blocks(tmp_path / "a.pt", small, ratio=0.5, **(FAST | {"block": 900}))
     assert report.achieved_count == 450

@@ -23,7 +23,7 @@ from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.tasks.unpack import Cost
 from plyfiles import BASE, ply
-from torchfiles import File
+from torchfiles import TorchFile
 
 COUNT = 1200
 FAST = {"preset": "fast", "block": 500, "threads": 1}
@@ -140,7 +140,7 @@ def test_files_with_different_access_are_joined(tmp_path, splats, few_rows):
     last = random_splats(300, degree=0, seed=3)
     trained = {name: getattr(last, name) for name in ("means", "quats")}
     trained |= {"scales": last.log_scales, "opacities": last.opacity_logits, "sh0": last.sh}
-    inputs[-1].write_bytes(File({"splats": trained}).bytes())
+    inputs[-1].write_bytes(TorchFile({"splats": trained}).bytes())
     settings = planned(*inputs)[0]
     access = [file.access for file in settings.inputs]
     assert access == [Access.ROWS, Access.PACKED, Access.PACKED, Access.WHOLE]

@@ -91,9 +91,9 @@ def test_simd_and_plain_kernels_render_nearly_the_same_images(tmp_path):
 
 
 @pytest.mark.slow
-def test_compiled_plain_kernels_match_their_twins():
+def test_compiled_plain_kernels_match_their_references():
     files = [str(ROOT / "tests" / name) for name in ("test_blocks.py", "test_knn.py")]
-    files.append(f"{ROOT}/tests/test_refit.py::test_pulls_match_their_twin")
+    files.append(f"{ROOT}/tests/test_refit.py::test_gradients_match_their_reference")
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *files],
         env=os.environ | {"NANOGS_SIMD": "0"},

@@ -7,11 +7,11 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 import nanogs
-import studiopage
+import studio_page
 from browsers import CHROMIUM
 from builders import random_splats
 from studio import running
-from studiopage import StudioPage
+from studio_page import StudioPage
 from viewer_bundle import require_bundle
 
 pytestmark = [
@@ -66,7 +66,7 @@ def seen(tmp_path_factory):
     (folder / "sub").mkdir()
     nanogs.save(random_splats(SPLATS, degree=1), folder / "scene.ply")
     with (
-        studiopage.browser() as chromium,
+        studio_page.browser() as chromium,
         running("scene.ply", "--preset", "fast", "--idle", "0", cwd=folder) as studio,
     ):
         page = StudioPage(chromium, studio.url, 700, 500)
@@ -157,7 +157,7 @@ class Hand:
 
 def assert_settled(seen):
     """Check that the latest request has ended and says so, and that nothing else failed."""
-    seen.until(f"() => ({studiopage.SETTLED})() || document.getElementById('said')"
+    seen.until(f"() => ({studio_page.SETTLED})() || document.getElementById('said')"
                ".textContent === 'Cancelled'")  # fmt: skip
     seen.still()
     if seen.state == "failed":

@@ -11,14 +11,14 @@ from PIL import Image
 
 from browsers import CHROMIUM, SOFTWARE
 from builders import solid
-from studiofake import faked
+from fake_studio import running_fake
 from viewer_bundle import require_bundle
 
 pytestmark = [
     pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed"),
     pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
 ]
-PATIENCE = 60_000  # milliseconds; test machines may be busy
+TIMEOUT = 60_000  # milliseconds; test machines may be busy
 BARE = (
     "#view > :not(canvas), .over, #legend { opacity: 0 !important; }"
     " canvas { outline: none !important; }"
@@ -56,64 +56,64 @@ class Studio:
             "console", lambda message: message.type == "error" and self.errors.append(message.text)
         )
 
-    def state(self, name, number=None):
+    def wait_for_state(self, name, number=None):
         numbered = "" if number is None else f'[data-number="{number}"]'
-        self.page.wait_for_selector(f"body[data-state={name}]{numbered}", timeout=PATIENCE)
+        self.page.wait_for_selector(f"body[data-state={name}]{numbered}", timeout=TIMEOUT)
 
     def pixels(self):
         """Return the pixels of the models alone once nothing moves, (H, W, 3) float32."""
-        self.page.wait_for_selector("#view[data-state=still]", timeout=PATIENCE)
+        self.page.wait_for_selector("#view[data-state=still]", timeout=TIMEOUT)
         picture = self.page.locator("#view canvas").screenshot(style=BARE)
         return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=np.float32) / 255
 
-    def share(self, color, side):
+    def share_of_colour(self, color, side):
         """Return the share of one half of the picture that has about this colour."""
         pixels = self.pixels()
         half = pixels.shape[1] // 2
         part = pixels[:, :half] if side == "left" else pixels[:, half:]
         return float((np.abs(part - color).max(axis=-1) < 0.2).mean())
 
-    def becomes(self, condition):
+    def wait_until(self, condition):
         """Wait until the condition holds; an input takes time to arrive."""
-        end = time.monotonic() + PATIENCE / 2000
+        end = time.monotonic() + TIMEOUT / 2000
         while not condition():
             assert time.monotonic() < end, "it did not become what it should be"
             self.page.wait_for_timeout(50)
 
-    def shows(self, color, side):
-        self.becomes(lambda: self.share(color, side) > 0.05)
+    def wait_for_colour(self, color, side):
+        self.wait_until(lambda: self.share_of_colour(color, side) > 0.05)
 
-    def measured(self, model="blue", **more):
+    def answer_request(self, model="blue", **more):
         """Answer the latest request, and wait until the page shows the answer."""
-        number = self.fake.asked[-1][1]["number"]
-        self.fake.answer("draft", number, model, **more)
-        self.fake.answer("measured", number, model, **more)
-        self.state("measured", number)
+        number = self.fake.requests[-1][1]["number"]
+        self.fake.send_result("draft", number, model, **more)
+        self.fake.send_result("measured", number, model, **more)
+        self.wait_for_state("measured", number)
 
-    def last_asked(self):
-        return [body["choice"] for path, body in self.fake.asked if path == "ask"][-1]
+    def latest_choice(self):
+        return [body["choice"] for path, body in self.fake.requests if path == "ask"][-1]
 
-    def asked(self, count):
+    def choice_of_request(self, count):
         return self.fake.wait("ask", count)["choice"]
 
 
 @contextlib.contextmanager
 def opened(chromium, width=900, height=700, answered=True, **options):
     """Open a page, by default with its first request answered; check for errors at the end."""
-    with faked(MODELS) as (fake, address):
+    with running_fake(MODELS) as (fake, address):
         size = {"width": width, "height": height}
         context = chromium.new_context(viewport=size, **options)
         studio = Studio(context.new_page(), fake)
         studio.page.goto(address)
         fake.wait("ask")
         if answered:
-            studio.measured()
+            studio.answer_request()
             for splats, size, psnr in POINTS:
-                fake.tell(
+                fake.send_event(
                     type="point", splats=splats, bytes=size, psnr=psnr, kind="coarse", format=".sog"
                 )
             studio.page.wait_for_function(
-                "document.querySelectorAll('#plot .point').length === 3", timeout=PATIENCE
+                "document.querySelectorAll('#plot .point').length === 3", timeout=TIMEOUT
             )
         yield studio
         context.close()
@@ -122,28 +122,28 @@ def opened(chromium, width=900, height=700, answered=True, **options):
 
 @pytest.fixture
 def studio(chromium):
-    with opened(chromium) as seen:
-        yield seen
+    with opened(chromium) as page:
+        yield page
 
 
 def test_a_draft_is_shown_before_the_measured_result(chromium):
     with opened(chromium, answered=False) as studio:
-        studio.shows(RED, "left")
+        studio.wait_for_colour(RED, "left")
         assert studio.page.get_attribute("body", "data-state") == "opening"
         ask = studio.fake.wait("ask")
         assert ask["choice"]["wish"] == {"splats": 30}
         assert ask["choice"]["format"] == ".sog"
-        studio.fake.answer("draft", ask["number"] - 1, "magenta")  # of an older request
-        studio.fake.answer("draft", ask["number"], "green", psnr=None)
-        studio.state("measuring", ask["number"])
-        studio.shows(GREEN, "right")
-        assert studio.share(MAGENTA, "right") == 0
+        studio.fake.send_result("draft", ask["number"] - 1, "magenta")  # of an older request
+        studio.fake.send_result("draft", ask["number"], "green", psnr=None)
+        studio.wait_for_state("measuring", ask["number"])
+        studio.wait_for_colour(GREEN, "right")
+        assert studio.share_of_colour(MAGENTA, "right") == 0
         assert "estimated" in studio.page.inner_text("#how")
         assert studio.page.input_value("#psnr") == ""
-        studio.fake.answer("measured", ask["number"], "blue", splats=29, psnr=31.25)
-        studio.state("measured", ask["number"])
-        studio.shows(BLUE, "right")
-        studio.shows(RED, "left")
+        studio.fake.send_result("measured", ask["number"], "blue", splats=29, psnr=31.25)
+        studio.wait_for_state("measured", ask["number"])
+        studio.wait_for_colour(BLUE, "right")
+        studio.wait_for_colour(RED, "left")
         assert studio.page.input_value("#psnr") == "31.25"
         assert "got 29" in studio.page.inner_text("#splats-got")
         assert "SSIM 0.9000" in studio.page.inner_text("#result")
@@ -152,15 +152,15 @@ def test_a_draft_is_shown_before_the_measured_result(chromium):
 def test_a_result_is_shown_before_it_is_measured_and_fetched_once(studio):
     studio.page.get_by_role("button", name="best").click()
     number = studio.fake.wait("ask", 2)["number"]
-    studio.fake.answer("draft", number, "blue")
-    studio.fake.answer("made", number, "green", psnr=30.0)
-    studio.shows(GREEN, "right")
-    studio.state("measuring", number)
+    studio.fake.send_result("draft", number, "blue")
+    studio.fake.send_result("made", number, "green", psnr=30.0)
+    studio.wait_for_colour(GREEN, "right")
+    studio.wait_for_state("measuring", number)
     assert "estimated" in studio.page.inner_text("#how")
-    studio.fake.answer("measured", number, "green", psnr=32.5)
-    studio.state("measured", number)
+    studio.fake.send_result("measured", number, "green", psnr=32.5)
+    studio.wait_for_state("measured", number)
     assert studio.page.input_value("#psnr") == "32.50"
-    assert studio.share(GREEN, "right") > 0.05
+    assert studio.share_of_colour(GREEN, "right") > 0.05
     assert studio.fake.fetched.count("green") == 1
 
 
@@ -168,9 +168,9 @@ def test_a_result_sent_together_with_its_scores_ends_as_measured(studio):
     studio.page.get_by_role("button", name="best").click()
     number = studio.fake.wait("ask", 2)["number"]
     for kind in ("draft", "made", "measured"):
-        studio.fake.answer(kind, number, "green")
-    studio.state("measured", number)
-    studio.shows(GREEN, "right")
+        studio.fake.send_result(kind, number, "green")
+    studio.wait_for_state("measured", number)
+    studio.wait_for_colour(GREEN, "right")
     studio.page.wait_for_timeout(200)
     assert studio.page.get_attribute("body", "data-state") == "measured"
 
@@ -185,14 +185,14 @@ def test_a_reload_keeps_the_choice(studio):
     page.fill("#x-low", "-0.25")
     page.press("#x-low", "Enter")
     page.click("#take")
-    studio.becomes(lambda: studio.last_asked()["filters"]["box"])
-    chosen = studio.last_asked()
+    studio.wait_until(lambda: studio.latest_choice()["filters"]["box"])
+    chosen = studio.latest_choice()
     assert (chosen["preset"], chosen["up"], chosen["filters"]["box"][0]) == ("best", "-z", -0.25)
-    before = len(studio.fake.asked)
+    before = len(studio.fake.requests)
     page.reload()
-    studio.becomes(lambda: len(studio.fake.asked) > before)
-    assert studio.last_asked() == chosen
-    studio.measured()
+    studio.wait_until(lambda: len(studio.fake.requests) > before)
+    assert studio.latest_choice() == chosen
+    studio.answer_request()
     assert page.input_value("#x-low") == "-0.25"
     assert page.is_checked("#crop")
     assert page.is_disabled("#undo")
@@ -200,23 +200,27 @@ def test_a_reload_keeps_the_choice(studio):
 
 
 def test_the_page_reports_the_models_that_it_has_drawn(studio):
-    studio.becomes(lambda: [body["model"] for body in studio.fake.seen][-1:] == ["blue"])
-    assert [body["model"] for body in studio.fake.seen] in (["blue"], ["original", "blue"])
-    assert all(body["pace"] is None for body in studio.fake.seen)  # too few splats to measure it
+    studio.wait_until(
+        lambda: [body["model"] for body in studio.fake.drawn_reports][-1:] == ["blue"]
+    )
+    assert [body["model"] for body in studio.fake.drawn_reports] in (["blue"], ["original", "blue"])
+    assert all(
+        body["pace"] is None for body in studio.fake.drawn_reports
+    )  # too few splats to measure it
     studio.page.get_by_role("button", name="best").click()
     number = studio.fake.wait("ask", 2)["number"]
-    studio.fake.answer("draft", number, "magenta")
-    studio.becomes(lambda: studio.fake.seen[-1]["model"] == "magenta")
-    studio.fake.answer("made", number, "green")
-    studio.becomes(lambda: studio.fake.seen[-1]["model"] == "green")
-    reported = len(studio.fake.seen)
-    studio.fake.answer("measured", number, "green")
-    studio.state("measured", number)
-    assert len(studio.fake.seen) == reported
+    studio.fake.send_result("draft", number, "magenta")
+    studio.wait_until(lambda: studio.fake.drawn_reports[-1]["model"] == "magenta")
+    studio.fake.send_result("made", number, "green")
+    studio.wait_until(lambda: studio.fake.drawn_reports[-1]["model"] == "green")
+    reported = len(studio.fake.drawn_reports)
+    studio.fake.send_result("measured", number, "green")
+    studio.wait_for_state("measured", number)
+    assert len(studio.fake.drawn_reports) == reported
 
 
 def test_a_new_model_is_drawn_once_and_the_old_one_no_longer(studio):
-    studio.shows(BLUE, "right")
+    studio.wait_for_colour(BLUE, "right")
     studio.page.evaluate(
         """() => {
           window.drawn = 0;
@@ -229,12 +233,12 @@ def test_a_new_model_is_drawn_once_and_the_old_one_no_longer(studio):
     )
     studio.page.get_by_role("button", name="best").click()
     number = studio.fake.wait("ask", 2)["number"]
-    studio.fake.answer("draft", number, "green")
-    studio.state("measuring", number)
-    studio.page.wait_for_selector("#view[data-state=still]", timeout=PATIENCE)
+    studio.fake.send_result("draft", number, "green")
+    studio.wait_for_state("measuring", number)
+    studio.page.wait_for_selector("#view[data-state=still]", timeout=TIMEOUT)
     studio.page.wait_for_timeout(200)
     assert studio.page.evaluate("window.drawn") == 1
-    studio.shows(GREEN, "right")
+    studio.wait_for_colour(GREEN, "right")
 
 
 def test_the_three_sliders_move_together(studio):
@@ -244,18 +248,18 @@ def test_the_three_sliders_move_together(studio):
     page.keyboard.press("PageUp")
     after = [float(page.input_value(f"#{key}-range")) for key in ("splats", "bytes", "psnr")]
     assert all(new > old for new, old in zip(after, before, strict=True))
-    assert studio.asked(2)["wish"]["splats"] > 30
-    studio.measured(splats=52, bytes=1300, psnr=33.5)
+    assert studio.choice_of_request(2)["wish"]["splats"] > 30
+    studio.answer_request(splats=52, bytes=1300, psnr=33.5)
     assert page.input_value("#psnr") == "33.50"
     page.fill("#bytes", "0.0008")
     page.press("#bytes", "Enter")
-    assert studio.asked(3)["wish"] == {"bytes": 800}
+    assert studio.choice_of_request(3)["wish"] == {"bytes": 800}
     assert 20 < float(page.input_value("#splats")) < 60
     page.fill("#psnr", "36.5")
     page.press("#psnr", "Enter")
-    assert studio.asked(4)["wish"] == {"psnr": 36.5}
+    assert studio.choice_of_request(4)["wish"] == {"psnr": 36.5}
     page.get_by_role("button", name="150 splats").click()
-    assert studio.asked(5)["wish"] == {"splats": 150}
+    assert studio.choice_of_request(5)["wish"] == {"splats": 150}
 
 
 def test_drafts_are_shown_while_a_slider_moves(studio):
@@ -266,16 +270,16 @@ def test_drafts_are_shown_while_a_slider_moves(studio):
         numbers.append(studio.fake.wait("ask", count)["number"])
     older, newer = numbers
     requested = studio.page.input_value("#splats")
-    studio.fake.answer("draft", older, "green", splats=31)
-    studio.shows(GREEN, "right")
+    studio.fake.send_result("draft", older, "green", splats=31)
+    studio.wait_for_colour(GREEN, "right")
     assert studio.page.input_value("#splats") == requested
-    studio.state("coarse", newer)
-    studio.fake.answer("draft", newer, "blue")
-    studio.state("measuring", newer)
-    studio.fake.answer("draft", older, "magenta")  # too late
-    studio.fake.answer("measured", newer, "blue")
-    studio.state("measured", newer)
-    studio.shows(BLUE, "right")
+    studio.wait_for_state("coarse", newer)
+    studio.fake.send_result("draft", newer, "blue")
+    studio.wait_for_state("measuring", newer)
+    studio.fake.send_result("draft", older, "magenta")  # too late
+    studio.fake.send_result("measured", newer, "blue")
+    studio.wait_for_state("measured", newer)
+    studio.wait_for_colour(BLUE, "right")
 
 
 @pytest.mark.parametrize(("words", "said"), [("lots", "“lots”"), ("5,000", "300"), ("-1", "“-1”")])
@@ -284,25 +288,25 @@ def test_an_invalid_entry_shows_an_error_and_sends_no_request(studio, words, sai
     studio.page.press("#splats", "Enter")
     assert said in studio.page.get_by_role("alert").inner_text()
     studio.page.wait_for_timeout(100)
-    assert len(studio.fake.asked) == 1
+    assert len(studio.fake.requests) == 1
 
 
 def test_choices_can_be_undone_and_redone(studio):
     page = studio.page
     assert page.is_disabled("#undo")
     page.get_by_role("button", name="best").click()
-    assert studio.asked(2)["preset"] == "best"
+    assert studio.choice_of_request(2)["preset"] == "best"
     page.select_option("#harmonics", "1")
-    assert studio.asked(3)["sh_degree"] == 1
+    assert studio.choice_of_request(3)["sh_degree"] == 1
     page.select_option("#format", ".ply")
-    assert studio.asked(4)["format"] == ".ply"
+    assert studio.choice_of_request(4)["format"] == ".ply"
     page.keyboard.press("Control+z")
-    assert studio.asked(5) == studio.asked(3)
+    assert studio.choice_of_request(5) == studio.choice_of_request(3)
     page.click("#undo")
     page.click("#undo")
-    studio.becomes(lambda: page.is_disabled("#undo"))
+    studio.wait_until(lambda: page.is_disabled("#undo"))
     page.keyboard.press("Control+Shift+Z")
-    studio.becomes(lambda: studio.fake.asked[-1][1]["choice"] == studio.asked(2))
+    studio.wait_until(lambda: studio.fake.requests[-1][1]["choice"] == studio.choice_of_request(2))
     assert page.locator("#preset [aria-pressed=true]").inner_text() == "best"
 
 
@@ -314,32 +318,32 @@ def test_splats_to_be_removed_are_magenta_before_the_filter_is_applied(studio):
     low, high = studio.fake.scene["bounds"]["low"], studio.fake.scene["bounds"]["high"]
     assert np.allclose(request["choice"]["filters"]["box"], [*low, *high], atol=0.002)
     took = [{"name": "crop", "argument": "", "removed": 100, "left": 200}]
-    studio.fake.tell(
+    studio.fake.send_event(
         type="filtered", preview=True, number=request["number"], took=took, left=200,
         model=studio.fake.model("magenta"),
     )  # fmt: skip
-    page.wait_for_selector("body[data-preview=shown]", timeout=PATIENCE)
-    studio.shows(MAGENTA, "left")
-    studio.becomes(lambda: studio.share(AMBER, "right") > 0.001)
+    page.wait_for_selector("body[data-preview=shown]", timeout=TIMEOUT)
+    studio.wait_for_colour(MAGENTA, "left")
+    studio.wait_until(lambda: studio.share_of_colour(AMBER, "right") > 0.001)
     assert "100 splats of 300 removed, 200 left" in page.inner_text("#takes")
     page.click("#untake")
-    studio.shows(RED, "left")
-    assert studio.share(AMBER, "right") == 0
-    assert len([path for path, _ in studio.fake.asked if path == "ask"]) == 1
+    studio.wait_for_colour(RED, "left")
+    assert studio.share_of_colour(AMBER, "right") == 0
+    assert len([path for path, _ in studio.fake.requests if path == "ask"]) == 1
     page.fill("#opacity", "0.1")
     page.press("#opacity", "Enter")
     assert studio.fake.wait("filter", 2)["choice"]["filters"]["min_opacity"] == 0.1
     page.click("#take")
     chosen = studio.fake.wait("ask", 2)
     assert chosen["choice"]["filters"] == {"box": None, "min_opacity": 0.1, "floaters": False}
-    studio.fake.tell(
+    studio.fake.send_event(
         type="filtered", preview=False, number=chosen["number"], took=took, left=200,
         model=studio.fake.model("green"),
     )  # fmt: skip
-    studio.shows(GREEN, "left")
+    studio.wait_for_colour(GREEN, "left")
     assert page.inner_text("#taken") == "100 removed"
     page.click("#undo")
-    assert studio.asked(3)["filters"]["min_opacity"] is None
+    assert studio.choice_of_request(3)["filters"]["min_opacity"] is None
     assert page.input_value("#opacity") == "0"
 
 
@@ -364,14 +368,16 @@ def test_a_face_of_the_crop_box_can_be_dragged_in_the_picture(studio, face):
 
     def last_box():
         return [
-            body["choice"]["filters"]["box"] for each, body in studio.fake.asked if each == "filter"
+            body["choice"]["filters"]["box"]
+            for each, body in studio.fake.requests
+            if each == "filter"
         ][-1]
 
     axis, is_high = "xyz".index(face[0]), face.endswith("high")
     moved_end = axis + 3 * is_high
     assert float(page.input_value(f"#{face}")) != [*low, *high][moved_end]
     # The page waits for a pause in the movement before it asks for what its fields show.
-    studio.becomes(lambda: last_box()[moved_end] == float(page.input_value(f"#{face}")))
+    studio.wait_until(lambda: last_box()[moved_end] == float(page.input_value(f"#{face}")))
     moved = np.array(last_box()).reshape(2, 3)
     share = (moved[int(is_high), axis] - (high if is_high else low)[axis]) / (high - low)[axis]
     assert 0.15 < (-share if is_high else share) < 0.45
@@ -387,20 +393,20 @@ def test_the_error_map_is_bright_where_the_sides_differ(studio):
     page = studio.page
     first = studio.pixels()
     page.keyboard.press("e")
-    studio.becomes(lambda: studio.share(BLUE, "right") == 0)
+    studio.wait_until(lambda: studio.share_of_colour(BLUE, "right") == 0)
     pixels = studio.pixels()
     half = pixels.shape[1] // 2
     assert np.array_equal(pixels[:, :half], first[:, :half])
     # Red and blue differ by 0.14 in luma, which is at 0.75 of the colour map.
-    assert studio.share((249 / 255, 140 / 255, 10 / 255), "right") > 0.05
+    assert studio.share_of_colour((249 / 255, 140 / 255, 10 / 255), "right") > 0.05
     assert page.is_visible("#legend")
     page.fill("#splats", "300")
     page.press("#splats", "Enter")
     studio.fake.wait("ask", 2)
-    studio.measured("original", splats=300)
-    studio.becomes(lambda: studio.pixels()[:, half + 30 :].max() < 0.03)  # nothing differs
+    studio.answer_request("original", splats=300)
+    studio.wait_until(lambda: studio.pixels()[:, half + 30 :].max() < 0.03)  # nothing differs
     page.click("#heat")
-    studio.shows(RED, "right")
+    studio.wait_for_colour(RED, "right")
     assert not page.is_visible("#legend")
 
 
@@ -409,16 +415,16 @@ def test_another_up_turns_the_picture_and_the_old_one_restores_it(studio):
     first = studio.pixels()
     page.click("#scene summary")
     page.get_by_role("button", name="+x", exact=True).click()
-    assert studio.asked(2)["up"] == "+x"
-    studio.becomes(lambda: (np.abs(studio.pixels() - first).max(axis=-1) > 0.3).mean() > 0.01)
+    assert studio.choice_of_request(2)["up"] == "+x"
+    studio.wait_until(lambda: (np.abs(studio.pixels() - first).max(axis=-1) > 0.3).mean() > 0.01)
     turned = studio.pixels()
     page.locator("#view canvas").focus()
     page.keyboard.press("ArrowRight")
     page.click("#first-view")
-    studio.becomes(lambda: np.array_equal(studio.pixels(), turned))
+    studio.wait_until(lambda: np.array_equal(studio.pixels(), turned))
     page.click("#up [data-value='-y']")
-    assert studio.asked(3)["up"] is None
-    studio.becomes(lambda: np.array_equal(studio.pixels(), first))
+    assert studio.choice_of_request(3)["up"] is None
+    studio.wait_until(lambda: np.array_equal(studio.pixels(), first))
 
 
 def test_a_new_model_keeps_the_camera(studio):
@@ -426,13 +432,13 @@ def test_a_new_model_keeps_the_camera(studio):
     first = studio.pixels()
     page.locator("#view canvas").focus()
     page.keyboard.press("ArrowRight")
-    studio.becomes(lambda: not np.array_equal(studio.pixels(), first))
+    studio.wait_until(lambda: not np.array_equal(studio.pixels(), first))
     turned = studio.pixels()
     page.fill("#splats", "40")
     page.press("#splats", "Enter")
     studio.fake.wait("ask", 2)
-    studio.measured("green")
-    studio.shows(GREEN, "right")
+    studio.answer_request("green")
+    studio.wait_for_colour(GREEN, "right")
     half = turned.shape[1] // 2
     assert np.array_equal(studio.pixels()[:, :half], turned[:, :half])
 
@@ -442,22 +448,24 @@ def test_saving_asks_before_it_replaces_a_file_and_shows_the_command(studio):
     page.keyboard.press("Control+s")
     page.wait_for_selector("#entries >> text=old/")
     assert page.input_value("#save-name") == "scene-small.sog"
-    studio.becomes(lambda: "scene-small.sog" in page.inner_text("#save-command"))
+    studio.wait_until(lambda: "scene-small.sog" in page.inner_text("#save-command"))
     page.press("#save-name", "Enter")
     assert "exists" in page.inner_text("#save-said")
-    assert not [path for path, _ in fake.asked if path == "save"]
+    assert not [path for path, _ in fake.requests if path == "save"]
     page.click("#save-go")
     request = fake.wait("save")
     assert request["path"] == "scene-small.sog"
     assert request["overwrite"] is True
     assert request["choice"]["levels"] is None
-    studio.state("saving")
-    fake.tell(type="progress", number=request["number"], kind="save", stage="fit", fraction=0.5)
-    studio.becomes(lambda: "fit" in page.inner_text("#save-said"))
+    studio.wait_for_state("saving")
+    fake.send_event(
+        type="progress", number=request["number"], kind="save", stage="fit", fraction=0.5
+    )
+    studio.wait_until(lambda: "fit" in page.inner_text("#save-said"))
     page.click("#save-cancel")
     fake.wait("cancel")
-    fake.tell(type="cancelled", number=request["number"], kind="save")
-    studio.state("measured")
+    fake.send_event(type="cancelled", number=request["number"], kind="save")
+    studio.wait_for_state("measured")
     page.select_option("#save-format", "levels tileset.json")
     assert page.input_value("#save-name") == "scene-small/tileset.json"
     page.fill("#ratios", "1,0.2")
@@ -471,22 +479,22 @@ def test_saving_asks_before_it_replaces_a_file_and_shows_the_command(studio):
     assert request["path"] == "old/scene-small/tileset.json"
     assert request["choice"]["levels"] == "1,0.2"
     assert request["overwrite"] is False
-    fake.tell(
+    fake.send_event(
         type="saved", number=request["number"], path=request["path"], bytes=5000, report={},
         command="nanogs lod it", short=None, replaced=False, lines=[["Splats", "30 of 300"]],
     )  # fmt: skip
-    studio.becomes(lambda: "5.0 kB" in page.inner_text("#save-said"))
+    studio.wait_until(lambda: "5.0 kB" in page.inner_text("#save-said"))
     assert page.inner_text("#save-command") == "nanogs lod it"
     assert "30 of 300" in page.inner_text("#save-lines")
-    studio.state("measured")
+    studio.wait_for_state("measured")
 
 
 def test_a_browser_without_webgl_gets_a_message(chromium):
-    with faked(MODELS) as (_, address):
+    with running_fake(MODELS) as (_, address):
         page = chromium.new_page()
         page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
         page.goto(address)
-        page.wait_for_selector("body[data-state=failed]", timeout=PATIENCE)
+        page.wait_for_selector("body[data-state=failed]", timeout=TIMEOUT)
         text = page.get_by_role("alert").inner_text()
         assert text == "The studio cannot draw: this browser has no WebGL 2, or it is switched off."
         page.close()
@@ -497,9 +505,11 @@ def test_a_failure_is_shown_as_a_message(studio):
     page.click("#format")
     page.select_option("#format", ".ply")
     number = fake.wait("ask", 2)["number"]
-    fake.tell(type="failed", number=number - 1, kind="measure", message="Long ago.")
-    fake.tell(type="failed", number=number, kind="measure", message="There is no memory left.")
-    studio.state("failed", number)
+    fake.send_event(type="failed", number=number - 1, kind="measure", message="Long ago.")
+    fake.send_event(
+        type="failed", number=number, kind="measure", message="There is no memory left."
+    )
+    studio.wait_for_state("failed", number)
     assert page.get_by_role("alert").inner_text() == "There is no memory left."
     page.get_by_role("button", name="Close message").click()
     assert not page.is_visible("#alert")
@@ -512,15 +522,17 @@ def test_work_is_cancelled_by_a_button_and_by_a_key(studio):
     for count, stop in enumerate(
         (page.locator("#cancel").click, lambda: page.keyboard.press("Escape")), 1
     ):
-        fake.tell(type="progress", number=number, kind="measure", stage="views", fraction=0.25)
+        fake.send_event(
+            type="progress", number=number, kind="measure", stage="views", fraction=0.25
+        )
         page.wait_for_selector("#cancel:visible")
         assert float(page.get_attribute("#progress", "value")) == 0.25
         page.locator("#first-view").focus()
         stop()
         fake.wait("cancel", count)
-    fake.tell(type="cancelled", number=number, kind="measure")
-    studio.state("coarse", number)
-    studio.becomes(lambda: not page.is_visible("#cancel"))
+    fake.send_event(type="cancelled", number=number, kind="measure")
+    studio.wait_for_state("coarse", number)
+    studio.wait_until(lambda: not page.is_visible("#cancel"))
     assert page.inner_text("#said") == "Cancelled"
 
 

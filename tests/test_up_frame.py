@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import twins
+import reference_kernels as reference
 from conftest import scene_path
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import load
@@ -19,7 +19,7 @@ TURNS = [(1, 0, 0, 0), (0.5, -0.1, 0.7, 0.5), (0, 1, 0, 0), (-0.2, 0.9, -0.3, 0.
 
 
 def matrix(quat):
-    return twins.rotation_matrix(np.array(quat) / np.linalg.norm(quat))
+    return reference.rotation_matrix(np.array(quat) / np.linalg.norm(quat))
 
 
 def turned(model, quat):

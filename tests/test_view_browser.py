@@ -12,13 +12,13 @@ import nanogs
 from browsers import CHROMIUM, SOFTWARE
 from builders import random_splats, solid
 from conftest import scene_path
-from looking import seen_from_the_start
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
 from nanogs.scoring.run import compare_files
 from nanogs.scoring.viewing import view_files
 from nanogs.splats import RenderMode
 from viewer_bundle import require_bundle
+from views_and_scores import opening_camera
 
 pytestmark = [
     pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed"),
@@ -26,7 +26,7 @@ pytestmark = [
 ]
 VIEW = "#nanogs-view"
 BARE = f"{VIEW} > :not(canvas) {{ opacity: 0 !important; }} canvas {{ outline: none !important; }}"
-PATIENCE = 60_000  # milliseconds
+TIMEOUT = 60_000  # milliseconds
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ class Seen:
         self.page.goto(path.as_uri())
 
     def settle(self):
-        self.page.wait_for_selector(f"{VIEW}[data-state=still]", timeout=PATIENCE)
+        self.page.wait_for_selector(f"{VIEW}[data-state=still]", timeout=TIMEOUT)
 
     def pixels(self):
         """Return the pixels of the models once nothing moves, (H, W, 3) float32 in [0, 1]."""
@@ -75,7 +75,7 @@ class Seen:
 
     def sees(self, condition):
         """Return the pixels once they meet the condition; an input takes time to arrive."""
-        end = time.monotonic() + PATIENCE / 2000
+        end = time.monotonic() + TIMEOUT / 2000
         while not condition(pixels := self.pixels()):
             assert time.monotonic() < end, "the picture did not become what it should be"
             self.page.wait_for_timeout(50)
@@ -318,7 +318,7 @@ def rendered_and_shown(chromium, model, folder):
     shown = seen.pixels()
     seen.close()
     splats = nanogs.load(model)
-    camera = seen_from_the_start(splats, 200, 200)
+    camera = opening_camera(splats, 200, 200)
     return render(splats, camera).shown(), shown
 
 
@@ -361,7 +361,7 @@ def test_without_webgl_the_page_says_so(driver, files):
     )
     page = browser.new_page()
     page.goto((files / "one.html").as_uri())
-    page.wait_for_selector(f"{VIEW}[data-state=failed]", timeout=PATIENCE)
+    page.wait_for_selector(f"{VIEW}[data-state=failed]", timeout=TIMEOUT)
     message = page.get_by_role("status").inner_text()
     browser.close()
     assert "WebGL" in message

@@ -8,7 +8,6 @@ import pytest
 
 import nanogs
 from builders import random_splats
-from looking import judged, looked
 from nanogs.errors import ModelError, OptionError
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.io import precision
@@ -22,6 +21,7 @@ from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason
 from nanogs.splats import Splats, concatenate
 from nanogs.views.automatic import automatic_cameras
+from views_and_scores import mean_scores, scene_with_views
 
 
 def view_parameters(**given):
@@ -47,13 +47,13 @@ def box_with_something_inside():
 
 def test_hidden_splats_get_a_low_weight_and_unseen_ones_a_full_weight():
     splats = box_with_something_inside()
-    views = looked(splats, None, view_parameters())
+    views = scene_with_views(splats, None, view_parameters())
     assert views.visible[-1] < 0.005
     assert np.median(views.visible[:-1]) > 0.05  # the splats of a wall hide each other too
     assert (views.visible <= 1).all()
     away = [dataclasses.replace(camera, world_to_camera=np.diag([-1.0, 1, -1, 1])
             @ camera.world_to_camera) for camera in automatic_cameras(splats, 1)]  # fmt: skip
-    assert (looked(splats, away, view_parameters()).visible == 1).all()
+    assert (scene_with_views(splats, away, view_parameters()).visible == 1).all()
 
 
 @pytest.mark.parametrize("blocks", [{}, {"block": 400}])
@@ -135,21 +135,21 @@ def test_colours_of_hardly_visible_splats_have_a_tenth_of_the_weight(whole):
 
 def test_the_original_scores_nearly_perfectly_and_one_view_in_six_validates():
     splats = box_with_something_inside()
-    views = looked(splats, None, view_parameters(views=12))
+    views = scene_with_views(splats, None, view_parameters(views=12))
     names = [f"fit_{i:03}" for i in range(12)]
     [group] = views.groups
     assert [view.camera.name for view in group.targets] == [names[3], names[9]]
     assert [view.camera.name for view in views.fitting] == names[:3] + names[4:9] + names[10:]
-    psnr, ssim = judged(splats, views)
+    psnr, ssim = mean_scores(splats, views)
     assert psnr > 57  # views are kept as 8 bits a channel
     assert ssim > 0.999
-    assert judged(splats.take(np.arange(100)), views)[0] < 30
+    assert mean_scores(splats.take(np.arange(100)), views)[0] < 30
 
 
 def test_given_cameras_are_the_ones_rendered():
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=1000, height=500)
-    views = looked(splats, cameras, view_parameters(view_size=256))
+    views = scene_with_views(splats, cameras, view_parameters(view_size=256))
     both = [*views.groups[0].targets, *views.fitting]
     assert {(view.camera.width, view.camera.height) for view in both} == {(256, 128)}
     assert {view.image.shape for view in both} == {(128, 256, 4)}
@@ -161,7 +161,7 @@ def test_further_views_differ_from_the_other_views():
     for cameras in (None, automatic_cameras(splats, 90, width=64, height=64)):
         for further in (9, PICTURES - 5):
             given = view_parameters(views=6, view_size=48, further=further)
-            views = looked(splats, cameras, given)
+            views = scene_with_views(splats, cameras, given)
             every = [view for group in views.groups for view in group.targets]
             every += [view for view in views.fitting if view.blocks == ALL_BLOCKS]
             cameras_of = [view.camera for view in every]
@@ -170,27 +170,37 @@ def test_further_views_differ_from_the_other_views():
             assert len(names) == 6 + further
             assert {camera.width for camera in (*cameras_of, *views.views.further)} == {48}
             assert len(views.fit_views(0, 0).fitting) == 5 + further
-    few = looked(splats, cameras[:7], view_parameters(views=6, view_size=48, further=9))
+    few = scene_with_views(splats, cameras[:7], view_parameters(views=6, view_size=48, further=9))
     assert len(few.views.further) == 1
 
 
 def test_few_further_views_are_kept_in_halves_and_many_are_not_kept():
     splats = box_with_something_inside()
-    few = looked(splats, None, view_parameters(views=6, view_size=48, further=4))
+    few = scene_with_views(splats, None, view_parameters(views=6, view_size=48, further=4))
     assert [view.blocks for view in few.fitting[5:]] == [*FIELDS, *FIELDS]
     names = [view.camera.name for view in few.fitting[5:]]
     assert names == [camera.name for camera in few.views.further]
-    whole = looked(splats, None, view_parameters(views=6, view_size=48, further=4, halves=False))
+    whole = scene_with_views(
+        splats, None, view_parameters(views=6, view_size=48, further=4, halves=False)
+    )
     assert [view.blocks for view in whole.fitting[5:]] == [ALL_BLOCKS] * 4
     assert (
-        len(looked(splats, None, view_parameters(views=6, view_size=48, further=60)).fitting) == 5
+        len(
+            scene_with_views(
+                splats, None, view_parameters(views=6, view_size=48, further=60)
+            ).fitting
+        )
+        == 5
     )
-    assert len(looked(splats, None, view_parameters(views=6, steps=0, further=4)).fitting) == 5
+    assert (
+        len(scene_with_views(splats, None, view_parameters(views=6, steps=0, further=4)).fitting)
+        == 5
+    )
 
 
 def test_a_single_view_only_validates_and_nothing_is_fitted():
     splats = random_splats(300)
-    assert len(looked(splats, None, view_parameters(views=1)).groups) == 1
+    assert len(scene_with_views(splats, None, view_parameters(views=1)).groups) == 1
     _, report = nanogs.simplify(splats, ratio=0.5, views=1, further=0)
     assert report.refit is None
     assert any("not fitted" in note for note in report.notes)
@@ -221,7 +231,7 @@ def test_hidden_splats_are_merged_first():
 def test_an_invisible_model_is_noted_and_still_reduced_to_the_count():
     splats = random_splats(100)
     splats.opacity_logits[:] = -7  # alpha 0.0009
-    assert looked(splats, None, view_parameters()).views.kept == ()
+    assert scene_with_views(splats, None, view_parameters()).views.kept == ()
     small, report = nanogs.simplify(splats, count=13)
     assert len(small) == 13
     assert report.stop == StopReason.TARGET
@@ -234,9 +244,9 @@ def test_splats_seen_from_free_space_are_not_hidden():
     """Cameras around the box see only the box; a roaming camera inside it sees its content."""
     splats = box_with_something_inside()
     around = automatic_cameras(splats, 5, width=48, height=48, habit=False)
-    assert looked(splats, around, view_parameters(roaming=8)).views.notes == ()
-    alone = looked(splats, None, view_parameters(views=5, view_size=48))
-    wandered = looked(splats, None, view_parameters(views=5, view_size=48, roaming=8))
+    assert scene_with_views(splats, around, view_parameters(roaming=8)).views.notes == ()
+    alone = scene_with_views(splats, None, view_parameters(views=5, view_size=48))
+    wandered = scene_with_views(splats, None, view_parameters(views=5, view_size=48, roaming=8))
     assert (wandered.visible >= alone.visible).all()
     assert (wandered.visible > alone.visible).any()
     assert (alone.missed | ~wandered.missed).all()
@@ -249,7 +259,7 @@ def test_too_few_roaming_views_are_noted(monkeypatch):
         raise ModelError("none")
 
     monkeypatch.setattr(visibility, "roaming_cameras", none)
-    views = looked(
+    views = scene_with_views(
         box_with_something_inside(), None, view_parameters(views=3, view_size=32, roaming=2)
     )
     assert views.views.notes == ("Only 0 of 2 roaming views could be found.",)
@@ -330,13 +340,13 @@ def test_missed_light_is_estimated_from_splats_in_a_single_view():
         )  # fmt: skip
 
     # Splats: in two views; in one; in none; almost hidden (below 0.01); of another block.
-    looked, anywhere = visibility.SplatContributions(5), visibility.SplatContributions(5)
-    looked.add(view([40, 0, 0, 0.1, 9], [50, 20, 30, 40, 9], 100))
-    looked.add(view([10, 0, 0, 0, 0], [50, 20, 30, 40, 9], 100))
-    alone = visibility.missed_light_of(looked, None, 4)
+    from_views, from_anywhere = visibility.SplatContributions(5), visibility.SplatContributions(5)
+    from_views.add(view([40, 0, 0, 0.1, 9], [50, 20, 30, 40, 9], 100))
+    from_views.add(view([10, 0, 0, 0, 0], [50, 20, 30, 40, 9], 100))
+    alone = visibility.missed_light_of(from_views, None, 4)
     assert dataclasses.astuple(alone) == pytest.approx((0.0, 0.501, 1.8))
-    anywhere.add(view([0, 4, 0, 0, 0], [1, 4, 5, 0, 0], 10))
-    both = visibility.missed_light_of(looked, anywhere, 4)
+    from_anywhere.add(view([0, 4, 0, 0, 0], [1, 4, 5, 0, 0], 10))
+    both = visibility.missed_light_of(from_views, from_anywhere, 4)
     assert dataclasses.astuple(both) == pytest.approx((0.4, 0.901, 1.9))
     assert both.hidden(0.03) == pytest.approx(0.4 / 1.9)
     assert both.hidden(0.5) == 0.5

@@ -21,7 +21,7 @@ def call(function, *arguments):
     return Raw(function + pickled(tuple(arguments)) + b"R")
 
 
-class File:
+class TorchFile:
     """A zip of a pickle and the storages of its arrays, or the file format before PyTorch 1.6."""
 
     def __init__(
@@ -49,18 +49,18 @@ class File:
     def bytes(self):
         return self.one_after_the_other() if self.legacy else self.zipped()
 
-    def one_after_the_other(self):
-        facts = {"protocol_version": 1001, "little_endian": self.order == "little"}
+    def legacy_bytes(self):
+        system_info = {"protocol_version": 1001, "little_endian": self.order == "little"}
         keys = [str(number) for number in range(len(self.storages))]
         out = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
-        for content in (1001, facts):
+        for content in (1001, system_info):
             out += b"\x80\x02" + pickled(content) + b"."
         out += self.pickle + b"\x80\x02" + pickled(keys) + b"."
         for size, data in zip(self.sizes, self.storages, strict=True):
             out += struct.pack("<q", size) + data
         return out
 
-    def zipped(self):
+    def zip_bytes(self):
         buffer = io.BytesIO()
         with zipfile.ZipFile(buffer, "w", self.method) as archive:
             archive.writestr("archive/data.pkl", self.pickle)
@@ -113,7 +113,7 @@ def gsplat(model):
     return {"step": 29_999, "splats": splats}
 
 
-def captured(model):
+def reference_trainer(model):
     """A checkpoint of the reference trainer: what `capture` gives, and the iteration."""
     n = len(model)
     moments = {0: {"step": 9.0, "exp_avg": np.ones((n, 3), np.float32)}}

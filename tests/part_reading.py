@@ -28,6 +28,6 @@ def in_parts(path):
             source.close()  # before the files of its columns are deleted
 
 
-def whole(path):
+def load_whole(path):
     """Read all splats of a file, without its extra elements."""
     return replace(io.load(path), elements=())

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import nanogs
-import twins
+import reference_kernels as reference
 from nanogs.kernels.side_coverage import AWAY, ENOUGH, THICK
 from nanogs.method.growth import MOST_GROWTH, Cover, covered_around
 from nanogs.method.nodes import Nodes
@@ -19,7 +19,7 @@ from nanogs.views.automatic import automatic_cameras
 
 def nodes_of(means, scales, turns):
     """Return nodes, scales and wxyz quaternions of splats with rotations (G, 3, 3)."""
-    covariances = np.array([twins.pack(t @ np.diag(s**2) @ t.T)
+    covariances = np.array([reference.pack(t @ np.diag(s**2) @ t.T)
                             for s, t in zip(scales, turns, strict=True)])  # fmt: skip
     ones, rows = np.ones(len(means)), np.arange(len(means), dtype=np.int32)
     nodes = Nodes(ones, ones, means, covariances, np.zeros((len(means), 3), np.float32), rows)
@@ -31,7 +31,7 @@ def cover(nodes, alphas=1.0):
     return Cover(nodes.means, nodes.covariances, np.broadcast_to(alphas, len(nodes)).copy())
 
 
-def twin(means, scales, turns, alphas, k):
+def reference_coverage(means, scales, turns, alphas, k):
     """Compute the coverage (G,) as the kernel does, with NumPy's solver."""
     neighbours = nearest_neighbours(means, k)
     shares = []
@@ -54,7 +54,7 @@ def twin(means, scales, turns, alphas, k):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_coverage_of_the_sides_matches_the_twin(seed):
+def test_coverage_of_the_sides_matches_the_reference(seed):
     rng = np.random.default_rng(seed)
     count = 60
     means = rng.normal(size=(count, 3)) * [1, 1, 0.1]
@@ -64,7 +64,7 @@ def test_coverage_of_the_sides_matches_the_twin(seed):
     nodes, stored, quats = nodes_of(means, scales, turns)
     some = np.arange(0, count, 2, dtype=np.int32)
     found = covered_around(cover(nodes, alphas), some, stored[some], quats[some])
-    expected = twin(means, scales, turns, alphas, 16)[some]
+    expected = reference_coverage(means, scales, turns, alphas, 16)[some]
     assert found == pytest.approx(expected, rel=1e-4, abs=1e-6)
     assert 0 < expected.mean() < 1
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import nanogs
-import twins
+import reference_kernels as reference
 from nanogs.kernels.sheet_growth import DENSE, FLATNESS
 from nanogs.method.growth import MOST_GROWTH, area_needs, blocked, growth_on_sheets
 from nanogs.method.nodes import Nodes, gather
@@ -33,20 +33,20 @@ def plane(count, seed=0):
 
 def nodes_at(points, covariance):
     count = len(points)
-    covariances = np.tile(twins.pack(covariance), (count, 1))
+    covariances = np.tile(reference.pack(covariance), (count, 1))
     features = np.zeros((count, 3), np.float32)
     weights = np.random.default_rng(1).uniform(0.5, 2, count)
     rows = np.arange(count, dtype=np.int32)
     return Nodes(weights, weights, points, covariances, features, rows)
 
 
-def twin_growth(nodes):
+def reference_growth(nodes):
     """Return the growth of all nodes as one group, as `sheet_growths` does, with NumPy's `eigh`."""
     shares = nodes.weights / nodes.weights.sum()
     offsets = nodes.means - shares @ nodes.means
     between = (shares[:, None] * offsets).T @ offsets
     values, axes = np.linalg.eigh(between)
-    whole = between + twins.unpack(nodes.covariances[0])
+    whole = between + reference.unpack(nodes.covariances[0])
     seen = axes[:, 1:].T @ whole @ axes[:, 1:]
     layers = 2 * np.pi * np.sqrt(np.linalg.det(seen)) / (12 * np.sqrt(values[1] * values[2]))
     return np.exp(-(values[0] / values[1]) / FLATNESS**2) * np.sqrt(DENSE / layers)
@@ -59,13 +59,13 @@ def growths(nodes, growth=0.0):
 
 @pytest.mark.parametrize("thickness", [0.0, 0.02, 0.05])
 @pytest.mark.parametrize("size", [1.5, 2.5])
-def test_growth_equals_the_twin(thickness, size):
+def test_growth_equals_the_reference(thickness, size):
     rng = np.random.default_rng(2)
     turn = Rotation.random(random_state=3).as_matrix()
     points = rng.normal(size=(30, 3)) * [1.5, 1, thickness] @ turn.T
     nodes = nodes_at(points, turn @ np.diag([size**2, size**2, 1e-4]) @ turn.T)
-    assert twin_growth(nodes) < MOST_GROWTH
-    assert growths(nodes) == pytest.approx(twin_growth(nodes), rel=1e-9)
+    assert reference_growth(nodes) < MOST_GROWTH
+    assert growths(nodes) == pytest.approx(reference_growth(nodes), rel=1e-9)
 
 
 def test_only_groups_on_sheets_grow():

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from browsers import PATIENCE, page_at, pixels_of
-from npm_packages import served
+from browsers import TIMEOUT, page_at, pixels_of
+from npm_packages import serve_folders
 
 PACKAGES = Path(__file__).resolve().parents[1] / "viewer" / "node_modules"
 # As in nanogs.render, splats are cut off at alpha 1/255, and 0.3 is added to variances on screen.
@@ -20,24 +20,25 @@ PAGE = """<!doctype html><meta charset="utf-8">
 <script type="module">
 import { PerspectiveCamera, Scene, WebGLRenderer } from "three";
 import { SparkRenderer, SplatMesh } from "spark";
-const told = TOLD;
+const settings = SETTINGS;
 const renderer = new WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
 renderer.setPixelRatio(1);
-renderer.setSize(told.width, told.height);
+renderer.setSize(settings.width, settings.height);
 renderer.setClearColor(0, 1);
 document.body.append(renderer.domElement);
 const spark = new SparkRenderer({
   renderer, maxStdDev: Math.sqrt(2 * Math.log(255)), minAlpha: 1 / 255, maxPixelRadius: 16384,
   clipXY: 3, sortRadial: false, preBlurAmount: 0.3, blurAmount: 0, accumExtSplats: true,
-  ...told.options,
+  ...settings.options,
 });
 const scene = new Scene();
 scene.add(spark);
-const mesh = new SplatMesh({ url: told.url, extSplats: !told.paged, ...told.mesh });
+const mesh = new SplatMesh({ url: settings.url, extSplats: !settings.paged, ...settings.mesh });
 scene.add(mesh);
-const camera = new PerspectiveCamera(told.angle, told.width / told.height, told.near, 1e4);
+const aspect = settings.width / settings.height;
+const camera = new PerspectiveCamera(settings.angle, aspect, settings.near, 1e4);
 camera.matrixAutoUpdate = false;
-camera.matrix.fromArray(told.pose);
+camera.matrix.fromArray(settings.pose);
 camera.matrix.decompose(camera.position, camera.quaternion, camera.scale);
 camera.updateMatrixWorld(true);
 window.state = { frames: 0, splats: 0, total: 0, still: 0 };
@@ -59,7 +60,7 @@ draw();
 </script>"""
 
 
-def in_spark(path, camera, folder, *, mesh=None, calm=8, **options):
+def render_in_spark(path, camera, folder, *, mesh=None, still_frames=8, **options):
     """Render a file with Spark; return (H, W, 3) float32 in [0, 1], and the page's state.
 
     Args:
@@ -68,7 +69,7 @@ def in_spark(path, camera, folder, *, mesh=None, calm=8, **options):
         folder: Folder in which the page is written.
         mesh: Options of the mesh: `paged`, so that chunks are fetched one at a time as they are
             needed, or `lod`, with which Spark makes a tree of its own.
-        calm: Number of consecutive frames with the same splats, before a picture is taken.
+        still_frames: Number of consecutive frames with the same splats, before a picture is taken.
         **options: Options of Spark's renderer, such as `lodSplatCount`.
     """
     if not (PACKAGES / "@sparkjsdev" / "spark").exists():
@@ -85,13 +86,13 @@ def in_spark(path, camera, folder, *, mesh=None, calm=8, **options):
         "pose": pose.T.ravel().tolist(),
         "options": options,
     }
-    (folder / "spark.html").write_text(PAGE.replace("TOLD", json.dumps(settings), 1))
+    (folder / "spark.html").write_text(PAGE.replace("SETTINGS", json.dumps(settings), 1))
     with (
-        served(packages=PACKAGES, scene=path.parent, own=folder) as (address, requests),
+        serve_folders(packages=PACKAGES, scene=path.parent, own=folder) as (address, requests),
         page_at(f"{address}/own/spark.html", camera.width, camera.height) as page,
     ):
-        done = f"window.state && (window.state.error || window.state.still > {calm})"
-        page.wait_for_function(done, timeout=PATIENCE)
+        done = f"window.state && (window.state.error || window.state.still > {still_frames})"
+        page.wait_for_function(done, timeout=TIMEOUT)
         state = page.evaluate("window.state")
         pixels = pixels_of(page.locator("canvas"), f"spark-{path.name}")
     return pixels, state | {"asked": [name for name in requests if name.startswith("scene/")]}

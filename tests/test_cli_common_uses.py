@@ -16,7 +16,7 @@ from nanogs.formatting import bytes_text
 from nanogs.io import check_writable
 from nanogs.scoring.viewing import view_files
 from test_cli import assert_refused
-from test_comfort import run
+from test_cli_usability import run
 from viewer_bundle import require_bundle
 
 

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 
-from browsers import PATIENCE, page_at, pixels_of
-from npm_packages import package, served
+from browsers import TIMEOUT, page_at, pixels_of
+from npm_packages import package, serve_folders
 
 PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <style>body { margin: 0 }
@@ -15,7 +15,7 @@ PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <script src="/cesium/Cesium.js"></script>
 <div id="seen"></div>
 <script type="module">
-const told = TOLD;
+const settings = SETTINGS;
 const widget = new Cesium.CesiumWidget("seen", {
   baseLayer: false, globe: false, skyBox: false, skyAtmosphere: false, shouldAnimate: false,
   contextOptions: { webgl: { preserveDrawingBuffer: true } }, creditContainer: "credits",
@@ -28,17 +28,17 @@ scene.highDynamicRange = false;
 for (const one of ["sun", "moon"]) scene[one] = undefined;
 scene.screenSpaceCameraController.enableInputs = false;
 window.state = { loads: 0 };
-const tileset = await Cesium.Cesium3DTileset.fromUrl(told.url, {
-  maximumScreenSpaceError: told.error, dynamicScreenSpaceError: false,
+const tileset = await Cesium.Cesium3DTileset.fromUrl(settings.url, {
+  maximumScreenSpaceError: settings.error, dynamicScreenSpaceError: false,
 }).catch((error) => { window.state.error = String(error); });
 scene.primitives.add(tileset);
 tileset.allTilesLoaded.addEventListener(() => { window.state.loads += 1; });
 const vector = ([x, y, z]) => new Cesium.Cartesian3(x, y, z);
-scene.camera.frustum.fov = told.fov;
-scene.camera.frustum.near = told.near;
+scene.camera.frustum.fov = settings.fov;
+scene.camera.frustum.near = settings.near;
 scene.camera.setView({
-  destination: vector(told.position),
-  orientation: { direction: vector(told.direction), up: vector(told.up) },
+  destination: vector(settings.position),
+  orientation: { direction: vector(settings.direction), up: vector(settings.up) },
 });
 let still = 0;
 scene.postRender.addEventListener(() => {
@@ -52,7 +52,7 @@ scene.postRender.addEventListener(() => {
 TURN = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
 
 
-def in_cesium(path, camera, folder, *, error=0.01, calm=30):
+def render_in_cesium(path, camera, folder, *, error=0.01, still_frames=30):
     """Render a tileset with CesiumJS; return (H, W, 3) float32 in [0, 1], and the page's state.
 
     Args:
@@ -60,7 +60,7 @@ def in_cesium(path, camera, folder, *, error=0.01, calm=30):
         camera: The camera, in the model's frame.
         folder: Folder in which the page is written.
         error: Error in pixels up to which a tile is drawn instead of its children.
-        calm: Number of consecutive frames with the same splats, before a picture is taken.
+        still_frames: Number of consecutive frames with the same splats, before a picture is taken.
     """
     cesium_files = package("cesium") / "Build" / "Cesium"
     _, down, forward = camera.world_to_camera[:3, :3]
@@ -75,14 +75,14 @@ def in_cesium(path, camera, folder, *, error=0.01, calm=30):
         "near": camera.near,
         "error": error,
     }
-    page = PAGE.replace("TOLD", json.dumps(settings), 1)
+    page = PAGE.replace("SETTINGS", json.dumps(settings), 1)
     page = page.replace("WIDTH", str(camera.width)).replace("HEIGHT", str(camera.height))
     (folder / "cesium.html").write_text(page)
-    with served(cesium=cesium_files, scene=path.parent, own=folder) as (address, requests):
+    with serve_folders(cesium=cesium_files, scene=path.parent, own=folder) as (address, requests):
         size = camera.width, camera.height
         with page_at(f"{address}/own/cesium.html", *size) as page_in_browser:
-            done = f"window.state && (window.state.error || window.state.still > {calm})"
-            page_in_browser.wait_for_function(done, timeout=PATIENCE)
+            done = f"window.state && (window.state.error || window.state.still > {still_frames})"
+            page_in_browser.wait_for_function(done, timeout=TIMEOUT)
             state = page_in_browser.evaluate("window.state")
             pixels = pixels_of(page_in_browser.locator("canvas"), f"cesium-{path.parent.name}")
     return pixels, state | {"asked": [name for name in requests if name.endswith(".glb")]}

@@ -1,4 +1,4 @@
-"""Plain reimplementations of a refit's kernels: float64, pixel by pixel, with `raster_twin`."""
+"""Reference versions of a refit's kernels: float64, pixel by pixel, with `reference_raster`."""
 
 import dataclasses
 import math
@@ -11,7 +11,7 @@ from nanogs.fit.descent import LIMITS
 from nanogs.kernels import chain
 from nanogs.kernels.project import guard_bounds
 from nanogs.splats import RenderMode
-from raster_twin import sh_basis, splat_on_screen
+from reference_raster import sh_basis, splat_on_screen
 
 
 def pixel_weights(splats, camera, cutoff=1 / 255):
@@ -40,13 +40,13 @@ def pixel_weights(splats, camera, cutoff=1 / 255):
     return np.array(order), np.array(weights), np.array(after)
 
 
-def blend_twin(splats, camera, features, cutoff=1 / 255):
+def blend_reference(splats, camera, features, cutoff=1 / 255):
     """Blend features (N, C) to an image (H, W, C)."""
     order, weights, _ = pixel_weights(splats, camera, cutoff)
     return np.einsum("khw,kc->hwc", weights, features[order])
 
 
-def pull_twin(splats, camera, features, residual, precision, cutoff=1 / 255):
+def gradient_reference(splats, camera, features, residual, precision, cutoff=1 / 255):
     """Sum 25 terms of each splat over all pixels; see `nanogs.kernels.backward.gradient_tiles`."""
     order, weights, after = pixel_weights(splats, camera, cutoff)
     totals = np.zeros((len(splats), 25))
@@ -71,7 +71,7 @@ def pull_twin(splats, camera, features, residual, precision, cutoff=1 / 255):
     return totals
 
 
-def moved(splats, i, parameter, amount):
+def perturbed(splats, i, parameter, amount):
     """Return the splats in float64 with one of the 10 parameters of shape of splat i changed."""
     columns = {
         name: getattr(splats, name).astype(np.float64)
@@ -81,7 +81,7 @@ def moved(splats, i, parameter, amount):
     columns["quats"] = quats
     kind, k = divmod(parameter, 3)
     if kind == 0:
-        axis = turn_matrix(quats[i])[:, k]
+        axis = rotation_matrix(quats[i])[:, k]
         columns["means"][i] += amount * math.exp(columns["log_scales"][i, k]) * axis
     elif kind == 1:
         columns["log_scales"][i, k] += amount
@@ -91,12 +91,12 @@ def moved(splats, i, parameter, amount):
         columns["quats"][i] = product(quats[i], half)
     else:
         columns["opacity_logits"][i] += amount
-    return Wide(**columns, render_mode=splats.render_mode, sh_degree=splats.sh_degree)
+    return DoubleSplats(**columns, render_mode=splats.render_mode, sh_degree=splats.sh_degree)
 
 
 @dataclasses.dataclass
-class Wide:
-    """A model in float64, for the twins: finite differences need the precision."""
+class DoubleSplats:
+    """A model in float64, for the reference versions: finite differences need the precision."""
 
     means: np.ndarray
     log_scales: np.ndarray
@@ -116,7 +116,7 @@ def product(a, b):
     return np.array([a[0] * b[0] - a[1:] @ b[1:], *vector])
 
 
-def turn_matrix(quat):
+def rotation_matrix(quat):
     """Compute the rotation matrix (3, 3) of a unit quaternion by rotating the three axes."""
     conjugate = quat * (1, -1, -1, -1)
     axes = [product(product(quat, np.array([0, *axis])), conjugate)[1:] for axis in np.eye(3)]
@@ -152,23 +152,23 @@ def resolved_share(row):
     return (own.real**2).mean()
 
 
-class AdvanceTwin:
+class ReferenceFit:
     """A state of a fit that takes steps as `nanogs.kernels.advance` does, in float64."""
 
     def __init__(self, splats, parameters, views):
         self.parameters, self.views, self.mode = parameters, views, splats.render_mode
-        self.means, self.log_scales, self.logits, self.sh, self.given = (
+        self.means, self.log_scales, self.logits, self.sh, self.original_sh = (
             column.astype(np.float64)
             for column in (
                 splats.means, splats.log_scales, splats.opacity_logits, splats.sh, splats.sh,
             )
         )  # fmt: skip
         self.quats = splats.unit_quats().astype(np.float64)
-        self.begun = [each.copy() for each in self._state()]
+        self.initial = [each.copy() for each in self._state()]
         self.seen, self.most_resolved = np.zeros(len(splats), int), np.zeros(len(splats))
         self.blocks, self.weights = np.zeros((len(splats), 55)), np.zeros(len(splats))
 
-    def follow(self, view, camera, rate):
+    def step(self, view, camera, rate):
         for i in view.view.order:
             sums = view.totals[i]
             if sums[3] <= 1e-6:
@@ -186,10 +186,10 @@ class AdvanceTwin:
             self._recolour(
                 i, sums, view.view.features[i], camera, excess * self.weights[i], step_rate
             )
-            self.sh[i] -= return_rate * (old - self.given[i])
+            self.sh[i] -= return_rate * (old - self.original_sh[i])
             if self._reshape(i, step, excess * self.blocks[i], step_rate):
-                for now, begun in zip(self._state(), self.begun, strict=True):
-                    now[i] += return_rate * (begun[i] - now[i])
+                for now, initial in zip(self._state(), self.initial, strict=True):
+                    now[i] += return_rate * (initial[i] - now[i])
                 self.quats[i] /= np.linalg.norm(self.quats[i])
 
     def _state(self):
@@ -213,7 +213,9 @@ class AdvanceTwin:
             curvature = (2 * band + 1) / share / (4 * math.pi)
             for _ in range(2 * band + 1):
                 gradient = basis[k] * sums[:3] * ((shown[:3] > 0) | (sums[:3] > 0))
-                gradient = gradient - ridge * curvature_scale * (self.sh[i, k] - self.given[i, k])
+                gradient = gradient - ridge * curvature_scale * (
+                    self.sh[i, k] - self.original_sh[i, k]
+                )
                 self.sh[i, k] += rate * gradient / ((curvature + ridge) * curvature_scale)
                 k += 1
 
@@ -227,10 +229,12 @@ class AdvanceTwin:
         lift = self.parameters.damping * diagonal + self.parameters.floor * diagonal.max()
         step = np.linalg.solve(matrix + np.diag(lift), gradient)
         step = rate * step / max(1.0, (np.abs(step) / LIMITS).max())
-        turn = rotations(self.quats)[i]
-        self.means[i] += turn @ (np.exp(self.log_scales[i]) * step[:3])
+        rotation = rotations(self.quats)[i]
+        self.means[i] += rotation @ (np.exp(self.log_scales[i]) * step[:3])
         self.log_scales[i] += step[3:6]
-        self.quats[i] = quat_of(turn @ Rotation.from_rotvec(step[6:9]).as_matrix(), self.quats[i])
+        self.quats[i] = quat_of(
+            rotation @ Rotation.from_rotvec(step[6:9]).as_matrix(), self.quats[i]
+        )
         self.logits[i] = np.clip(self.logits[i] + step[9], min(-5.0, self.logits[i]), 7.0)
         return True
 

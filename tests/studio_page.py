@@ -4,7 +4,7 @@ import contextlib
 
 from browsers import CHROMIUM, SOFTWARE
 
-PATIENCE = 60_000  # timeout, milliseconds; test machines are busy
+TIMEOUT = 60_000  # timeout, milliseconds; test machines are busy
 SETTLED = "() => ['measured', 'failed'].includes(document.body.dataset.state)"
 NUMBER = "Number(document.body.dataset.number || 0)"
 
@@ -29,7 +29,7 @@ class StudioPage:
         size = {"width": width, "height": height}
         self.context = chromium.new_context(viewport=size, **options)
         self.page = self.context.new_page()
-        self.page.set_default_timeout(PATIENCE)
+        self.page.set_default_timeout(TIMEOUT)
         self.errors, self.foreign = [], []
         self.expected = ()  # words of errors that a test causes on purpose
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -37,12 +37,12 @@ class StudioPage:
         self.page.on("request", lambda request: self._requested(request.url, url))
         self.page.goto(url)
 
-    def _said(self, message):
+    def _log_error(self, message):
         if message.type == "error":
             self.errors.append(f"{message.text} {message.location.get('url', '')}")
 
-    def _requested(self, address, own):
-        if not address.startswith((own, "data:", "blob:")):
+    def _note_request(self, address, studio_url):
+        if not address.startswith((studio_url, "data:", "blob:")):
             self.foreign.append(address)
 
     def close(self):
@@ -86,11 +86,11 @@ class StudioPage:
 
     def until(self, condition, argument=None):
         """Wait until a JavaScript expression or function is true."""
-        from playwright.sync_api import TimeoutError as TooLong
+        from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
         try:
-            self.page.wait_for_function(condition, arg=argument, timeout=PATIENCE)
-        except TooLong:
+            self.page.wait_for_function(condition, arg=argument, timeout=TIMEOUT)
+        except PlaywrightTimeout:
             texts = {name: self.text(name) for name in ("said", "save-said", "takes", "command")}
             data = self.page.evaluate("({...document.body.dataset})")
             raise AssertionError((condition, data, texts, self.alert, self.errors)) from None
@@ -102,7 +102,7 @@ class StudioPage:
 
     def still(self):
         """Wait until the picture stands still."""
-        self.page.wait_for_selector("#view[data-state=still]", timeout=PATIENCE)
+        self.page.wait_for_selector("#view[data-state=still]", timeout=TIMEOUT)
 
     def measured(self, action):
         """Call a function that changes the choice, and wait until the result is measured."""
@@ -111,9 +111,9 @@ class StudioPage:
         self.settle(before)
         assert self.state == "measured", self.alert
 
-    def slide(self, name, place):
+    def slide(self, name, position):
         """Move a slider, from 0 to 1000."""
-        self.at(f"{name}-range").fill(str(place))
+        self.at(f"{name}-range").fill(str(position))
 
     def type(self, name, words):
         """Type into a field, and press Enter."""

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import nanogs
-import studiopage
+import studio_page
 from browsers import CHROMIUM, pixels_of
 from conftest import scene_path
 from launch import contents, run
 from nanogs.datasets.synthetic import make_scene
 from npm_packages import splat_transform
 from studio import running
-from studiopage import StudioPage
+from studio_page import StudioPage
 from viewer_bundle import require_bundle
 
 pytestmark = [
@@ -35,7 +35,7 @@ PHONE = {"has_touch": True, "is_mobile": True}
 @pytest.fixture(scope="module")
 def chromium():
     require_bundle()
-    with studiopage.browser() as found:
+    with studio_page.browser() as found:
         yield found
 
 

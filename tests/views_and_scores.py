@@ -13,7 +13,7 @@ from nanogs.views.opening import opening_for
 from nanogs.views.poses import look_at
 
 
-def looked(splats, cameras, parameters):
+def scene_with_views(splats, cameras, parameters):
     """Return the scene of a model after the stages frame, views and look."""
     settings = whole_settings(splats, parameters)
     scene = OneBlock(splats, np.arange(len(splats), dtype=np.int32), settings, 1, cameras)
@@ -22,7 +22,7 @@ def looked(splats, cameras, parameters):
     return scene
 
 
-def judged(small, scene):
+def mean_scores(small, scene):
     """Return the mean PSNR and SSIM of a result on the views that choose between candidates."""
     scores = []
     for target in scene.pictures(0, None):
@@ -32,13 +32,13 @@ def judged(small, scene):
     return np.mean(scores, axis=0)
 
 
-def marks(one, other, cameras):
+def mean_psnr_ssim(one, other, cameras):
     """Return the mean PSNR and SSIM between the renderings of two models, computed simply."""
     pairs = list(zip(*(nanogs.render(model, cameras) for model in (one, other)), strict=True))
     return [float(np.mean([metric(a, b) for a, b in pairs])) for metric in (psnr, ssim)]
 
 
-def seen_from_the_start(model, width=240, height=180, up=None):
+def opening_camera(model, width=240, height=180, up=None):
     """Return the camera that `nanogs view` opens with, for a picture of that size."""
     start = opening_for(model, up=up)
     pose = look_at(start.position, start.target, start.up)

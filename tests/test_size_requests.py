@@ -14,7 +14,7 @@ from nanogs.errors import CrowdedError, TooSmallError, UnstorableError
 from nanogs.io import registry
 from nanogs.pipeline.search.file_size import MOST_PROBES, search_fit
 from nanogs.views.opening import opening_for
-from wishing import FEW, Wish, draw, fulfil
+from random_requests import FEW_VIEWS, Request, random_request, run_and_check
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -23,10 +23,10 @@ PRESETS = ("fast", "default")
 
 @pytest.mark.parametrize("number", range(20))
 def test_random_requests_are_met_or_refused_with_a_clear_message(number):
-    request = draw(np.random.default_rng([2, number]), {}, PRESETS)
-    if request.way == "command" or request.suffix == ".html":  # which take longer
-        request = replace(request, way="memory", suffix=".spz", options={})
-    assert fulfil(request).wrong == "", request
+    request = random_request(np.random.default_rng([2, number]), {}, PRESETS)
+    if request.mode == "command" or request.suffix == ".html":  # which take longer
+        request = replace(request, mode="memory", suffix=".spz", options={})
+    assert run_and_check(request).faults == "", request
 
 
 def bytes_named(error):
@@ -46,22 +46,22 @@ def bytes_named(error):
     ],
 )
 def test_the_smallest_size_that_an_error_names_works(tmp_path, suffix, preset, block):
-    given = {"preset": preset, **(FEW if preset == "default" else {})}
+    arguments = {"preset": preset, **(FEW_VIEWS if preset == "default" else {})}
     source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
     nanogs.save(random_splats(24, degree=2), source)
     least = 10
     while True:
         with pytest.raises(TooSmallError, match="is too small: a file of one splat") as error:
-            nanogs.simplify_blocks(source, out, size=least, block=block, **given)
+            nanogs.simplify_blocks(source, out, size=least, block=block, **arguments)
         assert least < bytes_named(error.value)
         least = bytes_named(error.value)
         if "about" not in str(error.value):
             break
         least = round(0.6 * least)
     with pytest.raises(TooSmallError):
-        nanogs.simplify_blocks(source, out, size=least - 1, block=block, **given)
+        nanogs.simplify_blocks(source, out, size=least - 1, block=block, **arguments)
     assert [*tmp_path.iterdir()] == [source]
-    report = nanogs.simplify_blocks(source, out, size=least, block=block, **given)
+    report = nanogs.simplify_blocks(source, out, size=least, block=block, **arguments)
     assert (report.achieved_count, report.achieved_size) == (1, least)
     assert out.stat().st_size == least
 
@@ -76,7 +76,7 @@ def test_harmonics_are_dropped_if_nothing_fits_otherwise(tmp_path, suffix, block
     bare = tmp_path / f"bare{suffix}"
     nanogs.save(splats.take(np.arange(1)).with_sh_degree(0), bare)
     size = round(1.02 * bare.stat().st_size)
-    report = nanogs.simplify_blocks(source, out, size=size, block=block, **FEW)
+    report = nanogs.simplify_blocks(source, out, size=size, block=block, **FEW_VIEWS)
     assert out.stat().st_size == report.achieved_size <= size
     assert any("above degree 0 are left out" in note for note in report.notes)
 
@@ -87,15 +87,15 @@ def test_a_size_with_a_lower_sh_degree_is_used_up(tmp_path, block):
     source, out = tmp_path / "in.ply", tmp_path / "out.ply"
     nanogs.save(random_splats(60, degree=3), source)
     size = 3000
-    given = {"sh_degree": 0, "block": block, **FEW}
-    report = nanogs.simplify_blocks(source, out, size=size, **given)
+    arguments = {"sh_degree": 0, "block": block, **FEW_VIEWS}
+    report = nanogs.simplify_blocks(source, out, size=size, **arguments)
     assert size - 68 < report.achieved_size == out.stat().st_size <= size
     assert nanogs.open(out).columns.sh_degree == 0
 
 
-@pytest.mark.parametrize("wish", [{"ratio": 1}, {"size": "1MB"}], ids=str)
-def test_a_lower_sh_degree_also_applies_if_all_splats_are_kept(wish):
-    small, _ = nanogs.simplify(random_splats(20, degree=2), sh_degree=1, **wish, **FEW)
+@pytest.mark.parametrize("goal", [{"ratio": 1}, {"size": "1MB"}], ids=str)
+def test_a_lower_sh_degree_also_applies_if_all_splats_are_kept(goal):
+    small, _ = nanogs.simplify(random_splats(20, degree=2), sh_degree=1, **goal, **FEW_VIEWS)
     assert (len(small), small.sh_degree) == (20, 1)
 
 
@@ -106,8 +106,8 @@ def test_a_note_gives_the_size_with_one_more_splat(tmp_path, suffix, block):
     source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
     nanogs.save(splats, source)
     more = file_bytes(splats, 3)
-    given = {"size": more - 1, "preset": "fast", "block": block}
-    report = nanogs.simplify_blocks(source, out, **given)
+    arguments = {"size": more - 1, "preset": "fast", "block": block}
+    report = nanogs.simplify_blocks(source, out, **arguments)
     assert report.achieved_count == 2
     [note] = [note for note in report.notes if "of the requested size" in note]
     assert note.endswith(f"a file of 3 splats takes {more:,} B.")
@@ -123,9 +123,9 @@ def test_a_splat_too_small_for_its_coordinates_has_a_first_view():
 
 
 def test_a_random_request_is_reproducible():
-    first, again = (draw(np.random.default_rng(5), {}, PRESETS) for _ in range(2))
-    assert (str(first), fulfil(first)) == (str(again), fulfil(again))
-    assert isinstance(first, Wish)
+    first, again = (random_request(np.random.default_rng(5), {}, PRESETS) for _ in range(2))
+    assert (str(first), run_and_check(first)) == (str(again), run_and_check(again))
+    assert isinstance(first, Request)
 
 
 def test_a_large_file_header_does_not_slow_down_the_size_search():
@@ -206,8 +206,8 @@ def test_a_size_search_for_an_unstorable_model_leaves_no_files(tmp_path):
 def test_a_dry_run_in_blocks_applies_the_sh_degree(tmp_path):
     source, out = tmp_path / "in.ply", tmp_path / "out.ply"
     nanogs.save(random_splats(60, degree=3), source)
-    given = ("--size", 3000, "--sh-degree", 0, "--job", tmp_path / "job", "--dry-run", "--json")
-    plan = json.loads(run("simplify", source, out, *given).stdout)
+    arguments = ("--size", 3000, "--sh-degree", 0, "--job", tmp_path / "job", "--dry-run", "--json")
+    plan = json.loads(run("simplify", source, out, *arguments).stdout)
     bare = nanogs.load(source).with_sh_degree(0)
     file_bytes = registry.writable(out).file_bytes
     assert file_bytes(bare, plan["asked_count"]) <= 3000 < file_bytes(bare, plan["asked_count"] + 1)

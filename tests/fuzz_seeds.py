@@ -36,7 +36,7 @@ from nanogs.splats import RenderMode
 from plyfiles import BASE, ENCODINGS, ply, vertex
 
 Files = dict[str, bytes]
-Way = Callable[[np.random.Generator, Files], Files]
+Mutation = Callable[[np.random.Generator, Files], Files]
 
 
 @dataclass(frozen=True)
@@ -44,24 +44,24 @@ class Format:
     """A format to damage: its seeds, and its ways; one that is listed twice is twice as likely."""
 
     seeds: list[Files]
-    ways: list[Way]
+    mutations: list[Mutation]
 
     def damaged(self, rng):
         """Return the files of a damaged model."""
         files = self.seeds[rng.integers(len(self.seeds))]
-        return self.ways[rng.integers(len(self.ways))](rng, files)
+        return self.mutations[rng.integers(len(self.mutations))](rng, files)
 
 
 # --- ways
 
 
-def plain(rng, files):
+def damage_any_file(rng, files):
     """Damage bytes of any one of the files."""
     name = list(files)[rng.integers(len(files))]
     return files | {name: mutate(rng, files[name], header=400, anywhere=0.5) or b"\0"}
 
 
-def text(rng, files):
+def damage_first_file(rng, files):
     """Damage bytes and words of the first file, mostly in its header."""
     name = next(iter(files))
     return files | {name: mutate(rng, files[name], header=400, anywhere=0.3, text=TEXT) or b"\0"}
@@ -163,7 +163,7 @@ def one_missing(rng, files):
     """Remove a file of a folder, or replace it by another."""
     names = [name for i, name in enumerate(files) if i]
     if not names:
-        return plain(rng, files)
+        return damage_any_file(rng, files)
     name = names[rng.integers(len(names))]
     others = {other: data for other, data in files.items() if other != name}
     if rng.random() < 0.5:
@@ -211,7 +211,7 @@ def inside_packed_glb(rng, files):
 def inside_rad(rng, files):
     """Damage the description of the file or of a chunk, or the packed content of a column."""
     name = next(iter(files))
-    head, chunks = radfiles.parts_of(files[name])
+    head, chunks = radfiles.parse_rad(files[name])
     chosen, kind = int(rng.integers(len(chunks))), rng.random()
     description, payload = chunks[chosen]
     if kind < 0.4:
@@ -227,23 +227,26 @@ def inside_rad(rng, files):
         changed = radfiles.chunk(columns, **others)
     else:
         description = change_json(rng, description) if kind < 0.7 else description
-        start = radfiles.described(b"RADC", json.dumps(description).encode())
+        start = radfiles.json_block(b"RADC", json.dumps(description).encode())
         changed = start + struct.pack("<Q", len(payload)) + payload
     parts = [
-        changed if i == chosen else radfiles.described(b"RADC", t) + struct.pack("<Q", len(p)) + p
+        changed if i == chosen else radfiles.json_block(b"RADC", t) + struct.pack("<Q", len(p)) + p
         for i, (t, p) in enumerate(chunks)
     ]
     if kind >= 0.7:
         head = change_json(rng, head)
-        return files | {name: radfiles.described(b"RAD0", json.dumps(head).encode())
+        return files | {name: radfiles.json_block(b"RAD0", json.dumps(head).encode())
                         + b"".join(parts)}  # fmt: skip
     others = {k: v for k, v in head.items() if k not in ("chunks", "count")}
     return files | {name: radfiles.rad(parts, head["count"], **others)}
 
 
-def glb(text, body):
-    text, body = text + b" " * (-len(text) % 4), body + b"\0" * (-len(body) % 4)
-    chunks = struct.pack("<I", len(text)) + b"JSON" + text
+def glb(damage_first_file, body):
+    damage_first_file, body = (
+        damage_first_file + b" " * (-len(damage_first_file) % 4),
+        body + b"\0" * (-len(body) % 4),
+    )
+    chunks = struct.pack("<I", len(damage_first_file)) + b"JSON" + damage_first_file
     chunks += struct.pack("<I", len(body)) + b"BIN\0" + body
     return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
 
@@ -343,7 +346,9 @@ def _bundles():
 def _checkpoints(suffix, content, **options):
     extra = [random_splats(5_000, degree=3)]
     whole = [*(random_splats(n, degree=d) for n in (3, 300) for d in (0, 3)), *extra]
-    return [{f"a{suffix}": torchfiles.File(content(model), **options).bytes()} for model in whole]
+    return [
+        {f"a{suffix}": torchfiles.TorchFile(content(model), **options).bytes()} for model in whole
+    ]
 
 
 def _streamed():
@@ -456,7 +461,7 @@ def _lccs():
     """Make models with and without harmonics and sky; the description comes first."""
     rng = np.random.default_rng(11)
     return [
-        lccfiles.usual(rng, quality=quality, environment=environment)
+        lccfiles.typical_model(rng, quality=quality, environment=environment)
         for quality, environment in ((False, 0), (True, 4), (False, 3))
     ]
 
@@ -470,41 +475,53 @@ def index_of_lcc(rng, files):
 
 
 FORMATS = {
-    ".ply": (_plys, [text, text, plain]),
-    ".compressed.ply": (_usual("a.compressed.ply"), [text, plain]),
-    ".splat": (_usual("a.splat"), [plain]),
-    ".npz": (_usual("a.npz"), [plain, inside_zip, inside_zip]),
-    ".spz v1": (lambda: _spzs(1), [plain, inside_gzip, inside_gzip]),
-    ".spz v2": (lambda: _spzs(2), [plain, inside_gzip, inside_gzip]),
-    ".spz v3": (lambda: _spzs(3), [plain, inside_gzip, inside_gzip]),
-    ".spz, no gzip": (lambda: list(map(inflated, _spzs(2) + _spzs(3))), [plain]),
-    ".spz v4": (lambda: _spzs(4), [plain, inside_zstd]),
-    ".ksplat": (_ksplats, [plain]),
-    ".glb": (_usual("a.glb"), [plain, inside_glb, inside_glb]),
-    ".glb, packed": (_packed_glbs, [plain, inside_glb, inside_packed_glb]),
-    ".gltf": (_gltfs, [plain, inside_gltf, inside_gltf, one_missing]),
-    ".usda": (_usual("a.usda"), [text, text, plain]),
-    ".rad": (_rads, [plain, inside_rad, inside_rad, inside_rad]),
-    ".rad and .radc": (_chunked_rads, [plain, one_missing]),
-    ".lcc": (_lccs, [plain, whole_json, index_of_lcc, one_missing]),
-    ".sog": (_bundles, [plain, inside_zip, inside_zip]),
-    "SOG v1, folder": (_sogs_1, [plain, whole_json, one_texture, one_missing]),
+    ".ply": (_plys, [damage_first_file, damage_first_file, damage_any_file]),
+    ".compressed.ply": (_usual("a.compressed.ply"), [damage_first_file, damage_any_file]),
+    ".splat": (_usual("a.splat"), [damage_any_file]),
+    ".npz": (_usual("a.npz"), [damage_any_file, inside_zip, inside_zip]),
+    ".spz v1": (lambda: _spzs(1), [damage_any_file, inside_gzip, inside_gzip]),
+    ".spz v2": (lambda: _spzs(2), [damage_any_file, inside_gzip, inside_gzip]),
+    ".spz v3": (lambda: _spzs(3), [damage_any_file, inside_gzip, inside_gzip]),
+    ".spz, no gzip": (lambda: list(map(inflated, _spzs(2) + _spzs(3))), [damage_any_file]),
+    ".spz v4": (lambda: _spzs(4), [damage_any_file, inside_zstd]),
+    ".ksplat": (_ksplats, [damage_any_file]),
+    ".glb": (_usual("a.glb"), [damage_any_file, inside_glb, inside_glb]),
+    ".glb, packed": (_packed_glbs, [damage_any_file, inside_glb, inside_packed_glb]),
+    ".gltf": (_gltfs, [damage_any_file, inside_gltf, inside_gltf, one_missing]),
+    ".usda": (_usual("a.usda"), [damage_first_file, damage_first_file, damage_any_file]),
+    ".rad": (_rads, [damage_any_file, inside_rad, inside_rad, inside_rad]),
+    ".rad and .radc": (_chunked_rads, [damage_any_file, one_missing]),
+    ".lcc": (_lccs, [damage_any_file, whole_json, index_of_lcc, one_missing]),
+    ".sog": (_bundles, [damage_any_file, inside_zip, inside_zip]),
+    "SOG v1, folder": (_sogs_1, [damage_any_file, whole_json, one_texture, one_missing]),
     "SOG v2, folder": (
         lambda: [saved(model, "meta.json") for model in models((0, 3))],
-        [plain, whole_json, one_texture, one_missing],
+        [damage_any_file, whole_json, one_texture, one_missing],
     ),
-    "lod-meta.json": (_streamed, [plain, whole_json, whole_json, one_description, one_missing]),
-    ".ssog": (_archived, [plain, inside_zip, inside_zip]),
-    "tileset.json": (_tilesets, [plain, whole_json, whole_json, one_description, one_missing]),
-    ".pt": (lambda: _checkpoints(".pt", torchfiles.gsplat), [plain, inside_stored_zip]),
-    ".ckpt": (lambda: _checkpoints(".ckpt", torchfiles.nerfstudio), [plain, inside_stored_zip]),
-    ".pth": (lambda: _checkpoints(".pth", torchfiles.captured), [plain, inside_stored_zip]),
-    ".pt, old": (lambda: _checkpoints(".pt", torchfiles.gsplat, legacy=True), [plain]),
+    "lod-meta.json": (
+        _streamed,
+        [damage_any_file, whole_json, whole_json, one_description, one_missing],
+    ),
+    ".ssog": (_archived, [damage_any_file, inside_zip, inside_zip]),
+    "tileset.json": (
+        _tilesets,
+        [damage_any_file, whole_json, whole_json, one_description, one_missing],
+    ),
+    ".pt": (lambda: _checkpoints(".pt", torchfiles.gsplat), [damage_any_file, inside_stored_zip]),
+    ".ckpt": (
+        lambda: _checkpoints(".ckpt", torchfiles.nerfstudio),
+        [damage_any_file, inside_stored_zip],
+    ),
+    ".pth": (
+        lambda: _checkpoints(".pth", torchfiles.reference_trainer),
+        [damage_any_file, inside_stored_zip],
+    ),
+    ".pt, old": (lambda: _checkpoints(".pt", torchfiles.gsplat, legacy=True), [damage_any_file]),
 }
 
 
 @functools.cache
-def made(name):
+def format_named(name):
     """Make the seeds of a format of `FORMATS`."""
-    seeds, ways = FORMATS[name]
-    return Format(seeds(), ways)
+    seeds, mutations = FORMATS[name]
+    return Format(seeds(), mutations)

@@ -9,7 +9,6 @@ import pytest
 import nanogs
 from builders import random_splats
 from launch import run
-from looking import marks
 from nanogs.errors import FormatError, NotEnoughMemoryError
 from nanogs.formatting import number_text
 from nanogs.io.parts import FileSource
@@ -19,6 +18,7 @@ from nanogs.views.automatic import automatic_cameras
 from test_bench import write_photographs
 from test_cli import assert_refused
 from viewer_bundle import require_bundle
+from views_and_scores import mean_psnr_ssim
 
 FORMATS = [".sog", ".spz"]
 SMALL = {"views": 3, "pixels": 64}
@@ -48,19 +48,19 @@ def test_scores_equal_those_of_files_saved_and_loaded_by_hand(files, tmp_path, t
     ]
     for path, (own, *packed) in zip(models, (found[:3], found[3:]), strict=True):
         whole = nanogs.load(path)
-        unpacked = marks(original, whole, cameras)
+        unpacked = mean_psnr_ssim(original, whole, cameras)
         assert (own.packed, own.psnr) == (None, pytest.approx(unpacked[0]))
         for suffix, one in zip(FORMATS, packed, strict=True):
             nanogs.save(whole, tmp_path / f"twin{suffix}", overwrite=True)
             back = nanogs.load(tmp_path / f"twin{suffix}")
-            expected = marks(original, back, cameras)
+            expected = mean_psnr_ssim(original, back, cameras)
             assert [one.psnr, one.ssim] == pytest.approx(expected)
             assert one.file_bytes == (tmp_path / f"twin{suffix}").stat().st_size
             loss = one.packed
             assert (loss.format, loss.of) == (suffix, path.name)
             assert loss.psnr_cost == pytest.approx(unpacked[0] - expected[0])
             assert loss.ssim_cost == pytest.approx(unpacked[1] - expected[1])
-            assert [loss.psnr, loss.ssim] == pytest.approx(marks(whole, back, cameras))
+            assert [loss.psnr, loss.ssim] == pytest.approx(mean_psnr_ssim(whole, back, cameras))
 
 
 def test_packed_models_are_scored_at_every_size_of_views(files, temporary):

@@ -17,7 +17,7 @@ from nanogs.views.opening import opening_for
 
 PACKAGE = files("nanogs")
 TYPES = {"js": "text/javascript", "css": "text/css", "spz": "application/octet-stream"}
-PATIENCE = 10  # timeout, seconds
+TIMEOUT = 10  # timeout, seconds
 ENTRIES = [
     {"name": "old", "kind": "folder", "bytes": None},
     {"name": "scene-small.sog", "kind": "model", "bytes": 1234},
@@ -28,12 +28,12 @@ ENTRIES = [
 LAYOUT = {"name": "3D Tiles", "suffix": "tileset.json", "example": "scene/tileset.json"}
 
 
-class Fake:
+class FakeStudio:
     """A server that records the requests of a page, and sends it events.
 
     Attributes:
-        asked: Path and JSON of each request, in order.
-        seen: The page's reports of what it has drawn, in order.
+        requests: Path and JSON of each request, in order.
+        drawn_reports: The page's reports of what it has drawn, in order.
         fetched: Names of models, in the order in which they were fetched.
         refused: By path, the status and the sentence with which its next request is answered.
     """
@@ -43,7 +43,7 @@ class Fake:
         original = models["original"]
         start = opening_for(original)
         self.models = {name: pack(model, start).data for name, model in models.items()}
-        self.asked, self.refused, self.seen, self.fetched = [], {}, [], []
+        self.requests, self.refused, self.drawn_reports, self.fetched = [], {}, [], []
         self._events = queue.Queue()
         [position] = in_page(start.position[None], start).tolist()
         low, high = original.means.min(axis=0).tolist(), original.means.max(axis=0).tolist()
@@ -65,29 +65,29 @@ class Fake:
         """Return the description of a model in events."""
         return {"id": name, "splats": splats, "mip": False, "note": None}
 
-    def tell(self, **event):
+    def send_event(self, **event):
         """Send an event to the page."""
         self._events.put(event)
 
-    def answer(self, kind, number, model, drawn=None, **more):
+    def send_result(self, kind, number, model, drawn=None, **more):
         """Send an event about a result, whose model may have fewer splats than the result has."""
         usual = {"splats": 30, "bytes": 600, "psnr": 31.0, "ssim": 0.9, "seconds": 1, "stop": ""}
         event = usual | more
         entry = self.model(model, event["splats"] if drawn is None else drawn)
-        self.tell(type=kind, number=number, model=entry, **event)
+        self.send_event(type=kind, number=number, model=entry, **event)
 
     def wait(self, path, count=1):
         """Wait for the request of a path whose number is `count`, from 1; return its JSON."""
-        end = time.monotonic() + PATIENCE
-        while len(bodies := [body for each, body in self.asked if each == path]) < count:
-            assert time.monotonic() < end, f"{path} was not asked {count} times: {self.asked}"
+        end = time.monotonic() + TIMEOUT
+        while len(bodies := [body for each, body in self.requests if each == path]) < count:
+            assert time.monotonic() < end, f"{path} was not asked {count} times: {self.requests}"
             time.sleep(0.01)
         return bodies[count - 1]
 
     def stream(self, file):
         """Write the scene and then each event to `file`, until `end` is called."""
         self._events = queue.Queue()
-        self.tell(**self.scene)
+        self.send_event(**self.scene)
         with contextlib.suppress(OSError):
             while event := self._events.get():
                 file.write(f"data: {json.dumps(event)}\n\n".encode())
@@ -99,9 +99,9 @@ class Fake:
 
 
 @contextlib.contextmanager
-def faked(models):
+def running_fake(models):
     """Start a fake server; yield it, and the address of its page."""
-    fake = Fake(models)
+    fake = FakeStudio(models)
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def log_message(self, *_):
@@ -146,15 +146,15 @@ def faked(models):
             body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
             path = self.path.removeprefix("/")
             if path == "seen":
-                fake.seen.append(body)
+                fake.drawn_reports.append(body)
                 self.send(b"{}", "application/json")
                 return
-            fake.asked.append((path, body))
+            fake.requests.append((path, body))
             status, message = fake.refused.pop(path, (200, ""))
-            answer = {"message": message, "command": f"nanogs simplify {body.get('path', '')}"}
+            response = {"message": message, "command": f"nanogs simplify {body.get('path', '')}"}
             if path == "command":
-                answer["exists"] = body["path"] in {entry["name"] for entry in ENTRIES}
-            self.send(json.dumps(answer).encode(), "application/json", status)
+                response["exists"] = body["path"] in {entry["name"] for entry in ENTRIES}
+            self.send(json.dumps(response).encode(), "application/json", status)
 
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     server.daemon_threads = True

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import fuzz_seeds
 import ksplatfiles
-import seeds
 import spzfiles
 from builders import random_splats
 from conftest import scene_path
@@ -18,7 +18,7 @@ from nanogs.errors import FormatError
 from nanogs.io import parts, registry
 from nanogs.io.parts import Packed, Whole
 from nanogs.io.sog import read as sog
-from partfiles import in_parts, whole
+from part_reading import in_parts, load_whole
 from strategies import assert_same, splats
 
 # Names of seeds, and suffixes, of files that are never read in parts.
@@ -36,7 +36,7 @@ def write_files(folder, files):
 
 def assert_spans(path, spans):
     """Assert that spans of a file read in parts equal the same rows of the whole."""
-    expected = whole(path)
+    expected = load_whole(path)
     with in_parts(path) as read:
         for start, stop in spans:
             part = read(start, stop)
@@ -103,10 +103,10 @@ def test_empty_buckets_hold_no_row(tmp_path):
     assert_spans(tmp_path / "a.ksplat", [(a, b) for a in range(9) for b in range(a + 1, 10)])
 
 
-@pytest.mark.parametrize("name", seeds.FORMATS)
+@pytest.mark.parametrize("name", fuzz_seeds.FORMATS)
 def test_spans_of_small_files_of_every_format_equal_the_whole(tmp_path, name):
     rng = np.random.default_rng(3)
-    for number, files in enumerate(seeds.made(name).seeds):
+    for number, files in enumerate(fuzz_seeds.format_named(name).seeds):
         path = write_files(tmp_path / str(number), files)
         if name in WHOLE or path.suffix in WHOLE:
             assert isinstance(io.open(path), Whole)
@@ -114,13 +114,13 @@ def test_spans_of_small_files_of_every_format_equal_the_whole(tmp_path, name):
             assert_spans(path, some_spans(io.inspect(path).splats, rng, 4))
 
 
-@pytest.mark.parametrize("name", [name for name in seeds.FORMATS if name not in WHOLE])
+@pytest.mark.parametrize("name", [name for name in fuzz_seeds.FORMATS if name not in WHOLE])
 def test_damaged_files_give_the_same_in_parts_and_whole(tmp_path, name):
-    made, rng, read = seeds.made(name), np.random.default_rng(11), 0
+    damaged_format, rng, read = fuzz_seeds.format_named(name), np.random.default_rng(11), 0
     for number in range(40):
-        path = write_files(tmp_path / str(number), made.damaged(rng))
+        path = write_files(tmp_path / str(number), damaged_format.damaged(rng))
         try:
-            expected = whole(path)
+            expected = load_whole(path)
         except FormatError:
             expected = None
         try:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 
-import seeds
+import fuzz_seeds
 import sogfiles
 import spzfiles
 from builders import random_splats
@@ -29,18 +29,22 @@ def write_files(folder, files):
     return folder / next(iter(files))
 
 
-@pytest.mark.parametrize("name", seeds.FORMATS)
+@pytest.mark.parametrize("name", fuzz_seeds.FORMATS)
 def test_damaged_files_give_an_error_of_nanogs_or_a_model(tmp_path, name):
-    made, rng = seeds.made(name), np.random.default_rng(7)
+    damaged_format, rng = fuzz_seeds.format_named(name), np.random.default_rng(7)
     found = {"model": 0, "refused": 0}
     for number in range(COUNT):
         folder = tmp_path / str(number)
-        found[outcome(write_files(folder, made.damaged(rng)))] += 1
+        found[outcome(write_files(folder, damaged_format.damaged(rng)))] += 1
     assert min(found.values()) > 0, found
 
 
 def test_every_readable_format_has_damaged_files():
-    known = {next(iter(files)) for name in seeds.FORMATS for files in seeds.made(name).seeds}
+    known = {
+        next(iter(files))
+        for name in fuzz_seeds.FORMATS
+        for files in fuzz_seeds.format_named(name).seeds
+    }
     suffixes = {known.suffix for known in io.registry.formats() if known.readable}
     assert all(any(name.endswith(suffix) for name in known) for suffix in suffixes)
 
@@ -101,7 +105,7 @@ def canvas_bomb():
 
 def repeated_model():
     """A streamed scene that names one model a thousand times."""
-    ((name, manifest), *rest) = seeds.made("lod-meta.json").seeds[0].items()
+    ((name, manifest), *rest) = fuzz_seeds.format_named("lod-meta.json").seeds[0].items()
     content = json.loads(manifest)
     content["filenames"] = content["filenames"][:1] * 1000
     lods = [{"lods": {"0": {"file": i, "offset": 0, "count": 3}}} for i in range(1000)]
@@ -111,7 +115,7 @@ def repeated_model():
 
 def checkpoint(pickled):
     """Return a checkpoint whose pickle is replaced."""
-    ((name, data),) = seeds.made(".pt").seeds[0].items()
+    ((name, data),) = fuzz_seeds.format_named(".pt").seeds[0].items()
     file = bytes_io.BytesIO()
     with zipfile.ZipFile(bytes_io.BytesIO(data)) as old, zipfile.ZipFile(file, "w") as new:
         for member in old.namelist():

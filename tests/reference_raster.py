@@ -7,7 +7,7 @@ from scipy.special import lpmv
 
 from nanogs.splats import RenderMode
 
-NEARLY = 1e-4  # relative distance to a threshold at which float32 may decide otherwise
+ROUNDING_MARGIN = 1e-4  # relative distance to a threshold at which float32 may decide otherwise
 
 
 def sh_basis(direction, degree):
@@ -60,7 +60,7 @@ def splat_on_screen(splats, camera, i):
     return np.float32(z), centre, after, opacity, colour
 
 
-def render_twin(splats, camera, background=(0.0, 0.0, 0.0), probes=None):
+def render_reference(splats, camera, background=(0.0, 0.0, 0.0), probes=None):
     """Render; return color, alpha, depth, contributions, and the mask of pixels near no threshold.
 
     With probes (P, H, W) the contributions are (N, P): sums over pixels of weight times probe.
@@ -80,10 +80,10 @@ def render_twin(splats, camera, background=(0.0, 0.0, 0.0), probes=None):
         offsets = np.stack([columns - centre[0], rows - centre[1]], axis=-1)
         power = -0.5 * np.einsum("...i,ij,...j", offsets, np.linalg.inv(covariance), offsets)
         alpha = np.minimum(0.99, opacity * np.exp(np.minimum(power, 0)))
-        sure &= saturated | (np.abs(alpha * 255 - 1) > NEARLY)
+        sure &= saturated | (np.abs(alpha * 255 - 1) > ROUNDING_MARGIN)
         alpha[alpha < 1 / 255] = 0
         after = transmittance * (1 - alpha)
-        sure &= saturated | (np.abs(after / 1e-4 - 1) > NEARLY) | (alpha == 0)
+        sure &= saturated | (np.abs(after / 1e-4 - 1) > ROUNDING_MARGIN) | (alpha == 0)
         saturated |= after < 1e-4
         weights = np.where(saturated, 0, transmittance * alpha)
         color += weights[..., None] * colour
