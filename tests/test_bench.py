@@ -97,7 +97,7 @@ def test_unknown_placeholders_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         ({"ratios": (0.0,)}, "above 0"),
         ({"ratios": (0.1, 0.1)}, "The ratio .* occurs twice; leave one out"),
@@ -115,8 +115,8 @@ def test_unknown_placeholders_are_refused():
         ({"kinds": ("around",)}, "auto, orbit, inside, roam"),
     ],
 )
-def test_invalid_settings_are_refused(options, words):
-    with pytest.raises(OptionError, match=words):
+def test_invalid_settings_are_refused(options, message):
+    with pytest.raises(OptionError, match=message):
         BenchSettings(**options)
 
 
@@ -389,12 +389,12 @@ def test_scores_are_against_photographs_if_a_scene_has_any(model, tmp_path):
     assert any("no training views" in note for note in whole.notes)
 
 
-@pytest.mark.parametrize("asked", [{"ratios": (0.5,)}, {"file_sizes": (6000,)}])
-def test_presets_that_render_nothing_are_measured_on_photographs_too(asked, model, tmp_path):
+@pytest.mark.parametrize("targets", [{"ratios": (0.5,)}, {"file_sizes": (6000,)}])
+def test_presets_that_render_nothing_are_measured_on_photographs_too(targets, model, tmp_path):
     write_photographs(tmp_path, model)
     transforms = (tmp_path / "transforms_test.json").read_text()
     (tmp_path / "transforms_train.json").write_text(transforms)
-    settings = BenchSettings(methods=("fast",), sizes=(32,), **asked)
+    settings = BenchSettings(methods=("fast",), sizes=(32,), **targets)
     rows = run_bench([BenchScene("ball", model, tmp_path)], settings)
     assert [row.reason for row in rows] == [""] * len(rows)
     assert all(row.psnr > 15 for row in rows)
@@ -510,17 +510,17 @@ def test_the_command_fails_with_the_reason_if_nothing_was_measured(tmp_path):
     assert "gone.ply" in result.stderr.split("measured")[1]
 
 
-@pytest.mark.parametrize("there", [False, True])
-def test_nothing_is_written_if_nothing_was_measured(tmp_path, there):
+@pytest.mark.parametrize("folder_exists", [False, True])
+def test_nothing_is_written_if_nothing_was_measured(tmp_path, folder_exists):
     out = tmp_path / "made" / "out"
-    if there:
+    if folder_exists:
         out.mkdir(parents=True)
         (out / "results.md").write_text("before")
     options = ("--scene", f"a={tmp_path}/gone.ply", "--methods", "opacity", "--quiet")
-    result = run("bench", *options, "--out", out, *(["-w"] if there else []))
+    result = run("bench", *options, "--out", out, *(["-w"] if folder_exists else []))
     assert result.returncode == 2
     assert "Nothing was measured; a: " in result.stderr
-    if there:
+    if folder_exists:
         assert [path.name for path in out.iterdir()] == ["results.md"]
         assert (out / "results.md").read_text() == "before"
     else:
@@ -563,13 +563,13 @@ def test_a_given_up_direction_is_used_for_all_views(model):
 
 
 @pytest.mark.parametrize(
-    ("option", "says"),
+    ("options", "message"),
     [(("--pixels", "64x32"), "square"), (("--pixels", "8"), "16"), (("--up", "0,0,0"), "0,0,0")],
 )
-def test_invalid_sizes_and_directions_of_views_are_refused(model, option, says):
-    result = run("bench", model, *option)
+def test_invalid_sizes_and_directions_of_views_are_refused(model, options, message):
+    result = run("bench", model, *options)
     assert (result.returncode, result.stdout) == (2, "")
-    assert says in result.stderr
+    assert message in result.stderr
 
 
 def test_json_prints_the_rows_and_nothing_else(model):
@@ -582,7 +582,7 @@ def test_json_prints_the_rows_and_nothing_else(model):
 
 
 @pytest.mark.parametrize(
-    ("options", "word"),
+    ("options", "message"),
     [
         (("--ratios", "many"), "many"),
         (("--methods", "magic"), "magic"),
@@ -592,13 +592,13 @@ def test_json_prints_the_rows_and_nothing_else(model):
         (("--dataset", "mine=x"), "nerf-synthetic"),
     ],
 )
-def test_bad_options_are_refused_in_one_sentence(model, options, word):
+def test_bad_options_are_refused_in_one_sentence(model, options, message):
     result = run("bench", model, *options)
     assert result.returncode == 2, result
     assert result.stdout == ""
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1, result.stderr
-    assert word in result.stderr
+    assert message in result.stderr
 
 
 def test_help_of_bench_imports_no_numba():

@@ -134,7 +134,7 @@ def test_gains_on_photographs_are_named_so():
 
 
 @pytest.mark.parametrize(
-    ("ours", "says"),
+    ("ours", "explanation"),
     [
         (
             rows_of("ours", BASE[:1], sizes=SIZES[:1]),
@@ -148,12 +148,12 @@ def test_gains_on_photographs_are_named_so():
         ),
     ],
 )
-def test_a_missing_figure_is_explained_in_table_and_page(ours, says):
+def test_a_missing_figure_is_explained_in_table_and_page(ours, explanation):
     rows = [*rows_of("them", BASE), *ours]
     [gain] = mean_gains(rows, ["them"])
     assert None in (gain.psnr, gain.rate)
     for text in (markdown(rows, others=["them"]), size_page(rows, ["them"], "")):
-        assert f"ours against them, .sog, auto 64: {says}" in " ".join(text.split("\n"))
+        assert f"ours against them, .sog, auto 64: {explanation}" in " ".join(text.split("\n"))
 
 
 # Rows, charts, pages
@@ -290,7 +290,7 @@ def test_a_page_is_written_even_if_nothing_was_measured(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         ({"file_sizes": (0,)}, "at least 1 byte"),
         ({"file_sizes": (5, 5)}, "The size .* occurs twice"),
@@ -303,8 +303,8 @@ def test_a_page_is_written_even_if_nothing_was_measured(tmp_path):
         ({"formats": (".sog", ".spz"), "externals": {"x": "{scene}_{size}"}}, "need {format}"),
     ],
 )
-def test_invalid_sizes_formats_and_methods_are_refused(options, words):
-    with pytest.raises(OptionError, match=words):
+def test_invalid_sizes_formats_and_methods_are_refused(options, message):
+    with pytest.raises(OptionError, match=message):
         BenchSettings(**{"file_sizes": (1000,), "methods": ("fast",)} | options)
 
 
@@ -403,7 +403,7 @@ def test_the_folder_has_a_page_and_charts_with_all_points(measured):
 
 
 @pytest.mark.parametrize(
-    ("options", "word"),
+    ("options", "message"),
     [
         (("--sizes-of-files", "0.5MB,huge"), "'huge'"),
         (("--sizes-of-files", "0MB"), "at least 1 byte"),
@@ -420,12 +420,12 @@ def test_the_folder_has_a_page_and_charts_with_all_points(measured):
         (("--format", "sog"), "--sizes-of-files"),
     ],
 )
-def test_invalid_sizes_and_formats_are_refused_in_one_sentence(model, options, word):
+def test_invalid_sizes_and_formats_are_refused_in_one_sentence(model, options, message):
     result = launch.run("bench", model, *options)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1, result.stderr
-    assert word in result.stderr
+    assert message in result.stderr
 
 
 def test_a_missing_package_is_named_with_the_command_that_installs_it(model, monkeypatch, capfd):

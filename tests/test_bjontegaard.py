@@ -13,14 +13,14 @@ def shifted(by=0.0, times=1.0, curve=CURVE):
     return [(times * size, quality + by) for size, quality in curve]
 
 
-@pytest.mark.parametrize("by", [2.0, -0.5, 0.0])
-def test_a_curve_shifted_in_quality_has_that_mean_difference(by):
-    assert bd_quality(CURVE, shifted(by)) == pytest.approx(by, abs=1e-9)
+@pytest.mark.parametrize("shift", [2.0, -0.5, 0.0])
+def test_a_curve_shifted_in_quality_has_that_mean_difference(shift):
+    assert bd_quality(CURVE, shifted(shift)) == pytest.approx(shift, abs=1e-9)
 
 
-@pytest.mark.parametrize("times", [0.5, 1.0, 3.0])
-def test_a_curve_with_scaled_sizes_has_that_rate(times):
-    assert bd_rate(CURVE, shifted(times=times)) == pytest.approx(times - 1, abs=1e-9)
+@pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
+def test_a_curve_with_scaled_sizes_has_that_rate(factor):
+    assert bd_rate(CURVE, shifted(times=factor)) == pytest.approx(factor - 1, abs=1e-9)
 
 
 def test_only_the_common_interval_of_both_curves_counts():

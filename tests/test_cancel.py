@@ -197,12 +197,15 @@ if __name__ == "__main__":
 
 @posix
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "term"])
-@pytest.mark.parametrize("what", ["pool", "bench", "studio"])
-def test_a_run_cancelled_while_it_starts_a_process_ends_quietly(tmp_path, what, number):
+@pytest.mark.parametrize("starter", ["pool", "bench", "studio"])
+def test_a_run_cancelled_while_it_starts_a_process_ends_quietly(tmp_path, starter, number):
     script = tmp_path / "start.py"
     script.write_text(START)
     done = subprocess.run(
-        [sys.executable, script, what, str(int(number))], capture_output=True, text=True, timeout=60
+        [sys.executable, script, starter, str(int(number))],
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert done.returncode == 128 + number
     assert done.stderr == "cancelled\n"

@@ -118,16 +118,16 @@ def test_pictures_of_random_models_agree(seed, count, size):
     check_picture(make_splats(count, seed, size=size), make_camera())
 
 
-@pytest.mark.parametrize("wanted", [ALL_BLOCKS, *FIELDS])
-def test_gradients_agree(wanted):
+@pytest.mark.parametrize("blocks", [ALL_BLOCKS, *FIELDS])
+def test_gradients_agree(blocks):
     camera, small = make_camera(137, 91, 90.0), prepare(make_splats(100, seed=5, degree=2))
     target = make_target(prepare(make_splats(400, seed=3, degree=2)), camera)
-    cpu = compute_gradients(small, target, wanted)
+    cpu = compute_gradients(small, target, blocks)
     view = view_on(engine_in_use(), small, camera)
     features = view.tinted(WHITE, ALPHA)
-    image, _ = view.blend(features, np.zeros(4, np.float32), wanted)
-    residual, precision, error = view.weigh(image, target.image, WHITE, ALPHA, wanted)
-    totals = view.gradients(features, image, residual, precision, wanted).numpy() * SCALES
+    image, _ = view.blend(features, np.zeros(4, np.float32), blocks)
+    residual, precision, error = view.weigh(image, target.image, WHITE, ALPHA, blocks)
+    totals = view.gradients(features, image, residual, precision, blocks).numpy() * SCALES
     assert error == pytest.approx(cpu.error, rel=1e-6)
     rows = cpu.view.order
     largest = np.abs(cpu.totals[rows]).max(axis=0)

@@ -175,17 +175,19 @@ def test_the_command_fits_on_the_device_and_reports_it(file, tmp_path):
 
 @pytest.mark.parametrize("command", ["simplify", "lod"])
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("--preset", "fast"), "preset fast, which renders nothing"),
         (("--job", "work"), "--device cpu"),
     ],
 )
-def test_the_command_refuses_a_card_where_it_cannot_be_used(file, tmp_path, command, options, said):
+def test_the_command_refuses_a_card_where_it_cannot_be_used(
+    file, tmp_path, command, options, message
+):
     out = tmp_path / ("b.ply" if command == "simplify" else "b")
     target = ("-r", "0.25") if command == "simplify" else ("--levels", "0.25")
     result = run(command, file, out, *target, *options, "--device", CARD, cwd=tmp_path)
     assert result.returncode == 2
-    assert said in result.stderr.splitlines()[-1]
+    assert message in result.stderr.splitlines()[-1]
     assert not out.exists()
     assert not (tmp_path / "work").exists()

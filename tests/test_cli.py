@@ -162,13 +162,13 @@ def test_dry_run_prints_a_plan_and_writes_nothing(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "tried"),
+    ("options", "balances"),
     [((), "0.5 or 1"), (("--balance", "0.3"), "0.3 or 0.5 or 1"), (("--preset", "fast"), "0.8")],
 )
-def test_a_plan_lists_the_balances_that_are_tried(scene, tmp_path, options, tried):
+def test_a_plan_lists_the_balances_that_are_tried(scene, tmp_path, options, balances):
     plan = run("simplify", scene, tmp_path / "small.ply", "-r", "0.1", *options, "--dry-run")
     [line] = [line for line in plan.stderr.splitlines() if line.startswith("parameters")]
-    assert f", balance {tried}, rounds" in line
+    assert f", balance {balances}, rounds" in line
 
 
 def test_an_existing_file_is_overwritten_only_with_its_flag(scene, tmp_path):
@@ -476,7 +476,7 @@ def test_missing_files_folders_and_unknown_formats_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "word"),
+    ("options", "message"),
     [
         (["--ratio", "0"], "ratio"),
         (["--ratio", "1.5"], "ratio"),
@@ -499,8 +499,8 @@ def test_missing_files_folders_and_unknown_formats_are_refused(tmp_path):
         (["--ratio", "0.5", "--threads", "9999"], "threads"),
     ],
 )
-def test_an_invalid_option_is_refused_and_nothing_is_written(scene, tmp_path, options, word):
-    assert_refused(run("simplify", scene, tmp_path / "out.ply", *options), word)
+def test_an_invalid_option_is_refused_and_nothing_is_written(scene, tmp_path, options, message):
+    assert_refused(run("simplify", scene, tmp_path / "out.ply", *options), message)
     assert list(tmp_path.iterdir()) == []
 
 

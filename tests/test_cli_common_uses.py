@@ -46,7 +46,7 @@ def test_a_folder_with_one_model_can_be_given_for_it(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("command", "words"),
+    ("command", "message"),
     [
         ("simplify {a} {out} -r 0.5", "is a folder; name a file in it, such as"),
         ("convert {a} {out}", "is a folder; name a file in it, such as"),
@@ -75,10 +75,10 @@ def test_a_folder_with_one_model_can_be_given_for_it(folder, tmp_path):
     ],
 )
 def test_impossible_inputs_and_outputs_are_refused_with_the_reason(
-    folder, tmp_path, command, words
+    folder, tmp_path, command, message
 ):
     arguments = [word.format(a=folder / "a.ply", out=tmp_path) for word in command.split()]
-    assert_refused(run(*arguments), words)
+    assert_refused(run(*arguments), message)
     assert not list(tmp_path.iterdir())
 
 
@@ -317,15 +317,15 @@ def test_levels_can_be_files_of_any_format(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("out", "given", "words"),
+    ("out", "suffix", "fragments"),
     [
         ("levels", "ksplat", ["does not write", ".sog"]),
         ("lod-meta.json", "spz", ["lod-meta.json", "name a folder"]),
     ],
 )
-def test_unsupported_formats_of_levels_are_refused(folder, tmp_path, out, given, words):
-    result = run("lod", folder / "a.ply", tmp_path / "x" / out, "--format", given)
-    assert_refused(result, *words)
+def test_unsupported_formats_of_levels_are_refused(folder, tmp_path, out, suffix, fragments):
+    result = run("lod", folder / "a.ply", tmp_path / "x" / out, "--format", suffix)
+    assert_refused(result, *fragments)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -360,14 +360,14 @@ def test_simplify_drops_bands_of_spherical_harmonics(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("options", "fragments"),
     [
         (["--sh-degree", "5", "-r", "0.1"], ["0 to 4", "5"]),
         (["--sh-degree", "1", "--psnr", "30", "--preset", "fast"], ["--psnr", "nanogs convert"]),
     ],
 )
-def test_impossible_sh_degrees_and_combinations_are_refused(folder, tmp_path, given, words):
-    assert_refused(run("simplify", folder / "a.ply", tmp_path / "x.ply", *given), *words)
+def test_impossible_sh_degrees_and_combinations_are_refused(folder, tmp_path, options, fragments):
+    assert_refused(run("simplify", folder / "a.ply", tmp_path / "x.ply", *options), *fragments)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -377,7 +377,7 @@ FAST = ("--preset", "fast", "--levels", "0.5,0.1")
 
 
 @pytest.mark.parametrize(
-    "given",
+    "options",
     [
         ("--crop", "sphere:0,0,0,0.9", "--min-opacity", "0.2"),
         ("--drop-floaters",),
@@ -385,18 +385,20 @@ FAST = ("--preset", "fast", "--levels", "0.5,0.1")
         ("--frame", "rub"),
     ],
 )
-def test_each_option_has_the_same_effect_in_lod_and_simplify(folder, tmp_path, given):
-    result = run("lod", folder / "a.ply", tmp_path / "l", *FAST, *given)
+def test_each_option_has_the_same_effect_in_lod_and_simplify(folder, tmp_path, options):
+    result = run("lod", folder / "a.ply", tmp_path / "l", *FAST, *options)
     assert result.returncode == 0, result.stderr
     for level, ratio in enumerate(("0.5", "0.1")):
         path = tmp_path / f"{level}.ply"
-        result_of_simplify = run("simplify", folder / "a.ply", path, "-r", ratio, *FAST[:2], *given)
+        result_of_simplify = run(
+            "simplify", folder / "a.ply", path, "-r", ratio, *FAST[:2], *options
+        )
         assert result_of_simplify.returncode == 0
         assert (tmp_path / "l" / f"level_{level}.ply").read_bytes() == path.read_bytes()
-    plan = run("lod", folder / "a.ply", tmp_path / "new", *FAST, *given, "--dry-run", "--json")
+    plan = run("lod", folder / "a.ply", tmp_path / "new", *FAST, *options, "--dry-run", "--json")
     counts = [level["count"] for level in json.loads(plan.stdout)["levels"]]
     assert counts == [len(nanogs.load(tmp_path / f"{level}.ply")) for level in (0, 1)]
-    if "--crop" in given:
+    if "--crop" in options:
         assert "crop sphere:0,0,0,0.9 removed" in result.stderr
         assert counts[0] < 200
 
@@ -423,7 +425,7 @@ def test_verbose_prints_a_report_of_each_level(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("arguments", "fragments"),
     [
         (
             ["a.ply", "b.ply", "out"],
@@ -435,13 +437,15 @@ def test_verbose_prints_a_report_of_each_level(folder, tmp_path):
         (["a.ply", "out", "--max-memory", "240MB", "--drop-floaters"], ["--drop-floaters needs"]),
     ],
 )
-def test_impossible_arguments_of_lod_are_refused(folder, tmp_path, given, words, monkeypatch):
-    if "--max-memory" in given:
+def test_impossible_arguments_of_lod_are_refused(
+    folder, tmp_path, arguments, fragments, monkeypatch
+):
+    if "--max-memory" in arguments:
         nanogs.save(random_splats(60_000, degree=3), tmp_path / "a.ply")
         monkeypatch.chdir(tmp_path)
     else:
         monkeypatch.chdir(folder)
-    assert_refused(run("lod", *given), *words)
+    assert_refused(run("lod", *arguments), *fragments)
     assert not (folder / "out").exists()
 
 

@@ -236,12 +236,12 @@ for dtype in (np.uint64, np.uint64):
 """
 
 
-@pytest.mark.parametrize(("how", "lines"), [("alone", 1), ("watched", 0)])
-def test_the_library_logs_compiling_unless_a_callback_watches_it(tmp_path, how, lines):
+@pytest.mark.parametrize(("mode", "lines"), [("alone", 1), ("watched", 0)])
+def test_the_library_logs_compiling_unless_a_callback_watches_it(tmp_path, mode, lines):
     cache = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DISABLE_JIT": "0", "NANOGS_SIMD": "0"}
     for expected in (lines, 0):  # the second time, nothing is left to compile
         result = subprocess.run(
-            [sys.executable, "-c", LIBRARY, how], capture_output=True, text=True, check=True,
+            [sys.executable, "-c", LIBRARY, mode], capture_output=True, text=True, check=True,
             env={**os.environ, **cache},
         )  # fmt: skip
         assert result.stderr.count("compiled for this processor") == expected

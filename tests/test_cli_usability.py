@@ -22,7 +22,7 @@ def run(*arguments, **environment):
 
 
 @pytest.mark.parametrize(
-    ("word", "choices", "meant"),
+    ("mistyped", "choices", "suggestion"),
     [
         ("fats", PRESETS, " (did you mean 'fast'?)"),
         ("Paper", PRESETS, " (did you mean 'paper'?)"),
@@ -31,8 +31,8 @@ def run(*arguments, **environment):
         (".plly", [".splat", ".ply"], " (did you mean '.ply'?)"),
     ],
 )
-def test_the_nearest_name_is_suggested(word, choices, meant):
-    assert did_you_mean(word, choices) == meant
+def test_the_nearest_name_is_suggested(mistyped, choices, suggestion):
+    assert did_you_mean(mistyped, choices) == suggestion
 
 
 def test_every_error_about_an_unknown_name_suggests_one(tmp_path):
@@ -76,7 +76,7 @@ def test_presets_are_listed():
 
 
 @pytest.mark.parametrize(
-    ("words", "completed"),
+    ("typed", "completed"),
     [
         ("nanogs simplify --preset f", ["fast"]),
         ("nanogs simplify --preset ", list(PRESETS)),
@@ -86,10 +86,10 @@ def test_presets_are_listed():
         ("nanogs simplify --min", ["--min-opacity"]),
     ],
 )
-def test_the_shell_completes_options_values_and_commands(words, completed):
-    count = len(words.split(" ")) - 1
+def test_the_shell_completes_options_values_and_commands(typed, completed):
+    count = len(typed.split(" ")) - 1
     environment = {
-        "COMP_WORDS": words,
+        "COMP_WORDS": typed,
         "COMP_CWORD": str(count),
         "_NANOGS_COMPLETE": "complete_bash",
     }
@@ -121,7 +121,7 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         (("simplify", "a", "b", "--raito", "1"), "no option --raito (did you mean '--ratio'?)"),
         (("simplify", "a", "b", "--zzz"), "no option --zzz; `nanogs simplify --help` lists them"),
@@ -132,12 +132,12 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
         (("info",), "Missing argument 'IN'; see `nanogs info --help`"),
     ],
 )
-def test_a_mistyped_command_line_is_refused_in_one_sentence(arguments, words):
+def test_a_mistyped_command_line_is_refused_in_one_sentence(arguments, message):
     result = run(*arguments)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1, result.stderr
-    assert words in result.stderr
+    assert message in result.stderr
 
 
 def test_without_a_command_the_help_is_printed():

@@ -142,23 +142,27 @@ def test_packed_models_are_scored_against_photographs(files, tmp_path, temporary
 
 
 @pytest.mark.usefixtures("small_pictures")  # of 128 pixels
-@pytest.mark.parametrize("more", [{}, {"frame": ("rdf", "rub")}, {"format_options": {"bits": 5}}])
+@pytest.mark.parametrize(
+    "options", [{}, {"frame": ("rdf", "rub")}, {"format_options": {"bits": 5}}]
+)
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_a_measured_result_reports_the_cost_of_packing(files, tmp_path, suffix, more):
+def test_a_measured_result_reports_the_cost_of_packing(files, tmp_path, suffix, options):
     scene, asked = files / "scene.ply", {"ratio": 0.3, "preset": "fast"}
-    found = nanogs.simplify_blocks(scene, tmp_path / f"a{suffix}", measured=True, **asked, **more)
+    found = nanogs.simplify_blocks(
+        scene, tmp_path / f"a{suffix}", measured=True, **asked, **options
+    )
     plain = nanogs.simplify_blocks(scene, tmp_path / "a.ply", measured=True, **asked)
     assert plain.packed is None
     own, packed = nanogs.compare(
-        scene, tmp_path / "a.ply", packed=[suffix], format_options=more.get("format_options"),
+        scene, tmp_path / "a.ply", packed=[suffix], format_options=options.get("format_options"),
         pixels=128,
     ).models  # fmt: skip
     assert (own.psnr, own.ssim) == (plain.judged.psnr, plain.judged.ssim)
-    psnr_tolerance = {"abs": 0.3} if "frame" in more else {}  # rounding differs there
+    psnr_tolerance = {"abs": 0.3} if "frame" in options else {}  # rounding differs there
     expected, loss = packed.packed, found.packed
     assert loss.format == suffix
     assert found.judged.psnr == pytest.approx(packed.psnr, **psnr_tolerance)
-    ssim_tolerance = {"abs": 0.005 if "frame" in more else 1e-6}
+    ssim_tolerance = {"abs": 0.005 if "frame" in options else 1e-6}
     assert found.judged.ssim == pytest.approx(packed.ssim, **ssim_tolerance)
     assert loss.ssim == pytest.approx(expected.ssim, **ssim_tolerance)
     assert loss.ssim_cost == pytest.approx(expected.ssim_cost, **ssim_tolerance)

@@ -69,7 +69,7 @@ def test_little_memory_gives_the_same_scores(folder, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("options", "message"),
     [
         ({"views": 3}, "views of their own"),
         ({"cameras": "roam"}, "views of their own"),
@@ -83,8 +83,8 @@ def test_little_memory_gives_the_same_scores(folder, monkeypatch):
         ({"photos": None, "split": "train"}, "only with photographs"),
     ],
 )
-def test_options_without_effect_are_refused(folder, given, says):
+def test_options_without_effect_are_refused(folder, options, message):
     path = folder / "scene.ply"
-    with pytest.raises(nanogs.NanogsError, match=says) as refused:
-        nanogs.compare(path, path, **({"photos": folder / "data"} | given))
-    assert isinstance(refused.value, OptionError) or given["split"] == "train"
+    with pytest.raises(nanogs.NanogsError, match=message) as refused:
+        nanogs.compare(path, path, **({"photos": folder / "data"} | options))
+    assert isinstance(refused.value, OptionError) or options["split"] == "train"

@@ -121,7 +121,7 @@ def test_extra_elements_are_read_without_decoding_the_splats(load, tmp_path, mon
 
 
 @pytest.mark.parametrize(
-    ("elements", "words"),
+    ("elements", "message"),
     [
         ([("chunk", chunk(2)), ("vertex", packed())], "1 splat needs 1 chunk, not 2"),
         ([("chunk", chunk()[1:]), ("vertex", packed())], "min_x of type float"),
@@ -145,8 +145,8 @@ def test_extra_elements_are_read_without_decoding_the_splats(load, tmp_path, mon
         ),
     ],
 )
-def test_inconsistent_layouts_are_refused(load, elements, words):
-    with pytest.raises(FormatError, match=words):
+def test_inconsistent_layouts_are_refused(load, elements, message):
+    with pytest.raises(FormatError, match=message):
         load(*elements)
 
 

@@ -101,7 +101,7 @@ def test_an_unknown_image_size_is_an_error_with_a_remedy(file):
 
 
 @pytest.mark.parametrize(
-    ("size", "words"),
+    ("size", "message"),
     [
         ({"width": 0}, "width: is 0 where"),
         ({"width": -1}, "width: is -1 where"),
@@ -109,8 +109,8 @@ def test_an_unknown_image_size_is_an_error_with_a_remedy(file):
         ({"height": 64}, "a height needs a width"),
     ],
 )
-def test_bad_sizes_are_refused(file, size, words):
-    with pytest.raises(OptionError, match=words):
+def test_bad_sizes_are_refused(file, size, message):
+    with pytest.raises(OptionError, match=message):
         cameras_from_file(write_json(file, transforms()), **size)
 
 
@@ -182,10 +182,10 @@ def test_small_rounding_errors_of_a_pose_are_not_corrected(file):
     np.testing.assert_allclose(only.camera.world_to_camera[0, 0], 1 / 1.0004, rtol=1e-12)
 
 
-@pytest.mark.parametrize("other", ["./test/r_0", "test/r_0", "test/../test/r_0"])
-def test_an_image_listed_twice_is_refused(file, other):
+@pytest.mark.parametrize("second_path", ["./test/r_0", "test/r_0", "test/../test/r_0"])
+def test_an_image_listed_twice_is_refused(file, second_path):
     with pytest.raises(FormatError, match="image test/r_0 twice"):
-        read_transforms(write_json(file, transforms([frame(), frame(other)], w=8, h=6)))
+        read_transforms(write_json(file, transforms([frame(), frame(second_path)], w=8, h=6)))
 
 
 def test_a_photograph_listed_with_and_without_suffix_is_refused(file):

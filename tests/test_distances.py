@@ -159,15 +159,17 @@ def test_a_sky_does_not_take_most_splats_from_the_scene_before_it(tmp_path, opti
     assert kept_within(reach, scene, tmp_path, **options) > 0.5
 
 
-@pytest.mark.parametrize("given", [{"up": (0, -1, 0)}, {"cameras": "orbit"}, {"cameras": "roam"}])
-def test_automatic_cameras_are_not_taken_for_positions_of_viewers(tmp_path, given):
+@pytest.mark.parametrize(
+    "view_options", [{"up": (0, -1, 0)}, {"cameras": "orbit"}, {"cameras": "roam"}]
+)
+def test_automatic_cameras_are_not_taken_for_positions_of_viewers(tmp_path, view_options):
     """Hidden splats get a full weight, so that the forest depends on views in no other way."""
     _, scene, _ = under_a_sky(500)
     nanogs.save(scene, tmp_path / "in.ply")
     options = {"ratio": 0.1, "hidden": 1, "steps": 0, "views": 6, "view_size": 64}
     default, changed = (
         nanogs.simplify_blocks(tmp_path / "in.ply", tmp_path / f"{name}.ply", **options, **more)
-        for name, more in enumerate([{}, given])
+        for name, more in enumerate([{}, view_options])
     )
     forests = [
         [(each.candidates, each.merged) for each in report.passes] for report in (default, changed)

@@ -193,16 +193,16 @@ def test_a_measured_result_reports_its_draw_cost(scene, tmp_path, block):
 
 
 @pytest.mark.parametrize("block", [None, 300])
-@pytest.mark.parametrize("place", ["levels", "stream/lod-meta.json"])
-def test_measured_levels_report_their_draw_cost(scene, tmp_path, block, place):
-    layout = "files" if place == "levels" else "streamed sog"
-    folder = (tmp_path / place).parent if "." in place else tmp_path / place
+@pytest.mark.parametrize("target", ["levels", "stream/lod-meta.json"])
+def test_measured_levels_report_their_draw_cost(scene, tmp_path, block, target):
+    layout = "files" if target == "levels" else "streamed sog"
+    folder = (tmp_path / target).parent if "." in target else tmp_path / target
     manifest, _ = nanogs.write_levels(
         scene, folder, [0.5, 0.1], layout=layout, measured=True, block=block, **QUICK
     )
     for number, level in enumerate(manifest.levels):
         path, level_in_file = (
-            (folder / level.file, 0) if layout == "files" else (tmp_path / place, number)
+            (folder / level.file, 0) if layout == "files" else (tmp_path / target, number)
         )
         nanogs.save(nanogs.load(path, level=level_in_file), tmp_path / f"{number}.npz")
         share = share_of(scene, tmp_path / f"{number}.npz")

@@ -377,7 +377,7 @@ def test_levels_are_measured_together_with_their_environment(
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "words"),
+    ("name", "options", "fragments"),
     [
         ("out/lod-meta.json", ["--environment", "gone.ply"], ["gone.ply", "no such file"]),
         ("out/lod-meta.json", ["--environment", "https://a.b/c.ply"], ["is a URL", "name a file"]),
@@ -397,10 +397,10 @@ def test_levels_are_measured_together_with_their_environment(
         ("out.rad", ["--environment", "a.ply"], ["Only streamed SOG can have an environment"]),
     ],
 )
-def test_impossible_environment_options_are_refused(model, tmp_path, name, options, words):
+def test_impossible_environment_options_are_refused(model, tmp_path, name, options, fragments):
     result = run("lod", model, tmp_path / name, "--preset", "fast", *options)
     assert result.returncode == 2
-    assert all(word in " ".join(result.stderr.split()) for word in words), result.stderr
+    assert all(word in " ".join(result.stderr.split()) for word in fragments), result.stderr
     assert list(tmp_path.iterdir()) == []
 
 

@@ -112,11 +112,11 @@ def test_far_outliers_do_not_change_the_rest(preset, distance):
 
 
 @every_preset
-@pytest.mark.parametrize("place", [1.8e38, LARGEST])
-def test_a_scene_near_the_float32_maximum_gives_finite_splats(preset, place):
+@pytest.mark.parametrize("coordinate", [1.8e38, LARGEST])
+def test_a_scene_near_the_float32_maximum_gives_finite_splats(preset, coordinate):
     """The sum of two such centres overflows float32."""
     splats = random_splats(40)
-    splats.means[:, 0] = place
+    splats.means[:, 0] = coordinate
     small, report = nanogs.simplify(splats, count=10, preset=preset)
     assert (len(small), report.stop) == (10, "target")
     assert_finite(small)

@@ -176,7 +176,7 @@ def test_elements_with_one_row_per_splat_cannot_be_filtered():
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "message"),
     [
         (lambda s: filters.crop_box(s, (0, 0), (1, 1, 1)), "three finite numbers"),
         (lambda s: filters.crop_box(s, (0, 0, np.nan), (1, 1, 1)), "three finite numbers"),
@@ -193,8 +193,8 @@ def test_elements_with_one_row_per_splat_cannot_be_filtered():
         (lambda _s: parse_filters(Edits(crop=["sphere:a,b,c,d"])), "not 'sphere:a,b,c,d'"),
     ],
 )
-def test_invalid_filter_arguments_are_refused(call, words):
-    with pytest.raises(OptionError, match=words):
+def test_invalid_filter_arguments_are_refused(call, message):
+    with pytest.raises(OptionError, match=message):
         call(random_splats(5))
 
 
@@ -242,18 +242,18 @@ def test_convert_filters_without_merging(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         (("--crop", "box:1,2"), "sphere:x,y,z,r"),
         (("--crop", "sphere:9000,0,0,1"), "leaves none of 400 splats"),
         (("--min-opacity", 2), "from 0 to 1"),
     ],
 )
-def test_commands_with_invalid_filters_write_nothing(scene, tmp_path, options, words):
+def test_commands_with_invalid_filters_write_nothing(scene, tmp_path, options, message):
     for command in (("simplify", "-r", 0.5), ("convert",)):
         result = run(command[0], scene, tmp_path / "a.ply", *command[1:], *options)
         assert (result.returncode, result.stdout) == (2, "")
-        assert words in result.stderr
+        assert message in result.stderr
         assert result.stderr.count("\n") == 1
         assert list(tmp_path.iterdir()) == []
 

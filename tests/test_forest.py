@@ -415,7 +415,7 @@ def test_a_group_that_loses_all_its_splats_is_refilled():
 
 # The candidates: three balances; the best of them after reassignment; the best of these four grown
 # by 1.5, 1.8 and 2.1, until a growth gains less than half a decibel.
-@pytest.mark.parametrize(("qualities", "usual", "growths", "winner"), [
+@pytest.mark.parametrize(("qualities", "first", "growths", "winner"), [
     ([10, 30, 20, 25, 0], 1, [1.5], 1),
     ([10, 20, 30, 35, 30], 3, [1.5], 3),
     ([30, 30, 20, 30, 0], 0, [1.5], 0),
@@ -426,7 +426,7 @@ def test_a_group_that_loses_all_its_splats_is_refilled():
     ([10, 20, 30, 35, 36, 37, 38], 3, [1.5, 1.8, 2.1], 6),
 ])  # fmt: skip
 def test_the_candidate_of_highest_quality_is_chosen_and_marked_once(
-    monkeypatch, qualities, usual, growths, winner
+    monkeypatch, qualities, first, growths, winner
 ):
     """The stages get the qualities in the order in which they ask for them."""
     scene, remaining_qualities = scene_with_three_balances(), iter(qualities)
@@ -451,7 +451,7 @@ def test_the_candidate_of_highest_quality_is_chosen_and_marked_once(
     assert next(remaining_qualities, None) is None
     assert step == count
     assert [report.balance for report in reports] == [*balances, *[balances[leader]] * (1 + count)]
-    assert [r.reassigned for r in reports] == [False] * 3 + [True] + [usual == 3] * count
+    assert [r.reassigned for r in reports] == [False] * 3 + [True] + [first == 3] * count
     assert [report.growth for report in reports] == [1.1] * 4 + growths
     assert [report.chosen for report in reports] == [index == winner for index in range(4 + count)]
     chosen = scene.chosen(0)

@@ -128,7 +128,7 @@ def test_simplify_turns_the_result(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("source", "target", "frame", "words"),
+    ("source", "target", "frame", "message"),
     [
         ("a.ply", "b.ply", "up", "where x, y and z point"),
         ("a.ply", "b.ply", ":", "needs a frame"),
@@ -139,13 +139,13 @@ def test_simplify_turns_the_result(scene, tmp_path):
         ("a.ply", "b.ply --turn", "rub", "both turn the model"),
     ],
 )
-def test_incomplete_or_superfluous_frames_are_refused(tmp_path, source, target, frame, words):
+def test_incomplete_or_superfluous_frames_are_refused(tmp_path, source, target, frame, message):
     nanogs.save(random_splats(20), tmp_path / source)
     command = "simplify" if "--size" in target else "convert"
     target, *options = target.split()
     result = run_command(command, tmp_path / source, tmp_path / target, *options, "--frame", frame)
     assert (result.returncode, result.stderr.count("\n")) == (2, 1), result.stderr
-    assert words in result.stderr
+    assert message in result.stderr
     assert [path.name for path in tmp_path.iterdir()] == [source]
 
 

@@ -229,18 +229,18 @@ def test_levels_that_do_not_fit_are_made_in_blocks(scene, tmp_path, little_memor
 
 
 @pytest.mark.parametrize(
-    ("wish", "said"),
+    ("options", "message"),
     [
         (["-r", "0.1", "--drop-floaters"], "--drop-floaters needs the whole model"),
         (["-r", "0.1", "--preset", "paper"], "the preset paper needs the whole model"),
     ],
 )
 def test_options_that_need_the_whole_model_are_refused_if_it_does_not_fit(
-    scene, tmp_path, little_memory, capsys, wish, said
+    scene, tmp_path, little_memory, capsys, options, message
 ):
-    assert command("simplify", scene, tmp_path / "a.ply", *wish) == 2
+    assert command("simplify", scene, tmp_path / "a.ply", *options) == 2
     text = " ".join(capsys.readouterr().err.split())
-    assert said in text
+    assert message in text
     assert "leave that out, or provide more memory" in text
     assert list(tmp_path.iterdir()) == []
 
@@ -317,15 +317,15 @@ def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path,
 
 
 @pytest.mark.parametrize(
-    ("option", "name", "asked"),
+    ("option", "name", "goal"),
     [
         (["--workers", "2"], "simplify", ["-r", "0.1"]),
         (["--workers", "2"], "lod", ["--levels", "0.1"]),
     ],
 )
-def test_options_for_blocks_without_effect_are_noted(scene, tmp_path, capsys, option, name, asked):
+def test_options_for_blocks_without_effect_are_noted(scene, tmp_path, capsys, option, name, goal):
     target = tmp_path / ("a.ply" if name == "simplify" else "a")
-    arguments = [name, scene, target, *asked, "--preset", "fast", *option]
+    arguments = [name, scene, target, *goal, "--preset", "fast", *option]
     assert command(*arguments, "--json") == 0
     (note, *_rest) = json.loads(capsys.readouterr().out)["notes"]
     assert f"{option[0]} had no effect" in note
@@ -372,7 +372,7 @@ def test_a_job_of_one_block_prints_no_note_about_blocks(
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("error", "message"),
     [
         (MemoryError(), "Memory ran out;"),
         (
@@ -383,10 +383,10 @@ def test_a_job_of_one_block_prints_no_note_about_blocks(
         (OSError(36, "File name too long", "aaa"), "aaa: File name too long;"),
     ],
 )
-def test_system_failures_are_reported_in_one_sentence(error, said):
+def test_system_failures_are_reported_in_one_sentence(error, message):
     import re
 
-    assert re.match(said, sentence_of(error))
+    assert re.match(message, sentence_of(error))
 
 
 @pytest.mark.parametrize("error", [RuntimeError("ours"), ValueError("x"), OSError("no number")])
@@ -556,7 +556,7 @@ def models(tmp_path_factory):
 
 @LINUX
 @pytest.mark.parametrize(
-    ("given", "need"),
+    ("arguments", "estimate"),
     [
         (
             ["render", "large.ply", "a.png", "-w"],
@@ -581,19 +581,21 @@ def models(tmp_path_factory):
         (["convert", "large.ply", "a.glb", "-w"], "convert_bytes(file, Path('a.glb'), whole=0)"),
     ],
 )
-def test_estimated_memory_is_close_to_the_memory_used(models, given, need):
+def test_estimated_memory_is_close_to_the_memory_used(models, arguments, estimate):
     from pathlib import Path
 
     from nanogs import memory_estimates
     from nanogs.io import inspect
 
     names = {name: inspect(models / f"{name}.ply") for name in ("large", "small")}
-    names["file"] = nanogs.open(models / given[1])
-    planned = eval(f"needs.{need}", {"needs": memory_estimates, "Path": Path, **names})
-    run = [sys.executable, "-c", PEAK, "small.ply", *given]
+    names["file"] = nanogs.open(models / arguments[1])
+    planned = eval(f"needs.{estimate}", {"needs": memory_estimates, "Path": Path, **names})
+    run = [sys.executable, "-c", PEAK, "small.ply", *arguments]
     result = subprocess.run(run, cwd=models, capture_output=True, text=True, check=True)
     # The first run may leave memory on the heap that the second run uses again.
-    streamed = any(f"a{end}" in need for end in (".ply", ".spz", ".glb"))  # a few blocks at most
+    streamed = any(
+        f"a{end}" in estimate for end in (".ply", ".spz", ".glb")
+    )  # a few blocks at most
     assert (0 if streamed else 0.4) < int(result.stdout.split()[-1]) / planned < 1.1
 
 
@@ -601,7 +603,7 @@ def test_estimated_memory_is_close_to_the_memory_used(models, given, need):
 
 
 @pytest.mark.parametrize(
-    ("given", "looked", "fitted"),
+    ("options", "rendered", "fitted"),
     [
         ({"preset": "default", "steps": 2}, True, True),
         ({"preset": "default", "steps": 0, "rounds": 0}, True, False),
@@ -609,16 +611,18 @@ def test_estimated_memory_is_close_to_the_memory_used(models, given, need):
         ({"preset": "fast"}, False, False),
     ],
 )
-def test_the_report_of_blocks_has_results_of_the_stages_that_ran(tmp_path, given, looked, fitted):
+def test_the_report_of_blocks_has_results_of_the_stages_that_ran(
+    tmp_path, options, rendered, fitted
+):
     scene = tmp_path / "in.ply"
     nanogs.save(make_scene(6000), scene)
-    if looked:
-        given = given | {"views": 4, "view_size": 64}
+    if rendered:
+        options = options | {"views": 4, "view_size": 64}
     report = nanogs.simplify_blocks(
-        scene, tmp_path / "a.ply", ratio=0.1, block=3000, threads=1, **given
+        scene, tmp_path / "a.ply", ratio=0.1, block=3000, threads=1, **options
     )
-    assert (report.shown is not None) == looked
-    assert bool(report.candidates) == looked
+    assert (report.shown is not None) == rendered
+    assert bool(report.candidates) == rendered
     assert (report.refit is not None) == fitted
 
 
@@ -628,29 +632,29 @@ def test_the_preset_that_renders_nothing_has_no_fitting_steps(capsys):
 
 
 @pytest.mark.parametrize(
-    ("more", "named", "unnamed"),
+    ("options", "reported", "unreported"),
     [
         ({}, set(), {"hidden", "steps", "views", "view_size"}),
         ({"steps": 5}, {"steps", "views", "view_size"}, {"hidden"}),
         ({"measure": True}, {"hidden", "steps", "views", "view_size"}, set()),
     ],
 )
-def test_parameters_without_effect_are_not_reported(more, named, unnamed):
-    shown = effective(parameters("fast", more)).keys()
-    assert named <= shown
-    assert not unnamed & shown
+def test_parameters_without_effect_are_not_reported(options, reported, unreported):
+    shown = effective(parameters("fast", options)).keys()
+    assert reported <= shown
+    assert not unreported & shown
 
 
-@pytest.mark.parametrize("more", [[], ["--dry-run"]])
-def test_reports_name_and_count_all_joined_files(scene, tmp_path, capsys, more):
+@pytest.mark.parametrize("options", [[], ["--dry-run"]])
+def test_reports_name_and_count_all_joined_files(scene, tmp_path, capsys, options):
     other = tmp_path / "other.ply"
     nanogs.save(make_scene(1000), other)
     arguments = ["simplify", scene, other, tmp_path / "a.ply", "--join", "-r", "0.1", "--json"]
-    assert command(*arguments, "--preset", "fast", *more) == 0
+    assert command(*arguments, "--preset", "fast", *options) == 0
     run = json.loads(capsys.readouterr().out)
     assert run["input"] == f"{scene}, {other}"
     assert run["input_count"] == COUNT + 1000
-    if not more:
+    if not options:
         assert run["input_bytes"] == scene.stat().st_size + other.stat().st_size
 
 

@@ -98,12 +98,12 @@ def test_format_options_affect_the_measured_size(grown):
 
 
 @pytest.mark.parametrize(
-    ("count", "words"), [(0, "at least 1"), (-1, "at least 1"), (401, "above the 400 usable")]
+    ("count", "message"), [(0, "at least 1"), (-1, "at least 1"), (401, "above the 400 usable")]
 )
-def test_counts_out_of_range_are_refused(grown, count, words):
-    with pytest.raises(OptionError, match=words):
+def test_counts_out_of_range_are_refused(grown, count, message):
+    with pytest.raises(OptionError, match=message):
         grown.draft(count)
-    with pytest.raises(OptionError, match=words):
+    with pytest.raises(OptionError, match=message):
         grown.simplify(count)
 
 

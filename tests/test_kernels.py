@@ -503,17 +503,17 @@ def random_forest(count, seed=0):
     return np.array(children, dtype=np.int32)
 
 
-@pytest.mark.parametrize(("flattest", "least"), [(1e-3, 1e-9), (0.2, 1e-9), (1e-3, 0.15)])
-def test_covariances_have_the_axes_of_the_splats_and_a_minimum_thickness(flattest, least):
+@pytest.mark.parametrize(("min_ratio", "min_scale"), [(1e-3, 1e-9), (0.2, 1e-9), (1e-3, 0.15)])
+def test_covariances_have_the_axes_of_the_splats_and_a_minimum_thickness(min_ratio, min_scale):
     g = gaussians_of(random_splats(50, seed=20))
     g.scales[0] = 0
     g.scales[1, 2] = 0
     out = np.empty((50, 6))
-    covariances_of(g.scales, g.quats, flattest, least, out)
+    covariances_of(g.scales, g.quats, min_ratio, min_scale, out)
     for six, scales, quat in zip(out, g.scales, g.quats, strict=True):
-        expected = reference.floored_covariance(scales, quat, flattest, least)
+        expected = reference.floored_covariance(scales, quat, min_ratio, min_scale)
         assert np.allclose(reference.unpack(six), expected, rtol=1e-5, atol=1e-6 * expected.max())
-        assert np.linalg.eigvalsh(reference.unpack(six))[0] >= 0.999 * least**2
+        assert np.linalg.eigvalsh(reference.unpack(six))[0] >= 0.999 * min_scale**2
 
 
 def test_group_members_and_heaviest_members():
@@ -551,11 +551,11 @@ def test_joined_pairs_form_the_groups_given_by_their_labels(count):
     assert np.array_equal(ids[:left], before[kept])
 
 
-@pytest.mark.parametrize("own", [True, False])
-def test_gathered_moments_equal_the_reference(own):
+@pytest.mark.parametrize("own_features", [True, False])
+def test_gathered_moments_equal_the_reference(own_features):
     nodes = random_moments(40, seed=22)
     feature_arguments = (*shuffled(nodes[-1]), *UNMIXED)
-    if not own:
+    if not own_features:
         feature_arguments, features = mixed(40, 12, seed=31)
         nodes = (*nodes[:-1], features)
     labels = np.r_[np.arange(9), np.random.default_rng(22).integers(0, 9, 31)].astype(np.int32)
@@ -566,9 +566,13 @@ def test_gathered_moments_equal_the_reference(own):
     weights, coverages, means, covariances, features = nodes
     sigmas = np.array([reference.unpack(six) for six in covariances])
     for group in range(9):
-        own = labels == group
+        members_of_group = labels == group
         weight, coverage, mean, sigma, colour = reference.group_moments(
-            weights[own], coverages[own], means[own], sigmas[own], features[own]
+            weights[members_of_group],
+            coverages[members_of_group],
+            means[members_of_group],
+            sigmas[members_of_group],
+            features[members_of_group],
         )
         assert new[0][group] == pytest.approx(weight)
         assert new[1][group] == pytest.approx(coverage)
@@ -629,11 +633,11 @@ def increments_of(pairs, weights, means, covariances, feature_arguments):
     return out
 
 
-@pytest.mark.parametrize("own", [True, False])
-def test_merge_increments_equal_the_reference(own):
+@pytest.mark.parametrize("own_features", [True, False])
+def test_merge_increments_equal_the_reference(own_features):
     weights, _, means, covariances, features = random_moments(20, seed=25)
     feature_arguments = (*shuffled(features), *UNMIXED)
-    if not own:
+    if not own_features:
         feature_arguments, features = mixed(20, 12, seed=30)
     pairs = np.array([(i, j) for i in range(20) for j in range(i + 1, 20)], dtype=np.int32)
     found = increments_of(pairs, weights, means, covariances, feature_arguments)

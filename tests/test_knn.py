@@ -80,11 +80,11 @@ def test_distances_to_other_points_agree_with_scipy():
         assert np.array_equal(found[1], expected[1])
 
 
-@pytest.mark.parametrize("places", ["uneven", "grid", "coincident"])
-def test_the_thread_count_changes_nothing(places):
+@pytest.mark.parametrize("layout", ["uneven", "grid", "coincident"])
+def test_the_thread_count_changes_nothing(layout):
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("needs two threads")
-    means = PLACES[places](np.random.default_rng(3), 5000)
+    means = PLACES[layout](np.random.default_rng(3), 5000)
     one, two = (nearest_neighbours(means, 8, threads) for threads in (1, 2))
     assert np.array_equal(one, two)
 

@@ -170,18 +170,18 @@ def test_lenses_in_transforms_files_are_the_same(tmp_path, model):
 
 
 @pytest.mark.parametrize(
-    ("stated", "words"),
+    ("coefficients", "message"),
     [
         ({"k1": 0.1, "k4": 0.1}, "PINHOLE, cannot be removed from the photograph"),
         ({"k1": -3.0}, "too strong to be removed from the photograph"),
     ],
 )
-def test_lenses_that_cannot_be_removed_are_refused_for_photographs(tmp_path, stated, words):
+def test_lenses_that_cannot_be_removed_are_refused_for_photographs(tmp_path, coefficients, message):
     Image.new("RGB", SIZE).save(tmp_path / "r_0.png")
     frames = [{"file_path": "r_0", "transform_matrix": np.eye(4).tolist()}]
     file = tmp_path / "transforms_test.json"
-    write_json(file, transforms(frames, w=SIZE[0], h=SIZE[1], fl_x=20.0, **stated))
-    with pytest.raises(FormatError, match=words) as caught:
+    write_json(file, transforms(frames, w=SIZE[0], h=SIZE[1], fl_x=20.0, **coefficients))
+    with pytest.raises(FormatError, match=message) as caught:
         open_dataset(tmp_path).split("test")
     assert "image_undistorter" in str(caught.value)
     assert len(cameras_from_file(file)) == 1

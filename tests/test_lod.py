@@ -64,12 +64,14 @@ def test_levels_are_fitted_at_the_sh_degree_they_keep(splats, preset, small_view
         nanogs.levels(splats, RATIOS, preset=preset, sh_degree=7)
 
 
-@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("in_memory", [True, False])
 def test_levels_in_a_format_without_harmonics_are_fitted_at_degree_0(
-    splats, scene, tmp_path, held, small_views
+    splats, scene, tmp_path, in_memory, small_views
 ):
     """The files equal those of `simplify` at degree 0; the lost harmonics are noted once."""
-    manifest, _ = write_levels(splats if held else scene, tmp_path / "l", RATIOS, suffix=".splat")
+    manifest, _ = write_levels(
+        splats if in_memory else scene, tmp_path / "l", RATIOS, suffix=".splat"
+    )
     assert sum("harmonics" in note for note in manifest.notes) == 1
     for level, ratio in zip(manifest.levels, RATIOS, strict=True):
         small, _ = nanogs.simplify(splats, ratio=ratio, sh_degree=0)
@@ -107,11 +109,11 @@ def test_the_number_of_threads_is_restored_between_levels(splats):
 
 
 @pytest.mark.parametrize(
-    ("ratios", "word"),
+    ("ratios", "message"),
     [([], "at least one"), ([0.1, 0.5], "fine to coarse"), ([0.5, 0.5], "twice"), ([1.5], "1.5")],
 )
-def test_bad_ratios_are_refused_at_once(splats, ratios, word):
-    with pytest.raises(OptionError, match=word):
+def test_bad_ratios_are_refused_at_once(splats, ratios, message):
+    with pytest.raises(OptionError, match=message):
         nanogs.levels(splats, ratios)
 
 
@@ -155,16 +157,16 @@ def test_the_manifest_describes_the_files(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("options", "message"),
     [
         ({"layout": "tiles"}, '"files", "streamed sog", "3d tiles"'),
         ({"suffix": ".obj"}, r"\.obj"),
         ({"layout": "files", "chunk": 5}, "not divided"),
     ],
 )
-def test_unknown_layouts_and_formats_are_refused_before_any_work(tmp_path, given, words):
-    with pytest.raises(OptionError, match=words):
-        write_levels(tmp_path / "missing.ply", tmp_path / "l", [0.1], **given)
+def test_unknown_layouts_and_formats_are_refused_before_any_work(tmp_path, options, message):
+    with pytest.raises(OptionError, match=message):
+        write_levels(tmp_path / "missing.ply", tmp_path / "l", [0.1], **options)
 
 
 def test_presets_without_rendering_measure_nothing(splats, tmp_path):
@@ -351,7 +353,7 @@ def test_a_folder_that_appears_during_the_work_is_kept(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "fragments"),
     [
         (["--levels", "0.1,0.5"], ["fine to coarse"]),
         (["--levels", "0.5,0.5"], ["twice"]),
@@ -364,8 +366,8 @@ def test_a_folder_that_appears_during_the_work_is_kept(tmp_path):
         (["--preset", "best", "--up", "1,2"], ["1,2"]),
     ],
 )
-def test_bad_options_are_refused(scene, tmp_path, options, words):
-    assert_refused(run("lod", scene, tmp_path / "levels", *options), *words)
+def test_bad_options_are_refused(scene, tmp_path, options, fragments):
+    assert_refused(run("lod", scene, tmp_path / "levels", *options), *fragments)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -100,7 +100,7 @@ def write_changed(source, target, change):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         (lambda files: files.pop(LEVELS), "lod-meta.json is missing"),
         (lambda files: files.pop("0_0/meta.json"), "0_0/meta.json is missing"),
@@ -116,7 +116,7 @@ def write_changed(source, target, change):
     ],
     ids=["no description", "no model", "no JSON", "outside", "no folder"],
 )
-def test_a_damaged_archive_is_refused_in_a_sentence(made, tmp_path, change, words):
+def test_a_damaged_archive_is_refused_in_a_sentence(made, tmp_path, change, message):
     write_changed(made / "a.ssog", tmp_path / "b.ssog", change)
-    with pytest.raises(FormatError, match=words):
+    with pytest.raises(FormatError, match=message):
         io.open(tmp_path / "b.ssog").load()

@@ -323,20 +323,22 @@ def test_each_layout_replaces_the_files_of_another(splats, tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["levels"]
 
 
-@pytest.mark.parametrize("place", ["mine.txt", "0_0/mine.txt", "mine/a/b.txt", "empty/"])
-def test_foreign_files_in_the_folder_are_never_deleted(splats, tmp_path, place):
+@pytest.mark.parametrize("foreign_path", ["mine.txt", "0_0/mine.txt", "mine/a/b.txt", "empty/"])
+def test_foreign_files_in_the_folder_are_never_deleted(splats, tmp_path, foreign_path):
     folder = tmp_path / "levels"
     write(splats, folder)
-    if place.endswith("/"):
-        (folder / place).mkdir()
+    if foreign_path.endswith("/"):
+        (folder / foreign_path).mkdir()
     else:
-        (folder / place).parent.mkdir(parents=True, exist_ok=True)
-        (folder / place).write_text("mine")
+        (folder / foreign_path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / foreign_path).write_text("mine")
     before = files(folder)
-    with pytest.raises(OutputError, match=f"also holds '{place}', which nanogs did not make"):
+    with pytest.raises(
+        OutputError, match=f"also holds '{foreign_path}', which nanogs did not make"
+    ):
         write(splats, folder, overwrite=True)
     assert files(folder) == before
-    assert (folder / place).exists()
+    assert (folder / foreign_path).exists()
 
 
 def test_a_symbolic_link_in_the_folder_is_not_followed(splats, tmp_path):
@@ -417,7 +419,7 @@ def test_the_command_reports_and_plans_in_json(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "words"),
+    ("name", "options", "fragments"),
     [
         ("out/levels.json", [], ["lod-meta.json or tileset.json", "out/levels/lod-meta.json"]),
         ("out/meta.json", [], ["lod-meta.json or tileset.json"]),
@@ -430,8 +432,8 @@ def test_the_command_reports_and_plans_in_json(scene, tmp_path):
         ("missing/out/lod-meta.json", [], ["missing"]),
     ],
 )
-def test_wrong_names_and_options_are_refused(scene, tmp_path, name, options, words):
-    assert_refused(run("lod", scene, tmp_path / name, *options), *words)
+def test_wrong_names_and_options_are_refused(scene, tmp_path, name, options, fragments):
+    assert_refused(run("lod", scene, tmp_path / name, *options), *fragments)
     assert list(tmp_path.iterdir()) == []
 
 

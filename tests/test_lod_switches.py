@@ -90,7 +90,7 @@ def test_the_typical_deviation_is_that_along_the_longest_axis(splats):
 
 
 @pytest.mark.parametrize(
-    ("psnr", "ssim", "seen"),
+    ("psnr", "ssim", "visible"),
     [
         (GOOD_PSNR, GOOD_SSIM, False),
         (GOOD_PSNR - 0.01, 1, True),
@@ -98,16 +98,16 @@ def test_the_typical_deviation_is_that_along_the_longest_axis(splats):
         (None, 1, False),
     ],
 )
-def test_a_visible_switch_is_noted(splats, psnr, ssim, seen):
+def test_a_visible_switch_is_noted(splats, psnr, ssim, visible):
     _, report = nanogs.simplify(splats, ratio=0.5, preset="fast")
     level = Written(3, ("a",), 5, switch=(12.4, psnr, ssim, 8, 200.0))
     manifest = describe_levels("a.ply", [report, report], [level._replace(switch=None), level])
     assert manifest.levels[0].switch is None
-    assert manifest.levels[1].switch.seen is seen
+    assert manifest.levels[1].switch.seen is visible
     notes = [
         note for note in manifest.notes if note.startswith("Level 1: the switch to it is visible")
     ]
-    assert len(notes) == seen
+    assert len(notes) == visible
     assert not notes or "12.4 units" in notes[0]
 
 

@@ -86,7 +86,7 @@ def test_results_are_named_after_their_inputs(source, suffix, target):
 
 
 @pytest.mark.parametrize(
-    ("sources", "suffix", "words"),
+    ("sources", "suffix", "message"),
     [
         (["x/a.ply", "y/a.ply"], None, "x/a.ply and y/a.ply would both become out/a.ply"),
         (["a.ply", "a.spz"], "sog", "out/a.sog"),
@@ -97,8 +97,8 @@ def test_results_are_named_after_their_inputs(source, suffix, target):
         (["a.ply"], "meta.json", r"^meta\.json describes a folder of files; .* such as \.sog\.$"),
     ],
 )
-def test_impossible_names_of_results_are_refused(sources, suffix, words):
-    with pytest.raises(OptionError, match=words):
+def test_impossible_names_of_results_are_refused(sources, suffix, message):
+    with pytest.raises(OptionError, match=message):
         pair_up([Path(source) for source in sources], Path("out"), suffix)
 
 
@@ -217,7 +217,7 @@ FEW = ("--views", 6, "--pixels", 32)
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command_line",
     [
         ("info", "IN"),
         ("convert", "IN", "OUT.spz"),
@@ -227,29 +227,33 @@ FEW = ("--views", 6, "--pixels", 32)
         ("compare", "IN", "IN", "--views", "1", "--pixels", "32"),
         ("refit", "IN", "IN", "OUT.spz", "--rounds", "1", *FEW),
     ],
-    ids=lambda words: words[0],
+    ids=lambda command_line: command_line[0],
 )
 @pytest.mark.parametrize("name", ["", "garden"], ids=["a file", "SOG"])
-def test_every_command_takes_a_folder_with_one_model(folder_with_one_model, tmp_path, words, name):
+def test_every_command_takes_a_folder_with_one_model(
+    folder_with_one_model, tmp_path, command_line, name
+):
     paths = {"IN": folder_with_one_model / name}
-    arguments = [paths.get(word, str(word).replace("OUT", str(tmp_path / "out"))) for word in words]
+    arguments = [
+        paths.get(word, str(word).replace("OUT", str(tmp_path / "out"))) for word in command_line
+    ]
     done = run(*arguments)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command_line",
     [
         ("lod", "IN", "OUT", "--preset", "fast"),
         ("render", "IN", "OUT"),
         ("compare", "IN", "IN"),
         ("refit", "IN", "IN", "OUT.ply"),
     ],
-    ids=lambda words: words[0],
+    ids=lambda command_line: command_line[0],
 )
-def test_a_folder_of_several_models_is_refused_with_their_names(folder, tmp_path, words):
+def test_a_folder_of_several_models_is_refused_with_their_names(folder, tmp_path, command_line):
     paths = {"IN": folder, "OUT": tmp_path / "out", "OUT.ply": tmp_path / "out.ply"}
-    done = run(*(paths.get(word, word) for word in words))
+    done = run(*(paths.get(word, word) for word in command_line))
     assert done.returncode == 2
     assert done.stderr == f"error: The folder {folder} holds 2 models; name one: a.ply, b.spz.\n"
     assert names(tmp_path) == ["in"]
@@ -260,12 +264,14 @@ def test_load_asks_for_the_file_inside_a_folder(folder):
         nanogs.load(folder / "garden")
 
 
-@pytest.mark.parametrize("words", [["simplify", "-r", "1"], ["lod", "--levels", "1"]])
-@pytest.mark.parametrize("given", ["", "*.*[yz]"], ids=["folder", "pattern"])
-def test_parts_of_a_scene_can_be_given_by_a_folder_or_pattern(folder, tmp_path, words, given):
-    command, *options = words
+@pytest.mark.parametrize("command_start", [["simplify", "-r", "1"], ["lod", "--levels", "1"]])
+@pytest.mark.parametrize("pattern", ["", "*.*[yz]"], ids=["folder", "pattern"])
+def test_parts_of_a_scene_can_be_given_by_a_folder_or_pattern(
+    folder, tmp_path, command_start, pattern
+):
+    command, *options = command_start
     target = tmp_path / ("out.ply" if command == "simplify" else "out")
-    done = run(command, folder / given, target, "--join", *options, "--preset", "fast", "--json")
+    done = run(command, folder / pattern, target, "--join", *options, "--preset", "fast", "--json")
     assert done.returncode == 0, done.stderr
     whole = target if command == "simplify" else target / "level_0.ply"
     assert len(nanogs.load(whole)) == 130

@@ -383,7 +383,7 @@ def test_visible_seams_are_noted(scene, stream, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         (["--budget", "500"], "--budget works only with --mixed"),
         (["--mixed", "--budget", "0"], "budget"),
@@ -392,10 +392,10 @@ def test_visible_seams_are_noted(scene, stream, monkeypatch):
         (["--mixed", "--report", "a.html"], "--report cannot be combined with --mixed"),
     ],
 )
-def test_wrong_options_are_refused(scene, stream, tmp_path, options, words):
+def test_wrong_options_are_refused(scene, stream, tmp_path, options, message):
     result = run("compare", scene, stream, *options, cwd=tmp_path)
     assert result.returncode == 2
-    assert words in " ".join(result.stderr.split())
+    assert message in " ".join(result.stderr.split())
 
 
 def test_only_streams_are_mixed(scene):
@@ -417,19 +417,19 @@ def test_arguments_of_the_python_function_are_checked(scene, stream):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         (lambda leaf: leaf.pop("bound"), "bound must be a JSON object"),
         (lambda leaf: leaf["bound"].update(min=[1, 2]), r"bound\.min must be a list of 3"),
         (lambda leaf: leaf["lods"].update({"00": {"file": 0, "offset": 0, "count": 0}}), "twice"),
     ],
 )
-def test_damaged_chunks_of_a_stream_are_refused(stream, tmp_path, change, words):
+def test_damaged_chunks_of_a_stream_are_refused(stream, tmp_path, change, message):
     described = json.loads(stream.read_text())
     leaf = described["tree"]
     while "children" in leaf:
         leaf = leaf["children"][0]
     change(leaf)
     (tmp_path / "lod-meta.json").write_text(json.dumps(described))
-    with pytest.raises(FormatError, match=words):
+    with pytest.raises(FormatError, match=message):
         read_chunks(tmp_path / "lod-meta.json")

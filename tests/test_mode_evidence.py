@@ -169,7 +169,7 @@ def test_info_renders_only_if_views_are_given(capture):
 
 
 @pytest.mark.parametrize(
-    "given",
+    "options",
     [
         ["--split", "train"],
         ["--images", "images_4"],
@@ -181,8 +181,8 @@ def test_info_renders_only_if_views_are_given(capture):
         ["--views", "2", "--pixels", "0"],
     ],
 )
-def test_contradicting_options_of_views_are_refused(capture, given):
-    result = run("info", capture / "model.ply", *given)
+def test_contradicting_options_of_views_are_refused(capture, options):
+    result = run("info", capture / "model.ply", *options)
     assert result.returncode == 2
     assert result.stderr.startswith("error: ")
     assert not result.stdout

@@ -91,7 +91,7 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "fragments"),
     [
         (["b.ply", "-r", "ten"], ["0.1 or 10%", "'ten'"]),
         (["b.ply", "--count", "1.5"], ["100k", "'1.5'"]),
@@ -105,9 +105,9 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
         (["-r", "0.1"], ["OUT is missing", "a.ply"]),
     ],
 )
-def test_each_wrong_value_has_its_own_error_message(scene, arguments, words):
+def test_each_wrong_value_has_its_own_error_message(scene, arguments, fragments):
     result = run("simplify", scene, *arguments)
-    assert_refused(result, *words)
+    assert_refused(result, *fragments)
 
 
 def test_values_that_are_too_large_are_refused(scene):
@@ -181,7 +181,7 @@ class Cut:
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("values", "message"),
     [
         ({"share": 0}, "share must be above 0, at most 1, not 0."),
         ({"share": 1.5}, "share must be above 0, at most 1, not 1.5."),
@@ -192,11 +192,11 @@ class Cut:
         ({"share": math.nan}, "share must be a finite number, not nan."),
     ],
 )
-def test_ranges_are_checked_and_stated_in_errors(given, words):
+def test_ranges_are_checked_and_stated_in_errors(values, message):
     assert Cut(share=1, count=1, width=16) == Cut(share=1.0, count=1, width=16)
     with pytest.raises(OptionError) as refused:
-        Cut(**given)
-    assert str(refused.value) == words
+        Cut(**values)
+    assert str(refused.value) == message
 
 
 @dataclass(frozen=True)

@@ -98,20 +98,20 @@ def test_a_much_worse_sh_degree_is_measured_but_not_attempted():
     assert {packing.sh_degree for packing, _ in model.files} == {3, 2}
 
 
-@pytest.mark.parametrize(("lost", "made"), [(0.1, True), (1.5, False)])
-def test_a_much_worse_small_palette_is_measured_but_not_attempted(lost, made):
+@pytest.mark.parametrize(("psnr_loss", "attempted"), [(0.1, True), (1.5, False)])
+def test_a_much_worse_small_palette_is_measured_but_not_attempted(psnr_loss, attempted):
     class Shining(SyntheticModel):
-        """Each halving of the palette loses `lost` dB."""
+        """Each halving of the palette loses `psnr_loss` dB."""
 
         def seen(self, packing, count):
             found = super().seen(packing, count)
-            return replace(found, psnr=found.psnr - lost * math.log2(packing.share / 1.5))
+            return replace(found, psnr=found.psnr - psnr_loss * math.log2(packing.share / 1.5))
 
     model = Shining(3, 1.5, 7)
     choices = Choices([3], palettes=True, bits=BITS)
     found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
     assert found.share == 1.5
-    assert (SMALLER[0] in {packing.share for packing, _ in model.made}) == made
+    assert (SMALLER[0] in {packing.share for packing, _ in model.made}) == attempted
     assert SMALLER[0] in {packing.share for packing, _ in model.files}
 
 
@@ -284,9 +284,11 @@ def test_a_palette_of_a_given_size_is_fitted_at_that_size(splats):
     assert distinct_sets(small) == 700
 
 
-@pytest.mark.parametrize(("share", "most", "entries"), [(8, 1000, 100), (1, 50, 50), (2000, 9, 1)])
-def test_parts_of_a_result_get_a_proportional_share_of_its_palette(share, most, entries):
-    sharing = Sharing(share, most)
+@pytest.mark.parametrize(
+    ("part_size", "max_entries", "entries"), [(8, 1000, 100), (1, 50, 50), (2000, 9, 1)]
+)
+def test_parts_of_a_result_get_a_proportional_share_of_its_palette(part_size, max_entries, entries):
+    sharing = Sharing(part_size, max_entries)
     assert sharing.entries(800) == sharing.entries(800, 800) == entries
     assert sharing.entries(200, 800) == max(entries // 4, 1)
 
@@ -343,8 +345,10 @@ def test_a_size_that_is_too_small_is_refused_before_the_forest(splats, monkeypat
         nanogs.simplify(splats, size=100, format=".sog", **FEW)
 
 
-@pytest.mark.parametrize("way", ["held", "stored"])
-def test_models_seen_in_no_view_are_packed_without_measuring(splats, tmp_path, monkeypatch, way):
+@pytest.mark.parametrize("storage", ["held", "stored"])
+def test_models_seen_in_no_view_are_packed_without_measuring(
+    splats, tmp_path, monkeypatch, storage
+):
     """Only held-out views are empty here; those of the fit may show splats as large as space."""
 
     def unseen(*_given):
@@ -352,7 +356,7 @@ def test_models_seen_in_no_view_are_packed_without_measuring(splats, tmp_path, m
 
     monkeypatch.setattr("nanogs.scoring.held_out._shown", unseen)
     out = tmp_path / "a.spz"
-    if way == "held":
+    if storage == "held":
         small, report = nanogs.simplify(splats, size=9000, format=".spz", **FEW)
         nanogs.save(small, out, format_options=report.format_options)
     else:

@@ -257,7 +257,7 @@ def test_arrays_do_not_depend_on_the_file(load, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"extras": {"a": np.zeros(3, np.int64)}}, "int64"),
         ({"extras": {"a b": np.zeros(3, np.float32)}}, "space"),
@@ -272,9 +272,9 @@ def test_arrays_do_not_depend_on_the_file(load, tmp_path):
         ({"elements": [ExtraElement("e", np.zeros(1, [("a", "f4", 3)]))]}, "dimensions"),
     ],
 )
-def test_models_that_ply_cannot_hold_are_refused_and_leave_no_file(load, tmp_path, change, words):
+def test_models_that_ply_cannot_hold_are_refused_and_leave_no_file(load, tmp_path, change, message):
     model = replace(load(ply(("vertex", vertex()))), **change)
-    with pytest.raises(OutputError, match=words):
+    with pytest.raises(OutputError, match=message):
         io.save(model, tmp_path / "out.ply")
     assert [p.name for p in tmp_path.iterdir()] == ["in.ply"]
 

@@ -64,7 +64,7 @@ def test_check_writable_uses_a_given_format(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "message"),
     [
         (b"", "is empty (0 bytes)"),
         (b"\x89PNG\r\n", "not a PLY file"),
@@ -107,10 +107,10 @@ def test_check_writable_uses_a_given_format(tmp_path):
         (ASCII.replace(b"2.0 4.0", b"2.0 0x4"), "row 2 of 3 of element 'vertex': '0x4'"),
     ],
 )
-def test_damaged_files_are_refused_in_one_sentence(tmp_path, data, words):
+def test_damaged_files_are_refused_in_one_sentence(tmp_path, data, message):
     path = tmp_path / "bad.ply"
     path.write_bytes(data)
-    assert_refused(path, words)
+    assert_refused(path, message)
 
 
 @pytest.mark.parametrize("value", [300, -1, 1.5, float("nan"), float("inf")])

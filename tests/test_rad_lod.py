@@ -212,14 +212,14 @@ def test_w_replaces_the_file_and_an_unused_fit_is_noted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("options", "message"),
     [(["--chunk", "100"], "65,536"), (["--format", "sog"], "determines it; leave it out"),
      (["--plain"], "only in 3D Tiles")],
 )  # fmt: skip
-def test_options_of_other_layouts_are_refused(made, given, words):
-    done = run("lod", made.with_name("a.ply"), made.with_name("d.rad"), *given)
+def test_options_of_other_layouts_are_refused(made, options, message):
+    done = run("lod", made.with_name("a.ply"), made.with_name("d.rad"), *options)
     assert done.returncode == 2
-    assert words in done.stderr
+    assert message in done.stderr
 
 
 def test_nodes_with_too_many_children_are_refused(monkeypatch, model):
@@ -308,7 +308,7 @@ def tree_file(counts, starts):
 
 
 @pytest.mark.parametrize(
-    ("counts", "starts", "words"),
+    ("counts", "starts", "message"),
     [
         ([2, 0, 0, 0], [1, 0, 0, 0], "several parents, or none"),
         ([2, 2, 0, 0], [1, 2, 0, 0], "several parents, or none"),
@@ -317,11 +317,11 @@ def tree_file(counts, starts):
         ([3, 0, 0, 0], [2, 0, 0, 0], "several parents, or none"),
     ],
 )
-def test_damaged_trees_are_refused(tmp_path, counts, starts, words):
+def test_damaged_trees_are_refused(tmp_path, counts, starts, message):
     (tmp_path / "a.rad").write_bytes(tree_file(counts, starts))
-    with pytest.raises(FormatError, match=words):
+    with pytest.raises(FormatError, match=message):
         heights(read_header(tmp_path / "a.rad"))
-    with pytest.raises(FormatError, match=words):
+    with pytest.raises(FormatError, match=message):
         nanogs.load(tmp_path / "a.rad", level=1)
 
 

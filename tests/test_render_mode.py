@@ -52,32 +52,34 @@ def has_override_note(notes):
     return any("as requested" in note for note in notes)
 
 
-@pytest.mark.parametrize("own", [DEFAULT, MIP], ids=str)
+@pytest.mark.parametrize("file_mode", [DEFAULT, MIP], ids=str)
 @pytest.mark.parametrize("suffix", READABLE)
-def test_every_format_can_be_read_in_another_render_mode(tmp_path, suffix, own):
-    model = replace(random_splats(40, degree=1), render_mode=own)
+def test_every_format_can_be_read_in_another_render_mode(tmp_path, suffix, file_mode):
+    model = replace(random_splats(40, degree=1), render_mode=file_mode)
     path = tmp_path / f"a{suffix}"
     nanogs.save(model, path)
     plain = nanogs.load(path)
-    if plain.render_mode is not own:  # the format has no tag
-        assert own is MIP
+    if plain.render_mode is not file_mode:  # the format has no tag
+        assert file_mode is MIP
         assert lost_mode(model, suffix)
         return
-    with nanogs.open(path, render_mode=OTHER[own].value) as source:
-        assert source.info.render_mode is OTHER[own]
+    with nanogs.open(path, render_mode=OTHER[file_mode].value) as source:
+        assert source.info.render_mode is OTHER[file_mode]
         columns = nanogs.open(path).columns
         comments = source.columns.comments
-        assert source.columns == replace(columns, render_mode=OTHER[own].value, comments=comments)
+        assert source.columns == replace(
+            columns, render_mode=OTHER[file_mode].value, comments=comments
+        )
         parts = [source.read(3, 9), source.take(np.array([7, 2])), source.load(), *source.blocks(9)]
-        assert {part.render_mode for part in parts} == {OTHER[own]}
+        assert {part.render_mode for part in parts} == {OTHER[file_mode]}
         assert all(has_override_note(part.notes) for part in parts)
         assert model_bytes(parts[1]) == model_bytes(plain[[7, 2]])
         with nanogs.open(path) as same:  # and the memory estimates are the same
             assert info_bytes(source) == info_bytes(same)
             assert streaming_bytes(source) == streaming_bytes(same)
-    loaded = nanogs.load(path, render_mode=OTHER[own].value)
+    loaded = nanogs.load(path, render_mode=OTHER[file_mode].value)
     assert model_bytes(loaded) == model_bytes(plain)
-    unchanged = nanogs.load(path, render_mode=own.value)
+    unchanged = nanogs.load(path, render_mode=file_mode.value)
     assert unchanged.notes == plain.notes, "there is nothing to tell where the file says so too"
 
 
@@ -236,7 +238,7 @@ def test_file_objects_are_read_in_the_requested_render_mode(models):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "said"),
+    ("suffix", "location"),
     [
         (".ply", 'the comment "antialiased 1"'),
         (".spz", "the antialiased flag of its header, 1"),
@@ -245,12 +247,12 @@ def test_file_objects_are_read_in_the_requested_render_mode(models):
         (".glb", "SplatRenderMode in the extras of its splats"),
     ],
 )
-def test_info_says_where_the_tag_is(tmp_path, models, suffix, said):
+def test_info_says_where_the_tag_is(tmp_path, models, suffix, location):
     path = models[1]
     if suffix != ".ply":
         path = tmp_path / f"a{suffix}"
         nanogs.save(nanogs.load(models[1]), path)
-    assert run_json("info", path)["render_tag"] == said
+    assert run_json("info", path)["render_tag"] == location
     asked = run("info", path, "--render-mode", "default")
     assert "default, by the request" in asked.stdout
     assert "as requested" in asked.stderr
@@ -258,19 +260,19 @@ def test_info_says_where_the_tag_is(tmp_path, models, suffix, said):
 
 
 @pytest.mark.parametrize(
-    ("flags", "which"),
+    ("flags", "location"),
     [
         ((), "the antialiased flag of its header, 1"),
         (("--plain",), "SplatRenderMode in the extras of its splats"),
     ],
 )
-def test_info_says_where_the_tag_of_3d_tiles_is(tmp_path, models, flags, which):
+def test_info_says_where_the_tag_of_3d_tiles_is(tmp_path, models, flags, location):
     """Compressed tiles have it in the SPZ data that they contain."""
     tiles = tmp_path / "tiles" / "tileset.json"
     assert run("lod", models[1], tiles, "--preset", "fast", *flags).returncode == 0
     for path in (tiles, tiles.with_name("0_0.glb")):
         found = run_json("info", path)
-        assert (found["render_mode"], found["render_tag"]) == ("mip", which)
+        assert (found["render_mode"], found["render_tag"]) == ("mip", location)
 
 
 def test_a_tag_in_obj_info_is_read_with_parts_and_with_the_whole(tmp_path, models):

@@ -169,7 +169,7 @@ def test_a_scene_without_suitable_views_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("bad", "words"),
+    ("arguments", "message"),
     [
         ({"count": 0}, "not 0 of 512 x 512"),
         ({"width": 0}, "of 0 x 512"),
@@ -177,6 +177,6 @@ def test_a_scene_without_suitable_views_is_refused():
         ({"fov": float("nan")}, "field of view .* not nan"),
     ],
 )
-def test_bad_arguments_are_refused(bad, words):
-    with pytest.raises(OptionError, match=words):
-        roaming_cameras(SCENE, **bad)
+def test_bad_arguments_are_refused(arguments, message):
+    with pytest.raises(OptionError, match=message):
+        roaming_cameras(SCENE, **arguments)

@@ -113,8 +113,8 @@ def test_tables_return_their_rows_and_detect_a_changed_byte(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["", "file://", "memory://"])
-@pytest.mark.parametrize("there", [0, 1, 3])
-def test_parent_folders_are_removed_only_if_the_job_created_them(tmp_path, kind, there):
+@pytest.mark.parametrize("existing_parents", [0, 1, 3])
+def test_parent_folders_are_removed_only_if_the_job_created_them(tmp_path, kind, existing_parents):
     outer = tmp_path / "a" / "b" / "c"
     if kind:
         files = pytest.importorskip("fsspec").filesystem(kind.partition(":")[0])
@@ -123,7 +123,7 @@ def test_parent_folders_are_removed_only_if_the_job_created_them(tmp_path, kind,
         files = None
     folders = [tmp_path / "a", tmp_path / "a" / "b", outer]
     exists = files.exists if files else os.path.exists
-    for folder in folders[:there]:
+    for folder in folders[:existing_parents]:
         files.makedir(str(folder)) if files else folder.mkdir()
     scratch = open_scratch(f"{kind}{outer}/nanogs-1")
     scratch.prepare()
@@ -131,7 +131,9 @@ def test_parent_folders_are_removed_only_if_the_job_created_them(tmp_path, kind,
     write_table(scratch, "t", {"n": np.arange(7)}, {})
     assert all(exists(str(folder)) for folder in folders)
     scratch.remove()
-    assert [exists(str(folder)) for folder in folders] == [number < there for number in range(3)]
+    assert [exists(str(folder)) for folder in folders] == [
+        number < existing_parents for number in range(3)
+    ]
     assert exists(str(tmp_path))
 
 
@@ -275,16 +277,16 @@ def test_differences_are_named_by_the_options_of_the_user():
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [({"version": 0}, "version"), ({"block": "many"}, "cannot be read"), ({}, "cannot be read")],
 )
-def test_an_unreadable_manifest_is_refused(tmp_path, change, said):
+def test_an_unreadable_manifest_is_refused(tmp_path, change, message):
     write_manifest(tmp_path, settings(50, [30]), "here")
     assert read_manifest(tmp_path)[0]["block"] == 50
     data = json.loads((tmp_path / MANIFEST).read_text())
     data["settings"] = data["settings"] | change if change else {}
     (tmp_path / MANIFEST).write_text(json.dumps(data))
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=message):
         read_manifest(tmp_path)
 
 

@@ -94,7 +94,7 @@ def test_lod_makes_levels_of_a_model_that_does_not_fit(scene, tmp_path, memory):
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("options", "message"),
     [
         (["--ratio", "0.1", "--drop-floaters"], "--drop-floaters needs the whole"),
         (["--ratio", "0.1", "--preset", "paper"], "paper needs the whole model"),
@@ -102,10 +102,12 @@ def test_lod_makes_levels_of_a_model_that_does_not_fit(scene, tmp_path, memory):
         (["--ratio", "0.1", "--workers", "2", "--scheduler", "tcp://x:1"], "not both"),
     ],
 )
-def test_options_that_are_impossible_in_blocks_are_refused(scene, tmp_path, memory, more, said):
-    given = [] if "--max-memory" in more else ["--max-memory", "215MB"]
-    _, text = run("simplify", scene, tmp_path / "a.ply", *given, *more, code=2)
-    assert said in " ".join(text.split())
+def test_options_that_are_impossible_in_blocks_are_refused(
+    scene, tmp_path, memory, options, message
+):
+    given = [] if "--max-memory" in options else ["--max-memory", "215MB"]
+    _, text = run("simplify", scene, tmp_path / "a.ply", *given, *options, code=2)
+    assert message in " ".join(text.split())
     assert [path.name for path in tmp_path.iterdir()] == []
 
 

@@ -50,7 +50,7 @@ def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("preset", "wish", "stages", "timed"),
+    ("preset", "goal", "stages", "timed"),
     [
         (QUICK, {"psnr": 20.0}, ["measure", "search"], {"measure"}),
         (QUICK, {"draw_cost": 0.5}, ["measure", "search"], {"measure"}),
@@ -59,10 +59,10 @@ def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
         (LOOKS, {"size": 40_000}, ["guess", "pack", "deliver"], {"encode", "measure"}),
     ],
 )
-def test_stages_of_a_search_are_reported_and_timed(scene, tmp_path, preset, wish, stages, timed):
+def test_stages_of_a_search_are_reported_and_timed(scene, tmp_path, preset, goal, stages, timed):
     reported, out = [], tmp_path / "a.spz"
     report = nanogs.simplify_blocks(
-        scene, out, progress=lambda step: reported.append(step.stage), **wish, **preset
+        scene, out, progress=lambda step: reported.append(step.stage), **goal, **preset
     )
     first = ["segment", "partition", "rough", "outline", "coarse", "views", "look", "grow"]
     first = ["frame", *(first if preset is LOOKS else ["segment", "partition", "grow"])]
@@ -153,8 +153,8 @@ def levels_in(job):
     return {path.name.split("-")[1] for path in (job / "scratch").glob("part-*.npy")}
 
 
-@pytest.mark.parametrize("wish", [{"psnr": 26.0}, {"size": 40_000}], ids=str)
-def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, monkeypatch, wish):
+@pytest.mark.parametrize("goal", [{"psnr": 26.0}, {"size": 40_000}], ids=str)
+def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, monkeypatch, goal):
     make_and_measure, seen = JobResults.make_and_measure, []
     with monkeypatch.context() as patch:
         patch.setattr(
@@ -162,7 +162,7 @@ def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, mo
             "make_and_measure",
             lambda *given: seen.append(1) or make_and_measure(*given),
         )
-        whole = nanogs.simplify_blocks(scene, tmp_path / "a.spz", **wish, **LOOKS)
+        whole = nanogs.simplify_blocks(scene, tmp_path / "a.spz", **goal, **LOOKS)
     tried = len(seen)
     assert tried >= 2
     assert whole.packings
@@ -171,13 +171,13 @@ def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, mo
         with monkeypatch.context() as patch:
             kill_after(patch, measured)
             with pytest.raises(Killed):
-                nanogs.simplify_blocks(scene, out, resume=True, **wish, **LOOKS)
+                nanogs.simplify_blocks(scene, out, resume=True, **goal, **LOOKS)
         assert len([*job.rglob(f"{MEASURED}-*.json")]) == measured
         assert len(levels_in(job)) <= 2
         assert not out.exists()
     (job / "scratch" / f"{TRIED}.spz").touch()  # a kill while a result is measured may leave these
     (job / f"{TRIED}.spz").touch()
-    resumed = nanogs.simplify_blocks(scene, out, resume=True, **wish, **LOOKS)
+    resumed = nanogs.simplify_blocks(scene, out, resume=True, **goal, **LOOKS)
     assert out.read_bytes() == (tmp_path / "a.spz").read_bytes()
     assert (resumed.probes, resumed.size_probes) == (whole.probes, whole.size_probes)
     assert resumed.packings == whole.packings

@@ -166,9 +166,9 @@ def test_blocks_that_are_not_fitted_are_noted_in_the_report(splats, tmp_path):
     assert none.notes == ("The result was not fitted, because too few views show it.",)
 
 
-@pytest.mark.parametrize("given", [{"preset": "fast", "steps": 0}, {}])
+@pytest.mark.parametrize("options", [{"preset": "fast", "steps": 0}, {}])
 @pytest.mark.parametrize("block", [500, 10**6])
-def test_the_scratch_takes_the_planned_disk_space(scene, tmp_path, monkeypatch, given, block):
+def test_the_scratch_takes_the_planned_disk_space(scene, tmp_path, monkeypatch, options, block):
     remove, found = BlockJob._remove, []
 
     def measure_and_remove(job, scratch):
@@ -176,7 +176,7 @@ def test_the_scratch_takes_the_planned_disk_space(scene, tmp_path, monkeypatch, 
         remove(job, scratch)
 
     monkeypatch.setattr(BlockJob, "_remove", measure_and_remove)
-    out, chosen = tmp_path / "a.ply", BLOCKS | {"block": block} | given
+    out, chosen = tmp_path / "a.ply", BLOCKS | {"block": block} | options
     nanogs.simplify_blocks(scene, out, ratio=0.2, **chosen)
     overrides = {name: chosen[name] for name in ("views", "view_size", "steps")}
     asked = {"preset": chosen["preset"], "overrides": overrides, "output": out}

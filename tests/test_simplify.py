@@ -108,14 +108,14 @@ def test_ratio_one_returns_the_same_bytes(preset):
 
 @not_fitted
 @pytest.mark.parametrize(
-    ("ratio", "count", "words"),
+    ("ratio", "count", "message"),
     [(None, None, "exactly one of `ratio`"), (0.5, 5, "exactly one of `ratio`")]
     + [(bad, None, "ratio must be above 0") for bad in (0, -1, 1.01, math.nan, math.inf)]
     + [(None, bad, "count must be at least 1") for bad in (0, -1)]
     + [(None, 11, "count 11 is above the 10 usable splats of .*; ask for at most")],
 )
-def test_invalid_ratios_and_counts_are_refused(preset, ratio, count, words):
-    with pytest.raises(OptionError, match=words):
+def test_invalid_ratios_and_counts_are_refused(preset, ratio, count, message):
+    with pytest.raises(OptionError, match=message):
         nanogs.simplify(random_splats(10), ratio=ratio, count=count, preset=preset)
 
 
@@ -131,12 +131,12 @@ def test_parameters_of_paper_out_of_range_are_refused(name, value):
 
 
 @pytest.mark.parametrize(
-    ("override", "words"),
+    ("override", "message"),
     [({"preset": "papr"}, "no preset 'papr'"), ({"k": 0}, "k must be 1 or more, not 0")]
     + [({name: 1}, f"default has no parameter '{name}'") for name in ("kk", "tau", "samples")],
 )
-def test_unknown_presets_and_parameters_are_refused(override, words):
-    with pytest.raises(OptionError, match=words):
+def test_unknown_presets_and_parameters_are_refused(override, message):
+    with pytest.raises(OptionError, match=message):
         nanogs.simplify(random_splats(10), ratio=0.5, **override)
 
 

@@ -281,19 +281,19 @@ def test_the_preset_paper_refuses_a_psnr(splats):
         nanogs.simplify(splats, psnr=30, preset="paper")
 
 
-@pytest.mark.parametrize("wanted", [2, 3, 50, 99, 1000, 54_321, 99_000])
+@pytest.mark.parametrize("jump", [2, 3, 50, 99, 1000, 54_321, 99_000])
 @pytest.mark.parametrize("guess", [1, 10_000, 99_999])
-def test_a_jump_of_the_psnr_is_located_to_a_hundredth(wanted, guess):
+def test_a_jump_of_the_psnr_is_located_to_a_hundredth(jump, guess):
     """No count is within the span: the one found reaches the PSNR, and 1 % fewer do not."""
     tried = []
 
     def psnr_of(count):
         tried.append(count)
-        return 31.0 if count >= wanted else 20.0
+        return 31.0 if count >= jump else 20.0
 
     found = search_count(psnr_of, 30.0, 1, 100_000, guess)
     assert found.stop is StopReason.STEP
-    assert wanted <= found.count <= max(wanted, 1.01 * wanted)
+    assert jump <= found.count <= max(jump, 1.01 * jump)
     assert [probe.count for probe in found.probes] == tried
     assert len(set(tried)) == len(tried) <= MOST_PROBES + STEPS
 
@@ -365,7 +365,7 @@ def test_a_ratio_of_one_grows_no_forest(splats, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("options", "message"),
     [
         ({}, "exactly one of"),
         ({"ratio": 0.5, "size": 10_000}, "exactly one of"),
@@ -377,6 +377,6 @@ def test_a_ratio_of_one_grows_no_forest(splats, monkeypatch):
         ({"psnr": -1.0}, "PSNR must be above 0"),
     ],
 )
-def test_anything_but_one_valid_target_is_refused(given, words):
-    with pytest.raises(OptionError, match=words):
-        Goal(**given)
+def test_anything_but_one_valid_target_is_refused(options, message):
+    with pytest.raises(OptionError, match=message):
+        Goal(**options)

@@ -345,7 +345,7 @@ def test_a_model_without_levels_has_only_level_0(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("more", "message"),
+    ("changes", "message"),
     [
         ({"filenames": ["1_0/meta.json", "../0_0/meta.json", "0_1/meta.json"]}, "below its own"),
         ({"filenames": ["1_0/meta.json", "/etc/x/meta.json", "0_1/meta.json"]}, "below its own"),
@@ -368,9 +368,9 @@ def test_a_model_without_levels_has_only_level_0(tmp_path):
         ({"environment": "gone/meta.json"}, "no such file"),
     ],
 )
-def test_bad_manifests_are_refused(streamed, more, message):
+def test_bad_manifests_are_refused(streamed, changes, message):
     with pytest.raises(FormatError, match=message):
-        io.load(streamed(**more))
+        io.load(streamed(**changes))
 
 
 @pytest.mark.parametrize(

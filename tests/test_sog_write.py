@@ -143,7 +143,7 @@ def test_losses_are_reported(tmp_path):
 
 @pytest.mark.parametrize("name", ["a.sog", "a/meta.json"])
 @pytest.mark.parametrize(
-    ("column", "value", "said"),
+    ("column", "value", "message"),
     [
         ("means", np.nan, "1 splat holds NaN or infinite values, the first in row 2"),
         ("log_scales", 100.0, "1 splat holds NaN or infinite values, the first in row 2"),
@@ -152,11 +152,11 @@ def test_losses_are_reported(tmp_path):
     ],
 )
 def test_values_that_cannot_be_stored_are_refused_before_writing(
-    tmp_path, name, column, value, said
+    tmp_path, name, column, value, message
 ):
     model = random_model(3, 1)
     getattr(model, column).reshape(3, -1)[2, -1] = value
-    with pytest.raises(OutputError, match=said):
+    with pytest.raises(OutputError, match=message):
         io.save(model, tmp_path / name)
     assert not list(tmp_path.iterdir())
 

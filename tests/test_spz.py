@@ -249,7 +249,7 @@ def test_convert_and_simplify_keep_a_stated_frame_or_note_its_loss(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "more", "words"),
+    ("name", "options", "note_text"),
     [
         (
             "levels",
@@ -266,13 +266,13 @@ def test_convert_and_simplify_keep_a_stated_frame_or_note_its_loss(tmp_path):
         ("turned", ("--format", "spz", "--frame", "lub:rdf"), ""),
     ],
 )
-def test_lod_notes_that_a_stated_frame_is_left_out(tmp_path, name, more, words):
+def test_lod_notes_that_a_stated_frame_is_left_out(tmp_path, name, options, note_text):
     path = with_records(tmp_path, struct.pack("<III", 0xADBE0003, 4, 3), 40)
-    done = run("lod", path, tmp_path / name, "--levels", "1,0.5", "--preset", "fast", *more)
+    done = run("lod", path, tmp_path / name, "--levels", "1,0.5", "--preset", "fast", *options)
     assert done.returncode == 0, done.stderr
-    assert ("states that its axes are lub" in done.stderr) == bool(words)
-    assert words in done.stderr
-    if name == "levels" and not words:
+    assert ("states that its axes are lub" in done.stderr) == bool(note_text)
+    assert note_text in done.stderr
+    if name == "levels" and not note_text:
         files = sorted((tmp_path / name).glob("*.spz"))
         assert [stated_frame(path) for path in files] == ["lub", "lub"]
 
@@ -397,16 +397,16 @@ def test_centres_that_were_read_keep_their_fraction_bits(tmp_path, centre, log_s
 
 
 @pytest.mark.parametrize("bits", [6, 8])
-@pytest.mark.parametrize("spare", [0, 3, 6])
-def test_spare_bits_reduce_the_precision_of_centres(tmp_path, bits, spare):
+@pytest.mark.parametrize("spare_bits", [0, 3, 6])
+def test_spare_bits_reduce_the_precision_of_centres(tmp_path, bits, spare_bits):
     model = random_splats(50)
     model.means[:] *= np.float32(10)
-    options = {"bits": bits, "spare_bits": spare}
+    options = {"bits": bits, "spare_bits": spare_bits}
     io.save(model, tmp_path / "a.spz", format_options=options)
-    assert gzip.decompress((tmp_path / "a.spz").read_bytes())[13] == 12 - spare
+    assert gzip.decompress((tmp_path / "a.spz").read_bytes())[13] == 12 - spare_bits
     again = io.load(tmp_path / "a.spz")
     error = np.abs(np.sort(again.means, axis=0) - np.sort(model.means, axis=0)).max()
-    assert 0.3 / 2 ** (12 - spare) < error <= 0.5 / 2 ** (12 - spare) + 1e-6
+    assert 0.3 / 2 ** (12 - spare_bits) < error <= 0.5 / 2 ** (12 - spare_bits) + 1e-6
 
 
 def test_derived_options_can_be_given_explicitly():
@@ -663,13 +663,13 @@ def test_a_centre_just_below_a_power_of_two_does_not_wrap(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("value", "words"),
+    ("value", "message"),
     [(np.nan, "first in row 1"), (np.inf, "first in row 1"), (1e7, "1e.07 from the origin")],
 )
-def test_unstorable_centres_are_refused(tmp_path, value, words):
+def test_unstorable_centres_are_refused(tmp_path, value, message):
     model = random_splats(3)
     model.means[1, 2] = value
-    with pytest.raises(OutputError, match=words):
+    with pytest.raises(OutputError, match=message):
         io.save(model, tmp_path / "a.spz")
     assert not list(tmp_path.iterdir())
 

@@ -293,11 +293,11 @@ def test_the_command_compares_in_little_memory(pair, tmp_path, little, capsys):
     assert not (tmp_path / "b.html").exists()
 
 
-@pytest.mark.parametrize("how", [nanogs.open, InMemory])
-def test_held_out_views_score_sources_like_models(pair, how, little):
+@pytest.mark.parametrize("open_model", [nanogs.open, InMemory])
+def test_held_out_views_score_sources_like_models(pair, open_model, little):
     splats, small = map(nanogs.load, pair)
     expected = held_out(splats)
-    opened = [how(path if how is nanogs.open else nanogs.load(path)) for path in pair]
+    opened = [open_model(path if open_model is nanogs.open else nanogs.load(path)) for path in pair]
     reported = []
     most = LIBRARIES + 122 * 512**2 * 8
     found = held_out(opened[0], lambda done, parts: reported.append((done, parts)), max_memory=most)
@@ -310,21 +310,23 @@ def test_held_out_views_score_sources_like_models(pair, how, little):
         held_out(opened[0], max_memory=LIBRARIES + 1000)
 
 
-@pytest.mark.parametrize("how", [str, nanogs.open, nanogs.load])
+@pytest.mark.parametrize("open_model", [str, nanogs.open, nanogs.load])
 @pytest.mark.parametrize("cameras", ["auto", "roam"])
-def test_pictures_are_the_same_in_little_memory(pair, how, cameras, little):
+def test_pictures_are_the_same_in_little_memory(pair, open_model, cameras, little):
     options = {"views": 2, "pixels": (100, 80), "transparent": cameras == "roam"}
     expected = nanogs.render(pair[0], cameras, **options)
     assert not little
-    most = LIBRARIES + (2_100_000 if how is nanogs.load else 1_500_000)
+    most = LIBRARIES + (2_100_000 if open_model is nanogs.load else 1_500_000)
     steps = []
-    found = nanogs.render(how(pair[0]), cameras, max_memory=most, progress=steps.append, **options)
+    found = nanogs.render(
+        open_model(pair[0]), cameras, max_memory=most, progress=steps.append, **options
+    )
     assert 100_000 < little[0] < 1_000_000
     assert steps[-1].fraction == 1
     for one, other in zip(found, expected, strict=True):
         assert one.tobytes() == other.tobytes()
     with pytest.raises(NotEnoughMemoryError, match=r"Rendering .*smaller pictures \(`pixels`\)"):
-        nanogs.render(how(pair[0]), cameras, max_memory="210MB", **options)
+        nanogs.render(open_model(pair[0]), cameras, max_memory="210MB", **options)
 
 
 def test_the_command_renders_in_little_memory(pair, tmp_path, little, capsys):

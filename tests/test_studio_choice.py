@@ -125,7 +125,7 @@ def monkeypatch_module():
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         (None, "must be an object"),
         ([], "must be an object"),
@@ -157,13 +157,13 @@ def monkeypatch_module():
         ({"wish": {"splats": 5}, "format": 3}, "must be a text"),
     ],
 )
-def test_invalid_choices_are_refused(data, said):
-    with pytest.raises(OptionError, match=said):
+def test_invalid_choices_are_refused(data, message):
+    with pytest.raises(OptionError, match=message):
         choice_of(data)
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         ({"wish": {"splats": 61}}, "above the 60 splats"),
         ({"wish": {"splats": 5}, "format": ".xyz"}, "does not write"),
@@ -172,8 +172,8 @@ def test_invalid_choices_are_refused(data, said):
         ({"wish": {"psnr": 30}, "preset": "fast", "sh_degree": 0}, "lower SH degree"),
     ],
 )
-def test_choices_that_the_scene_cannot_meet_are_refused(scene, data, said):
-    with pytest.raises(OptionError, match=said):
+def test_choices_that_the_scene_cannot_meet_are_refused(scene, data, message):
+    with pytest.raises(OptionError, match=message):
         refuse_unfit(scene, choice_of(data))
 
 

@@ -282,11 +282,13 @@ def test_drafts_are_shown_while_a_slider_moves(studio):
     studio.wait_for_colour(BLUE, "right")
 
 
-@pytest.mark.parametrize(("words", "said"), [("lots", "“lots”"), ("5,000", "300"), ("-1", "“-1”")])
-def test_an_invalid_entry_shows_an_error_and_sends_no_request(studio, words, said):
-    studio.page.fill("#splats", words)
+@pytest.mark.parametrize(
+    ("typed", "fragment"), [("lots", "“lots”"), ("5,000", "300"), ("-1", "“-1”")]
+)
+def test_an_invalid_entry_shows_an_error_and_sends_no_request(studio, typed, fragment):
+    studio.page.fill("#splats", typed)
     studio.page.press("#splats", "Enter")
-    assert said in studio.page.get_by_role("alert").inner_text()
+    assert fragment in studio.page.get_by_role("alert").inner_text()
     studio.page.wait_for_timeout(100)
     assert len(studio.fake.requests) == 1
 

@@ -241,12 +241,12 @@ def test_a_tile_without_splats_has_no_content_but_has_children(tmp_path):
 
 
 @pytest.mark.skipif(most_threads() < 2, reason="this machine has one thread")
-@pytest.mark.parametrize("plain", [False, True])
-def test_same_bytes_for_any_number_of_threads(splats, tmp_path, plain):
+@pytest.mark.parametrize("unpacked", [False, True])
+def test_same_bytes_for_any_number_of_threads(splats, tmp_path, unpacked):
     digests = []
     for threads in (1, 2):
         with use_threads(threads):
-            write(splats, tmp_path / str(threads), chunk=CHUNK, threads=threads, plain=plain)
+            write(splats, tmp_path / str(threads), chunk=CHUNK, threads=threads, plain=unpacked)
         files = sorted((tmp_path / str(threads)).iterdir())
         digests.append([hashlib.sha256(file.read_bytes()).digest() for file in files])
     assert digests[0] == digests[1]
@@ -278,21 +278,21 @@ def test_a_modified_tileset_never_names_files_elsewhere_as_its_own(tmp_path):
     assert made_files(tmp_path) is None
 
 
-@pytest.mark.parametrize("plain", [False, True])
-def test_notes_name_what_is_left_out(tmp_path, plain):
+@pytest.mark.parametrize("unpacked", [False, True])
+def test_notes_name_what_is_left_out(tmp_path, unpacked):
     label = {"label": np.arange(60, dtype=np.int32)}
     splats = replace(
         random_splats(60, degree=4, extras=label), comments=["mine"], render_mode=RenderMode.SURFEL
     )
     splats.log_scales[:] = 6.5
-    manifest, _ = write(splats, tmp_path / "t", ratios=[0.5, 0.1], plain=plain)
+    manifest, _ = write(splats, tmp_path / "t", ratios=[0.5, 0.1], plain=unpacked)
     notes = " ".join(manifest.notes)
-    if not plain:
+    if not unpacked:
         assert "  30 splats have log-scales" in "  ".join(manifest.notes)
         assert "  Level 1: 6 splats have log-scales" in "  ".join(manifest.notes)
     for word in ("label", "comment", "degree 3"):
         assert word in notes
-    assert ("log-scales" in notes) == ("render mode" in notes) == (not plain)
+    assert ("log-scales" in notes) == ("render mode" in notes) == (not unpacked)
 
 
 def test_packed_contents_name_the_attributes_of_the_draft(made):

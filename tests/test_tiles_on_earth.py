@@ -159,7 +159,7 @@ def changed(row, column, value):
 
 
 @pytest.mark.parametrize(
-    ("transform", "words"),
+    ("transform", "message"),
     [
         (np.eye(3), "four rows of four"),
         ("here", "four rows of four"),
@@ -172,8 +172,8 @@ def changed(row, column, value):
         (changed(0, 0, 1e13), "at most"),
     ],
 )
-def test_invalid_transforms_are_refused(transform, words):
-    with pytest.raises(OptionError, match=words):
+def test_invalid_transforms_are_refused(transform, message):
+    with pytest.raises(OptionError, match=message):
         transform_of(transform)
 
 
@@ -257,7 +257,7 @@ def test_a_transform_can_be_given_as_16_numbers(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("output", "options", "words"),
+    ("output", "options", "fragments"),
     [
         ("levels", OPTIONS, ["only in 3D Tiles", "tileset.json"]),
         ("lod-meta.json", OPTIONS, ["only in 3D Tiles"]),
@@ -272,9 +272,9 @@ def test_a_transform_can_be_given_as_16_numbers(scene, tmp_path):
         ("tileset.json", "--roll 1 --transform 1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", ["--roll"]),
     ],
 )
-def test_wrong_options_of_a_place_are_refused(scene, tmp_path, output, options, words):
+def test_wrong_options_of_a_place_are_refused(scene, tmp_path, output, options, fragments):
     result = run("lod", scene, tmp_path / "out" / output, *options.split())
-    assert_refused(result, *words)
+    assert_refused(result, *fragments)
     assert not (tmp_path / "out").exists()
 
 

@@ -22,10 +22,10 @@ def splats():
     return random_splats(900, degree=1)
 
 
-@pytest.mark.parametrize("plain", [True, False])
-def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, plain):
+@pytest.mark.parametrize("unpacked", [True, False])
+def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, unpacked):
     options = {"source": "a", "preset": "fast", "layout": Layout.TILES, "chunk": 100}
-    write_levels(splats, tmp_path / "t", RATIOS, plain=plain, **options)
+    write_levels(splats, tmp_path / "t", RATIOS, plain=unpacked, **options)
     path = tmp_path / "t" / "tileset.json"
     for level, (small, _) in enumerate(nanogs.levels(splats, RATIOS, preset="fast")):
         again, expected = io.load(path, level=level), small
@@ -34,10 +34,10 @@ def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, plain):
         apart = np.linalg.norm(again.means[:, None] - expected.means, axis=2)
         nearest = apart.argmin(axis=0)
         assert np.array_equal(np.sort(nearest), np.arange(len(small)))
-        assert apart.min(axis=0).max() < (1e-9 if plain else 2e-3)
+        assert apart.min(axis=0).max() < (1e-9 if unpacked else 2e-3)
         again = again.take(nearest)
         step = 0.5 / 255 / 0.15 + 1e-6
-        assert np.abs(again.sh[:, 0] - expected.sh[:, 0]).max() < (1e-9 if plain else step)
+        assert np.abs(again.sh[:, 0] - expected.sh[:, 0]).max() < (1e-9 if unpacked else step)
         assert any(f"Level {level} of 3 was read" in note for note in again.notes)
     with pytest.raises(OptionError, match="levels 0 to 2; level 3"):
         io.load(path, level=3)

@@ -285,11 +285,11 @@ def test_a_page_of_one_model_has_no_divider(chromium, files):
 
 
 @pytest.mark.parametrize(
-    ("degree", "mode", "least"),
+    ("degree", "mode", "min_psnr"),
     [(0, RenderMode.DEFAULT, 46), (3, RenderMode.DEFAULT, 40), (0, RenderMode.MIP, 46)],
 )
-def test_the_page_shows_what_nanogs_renders(chromium, tmp_path, degree, mode, least):
-    """`least` is their PSNR in dB; colours and sizes are those of a trained model."""
+def test_the_page_shows_what_nanogs_renders(chromium, tmp_path, degree, mode, min_psnr):
+    """`min_psnr` is their PSNR in dB; colours and sizes are those of a trained model."""
     require_bundle()
     splats = random_splats(400, degree=degree)
     splats = dataclasses.replace(
@@ -298,7 +298,7 @@ def test_the_page_shows_what_nanogs_renders(chromium, tmp_path, degree, mode, le
     nanogs.save(splats, tmp_path / "model.npz")
     rendered, shown = rendered_and_shown(chromium, tmp_path / "model.npz", tmp_path)
     assert rendered.max() > 0.5
-    assert psnr(rendered, shown) > least
+    assert psnr(rendered, shown) > min_psnr
 
 
 @pytest.mark.slow

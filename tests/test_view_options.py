@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("given", "option"),
+    ("options", "option"),
     [
         (["--photos", "data", "--views", "3"], "--views"),
         (["--photos", "data", "--pixels", "64"], "--sizes"),
@@ -46,12 +46,12 @@ def folder(tmp_path_factory):
         (["--mixed", "--cameras", "cams.json", "--views", "2"], "--views"),
     ],
 )
-def test_compare_refuses_view_options_without_effect(folder, given, option):
-    assert_refused(run("compare", "a.ply", "a.ply", *given, cwd=folder), f"{option} ")
+def test_compare_refuses_view_options_without_effect(folder, options, option):
+    assert_refused(run("compare", "a.ply", "a.ply", *options, cwd=folder), f"{option} ")
 
 
 @pytest.mark.parametrize(
-    ("words", "option"),
+    ("arguments", "option"),
     [
         (["info", "a.ply", "--views", "2"], "--views"),
         (["render", "a.ply", "out", "--views", "2"], "--views"),
@@ -62,14 +62,14 @@ def test_compare_refuses_view_options_without_effect(folder, given, option):
         (["refit", "a.ply", "a.ply", "b.ply", "--up", "1,0,0"], "--up"),
     ],
 )
-def test_view_options_beside_a_camera_file_are_refused(folder, words, option):
-    result = run(*words, "--cameras", "cams.json", cwd=folder)
+def test_view_options_beside_a_camera_file_are_refused(folder, arguments, option):
+    result = run(*arguments, "--cameras", "cams.json", cwd=folder)
     assert_refused(result, f"{option} cannot be combined with --cameras cams.json")
     assert not [path for path in folder.iterdir() if path.name not in ("a.ply", "cams.json")]
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         (
             ["render", "a.ply", "out", "--transparent", "--background", "white"],
@@ -92,8 +92,8 @@ def test_view_options_beside_a_camera_file_are_refused(folder, words, option):
         (["compare", "a.ply", "a.ply", "--interactive"], "--interactive works only with --report"),
     ],
 )
-def test_options_without_effect_are_refused(folder, words, said):
-    assert_refused(run(*words, cwd=folder), said)
+def test_options_without_effect_are_refused(folder, arguments, message):
+    assert_refused(run(*arguments, cwd=folder), message)
     assert not [path for path in folder.iterdir() if path.name not in ("a.ply", "cams.json")]
 
 

@@ -78,7 +78,7 @@ def test_sources_are_kinds_or_one_path():
 
 
 @pytest.mark.parametrize(
-    ("sources", "sizes", "words"),
+    ("sources", "sizes", "message"),
     [
         (["auto", "auto"], [(16, 16)], "kind of cameras is given twice"),
         (["auto"], [(16, 16), (16, 16)], "size is given twice"),
@@ -86,8 +86,8 @@ def test_sources_are_kinds_or_one_path():
         (["a.json"], [(16, 16)], "no camera file 'a.json'"),
     ],
 )
-def test_invalid_kinds_and_sizes_of_views_are_refused(sources, sizes, words):
-    with pytest.raises(OptionError, match=words):
+def test_invalid_kinds_and_sizes_of_views_are_refused(sources, sizes, message):
+    with pytest.raises(OptionError, match=message):
         view_sets(SCENE, sources, sizes)
 
 

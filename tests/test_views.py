@@ -220,7 +220,7 @@ def test_a_model_without_visible_splats_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("bad", "words"),
+    ("arguments", "message"),
     [
         ({"count": 0}, "not 0 of 512 x 512"),
         ({"width": 0}, "of 0 x 512"),
@@ -232,9 +232,9 @@ def test_a_model_without_visible_splats_is_refused():
         ({"up": [0, 1]}, "Up must be"),
     ],
 )
-def test_bad_arguments_are_refused(bad, words):
-    with pytest.raises(OptionError, match=words):
-        automatic_cameras(SCENE, **bad)
+def test_bad_arguments_are_refused(arguments, message):
+    with pytest.raises(OptionError, match=message):
+        automatic_cameras(SCENE, **arguments)
 
 
 def test_looking_straight_down_has_a_pose():
