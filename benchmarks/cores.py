@@ -36,7 +36,7 @@ def main() -> None:
     for preset in presets:  # compile what is not in the cache, on a small scene
         run(scene(2000), preset, max(THREADS), options)
     taken: dict[tuple[str, int], list[Seconds]] = {}
-    ask, asked = query(model), []
+    ask, query_times = query(model), []
     for _ in range(options.rounds):
         for preset in presets:
             for threads in THREADS:
@@ -44,14 +44,13 @@ def main() -> None:
                 taken.setdefault((preset, threads), []).append(seconds)
                 text = f"{preset}, {threads} threads: {seconds[WHOLE]:.2f} s"
                 print(text, file=sys.stderr, flush=True)
-        asked.append(ask()[0])
+        query_times.append(ask()[0])
     for preset in presets:
         one, two = (middle(taken[preset, threads]) for threads in THREADS)
         show(preset, one, two)
-        over = two[WHOLE] / median(asked)
-        print(
-            f"\nOne cKDTree query: {median(asked):.2f} s; two threads take {over:.2f} times that."
-        )
+        over = two[WHOLE] / median(query_times)
+        seconds = median(query_times)
+        print(f"\nOne cKDTree query: {seconds:.2f} s; two threads take {over:.2f} times that.")
 
 
 def arguments() -> argparse.Namespace:

@@ -23,25 +23,33 @@ def main() -> None:
     parser.add_argument("scenes", nargs="+", help="MODEL=dB,dB,...")
     parser.add_argument("--presets", default="default,fast")
     parser.add_argument("--format", default="ply")
-    given = parser.parse_args()
+    options = parser.parse_args()
     print("| scene | preset | asked | simplify says | compare says | splats | counts tried | end |")
     print("|---|---|--:|--:|--:|--:|--:|---|")
     with TemporaryDirectory() as folder:
-        for scene in given.scenes:
-            model, _, wishes = scene.rpartition("=")
-            for wish in wishes.split(","):
-                for preset in given.presets.split(","):
-                    out = Path(folder) / f"small.{given.format}"
-                    print(_row(Path(model), wish, preset, out), flush=True)
+        for scene in options.scenes:
+            model, _, targets = scene.rpartition("=")
+            for target in targets.split(","):
+                for preset in options.presets.split(","):
+                    out = Path(folder) / f"small.{options.format}"
+                    print(_row(Path(model), target, preset, out), flush=True)
 
 
-def _row(model: Path, asked: str, preset: str, out: Path) -> str:
-    run = _nanogs("simplify", model, out, "-w", "--psnr", asked, "--preset", preset)
-    said = float(run["judged"]["psnr"])
+def _row(model: Path, target: str, preset: str, out: Path) -> str:
+    run = _nanogs("simplify", model, out, "-w", "--psnr", target, "--preset", preset)
+    reported_psnr = float(run["judged"]["psnr"])
     [seen] = _nanogs("compare", model, out)["models"]
     name = model.parent.name if model.suffix == ".json" else model.name.split(".")[0]
-    counts, tried = f"{run['achieved_count']:,}", f"{len(run['probes'])}"
-    cells = [name, preset, asked, f"{said:.2f}", f"{float(seen['psnr']):.2f}", counts, tried]
+    counts, probe_count = f"{run['achieved_count']:,}", f"{len(run['probes'])}"
+    cells = [
+        name,
+        preset,
+        target,
+        f"{reported_psnr:.2f}",
+        f"{float(seen['psnr']):.2f}",
+        counts,
+        probe_count,
+    ]
     return f"| {' | '.join([*cells, run['stop']])} |"
 
 

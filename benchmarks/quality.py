@@ -40,16 +40,16 @@ def main() -> None:
     install()
     bench = Bench(options.folder, options.peers, options.cache)
     methods = chosen_methods(options)
-    asked = [
+    requested = [
         Key(scene, ratio, method, kind)
         for scene in options.scenes.split(",")
         for ratio in map(float, options.ratios.split(","))
         for method in methods
         for kind in options.kinds.split(",")
     ]
-    if absent := dict.fromkeys(bench.peer(key).name for key in asked if bench.lacks(key)):
+    if absent := dict.fromkeys(bench.peer(key).name for key in requested if bench.lacks(key)):
         print(f"Left out, not in {options.peers}: {', '.join(absent)}", file=sys.stderr)
-    keys = [key for key in asked if bench.offers(key)]
+    keys = [key for key in requested if bench.offers(key)]
     rows = bench.measure(keys, lambda text: print(text, file=sys.stderr, flush=True))
     if options.rows:
         options.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))

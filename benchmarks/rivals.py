@@ -27,8 +27,10 @@ def install() -> None:
 
 def splat_transform() -> Path:
     """Return the path of splat-transform: the tests' copy if it exists, else that of `install`."""
-    places = [folder / "node_modules" / ".bin" / "splat-transform" for folder in (PACKAGES, NPM)]
-    return next((path for path in places if path.exists()), places[-1])
+    candidates = [
+        folder / "node_modules" / ".bin" / "splat-transform" for folder in (PACKAGES, NPM)
+    ]
+    return next((path for path in candidates if path.exists()), candidates[-1])
 
 
 def rival_version() -> str:

@@ -49,11 +49,11 @@ def copies(scenes: list[Splats], count: int, degree: int) -> Iterator[Splats]:
     """Yield scenes side by side, slightly shifted, scaled and recoloured, `count` splats in all."""
     sizes = [float(np.quantile(np.ptp(s.means, axis=0), 0.5)) for s in scenes]
     across = math.ceil(math.sqrt(count / np.mean([len(s) for s in scenes])))
-    place = 0
+    offset = 0
     while count > 0:
-        which = place % len(scenes)
-        rng = np.random.default_rng(place)
-        row, column = divmod(place, across)
+        which = offset % len(scenes)
+        rng = np.random.default_rng(offset)
+        row, column = divmod(offset, across)
         at = np.array([column, 0, row], np.float32) * 0.7 * sizes[which]
         scene = scenes[which].span(0, count)
         scale = np.float32(rng.uniform(0.8, 1.2))
@@ -71,7 +71,7 @@ def copies(scenes: list[Splats], count: int, degree: int) -> Iterator[Splats]:
             sh=sh,
         )
         count -= len(scene)
-        place += 1
+        offset += 1
 
 
 def make(args: argparse.Namespace) -> None:
@@ -181,8 +181,8 @@ def kill(args: argparse.Namespace) -> None:
         if args.given:
             call = f"simplify_blocks({str(args.source)!r}, {str(out)!r}, resume=True, {args.given})"
             if args.lod:
-                given = f"preset='fast', layout={LAYOUTS[args.lod]!r}, {args.given}"
-                call = f"write_levels({str(args.source)!r}, {str(out)!r}, resume=True, {given})"
+                arguments = f"preset='fast', layout={LAYOUTS[args.lod]!r}, {args.given}"
+                call = f"write_levels({str(args.source)!r}, {str(out)!r}, resume=True, {arguments})"
             command = [sys.executable, "-c", f"import nanogs; nanogs.{call}"]
         start = time.perf_counter()
         subprocess.run(command, check=True)

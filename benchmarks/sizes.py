@@ -119,25 +119,25 @@ def largest(
         available: Splats of the scene.
         each: Bytes per splat, an initial guess.
     """
-    fits, over, tried = Found(0, 0, 0.0), available + 1, 0
+    fits, too_large, tries = Found(0, 0, 0.0), available + 1, 0
     fits_bytes, over_bytes = 0, 0
     count = min(int(0.995 * size / each), available)
-    while over - fits.count > max(1, CLOSE * fits.count):
+    while too_large - fits.count > max(1, CLOSE * fits.count):
         took, seconds = write(count)
-        tried += 1
+        tries += 1
         if took <= size:
-            fits, fits_bytes = Found(count, tried, seconds), took
+            fits, fits_bytes = Found(count, tries, seconds), took
             if count == available:
                 return None
             if took >= ENOUGH * size:
                 break
         else:
-            over, over_bytes = count, took
-        count = _next(fits.count, fits_bytes, over, over_bytes, size, tried)
+            too_large, over_bytes = count, took
+        count = _next(fits.count, fits_bytes, too_large, over_bytes, size, tries)
         count = min(count, available)
     if not fits.count:
         sys.exit(f"Not even one splat fits into {size:,} B.")
-    return replace(fits, tried=tried)
+    return replace(fits, tried=tries)
 
 
 def _next(fits: int, fits_bytes: int, over: int, over_bytes: int, size: int, tried: int) -> int:

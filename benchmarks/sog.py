@@ -50,8 +50,8 @@ def main() -> None:
             model = io.load(options.scenes / SCENES[name])
             if options.rows and options.rows < len(model):
                 model = model.take(np.linspace(0, len(model) - 1, options.rows).astype(np.int64))
-            given = {"--bits": options.bits, "--palette": options.palette}
-            packing = [word for pair in given.items() if pair[1] for word in pair]
+            sog_options = {"--bits": options.bits, "--palette": options.palette}
+            packing = [word for pair in sog_options.items() if pair[1] for word in pair]
             rows.append(measured(name, model, Path(folder), options.views, packing))
         print(line(rows[-1]), flush=True)
     if options.out:

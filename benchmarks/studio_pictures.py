@@ -69,11 +69,11 @@ def _address() -> Iterator[str]:
         command = [sys.executable, "-m", "nanogs", "studio", "plant.ply", "--no-open", "--json"]
         studio = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
         assert studio.stdout is not None
-        said = ""
-        while not said.endswith("}\n"):
-            said += studio.stdout.readline() or sys.exit("The studio did not start.")
+        output = ""
+        while not output.endswith("}\n"):
+            output += studio.stdout.readline() or sys.exit("The studio did not start.")
         try:
-            yield json.loads(said)["url"]
+            yield json.loads(output)["url"]
         finally:
             studio.terminate()
             studio.wait()

@@ -139,8 +139,8 @@ def running_fake(models):
             if folder == "/models":
                 fake.fetched.append(name.removesuffix(".spz"))
                 return fake.models[name.removesuffix(".spz")]
-            place = "studio/static" if folder == "/static" else "view"
-            return (PACKAGE / place / name).read_bytes()
+            subfolder = "studio/static" if folder == "/static" else "view"
+            return (PACKAGE / subfolder / name).read_bytes()
 
         def do_POST(self):
             body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))

@@ -330,8 +330,8 @@ def _faults(request: Request, folder: Path, out: Path, report: dict[str, Any]) -
             faults.append(f"larger than asked: {taken:,} B of {size:,}")
         if report["achieved_size"] != taken:
             faults.append(f"achieved_size {report['achieved_size']} is not {taken}")
-        said = any(end in note for note in report["notes"] for end in SMALL_FILE_NOTES)
-        if taken < ENOUGH * size and not said:
+        explained = any(end in note for note in report["notes"] for end in SMALL_FILE_NOTES)
+        if taken < ENOUGH * size and not explained:
             faults.append("not said why it is small")
     elif report["stop"] == "target" and not report["judged"]["psnr"] >= request.goal["psnr"]:
         faults.append("misses the PSNR")
@@ -381,13 +381,15 @@ def _check_smallest_size(request: Request, text: str) -> list[str]:
         found = run_and_check(replace(request, goal={"size": 2 * least}), check_smallest=False)
         small = "too small" in found.error and "splats, the fewest" not in found.error
         return [f"twice what is about the smallest: {found.error}"] if small else []
-    at = run_and_check(replace(request, goal={"size": least}), check_smallest=False)
-    below = run_and_check(replace(request, goal={"size": least - 1}), check_smallest=False)
-    if "cannot be divided" in at.error:  # which no size can change
+    at_smallest = run_and_check(replace(request, goal={"size": least}), check_smallest=False)
+    below_smallest = run_and_check(replace(request, goal={"size": least - 1}), check_smallest=False)
+    if "cannot be divided" in at_smallest.error:  # which no size can change
         return []
-    faults = [f"with the smallest named: {at.faults or at.error}"] * bool(at.faults or at.error)
-    if not below.error:
-        faults.append(f"one byte less than the smallest named: {below.faults or 'is met'}")
+    faults = [f"with the smallest named: {at_smallest.faults or at_smallest.error}"] * bool(
+        at_smallest.faults or at_smallest.error
+    )
+    if not below_smallest.error:
+        faults.append(f"one byte less than the smallest named: {below_smallest.faults or 'is met'}")
     return faults
 
 

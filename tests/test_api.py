@@ -226,8 +226,8 @@ def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, t
     quick = {"view_size": 64, "views": 4, "further": 0, "steps": 1}
     named, _ = nanogs.simplify(pair[0], count=9, cameras="orbit", **quick)
     cameras = cameras_for(pair[0], "orbit", count=4, width=64, height=64, split="fit")
-    given, _ = nanogs.simplify(pair[0], count=9, cameras=cameras, **quick)
-    assert (named.means == given.means).all()
+    with_cameras, _ = nanogs.simplify(pair[0], count=9, cameras=cameras, **quick)
+    assert (named.means == with_cameras.means).all()
     with pytest.raises(OptionError, match="or at least one nanogs"):
         nanogs.simplify(pair[0], count=9, cameras=[])
     for views in ({"cameras": "roam"}, {"cameras": cameras}):
@@ -474,13 +474,13 @@ def test_a_change_of_frames_needs_two_names(pair, files, tmp_path, frame):
 def test_invalid_options_of_all_calls_are_refused_in_one_sentence(
     pair, files, tmp_path, options, message
 ):
-    model, given = pair[0], {"preset": "fast", **options}
+    model, settings = pair[0], {"preset": "fast", **options}
     for call in (
-        lambda: nanogs.simplify(model, count=9, **given),
-        lambda: list(nanogs.levels(model, [0.5], **given)),
-        lambda: nanogs.grow(model, **given),
-        lambda: nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **given),
-        lambda: nanogs.write_levels(files[0], tmp_path / "l", [0.5], **given),
+        lambda: nanogs.simplify(model, count=9, **settings),
+        lambda: list(nanogs.levels(model, [0.5], **settings)),
+        lambda: nanogs.grow(model, **settings),
+        lambda: nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **settings),
+        lambda: nanogs.write_levels(files[0], tmp_path / "l", [0.5], **settings),
     ):
         with pytest.raises(OptionError, match=message):
             call()
@@ -508,20 +508,20 @@ def test_invalid_options_of_all_calls_are_refused_in_one_sentence(
 def test_invalid_options_of_jobs_are_refused_before_anything_is_written(
     files, tmp_path, options, message
 ):
-    given = {"view_size": 64, "views": 2, "steps": 1, **options}
+    settings = {"view_size": 64, "views": 2, "steps": 1, **options}
     with pytest.raises(OptionError, match=message):
-        nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **given)
+        nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **settings)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_text_as_a_switch_is_refused_and_nothing_is_replaced(pair, files, tmp_path):
     target = tmp_path / "a.ply"
     target.write_text("mine")
-    given = {"overwrite": "no"}
+    settings = {"overwrite": "no"}
     for call in (
-        lambda: nanogs.save(pair[0], target, **given),
-        lambda: nanogs.io.check_writable(target, **given),
-        lambda: nanogs.convert(files[0], target, **given),
+        lambda: nanogs.save(pair[0], target, **settings),
+        lambda: nanogs.io.check_writable(target, **settings),
+        lambda: nanogs.convert(files[0], target, **settings),
     ):
         with pytest.raises(OptionError, match="`overwrite` must be True or False, not 'no'"):
             call()
@@ -603,10 +603,10 @@ def test_compare_describes_each_model_in_one_line(pair):
 def test_compare_takes_given_cameras(pair):
     large, small = pair
     cameras = automatic_cameras(large, 2, width=48, height=32, split="test")
-    given = nanogs.compare(large, small, cameras=cameras)
+    with_cameras = nanogs.compare(large, small, cameras=cameras)
     found = nanogs.compare(large, small, **SMALL)
-    assert given.models[0].psnr == found.models[0].psnr
-    assert (given.protocol.kind, found.protocol.kind) == ("given", "auto")
+    assert with_cameras.models[0].psnr == found.models[0].psnr
+    assert (with_cameras.protocol.kind, found.protocol.kind) == ("given", "auto")
     assert len(nanogs.compare(large, small, cameras=cameras[1]).views) == 1
 
 

@@ -152,9 +152,9 @@ def test_an_unfinished_run_continues_where_it_ended(tmp_path):
         notes=("a note",),
     )  # fmt: skip
     failed = BenchRow("a", "y", 0.1, status=Status.FAILED, reason="no memory")
-    begun = ResultFolder(tmp_path, run="this")
-    begun.add(first)
-    begun.add(failed)
+    results = ResultFolder(tmp_path, run="this")
+    results.add(first)
+    results.add(failed)
     unfinished = tmp_path / "unfinished.jsonl"
     unfinished.write_text(unfinished.read_text() + '{"scene": "a", "me')  # cut off
     again = ResultFolder(tmp_path, run="this")

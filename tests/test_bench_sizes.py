@@ -170,9 +170,9 @@ def test_sizes_have_names_that_are_valid_in_file_names():
 
 def test_rows_of_an_interrupted_run_are_kept(tmp_path):
     first, second, third = rows_of("fast", BASE[:3], sizes=SIZES[:3])
-    begun = ResultFolder(tmp_path, run="this")
-    begun.add(first)
-    begun.add(second)
+    unfinished = ResultFolder(tmp_path, run="this")
+    unfinished.add(first)
+    unfinished.add(second)
     again = ResultFolder(tmp_path, run="this")
     assert again.done == [first, second]
     again.add(first)

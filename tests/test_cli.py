@@ -91,10 +91,10 @@ def test_the_file_fills_the_requested_size_and_never_exceeds_it(scene, tmp_path,
     small = tmp_path / "small.ply"
     options = ("--size", size, "--preset", "fast", "--json")
     report = json.loads(run("simplify", scene, small, *options).stdout)
-    asked = 19_968 if "KiB" in size else 20_000
+    requested = 19_968 if "KiB" in size else 20_000
     row = 26 * 4
-    assert report["asked_size"] == asked
-    assert asked - row < small.stat().st_size <= asked
+    assert report["asked_size"] == requested
+    assert requested - row < small.stat().st_size <= requested
     plan = json.loads(run("simplify", scene, tmp_path / "x.ply", *options, "--dry-run").stdout)
     assert plan["asked_count"] == report["achieved_count"] == len(nanogs.load(small))
 

@@ -264,9 +264,9 @@ def test_compare_prints_json_or_a_table(files):
 def test_every_comparison_describes_its_views():
     splats = random_splats(300)
     models = [NamedModel("s", splats)]
-    given, _ = compare_models(NamedModel("r", splats), models, [camera()])
-    assert given.protocol == Protocol(1, (48, 48), "given", None)
-    assert given.judged(0).text == "∞ dB on 1 given view of 48 pixels"
+    with_cameras, _ = compare_models(NamedModel("r", splats), models, [camera()])
+    assert with_cameras.protocol == Protocol(1, (48, 48), "given", None)
+    assert with_cameras.judged(0).text == "∞ dB on 1 given view of 48 pixels"
     assert Protocol().text == "8 held-out views of 512 pixels"
     wide = Protocol(3, (64, 48), "inside", "test", (1.0, 1.0, 1.0))
     assert wide.text == "3 held-out views of 64 x 48 pixels over white"

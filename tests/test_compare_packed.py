@@ -147,11 +147,11 @@ def test_packed_models_are_scored_against_photographs(files, tmp_path, temporary
 )
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_measured_result_reports_the_cost_of_packing(files, tmp_path, suffix, options):
-    scene, asked = files / "scene.ply", {"ratio": 0.3, "preset": "fast"}
+    scene, target = files / "scene.ply", {"ratio": 0.3, "preset": "fast"}
     found = nanogs.simplify_blocks(
-        scene, tmp_path / f"a{suffix}", measured=True, **asked, **options
+        scene, tmp_path / f"a{suffix}", measured=True, **target, **options
     )
-    plain = nanogs.simplify_blocks(scene, tmp_path / "a.ply", measured=True, **asked)
+    plain = nanogs.simplify_blocks(scene, tmp_path / "a.ply", measured=True, **target)
     assert plain.packed is None
     own, packed = nanogs.compare(
         scene, tmp_path / "a.ply", packed=[suffix], format_options=options.get("format_options"),

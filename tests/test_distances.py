@@ -189,19 +189,19 @@ def test_the_users_cameras_count_as_viewers_even_without_measuring(tmp_path, blo
 
 def test_nearness_to_viewers_equals_the_reference_for_any_number_of_threads():
     rng = np.random.default_rng(0)
-    points, places = rng.normal(size=(9000, 3)), rng.normal(size=(20, 3))
+    points, positions = rng.normal(size=(9000, 3)), rng.normal(size=(20, 3))
     points[:100] *= 1000
-    squares = ((points[:, None] - places) ** 2).sum(axis=2)
-    found = Viewers(places, 0.5).nearness(points)
+    squares = ((points[:, None] - positions) ** 2).sum(axis=2)
+    found = Viewers(positions, 0.5).nearness(points)
     assert np.allclose(found, (1 / (1 + squares / 0.25)).mean(axis=1), rtol=1e-12)
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
-        single_threaded = Viewers(places, 0.5).nearness(points)
+        single_threaded = Viewers(positions, 0.5).nearness(points)
     finally:
         numba.set_num_threads(threads)
     assert single_threaded.tobytes() == found.tobytes()
-    assert viewers_at(places, points).apart == pytest.approx(
+    assert viewers_at(positions, points).apart == pytest.approx(
         APART * np.quantile(np.sqrt(squares.min(axis=1)), 0.25), rel=0.1
     )
     coincident = viewers_at(np.zeros((2, 3)), np.zeros((9, 3)))
@@ -397,8 +397,8 @@ def test_a_far_copy_of_a_scene_hardly_changes_its_result(options):
     scene_and_copy = concatenate([splats, copy])
     small, _ = nanogs.simplify(splats, ratio=0.1, **options)
     small_with_copy, _ = nanogs.simplify(scene_and_copy, ratio=0.1, **options)
-    lost = quality(splats, small, cameras) - quality(splats, small_with_copy, cameras)
-    assert lost < 1
+    psnr_loss = quality(splats, small, cameras) - quality(splats, small_with_copy, cameras)
+    assert psnr_loss < 1
 
 
 def hedge(seed, count=3000):

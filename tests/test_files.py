@@ -229,9 +229,9 @@ def test_resuming_an_unmeasured_job_with_measured_measures_it(scene, tmp_path, m
 
 
 def test_a_psnr_is_met_in_memory_and_in_blocks(scene, tmp_path):
-    for given in ({}, {"block": 500}):
+    for options in ({}, {"block": 500}):
         report = nanogs.simplify_blocks(
-            scene, tmp_path / "a.ply", psnr=15.0, overwrite=True, **given, **QUICK
+            scene, tmp_path / "a.ply", psnr=15.0, overwrite=True, **options, **QUICK
         )
         assert report.achieved_count < COUNT
         assert report.judged.psnr >= 15.0

@@ -270,8 +270,8 @@ def test_memory_for_measured_levels_includes_views_of_the_original(monkeypatch):
         "nanogs.pipeline.in_memory.refuse_too_large",
         lambda _what, needed, *_: requested.append(needed),
     )
-    for judged in (False, True):
-        judged_levels(splats, [0.5], judged=judged)
+    for measure in (False, True):
+        judged_levels(splats, [0.5], judged=measure)
     views = 8 * 512 * 512 * 3 * 4
     assert requested[1] - requested[0] >= views
 
@@ -308,8 +308,8 @@ def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path,
         )
     block = read_manifest(job)[0]["block"]
     for free in (20_000_000, 8 * GB):
-        given = Memory(free, "free on this machine")
-        monkeypatch.setattr(memory, "free_memory", lambda given=given, **_: given)
+        limit = Memory(free, "free on this machine")
+        monkeypatch.setattr(memory, "free_memory", lambda limit=limit, **_: limit)
         assert block_memory(None, None, job, elsewhere=False) == (None, block)
     report = nanogs.simplify_blocks(scene, out, resume=True, **options)
     assert report.blocks.allowed == block

@@ -155,8 +155,8 @@ def wall(tmp_path_factory):
 def in_blocks(path, **changes):
     """Simplify a file to a fiftieth in at least five blocks, and return the result."""
     out = path.with_name("small.ply")
-    given = {"ratio": 0.02, "preset": "fast", "block": 4000, "overwrite": True} | changes
-    report = nanogs.simplify_blocks(path, out, **given)
+    options = {"ratio": 0.02, "preset": "fast", "block": 4000, "overwrite": True} | changes
+    report = nanogs.simplify_blocks(path, out, **options)
     assert report.blocks.blocks >= 5
     return nanogs.load(out)
 

@@ -81,9 +81,9 @@ def test_extreme_alpha_and_scale_are_infinite_and_negative_scale_is_noted(load):
 
 def test_ranges_of_zero_mean_the_defaults(load):
     changed = section(6, 2, 1, changes={24: ("<I", 0)})
-    given = section(6, 2, 1)
+    expected = section(6, 2, 1)
     same = load(ksplat(changed, mode=2, sh_range=(0, 0)))
-    other = load(ksplat(given, mode=2, sh_range=(-1.5, 1.5)))
+    other = load(ksplat(expected, mode=2, sh_range=(-1.5, 1.5)))
     assert np.array_equal(same.means, other.means)
     assert np.array_equal(same.sh, other.sh)
 

@@ -153,12 +153,12 @@ STATED = {
 @pytest.mark.parametrize("model", STATED)
 def test_lenses_in_transforms_files_are_the_same(tmp_path, model):
     (fx, fy, cx, cy), lens = split_params(model)
-    stated = {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": SIZE[0], "h": SIZE[1]}
+    intrinsics = {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": SIZE[0], "h": SIZE[1]}
     Image.fromarray(np.rint(distorted_photo(model) * 255).astype(np.uint8)).save(
         tmp_path / "r_0.png"
     )
     frames = [{"file_path": "r_0", "transform_matrix": np.eye(4).tolist()}]
-    write_json(tmp_path / "transforms_test.json", transforms(frames, **stated, **STATED[model]))
+    write_json(tmp_path / "transforms_test.json", transforms(frames, **intrinsics, **STATED[model]))
     data = open_dataset(tmp_path)
     (frame,) = data.split("test")
     u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)

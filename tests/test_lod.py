@@ -218,9 +218,9 @@ def test_an_infinite_psnr_is_null_in_the_manifest(splats, tmp_path):
 
 
 def test_a_memory_limit_that_suffices_changes_no_bytes(scene, tmp_path):
-    given = ["--preset", "fast", "--levels", "0.5", "-q"]
+    options = ["--preset", "fast", "--levels", "0.5", "-q"]
     for folder, more in (("a", []), ("b", ["--max-memory", "4GB"])):
-        result = run("lod", scene, tmp_path / folder, *given, *more)
+        result = run("lod", scene, tmp_path / folder, *options, *more)
         assert result.returncode == 0, result.stderr
     assert names(tmp_path / "a") == names(tmp_path / "b")
     for name in names(tmp_path / "a"):

@@ -70,9 +70,9 @@ def test_commands_take_an_archive(made, tmp_path):
 
 
 def test_blocks_give_the_same_bytes_for_any_number_of_threads(made, tmp_path):
-    given = {"preset": "fast", "layout": "streamed sog archive", "chunk": 500, "block": 1000}
+    options = {"preset": "fast", "layout": "streamed sog archive", "chunk": 500, "block": 1000}
     for number in (1, 2):
-        nanogs.write_levels(made / "a.ply", tmp_path / f"{number}.ssog", **given, threads=number)
+        nanogs.write_levels(made / "a.ply", tmp_path / f"{number}.ssog", **options, threads=number)
     assert (tmp_path / "1.ssog").read_bytes() == (tmp_path / "2.ssog").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["1.ssog", "2.ssog"]
     assert io.open(tmp_path / "1.ssog").levels == (3000, 1500, 750, 375)

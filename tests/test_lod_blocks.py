@@ -49,13 +49,13 @@ def splats():
 
 
 def write(scene, folder, layout, *, ratios=RATIOS, progress=None, **options):
-    given = {"preset": "fast", "rounds": 1, "block": BLOCK, "max_memory": None}
+    settings = {"preset": "fast", "rounds": 1, "block": BLOCK, "max_memory": None}
     if layout is not Layout.FILES:
-        given["chunk"] = CHUNK
+        settings["chunk"] = CHUNK
     if layout is Layout.TILES:
-        given["plain"] = True
+        settings["plain"] = True
     return write_levels(
-        scene, folder, ratios, layout=layout, threads=1, progress=progress, **(given | options),
+        scene, folder, ratios, layout=layout, threads=1, progress=progress, **(settings | options),
     )  # fmt: skip
 
 
@@ -184,24 +184,24 @@ def test_plain_levels_can_be_written_in_any_format(scene, tmp_path, plain):
 
 def test_the_planner_decides_between_memory_and_blocks(tmp_path):
     nanogs.save(random_splats(100_000, degree=0), tmp_path / "a.ply")
-    given = {"preset": "fast", "rounds": 0, "threads": 1}
-    _, [whole] = nanogs.write_levels(tmp_path / "a.ply", tmp_path / "whole", [0.01], **given)
+    options = {"preset": "fast", "rounds": 0, "threads": 1}
+    _, [whole] = nanogs.write_levels(tmp_path / "a.ply", tmp_path / "whole", [0.01], **options)
     assert (whole.blocks, whole.read_count) == (None, 100_000)
-    given["max_memory"] = "240MB"
+    options["max_memory"] = "240MB"
     manifest, [report] = nanogs.write_levels(
-        [tmp_path / "a.ply"], tmp_path / "l", [0.01], layout="3d tiles", chunk=100, **given
+        [tmp_path / "a.ply"], tmp_path / "l", [0.01], layout="3d tiles", chunk=100, **options
     )
     assert report.blocks.blocks > 1
     assert (manifest.source, manifest.levels[0].count) == ("a.ply", 1000)
     with pytest.raises(
         NotEnoughMemoryError, match=r"Measuring takes about .* leave out the measurement"
     ):
-        nanogs.write_levels(tmp_path / "a.ply", tmp_path / "m", [0.01], measured=True, **given)
+        nanogs.write_levels(tmp_path / "a.ply", tmp_path / "m", [0.01], measured=True, **options)
     assert not (tmp_path / "m.job").exists()  # refused before any work begins
     with pytest.raises(OptionError, match="job is for files"):
-        nanogs.write_levels(random_splats(9), tmp_path / "m", [0.5], job=tmp_path / "j", **given)
+        nanogs.write_levels(random_splats(9), tmp_path / "m", [0.5], job=tmp_path / "j", **options)
     with pytest.raises(NotEnoughMemoryError):
-        nanogs.write_levels(nanogs.open(tmp_path / "a.ply"), tmp_path / "m", [0.01], **given)
+        nanogs.write_levels(nanogs.open(tmp_path / "a.ply"), tmp_path / "m", [0.01], **options)
 
 
 def test_levels_too_large_for_formats_that_are_written_whole_are_refused(tmp_path):
@@ -292,10 +292,10 @@ def test_very_small_and_full_ratios_give_the_requested_counts(scene, tmp_path, l
 def test_coarse_splats_may_be_in_blocks_without_splats_of_the_finest_level(tmp_path):
     """With seed 9, one of the two coarse splats is in a block with none of the three finer ones."""
     nanogs.save(random_splats(1200, degree=0, seed=9), tmp_path / "a.ply")
-    given = {"ratios": (0.0021, 0.0012)}
-    packed, _ = write(tmp_path / "a.ply", tmp_path / "p", Layout.TILES, plain=False, **given)
+    options = {"ratios": (0.0021, 0.0012)}
+    packed, _ = write(tmp_path / "a.ply", tmp_path / "p", Layout.TILES, plain=False, **options)
     assert [level.count for level in packed.levels] == [3, 2]
-    write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, **given)
+    write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, **options)
     parts = tile_parts(tmp_path / "t" / "tileset.json")
     assert [sum(map(len, parts[level])) for level in range(2)] == [3, 2]
 

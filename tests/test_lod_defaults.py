@@ -27,10 +27,10 @@ def test_a_model_without_splats_has_no_levels():
 def test_the_finest_level_has_the_splats_of_the_input(tmp_path, max_memory):
     model = random_splats(3000, degree=1)
     nanogs.save(model, tmp_path / "a.ply")
-    given = {"preset": "fast", "max_memory": max_memory}
+    options = {"preset": "fast", "max_memory": max_memory}
     if max_memory:
-        given["block"] = 1000
-    made, _ = nanogs.write_levels(tmp_path / "a.ply", tmp_path / "levels", **given)
+        options["block"] = 1000
+    made, _ = nanogs.write_levels(tmp_path / "a.ply", tmp_path / "levels", **options)
     assert [level.count for level in made.levels] == [3000, 1500, 750, 375]
     finest = nanogs.load(tmp_path / "levels" / "level_0.ply")
     order, rows = (np.lexsort(each.means.T) for each in (finest, model))

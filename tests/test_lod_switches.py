@@ -113,8 +113,8 @@ def test_a_visible_switch_is_noted(splats, psnr, ssim, visible):
 
 @pytest.mark.parametrize("name", ["a/lod-meta.json", "a/tileset.json", "a.ssog", "a.rad"])
 def test_each_level_reports_its_quality_at_the_switch(scene, tmp_path, name):
-    given = ["--preset", "fast", "--levels", "1,0.2,0.04", "--measure"]
-    result = run("lod", scene, tmp_path / name, *given, "--json")
+    options = ["--preset", "fast", "--levels", "1,0.2,0.04", "--measure"]
+    result = run("lod", scene, tmp_path / name, *options, "--json")
     assert result.returncode == 0, result.stderr
     report = json.loads(result.stdout)
     first, *others = (level["switch"] for level in report["levels"])
@@ -130,8 +130,8 @@ def test_each_level_reports_its_quality_at_the_switch(scene, tmp_path, name):
 
 
 def test_the_command_shows_the_switches(scene, tmp_path):
-    given = ["--preset", "fast", "--levels", "1,0.2", "--measure"]
-    result = run("lod", scene, tmp_path / "a/lod-meta.json", *given)
+    options = ["--preset", "fast", "--levels", "1,0.2", "--measure"]
+    result = run("lod", scene, tmp_path / "a/lod-meta.json", *options)
     assert "from" in result.stderr
     assert "there" in result.stderr
     assert " dB / 0." in result.stderr

@@ -195,12 +195,12 @@ def test_the_playcanvas_engine_chooses_the_same_levels(seed, share):
     pose = look_at(position, rng.normal(0, 1, 3), np.array([0.0, -1, 0]))
     camera = Camera(90, 60, 70, 70, 45, 30, pose)
     budget = None if share is None else int(share * counts[:, 0].sum())
-    given = {
+    engine_input = {
         "boxes": boxes.tolist(), "counts": counts.tolist(), "budget": budget, "aspect": 1.5,
         "fov": math.degrees(2 * math.atan(30 / 70)), "position": position.tolist(),
         "forward": pose[2, :3].tolist(),
     }  # fmt: skip
-    theirs = json.loads(node(ENGINE, folder, json.dumps(given)))
+    theirs = json.loads(node(ENGINE, folder, json.dumps(engine_input)))
     ours = chosen_levels(chunk_distances(boxes, camera), counts, budget)
     assert ours.tolist() == theirs
     assert len(set(theirs)) > 2
@@ -307,8 +307,8 @@ def test_seams_are_pixels_to_which_two_levels_contribute():
 @pytest.mark.parametrize("name", ["seal.splat", "guitar.compressed.ply"])
 def test_seams_of_real_scenes_are_no_worse_than_the_coarser_level(tmp_path, name):
     path = scene_path(name)
-    given = {"layout": "streamed sog", "chunk": 8192, "preset": "fast"}
-    made, _ = nanogs.write_levels(path, tmp_path / "web", [0.5, 0.25, 0.125], **given)
+    options = {"layout": "streamed sog", "chunk": 8192, "preset": "fast"}
+    made, _ = nanogs.write_levels(path, tmp_path / "web", [0.5, 0.25, 0.125], **options)
     found = nanogs.compare_mixed(
         path, tmp_path / "web" / "lod-meta.json", budget=made.levels[0].count * 2 // 3,
         cameras=["auto", "roam"], views=4, pixels=256,
@@ -329,8 +329,19 @@ def test_the_seam_loss_is_a_ratio_of_errors_in_decibels():
 
 
 def test_the_command_reports_the_levels_of_each_view(scene, stream):
-    given = ["compare", scene, stream, "--mixed", "--budget", "500", "--views", 3, "--pixels", 64]
-    result = run(*given, "--json")
+    arguments = [
+        "compare",
+        scene,
+        stream,
+        "--mixed",
+        "--budget",
+        "500",
+        "--views",
+        3,
+        "--pixels",
+        64,
+    ]
+    result = run(*arguments, "--json")
     assert result.returncode == 0, result.stderr
     report = json.loads(result.stdout)
     [score] = report["scores"]
@@ -343,7 +354,7 @@ def test_the_command_reports_the_levels_of_each_view(scene, stream):
     assert score["seams"] > 0
     errors = [sum(v[name] for v in score["views"]) for name in ("seam_error", "seam_coarse_error")]
     assert score["seam_loss"] == pytest.approx(loss_of(*errors))
-    shown = run(*given)
+    shown = run(*arguments)
     assert shown.returncode == 0, shown.stderr
     assert f"{score['psnr']:.2f}" in shown.stdout + shown.stderr
     assert "at seams" in shown.stdout

@@ -83,9 +83,9 @@ def test_wrong_counts_are_refused(text):
 
 
 def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path):
-    for number, asked in enumerate((("-r", "10%"), ("--count", "0.2k"))):
+    for number, target in enumerate((("-r", "10%"), ("--count", "0.2k"))):
         small = tmp_path / f"{number}.ply"
-        result = run("simplify", scene, small, *asked, "--preset", "fast", "--max-memory", "4G")
+        result = run("simplify", scene, small, *target, "--preset", "fast", "--max-memory", "4G")
         assert result.returncode == 0, result.stderr
         assert len(nanogs.load(small)) == 200
 

@@ -143,8 +143,8 @@ def test_a_larger_palette_may_need_finer_bits():
 
         def seen(self, packing, count):
             found = super().seen(packing, count)
-            lost = 0.8 * abs(dict(packing.bits).get("bits", 7) - self.best[2])
-            return replace(found, psnr=found.psnr + (lost if packing.share >= 8 else 3))
+            psnr_loss = 0.8 * abs(dict(packing.bits).get("bits", 7) - self.best[2])
+            return replace(found, psnr=found.psnr + (psnr_loss if packing.share >= 8 else 3))
 
     model = Hiding(0, 1.5, 7)
     choices = Choices([1], palettes=True, bits=BITS)
@@ -194,10 +194,12 @@ def test_a_result_is_packed_with_the_options_that_were_measured(edge):
         """From a certain count on, centres take one byte more."""
 
         def seen(self, packing, count):
-            spare = packing.options(count).get("spare_bits", 6 if count < edge else 4)
+            spare_bits = packing.options(count).get("spare_bits", 6 if count < edge else 4)
             found = super().seen(packing, count)
-            options = {**found.options, "spare_bits": spare}
-            return replace(found, bytes=found.bytes + (6 - spare) * count // 2, options=options)
+            options = {**found.options, "spare_bits": spare_bits}
+            return replace(
+                found, bytes=found.bytes + (6 - spare_bits) * count // 2, options=options
+            )
 
     model = Leaping(0, 8.0, 6)
     choices = Choices([0], palettes=False, bits=BITS)
@@ -382,9 +384,9 @@ def test_written_files_have_the_reported_size(splats, tmp_path, suffix):
 
 
 def test_a_size_is_judged_by_roaming_views_too_and_a_psnr_is_not(splats):
-    given = {"width": 128, "height": 128, "split": "fit"}
-    automatic = automatic_cameras(splats, 8, **given)
-    roaming = roaming_cameras(decimated(splats), 16, **given | {"width": 64, "height": 64})
+    view_options = {"width": 128, "height": 128, "split": "fit"}
+    automatic = automatic_cameras(splats, 8, **view_options)
+    roaming = roaming_cameras(decimated(splats), 16, **view_options | {"width": 64, "height": 64})
     assert len(roaming) == 16
     for by_psnr, expected in ((False, [automatic, roaming]), (True, [automatic])):
         files = HeldFiles(Path("a.sog"), {}, splats, StageClock(), by_psnr=by_psnr)

@@ -22,8 +22,8 @@ from nanogs.threads import use_threads
 
 
 @kernel
-def closest_compiled(factors, columns, squares, tiles, least, second, places):
-    closest(factors, columns, squares, tiles, least, second, places)
+def closest_compiled(factors, columns, squares, tiles, least, second, entries):
+    closest(factors, columns, squares, tiles, least, second, entries)
 
 
 @pytest.mark.parametrize("find", [closest, closest_compiled])
@@ -34,10 +34,10 @@ def test_the_two_smallest_sums_of_each_lane_are_found(find):
     squares = rng.normal(size=5 * LANES).astype(np.float32)
     for tiles in (1, 2, 5):
         least, second = np.empty((2, TOGETHER, LANES), np.float32)
-        places = np.zeros((TOGETHER, LANES), np.int32)
-        find(factors, columns, squares, tiles, least, second, places)
+        entries = np.zeros((TOGETHER, LANES), np.int32)
+        find(factors, columns, squares, tiles, least, second, entries)
         sums = (squares + factors.astype(float) @ columns).reshape(TOGETHER, 5, LANES)[:, :tiles]
-        assert np.array_equal(places, sums.argmin(axis=1))
+        assert np.array_equal(entries, sums.argmin(axis=1))
         sums.sort(axis=1)
         assert least == pytest.approx(sums[:, 0], abs=1e-5)
         assert second == pytest.approx(sums[:, 1] if tiles > 1 else np.inf, abs=1e-5)

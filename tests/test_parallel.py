@@ -177,10 +177,10 @@ def test_after_a_failure_no_part_begins_or_goes_on(fails):
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
 def test_an_interrupt_does_not_wait_for_parts_that_have_not_begun():
-    begun = []
+    begun_parts = []
 
     def work(part):
-        begun.append(part)
+        begun_parts.append(part)
         if threading.current_thread() is threading.main_thread():
             raise KeyboardInterrupt
         time.sleep(0.05)
@@ -188,7 +188,7 @@ def test_an_interrupt_does_not_wait_for_parts_that_have_not_begun():
     started = time.perf_counter()
     with use_threads(2), pytest.raises(KeyboardInterrupt):
         for_each(range(200), work)
-    assert len(begun) < 100
+    assert len(begun_parts) < 100
     assert time.perf_counter() - started < 4
 
 
@@ -229,7 +229,7 @@ def test_a_signal_does_not_wait_for_parts_that_have_not_begun():
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
 def test_an_interrupt_during_submission_leaves_no_thread_working(monkeypatch):
     pool = parallel._pool()
-    begun = []
+    started = []
 
     class Interrupted:
         def submit(self, *args):
@@ -239,9 +239,9 @@ def test_an_interrupt_during_submission_leaves_no_thread_working(monkeypatch):
 
     monkeypatch.setattr(parallel, "_pool", Interrupted)
     with use_threads(2), pytest.raises(KeyboardInterrupt):
-        for_each(range(20), begun.append)
+        for_each(range(20), started.append)
     time.sleep(0.1)
-    assert begun == []
+    assert started == []
 
 
 def test_nested_work_stays_on_its_thread():

@@ -112,8 +112,8 @@ def test_simplify_reports_the_stages_of_its_preset(preset, ratio):
         return
     assert stages >= build.get(preset, {"frame", "views", "look", "grow"})
     if ratio < 1:
-        tried = {"trial", "pick", "settle", "judge", "choose", "part", "fit"}
-        last = {"default": tried, "best": tried, "fast": {"settle", "part"}}
+        search_stages = {"trial", "pick", "settle", "judge", "choose", "part", "fit"}
+        last = {"default": search_stages, "best": search_stages, "fast": {"settle", "part"}}
         assert stages >= last.get(preset, {"store"})
 
 
@@ -156,8 +156,8 @@ def test_a_size_that_leaves_the_sh_degree_open_is_packed_first(small_pictures):
 def test_a_size_that_determines_the_count_has_the_stages_of_a_count(tmp_path):
     reported = []
     nanogs.save(random_splats(300), tmp_path / "a.ply")
-    given = {"preset": "fast", "progress": reported.append}
-    nanogs.simplify_blocks(tmp_path / "a.ply", tmp_path / "b.splat", size=3200, **given)
+    options = {"preset": "fast", "progress": reported.append}
+    nanogs.simplify_blocks(tmp_path / "a.ply", tmp_path / "b.splat", size=3200, **options)
     assert_consistent(reported)
     numbers = {step.stage: step.number for step in reported}
     assert len(set(numbers.values())) == len(numbers) == reported[0].stages

@@ -52,11 +52,11 @@ def test_simplify_lod_compare_and_view_report_the_same_scores(scene, tmp_path):
     assert protocol == report["protocol"] == numbers[0]["protocol"] == numbers[2]["protocol"]
     assert protocol == json.loads(json.dumps(asdict(Protocol())))
     assert Protocol().text == WORDS
-    asked = f"{compared['psnr'] - 0.1:.2f}"
-    reached = report_of("simplify", scene, small, "--psnr", asked, "-w", *fast)["judged"]
+    requested = f"{compared['psnr'] - 0.1:.2f}"
+    reached = report_of("simplify", scene, small, "--psnr", requested, "-w", *fast)["judged"]
     [compared] = report_of("compare", scene, small)["models"]
     assert reached["psnr"] == pytest.approx(compared["psnr"], abs=0.01)
-    assert float(asked) <= compared["psnr"] <= float(asked) + 0.3
+    assert float(requested) <= compared["psnr"] <= float(requested) + 0.3
 
 
 def test_reported_scores_are_those_of_the_written_file(scene, tmp_path):
@@ -80,8 +80,8 @@ def test_reported_scores_are_those_of_the_written_file(scene, tmp_path):
 def test_presets_without_rendering_measure_only_if_asked(scene, tmp_path):
     fast = ("-r", "0.1", "--preset", "fast", "-w")
     assert report_of("simplify", scene, tmp_path / "a.ply", *fast)["judged"] is None
-    asked = run("simplify", scene, tmp_path / "a.ply", *fast, "--measure", "-v")
-    assert f"dB on {WORDS}" in asked.stderr
+    measured = run("simplify", scene, tmp_path / "a.ply", *fast, "--measure", "-v")
+    assert f"dB on {WORDS}" in measured.stderr
     quick = report_of(
         "simplify", scene, tmp_path / "a.ply", "-r", "0.1", "-w", "--no-measure", *FEW
     )
@@ -128,8 +128,8 @@ def test_it_is_noted_why_an_unreadable_file_is_not_measured(tmp_path):
 
 def test_levels_in_a_format_that_is_only_written_are_not_measured(scene, tmp_path):
     require_bundle()
-    given = ("--format", "html", "--levels", "0.1", "--measure", *FEW)
-    made = report_of("lod", scene, tmp_path / "a", *given)
+    options = ("--format", "html", "--levels", "0.1", "--measure", *FEW)
+    made = report_of("lod", scene, tmp_path / "a", *options)
     assert made["notes"] == ["Nothing was measured: nanogs does not read .html files."]
     assert made["protocol"] is None
 

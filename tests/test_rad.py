@@ -44,13 +44,13 @@ def covariances(model):
 
 
 def test_float_columns_are_read(tmp_path):
-    columns, given = typical_columns(7)
+    columns, expected = typical_columns(7)
     model = read(tmp_path, rad([chunk(columns, 7)], 7))
-    np.testing.assert_array_equal(model.means, given["center"])
-    np.testing.assert_allclose(model.opacities(), given["alpha"][:, 0], rtol=1e-5)
-    np.testing.assert_allclose(model.sh[:, 0] * C0 + 0.5, given["rgb"], atol=1e-6)
-    np.testing.assert_allclose(model.scales(), given["scales"], rtol=1e-5)
-    np.testing.assert_allclose(model.quats[:, 1:], given["orientation"])
+    np.testing.assert_array_equal(model.means, expected["center"])
+    np.testing.assert_allclose(model.opacities(), expected["alpha"][:, 0], rtol=1e-5)
+    np.testing.assert_allclose(model.sh[:, 0] * C0 + 0.5, expected["rgb"], atol=1e-6)
+    np.testing.assert_allclose(model.scales(), expected["scales"], rtol=1e-5)
+    np.testing.assert_allclose(model.quats[:, 1:], expected["orientation"])
     np.testing.assert_allclose(np.linalg.norm(model.quats, axis=1), 1, rtol=1e-6)
 
 
@@ -67,9 +67,9 @@ def test_floats_split_into_byte_planes_are_read(tmp_path, kind):
 def test_bytes_scaled_to_a_range_are_read(tmp_path):
     steps = np.array([[0, 128, 255], [255, 1, 2]], np.uint8)
     delta = np.array([[0, 128, 255], [255, 129, 3]], np.uint8)  # differences of successive rows
-    given = {"min": -0.5, "max": 2.0}
-    plain = column("rgb", "r8", by_component(steps, "u1"), **given)
-    packed = column("rgb", "r8_delta", by_component(delta, "u1"), **given)
+    value_range = {"min": -0.5, "max": 2.0}
+    plain = column("rgb", "r8", by_component(steps, "u1"), **value_range)
+    packed = column("rgb", "r8_delta", by_component(delta, "u1"), **value_range)
     expected = steps / 255 * 2.5 - 0.5
     for one in (plain, packed):
         model = read(tmp_path, rad([chunk(replaced(2, one), 2)], 2))
@@ -126,25 +126,25 @@ def test_palettes_of_harmonics_are_read(tmp_path):
 
 def test_uncompressed_columns_and_gaps_between_chunks_are_read(tmp_path):
     first, _ = typical_columns(3, seed=1)
-    second, given = typical_columns(2, seed=2)
+    second, expected = typical_columns(2, seed=2)
     plain = [(entry | {"compression": None}, data) for entry, data in second]
     parts = [chunk(first, 3), b"\0" * 16, chunk(plain, 2, base=3)]
     sizes = [len(part) for part in parts]
     entries = [{"offset": 0, "bytes": sizes[0]},
               {"offset": sizes[0] + 16, "bytes": sizes[2]}]  # fmt: skip
     model = read(tmp_path, rad(parts, 5, chunks=entries))
-    np.testing.assert_array_equal(model.means[3:], given["center"])
+    np.testing.assert_array_equal(model.means[3:], expected["center"])
 
 
 def test_chunks_in_separate_files_are_read(tmp_path):
-    parts, given, leaves = small_tree()
+    parts, expected, leaves = small_tree()
     names = []
     for number, part in enumerate(parts):
         names.append(f"a-{number}.radc")
         (tmp_path / names[-1]).write_bytes(part)
     entries = [{"offset": 0, "bytes": 1, "filename": name} for name in names]
     model = read(tmp_path, rad([], 8, chunks=entries, lodTree=True))
-    np.testing.assert_array_equal(model.means, given["center"][leaves])
+    np.testing.assert_array_equal(model.means, expected["center"][leaves])
     assert [path.name for path in io.open(tmp_path / "a.rad").files] == ["a.rad", *names]
     (tmp_path / names[1]).unlink()
     with pytest.raises(FormatError, match=r"a-1\.radc: no such file"):
@@ -157,9 +157,9 @@ def test_chunks_in_separate_files_are_read(tmp_path):
 
 
 def test_a_tree_is_read_as_its_leaves(tmp_path):
-    parts, given, leaves = small_tree()
+    parts, expected, leaves = small_tree()
     model = read(tmp_path, rad(parts, 8, lodTree=True))
-    np.testing.assert_array_equal(model.means, given["center"][leaves])
+    np.testing.assert_array_equal(model.means, expected["center"][leaves])
     info = io.inspect(tmp_path / "a.rad")
     assert (info.splats, info.format, info.encoding) == (5, "rad", "deflate")
     source = io.open(tmp_path / "a.rad")
@@ -246,10 +246,10 @@ def test_info_and_losses_are_reported(tmp_path):
     info = json.loads(run("info", tmp_path / "a.rad", "--json").stdout)
     assert (info["splats"], info["sh_degree"], info["render_mode"]) == (9, 3, "mip")
     assert info["comments"] == ["made by hand", "SplatRenderMode: mip"]
-    lost = " ".join(io.losses(model, "a.rad"))
-    assert "label" in lost
-    assert "degree 3" in lost
-    assert "double" not in lost
+    losses = " ".join(io.losses(model, "a.rad"))
+    assert "label" in losses
+    assert "degree 3" in losses
+    assert "double" not in losses
 
 
 def test_nan_positions_are_refused(tmp_path):

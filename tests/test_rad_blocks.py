@@ -44,8 +44,8 @@ def scene(model, tmp_path_factory):
 
 
 def write(scene, out, ratios=RATIOS, **options):
-    given = {"layout": TREE, "preset": "fast", "block": 700, "threads": 1}
-    return write_levels(scene, out, ratios, **(given | options))
+    settings = {"layout": TREE, "preset": "fast", "block": 700, "threads": 1}
+    return write_levels(scene, out, ratios, **(settings | options))
 
 
 @pytest.fixture(scope="module")
@@ -153,8 +153,8 @@ def test_frame_and_sh_degree_apply_and_extra_columns_are_noted(tmp_path):
     label = {"label": np.arange(900, dtype=np.int32)}
     splats = random_splats(900, degree=2, extras=label)
     io.save(splats, tmp_path / "a.ply")
-    given = {"ratios": (1, 0.3), "block": 300, "frame": ("rdf", "rub"), "sh_degree": 1}
-    manifest, _ = write(tmp_path / "a.ply", tmp_path / "a.rad", **given)
+    options = {"ratios": (1, 0.3), "block": 300, "frame": ("rdf", "rub"), "sh_degree": 1}
+    manifest, _ = write(tmp_path / "a.ply", tmp_path / "a.rad", **options)
     assert any("label" in note for note in manifest.notes)
     found = io.load(tmp_path / "a.rad")
     assert found.sh_degree == 1
@@ -228,12 +228,20 @@ def test_twenty_million_splats_are_planned_within_two_gigabytes():
 
 def test_the_command_makes_trees_in_blocks(tmp_path):
     io.save(random_splats(100_000, degree=0), tmp_path / "a.ply")
-    given = ["lod", tmp_path / "a.ply", tmp_path / "a.rad", "--levels", "1,0.1", "--preset", "fast"]
-    given += ["--max-memory", "250MB"]
-    planned = json.loads(run(*given, "--dry-run", "--json").stdout)
+    arguments = [
+        "lod",
+        tmp_path / "a.ply",
+        tmp_path / "a.rad",
+        "--levels",
+        "1,0.1",
+        "--preset",
+        "fast",
+    ]
+    arguments += ["--max-memory", "250MB"]
+    planned = json.loads(run(*arguments, "--dry-run", "--json").stdout)
     assert planned["blocks"]["blocks"] > 1
     assert planned["blocks"]["memory"] <= 250_000_000
-    result = run(*given, "--json", "--threads", "1")
+    result = run(*arguments, "--json", "--threads", "1")
     assert result.returncode == 0, result.stderr
     report = json.loads(result.stdout)
     assert [level["count"] for level in report["levels"]] == [100_000, 10_000]

@@ -175,9 +175,9 @@ def test_trees_made_in_blocks_look_like_the_model(tmp_path):
 
 def test_a_job_interrupted_while_writing_can_be_resumed(model, tmp_path, monkeypatch):
     io.save(model, tmp_path / "a.ply")
-    given = {"layout": "spark tree", "preset": "fast", "block": 900}
-    nanogs.write_levels(tmp_path / "a.ply", tmp_path / "a.rad", RATIOS, **given)
-    given |= {"job": tmp_path / "job", "resume": True}
+    options = {"layout": "spark tree", "preset": "fast", "block": 900}
+    nanogs.write_levels(tmp_path / "a.ply", tmp_path / "a.rad", RATIOS, **options)
+    options |= {"job": tmp_path / "job", "resume": True}
 
     def interrupt(*_args, **_options):
         raise KeyboardInterrupt
@@ -185,9 +185,9 @@ def test_a_job_interrupted_while_writing_can_be_resumed(model, tmp_path, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr("nanogs.lod.tree_file.write", interrupt)
         with pytest.raises(KeyboardInterrupt):
-            nanogs.write_levels(tmp_path / "a.ply", tmp_path / "b.rad", RATIOS, **given)
+            nanogs.write_levels(tmp_path / "a.ply", tmp_path / "b.rad", RATIOS, **options)
     assert not (tmp_path / "b.rad").exists()
-    nanogs.write_levels(tmp_path / "a.ply", tmp_path / "b.rad", RATIOS, **given)
+    nanogs.write_levels(tmp_path / "a.ply", tmp_path / "b.rad", RATIOS, **options)
     assert (tmp_path / "a.rad").read_bytes() == (tmp_path / "b.rad").read_bytes()
 
 

@@ -28,17 +28,17 @@ def files(tmp_path_factory):
 
 def test_command_fits_and_reports(files, tmp_path):
     out = tmp_path / "out.ply"
-    given = [files / "original.ply", files / "small.ply", out]
+    arguments = [files / "original.ply", files / "small.ply", out]
     quick = ["--views", "4", "--pixels", "128", "--rounds", "2"]
-    result = run("refit", *given, *quick, "--json")
+    result = run("refit", *arguments, *quick, "--json")
     assert (result.returncode, result.stderr) == (0, "")
     report = json.loads(result.stdout)
     assert report["improved"]
     assert len(report["fit_views"]) == 4
     assert [group["pixels"] for group in report["groups"]] == ["128"]
     assert len(nanogs.load(out)) == report["count"]
-    assert_refused(run("refit", *given, *quick), "out.ply", "exists")
-    result = run("refit", *given, *quick, "-w", "-v", "--cameras", "orbit")
+    assert_refused(run("refit", *arguments, *quick), "out.ply", "exists")
+    result = run("refit", *arguments, *quick, "-w", "-v", "--cameras", "orbit")
     assert (result.returncode, result.stdout) == (0, "")
     assert "held out for validation" in result.stderr
     assert "128 px" in result.stderr, "what each group of views gained"
@@ -49,8 +49,8 @@ def test_given_cameras_set_the_size_of_the_views(files, tmp_path):
     poses = [np.linalg.inv(each.world_to_camera) * [1, -1, -1, 1] for each in cameras]
     frames = [{"file_path": str(k), "transform_matrix": p.tolist()} for k, p in enumerate(poses)]
     views = write_json(tmp_path / "views.json", transforms(frames, w=64, h=48))
-    given = [files / "original.ply", files / "small.ply", tmp_path / "out.ply", "--rounds", "1"]
-    result = run("refit", *given, "--cameras", views)
+    arguments = [files / "original.ply", files / "small.ply", tmp_path / "out.ply", "--rounds", "1"]
+    result = run("refit", *arguments, "--cameras", views)
     assert "2 views held out for validation, of 64 pixels" in result.stderr
 
 

@@ -108,10 +108,10 @@ def _converted(tmp_path, source, suffix):
 def test_simplify_gives_the_result_of_the_rightly_tagged_file(tmp_path, models, blocks):
     right, wrong = models
     one, two = tmp_path / "one.ply", tmp_path / "two.ply"
-    given = ["--preset", "fast", "--ratio", "0.3", "--measure"]
-    given += ["--job", tmp_path / "job"] * blocks
-    wanted = run_json("simplify", right, one, *given)
-    found = run_json("simplify", wrong, two, *given, "--render-mode", "default")
+    options = ["--preset", "fast", "--ratio", "0.3", "--measure"]
+    options += ["--job", tmp_path / "job"] * blocks
+    wanted = run_json("simplify", right, one, *options)
+    found = run_json("simplify", wrong, two, *options, "--render-mode", "default")
     assert bool(found["blocks"]) == blocks
     assert two.read_bytes() == one.read_bytes()
     assert found["judged"] == wanted["judged"]
@@ -121,45 +121,45 @@ def test_simplify_gives_the_result_of_the_rightly_tagged_file(tmp_path, models, 
 
 def test_a_job_is_not_continued_under_another_render_mode(tmp_path, models):
     right, _ = models
-    given = {"preset": "fast", "ratio": 0.3, "block": 300, "threads": 1}
+    options = {"preset": "fast", "ratio": 0.3, "block": 300, "threads": 1}
 
     def crash(step):
         if step.fraction > 0.3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        nanogs.simplify_blocks(right, tmp_path / "a.ply", progress=crash, **given)
+        nanogs.simplify_blocks(right, tmp_path / "a.ply", progress=crash, **options)
     with pytest.raises(nanogs.errors.OutputError, match="render_mode"):
-        nanogs.simplify_blocks(right, tmp_path / "a.ply", resume=True, render_mode="mip", **given)
+        nanogs.simplify_blocks(right, tmp_path / "a.ply", resume=True, render_mode="mip", **options)
 
 
 def test_files_with_different_tags_are_joined_only_in_a_requested_mode(tmp_path, models):
-    out, given = tmp_path / "a.ply", ["--join", "--preset", "fast", "-r", "0.5"]
-    refused = run("simplify", *models, out, *given)
+    out, options = tmp_path / "a.ply", ["--join", "--preset", "fast", "-r", "0.5"]
+    refused = run("simplify", *models, out, *options)
     assert refused.returncode == 2
     assert "--render-mode" in refused.stderr
     for more in ([], ["--job", tmp_path / "job"]):
-        run_json("simplify", *models, out, *given, *more, "--render-mode", "mip", "-w")
+        run_json("simplify", *models, out, *options, *more, "--render-mode", "mip", "-w")
         assert nanogs.load(out).render_mode is MIP
 
 
 def test_lod_gives_the_levels_of_the_rightly_tagged_file(tmp_path, models):
     right, wrong = models
-    given = ["--levels", "0.5,0.2", "--preset", "fast"]
-    run_json("lod", right, tmp_path / "one", *given)
-    run_json("lod", wrong, tmp_path / "two", *given, "--render-mode", "default")
+    options = ["--levels", "0.5,0.2", "--preset", "fast"]
+    run_json("lod", right, tmp_path / "one", *options)
+    run_json("lod", wrong, tmp_path / "two", *options, "--render-mode", "default")
     for level in ("level_0.ply", "level_1.ply"):
         assert (tmp_path / "two" / level).read_bytes() == (tmp_path / "one" / level).read_bytes()
 
 
 def test_render_gives_the_image_of_the_rightly_tagged_file(tmp_path, models):
     right, wrong = models
-    for name, given in {
+    for name, options in {
         "right": [right],
         "wrong": [wrong],
         "asked": [wrong, "--render-mode", "default"],
     }.items():
-        source, *more = given
+        source, *more = options
         report = run_json("render", source, tmp_path / f"{name}.png", "--pixels", "64", *more)
         assert has_override_note(report["notes"]) == (name == "asked")
     pictures = {path.stem: path.read_bytes() for path in tmp_path.glob("*.png")}
@@ -177,12 +177,12 @@ def test_streamed_renders_use_the_requested_render_mode(models):
 
 def test_compare_draws_all_models_in_the_requested_mode(models):
     right, wrong = models
-    given = ["--views", "2", "--sizes", "64"]
-    tagged = run_json("compare", right, wrong, *given)
-    asked = run_json("compare", right, wrong, *given, "--render-mode", "default")
+    options = ["--views", "2", "--sizes", "64"]
+    tagged = run_json("compare", right, wrong, *options)
+    overridden = run_json("compare", right, wrong, *options, "--render-mode", "default")
     assert tagged["models"][0]["psnr"] < 60
-    assert asked["models"][0]["psnr"] == "inf"
-    assert [note for note in asked["notes"] if note.startswith("wrong.ply: The render mode")]
+    assert overridden["models"][0]["psnr"] == "inf"
+    assert [note for note in overridden["notes"] if note.startswith("wrong.ply: The render mode")]
 
 
 def test_refit_and_view_use_the_requested_render_mode(tmp_path, models, small_views):
@@ -253,9 +253,9 @@ def test_info_says_where_the_tag_is(tmp_path, models, suffix, location):
         path = tmp_path / f"a{suffix}"
         nanogs.save(nanogs.load(models[1]), path)
     assert run_json("info", path)["render_tag"] == location
-    asked = run("info", path, "--render-mode", "default")
-    assert "default, by the request" in asked.stdout
-    assert "as requested" in asked.stderr
+    overridden = run("info", path, "--render-mode", "default")
+    assert "default, by the request" in overridden.stdout
+    assert "as requested" in overridden.stderr
     assert "no tag" in run("info", models[0]).stdout
 
 
@@ -297,12 +297,12 @@ def test_bench_uses_the_requested_render_mode(models, tmp_path):
         found = run_json("bench", f"--scene=s={model}", *options, *more)["rows"]
         return [(row["method"], row["splats"], row["psnr"], row["ssim"]) for row in found]
 
-    asked = rows(wrong, "--render-mode", "default")
-    assert [row[0] for row in asked] == ["original", "random", "other", "plain"]
-    assert asked[2][1:] == asked[3][1:]
-    assert asked == rows(right, "--render-mode", "default")
+    overridden = rows(wrong, "--render-mode", "default")
+    assert [row[0] for row in overridden] == ["original", "random", "other", "plain"]
+    assert overridden[2][1:] == overridden[3][1:]
+    assert overridden == rows(right, "--render-mode", "default")
     as_tagged = rows(wrong)
-    assert asked[1][2] != as_tagged[1][2]
+    assert overridden[1][2] != as_tagged[1][2]
     assert as_tagged[2][2] != as_tagged[3][2]
     printed = run("bench", f"--scene=s={wrong}", *options, "--render-mode", "default")
     assert "All models are drawn as default, whatever their files say." in printed.stdout

@@ -150,16 +150,16 @@ def test_a_parent_folder_is_removed_only_if_the_job_created_it(tmp_path, kind):
     if kind:
         pytest.importorskip("fsspec")
     parent = tmp_path / "around"
-    for there in (False, True):
-        if there:
+    for exists_before in (False, True):
+        if exists_before:
             parent.mkdir()
         open_scratch(f"{kind}{parent}/nanogs-1").prepare()
         again = open_scratch(f"{kind}{parent}/nanogs-1")  # as a resumed run does
         again.prepare()
         write_table(again, "t", {"n": np.arange(7)}, {})
         again.remove()
-        assert [*tmp_path.iterdir()] == [parent] * there
-        assert not there or not [*parent.iterdir()]
+        assert [*tmp_path.iterdir()] == [parent] * exists_before
+        assert not exists_before or not [*parent.iterdir()]
 
 
 def test_a_record_with_an_object_dtype_is_treated_as_damaged(tmp_path, monkeypatch):
@@ -588,8 +588,8 @@ def test_units_survive_json_exactly():
     from nanogs.pipeline.tasks.units import units_of
 
     anchors = ((0.1, 0.2, 0.3, 1 / 7), (1e-300, 2.0, 3.0, 0.0))
-    places = ((1 / 3, -1e-300, 7.0), (0.1, 0.2, 0.3))
-    for viewers, spacing in ((places, 1 / 7), ((), 0.0)):  # with a user's cameras, and without
+    positions = ((1 / 3, -1e-300, 7.0), (0.1, 0.2, 0.3))
+    for viewers, spacing in ((positions, 1 / 7), ((), 0.0)):  # with a user's cameras, and without
         units = Units(
             (0.1, 1 / 3, 1e-300), anchors, 0.2, viewers, spacing, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9
         )

@@ -54,10 +54,10 @@ def options_for(parts):
 
 
 def test_filters_give_the_result_of_a_file_filtered_before(parts, scene, tmp_path):
-    given = options_for(parts) | {"ratio": 0.3}
+    options = options_for(parts) | {"ratio": 0.3}
     one, two = tmp_path / "one.ply", tmp_path / "two.ply"
-    wanted = nanogs.simplify_blocks(scene, one, **given)
-    report = nanogs.simplify_blocks(parts, two, filters=KEPT, **given)
+    wanted = nanogs.simplify_blocks(scene, one, **options)
+    report = nanogs.simplify_blocks(parts, two, filters=KEPT, **options)
     assert model_bytes(nanogs.load(two)) == model_bytes(nanogs.load(one))
     assert report.input_count == wanted.input_count == len(nanogs.load(scene))
     assert report.achieved_count == wanted.achieved_count
@@ -68,19 +68,19 @@ def test_filters_give_the_result_of_a_file_filtered_before(parts, scene, tmp_pat
 
 
 def test_frame_changes_results_as_change_frame_does(parts, tmp_path):
-    given = options_for(parts) | {"ratio": 0.3}
-    nanogs.simplify_blocks(parts, tmp_path / "one.ply", **given)
-    nanogs.simplify_blocks(parts, tmp_path / "two.ply", frame=FRAME, **given)
+    options = options_for(parts) | {"ratio": 0.3}
+    nanogs.simplify_blocks(parts, tmp_path / "one.ply", **options)
+    nanogs.simplify_blocks(parts, tmp_path / "two.ply", frame=FRAME, **options)
     turned = change_frame(nanogs.load(tmp_path / "one.ply"), *FRAME)
     assert model_bytes(nanogs.load(tmp_path / "two.ply")) == model_bytes(turned)
 
 
 def test_sh_degree_gives_the_result_of_a_file_cut_before(parts, scene, tmp_path):
-    given = options_for(parts) | {"count": 200}
+    options = options_for(parts) | {"count": 200}
     cut = tmp_path / "cut.ply"
     nanogs.save(nanogs.load(scene).with_sh_degree(1), cut)
-    nanogs.simplify_blocks(cut, tmp_path / "one.ply", **given)
-    report = nanogs.simplify_blocks(scene, tmp_path / "two.ply", sh_degree=1, **given)
+    nanogs.simplify_blocks(cut, tmp_path / "one.ply", **options)
+    report = nanogs.simplify_blocks(scene, tmp_path / "two.ply", sh_degree=1, **options)
     assert (tmp_path / "two.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
     assert any("above degree 1 were dropped" in note for note in report.notes)
 
@@ -88,12 +88,12 @@ def test_sh_degree_gives_the_result_of_a_file_cut_before(parts, scene, tmp_path)
 @pytest.mark.parametrize("layout", [Layout.FILES, Layout.TILES])
 def test_levels_are_made_of_filtered_splats_and_in_the_new_frame(parts, scene, tmp_path, layout):
     ratios = (0.5, 0.1)
-    given = {"preset": "fast", "max_memory": None, "block": options_for(parts)["block"]}
-    given |= {"layout": layout, "threads": 1} | (
+    options = {"preset": "fast", "max_memory": None, "block": options_for(parts)["block"]}
+    options |= {"layout": layout, "threads": 1} | (
         {"plain": True, "chunk": 100} if layout is Layout.TILES else {}
     )
-    write_levels(scene, tmp_path / "one", ratios, **given)
-    write_levels(parts, tmp_path / "two", ratios, filters=KEPT, frame=FRAME, **given)
+    write_levels(scene, tmp_path / "one", ratios, **options)
+    write_levels(parts, tmp_path / "two", ratios, filters=KEPT, frame=FRAME, **options)
     for level in range(2):
         one, two = (read_level(tmp_path / name, layout, level) for name in ("one", "two"))
         assert set(map(bytes, two.means)) == set(map(bytes, change_frame(one, *FRAME).means))
@@ -107,38 +107,38 @@ def read_level(folder, layout, level):
 
 def test_a_job_is_not_resumed_with_another_filter_or_frame(parts, tmp_path):
     out = tmp_path / "a.ply"
-    given = options_for(parts) | {"ratio": 0.3, "resume": True}
+    options = options_for(parts) | {"ratio": 0.3, "resume": True}
 
     def crash(step):
         if step.stage == "grow":
             raise RuntimeError
 
     with pytest.raises(RuntimeError):
-        nanogs.simplify_blocks(parts, out, filters=KEPT, frame=FRAME, progress=crash, **given)
+        nanogs.simplify_blocks(parts, out, filters=KEPT, frame=FRAME, progress=crash, **options)
     changed = (KEPT[0], filters.opaque_enough(0.200001))
     with pytest.raises(OutputError, match=r"differs: the filters\)"):
-        nanogs.simplify_blocks(parts, out, filters=changed, frame=FRAME, **given)
+        nanogs.simplify_blocks(parts, out, filters=changed, frame=FRAME, **options)
     with pytest.raises(OutputError, match=r"differs: `frame`\)"):
-        nanogs.simplify_blocks(parts, out, filters=KEPT, **given)
-    report = nanogs.simplify_blocks(parts, out, filters=KEPT, frame=FRAME, **given)
+        nanogs.simplify_blocks(parts, out, filters=KEPT, **options)
+    report = nanogs.simplify_blocks(parts, out, filters=KEPT, frame=FRAME, **options)
     assert report.blocks.resumed > 0
     fresh = tmp_path / "b.ply"
-    nanogs.simplify_blocks(parts, fresh, filters=KEPT, frame=FRAME, **given)
+    nanogs.simplify_blocks(parts, fresh, filters=KEPT, frame=FRAME, **options)
     assert fresh.read_bytes() == out.read_bytes()
 
 
 def test_impossible_options_are_refused_before_work_begins(parts, tmp_path):
-    given = options_for(parts) | {"ratio": 0.3}
+    options = options_for(parts) | {"ratio": 0.3}
     out = tmp_path / "a.ply"
-    for changes, error, said in (
+    for changes, error, message in (
         ({"filters": [filters.in_company()]}, OptionError, "drop-floaters needs the whole"),
         ({"filters": [Filter("own", "", lambda m: m.means[:, 0] > 0)]}, OptionError, "of nanogs.f"),
         ({"filters": [filters.sphere((99, 0, 0), 1)]}, ModelError, "leaves none of 1,400 splats"),
         ({"frame": ("rdf", "up")}, OptionError, "A frame says"),
         ({"sh_degree": 7}, OptionError, "from 0 to 4, not 7"),
     ):
-        with pytest.raises(error, match=said):
-            nanogs.simplify_blocks(parts, out, **changes, **given)
+        with pytest.raises(error, match=message):
+            nanogs.simplify_blocks(parts, out, **changes, **options)
     assert not list(tmp_path.iterdir())
 
 
@@ -148,13 +148,13 @@ def test_the_command_gives_the_same_result_as_the_library(tmp_path):
         nanogs.save(random_splats(30_000, degree=3, seed=number), tmp_path / f"{number}.ply")
     parts = [tmp_path / "0.ply", tmp_path / "1.ply"]
     # fmt: off
-    given = ["simplify", *parts, tmp_path / "a.ply", "--join", "--ratio", "0.1", "--preset", "fast",
+    words = ["simplify", *parts, tmp_path / "a.ply", "--join", "--ratio", "0.1", "--preset", "fast",
              "--crop", "box:-1,-1,-0.7,1,1,0.7", "--min-opacity", "0.2", "--sh-degree", "2",
              "--frame", "rdf:fru", "--max-memory", "231MB", "--json"]
     # fmt: on
     kept = filters.apply(Joined([nanogs.open(part) for part in parts]).load(), KEPT)
-    planned = json.loads(run(*given, "--dry-run").stdout)
-    report = json.loads(run(*given).stdout)
+    planned = json.loads(run(*words, "--dry-run").stdout)
+    report = json.loads(run(*words).stdout)
     assert report["blocks"]["blocks"] > 1, "the memory should be too little for the whole"
     assert planned["blocks"]["splats"] == report["input_count"] == len(kept[0])
     assert report["read_count"] == 60_000

@@ -213,13 +213,13 @@ def test_failures_of_tasks_become_clear_errors():
         (FormatError("It is damaged."), FormatError, "^It is damaged.$"),
         (ZeroDivisionError("a defect"), ZeroDivisionError, "a defect"),
     ]
-    for error, kind, said in cases:
+    for error, kind, message in cases:
         future = Future()
         if error:
             future.set_exception(error)
         else:
             future.cancel()
-        with pytest.raises(kind, match=said):
+        with pytest.raises(kind, match=message):
             check(future, Task("grow", 2))
 
 
@@ -304,19 +304,21 @@ def s3_store(store, monkeypatch):
 def test_a_killed_run_in_a_store_can_be_resumed_and_leaves_no_objects(
     scene, tmp_path, expected, s3_store
 ):
-    out, given = tmp_path / "small.ply", ["--scratch", "s3://bucket/prefix", "-q"]
-    child = start_command(scene, out, *given)
+    out, options = tmp_path / "small.ply", ["--scratch", "s3://bucket/prefix", "-q"]
+    child = start_command(scene, out, *options)
     wait_until(lambda: sum(key.endswith(".npy") for key in keys(s3_store)) >= 3, child, every=0.05)
     child.kill()
     child.communicate()
     damaged = next(key for key in keys(s3_store) if key.endswith(".npy"))
     owner = import_module("boto3").client("s3")
     owner.put_object(Bucket="bucket", Key=damaged, Body=b"damaged")
-    lost = f"{damaged.rpartition('/')[0]}/part-0-00000.0.npy"  # unfinished, as a kill leaves it
-    owner.create_multipart_upload(Bucket="bucket", Key=lost)
+    unfinished = (
+        f"{damaged.rpartition('/')[0]}/part-0-00000.0.npy"  # unfinished, as a kill leaves it
+    )
+    owner.create_multipart_upload(Bucket="bucket", Key=unfinished)
     owner.close()
-    assert lost in keys(s3_store)
-    assert stderr_at_end(start_command(scene, out, *given, "--resume")) == ""
+    assert unfinished in keys(s3_store)
+    assert stderr_at_end(start_command(scene, out, *options, "--resume")) == ""
     assert out.read_bytes() == expected
     assert keys(s3_store) == ["prefix/mine.json"]
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
@@ -325,8 +327,8 @@ def test_a_killed_run_in_a_store_can_be_resumed_and_leaves_no_objects(
 @pytest.mark.slow
 def test_workers_can_use_a_store(scene, tmp_path, expected, s3_store):
     out = tmp_path / "small.ply"
-    given = ["--scratch", "s3://bucket", "--workers", "1", "-q"]
-    assert stderr_at_end(start_command(scene, out, *given)) == ""
+    options = ["--scratch", "s3://bucket", "--workers", "1", "-q"]
+    assert stderr_at_end(start_command(scene, out, *options)) == ""
     assert out.read_bytes() == expected
     assert keys(s3_store) == ["prefix/mine.json"]
 
@@ -341,11 +343,11 @@ def test_a_store_that_cannot_be_written_is_refused_at_once(scene, tmp_path, s3_s
 
 @pytest.mark.filterwarnings("ignore")
 def test_simplify_blocks_can_use_a_store(tmp_path, s3_store):
-    source, given = tmp_path / "in.ply", {"ratio": 0.5, "preset": "fast", "block": 700}
+    source, options = tmp_path / "in.ply", {"ratio": 0.5, "preset": "fast", "block": 700}
     nanogs.save(random_splats(1200), source)
-    nanogs.simplify_blocks(source, tmp_path / "a.ply", threads=1, **given)
+    nanogs.simplify_blocks(source, tmp_path / "a.ply", threads=1, **options)
     nanogs.simplify_blocks(
-        source, tmp_path / "b.ply", threads=1, scratch="s3://bucket/prefix", **given
+        source, tmp_path / "b.ply", threads=1, scratch="s3://bucket/prefix", **options
     )
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     assert keys(s3_store) == ["prefix/mine.json"]
@@ -383,8 +385,8 @@ def test_other_files_in_the_scratch_folder_are_kept(tmp_path):
     nanogs.save(random_splats(1200), source)
     own.parent.mkdir()
     own.write_text("{}")
-    given = {"ratio": 0.5, "preset": "fast", "block": 700, "threads": 1}
-    nanogs.simplify_blocks(source, tmp_path / "a.ply", scratch=str(own.parent), **given)
+    options = {"ratio": 0.5, "preset": "fast", "block": 700, "threads": 1}
+    nanogs.simplify_blocks(source, tmp_path / "a.ply", scratch=str(own.parent), **options)
     assert list(own.parent.iterdir()) == [own]
 
 
@@ -436,8 +438,8 @@ def test_a_relative_scratch_is_found_from_another_folder(scene, tmp_path, expect
     out = tmp_path / "small.ply"
     with pytest.raises(CrashError):
         nanogs.simplify_blocks(scene, out, scratch="shared", progress=crash_at("grow", 1), **GIVEN)
-    place = json.loads((tmp_path / "small.ply.job" / "job.json").read_text())["scratch"]
-    assert place.startswith(str(tmp_path / "here" / "shared" / "nanogs-"))
+    scratch = json.loads((tmp_path / "small.ply.job" / "job.json").read_text())["scratch"]
+    assert scratch.startswith(str(tmp_path / "here" / "shared" / "nanogs-"))
     monkeypatch.chdir(tmp_path)
     nanogs.simplify_blocks(scene, out, scratch="here/shared", resume=True, **GIVEN)
     assert out.read_bytes() == expected

@@ -72,11 +72,11 @@ def test_max_memory_changes_nothing_for_a_model_that_fits(scene, tmp_path):
 
 def test_a_model_that_does_not_fit_is_simplified_in_blocks(scene, tmp_path, memory):
     out, quick = tmp_path / "small.ply", ["--preset", "fast"]
-    given = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, *quick]
-    planned = json.loads(run(*given, "--dry-run", "--json")[0])["blocks"]
+    arguments = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, *quick]
+    planned = json.loads(run(*arguments, "--dry-run", "--json")[0])["blocks"]
     assert planned["blocks"] > 1
     assert planned["memory"] <= int(memory[:-1])
-    report = json.loads(run(*given, "--json", "--threads", "1")[0])
+    report = json.loads(run(*arguments, "--json", "--threads", "1")[0])
     assert report["achieved_count"] == COUNT // 10 == len(nanogs.load(out))
     assert report["blocks"]["blocks"] > 1
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
@@ -84,8 +84,8 @@ def test_a_model_that_does_not_fit_is_simplified_in_blocks(scene, tmp_path, memo
 
 @pytest.mark.slow
 def test_lod_makes_levels_of_a_model_that_does_not_fit(scene, tmp_path, memory):
-    given = ["lod", scene, tmp_path / "levels", "--levels", "0.2,0.01", "--preset", "fast"]
-    run(*given, "--max-memory", memory, "-q", "--threads", "1")
+    arguments = ["lod", scene, tmp_path / "levels", "--levels", "0.2,0.01", "--preset", "fast"]
+    run(*arguments, "--max-memory", memory, "-q", "--threads", "1")
     manifest = json.loads((tmp_path / "levels" / "levels.json").read_text())
     assert [level["count"] for level in manifest["levels"]] == [COUNT // 5, COUNT // 100]
     for level in manifest["levels"]:
@@ -105,8 +105,8 @@ def test_lod_makes_levels_of_a_model_that_does_not_fit(scene, tmp_path, memory):
 def test_options_that_are_impossible_in_blocks_are_refused(
     scene, tmp_path, memory, options, message
 ):
-    given = [] if "--max-memory" in options else ["--max-memory", "215MB"]
-    _, text = run("simplify", scene, tmp_path / "a.ply", *given, *options, code=2)
+    limit = [] if "--max-memory" in options else ["--max-memory", "215MB"]
+    _, text = run("simplify", scene, tmp_path / "a.ply", *limit, *options, code=2)
     assert message in " ".join(text.split())
     assert [path.name for path in tmp_path.iterdir()] == []
 
@@ -144,8 +144,8 @@ def test_a_scheduler_that_does_not_answer_is_an_error(scene, tmp_path, monkeypat
     """In this process, so that the timeout can be set to a short time."""
     pytest.importorskip("distributed")
     monkeypatch.setattr("nanogs.pipeline.job.cluster._PATIENCE", 0.4)
-    given = ["--ratio", "0.1", "--max-memory", "215MB", "--scheduler", "tcp://127.0.0.1:9"]
-    assert launch.run_here("simplify", scene, tmp_path / "a.ply", *given) == 2
+    options = ["--ratio", "0.1", "--max-memory", "215MB", "--scheduler", "tcp://127.0.0.1:9"]
+    assert launch.run_here("simplify", scene, tmp_path / "a.ply", *options) == 2
     printed = capsys.readouterr().err
     assert "error: No Dask scheduler answers at 'tcp://127.0.0.1:9'" in " ".join(printed.split())
     assert [path.name for path in tmp_path.iterdir()] == []
@@ -154,15 +154,17 @@ def test_a_scheduler_that_does_not_answer_is_an_error(scene, tmp_path, monkeypat
 @pytest.mark.slow
 def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path, memory):
     out = tmp_path / "small.ply"
-    given = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, "--resume", "-q"]
-    given += ["--preset", "fast", "--rounds", "2"]
+    arguments = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, "--resume", "-q"]
+    arguments += ["--preset", "fast", "--rounds", "2"]
     start = time.perf_counter()
-    subprocess.run(nanogs_command(*given), check=True)  # in the same way as those that are killed
+    subprocess.run(
+        nanogs_command(*arguments), check=True
+    )  # in the same way as those that are killed
     whole, wanted = time.perf_counter() - start, out.read_bytes()
     out.unlink()
     rng, kills, jobs = random.Random(5), 0, 0
     for _ in range(20):
-        child = subprocess.Popen([*nanogs_command(*given), "-w"])
+        child = subprocess.Popen([*nanogs_command(*arguments), "-w"])
         try:
             assert child.wait(rng.uniform(0.3, 0.9) * whole) == 0
             assert out.read_bytes() == wanted
@@ -175,7 +177,7 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
             break
     assert kills == 3
     assert jobs > 0, "no killed run left anything to resume"
-    run(*given, "-w")
+    run(*arguments, "-w")
     assert out.read_bytes() == wanted
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
@@ -197,8 +199,8 @@ def client():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_workers_give_the_same_bytes_even_if_one_is_lost(scene, tmp_path, client):
-    here, there = tmp_path / "here.ply", tmp_path / "there.ply"
-    nanogs.simplify_blocks(scene, here, ratio=0.1, **BLOCK)
+    local, remote = tmp_path / "here.ply", tmp_path / "there.ply"
+    nanogs.simplify_blocks(scene, local, ratio=0.1, **BLOCK)
     workers = set(client.run(os.getpid).values())
     steps = []
 
@@ -207,9 +209,9 @@ def test_workers_give_the_same_bytes_even_if_one_is_lost(scene, tmp_path, client
         if (step.stage, step.done) == ("grow", 1):
             os.kill(workers.pop(), signal.SIGKILL)
 
-    nanogs.simplify_blocks(scene, there, ratio=0.1, executor=client, progress=progress, **BLOCK)
+    nanogs.simplify_blocks(scene, remote, ratio=0.1, executor=client, progress=progress, **BLOCK)
     assert len(workers) == 1
-    assert there.read_bytes() == here.read_bytes()
+    assert remote.read_bytes() == local.read_bytes()
     assert {("segment", 3, 3), ("part", 4, 4)} <= set(steps)
 
 
@@ -219,17 +221,17 @@ def test_workers_unpack_files(tmp_path, client):
     path, plain = tmp_path / "a.spz", tmp_path / "plain.ply"
     nanogs.save(random_splats(COUNT, degree=0), path)
     nanogs.save(nanogs.load(path), plain)
-    here, there, steps = tmp_path / "here.ply", tmp_path / "there.ply", []
-    nanogs.simplify_blocks(plain, here, ratio=0.1, **BLOCK)
-    nanogs.simplify_blocks(path, there, ratio=0.1, executor=client, progress=steps.append, **BLOCK)
+    local, remote, steps = tmp_path / "here.ply", tmp_path / "there.ply", []
+    nanogs.simplify_blocks(plain, local, ratio=0.1, **BLOCK)
+    nanogs.simplify_blocks(path, remote, ratio=0.1, executor=client, progress=steps.append, **BLOCK)
     assert ("unpack", 1, 1) in [(step.stage, step.done, step.parts) for step in steps]
-    assert there.read_bytes() == here.read_bytes()
+    assert remote.read_bytes() == local.read_bytes()
 
 
 @pytest.mark.slow
 def test_a_job_of_a_process_pool_can_be_resumed_after_a_process_was_lost(scene, tmp_path):
-    here, there = tmp_path / "here.ply", tmp_path / "there.ply"
-    nanogs.simplify_blocks(scene, here, ratio=0.1, **BLOCK)
+    local, remote = tmp_path / "here.ply", tmp_path / "there.ply"
+    nanogs.simplify_blocks(scene, local, ratio=0.1, **BLOCK)
     others = set(active_children())
 
     def progress(step):
@@ -237,14 +239,14 @@ def test_a_job_of_a_process_pool_can_be_resumed_after_a_process_was_lost(scene, 
             (set(active_children()) - others).pop().kill()
 
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        given = {"ratio": 0.1, "executor": pool, **BLOCK}
+        options = {"ratio": 0.1, "executor": pool, **BLOCK}
         with pytest.raises(OutputError, match=r"^1 worker ended in the middle.* `resume=True`"):
-            nanogs.simplify_blocks(scene, there, progress=progress, **given)
+            nanogs.simplify_blocks(scene, remote, progress=progress, **options)
         with pytest.raises(OutputError, match=r"^1 worker ended"):  # the pool stays broken
-            nanogs.simplify_blocks(scene, there, resume=True, **given)
+            nanogs.simplify_blocks(scene, remote, resume=True, **options)
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        report = nanogs.simplify_blocks(scene, there, resume=True, **given | {"executor": pool})
-    assert there.read_bytes() == here.read_bytes()
+        report = nanogs.simplify_blocks(scene, remote, resume=True, **options | {"executor": pool})
+    assert remote.read_bytes() == local.read_bytes()
     assert report.blocks.resumed >= 5
     assert sorted(path.name for path in tmp_path.iterdir()) == ["here.ply", "there.ply"]
 
@@ -292,8 +294,8 @@ def wall(count=9000, seed=3):
 def in_blocks(splats, folder, ratio, rounds):
     """Simplify a model in blocks; return the result, and the block of each original splat."""
     nanogs.save(splats, folder / "in.ply")
-    asked = {"preset": "fast", "overrides": {"rounds": rounds}, "output": folder / "out.ply"}
-    request = Request(goal=Goal(ratio=ratio), inputs=(folder / "in.ply",), **asked)
+    options = {"preset": "fast", "overrides": {"rounds": rounds}, "output": folder / "out.ply"}
+    request = Request(goal=Goal(ratio=ratio), inputs=(folder / "in.ply",), **options)
     settings, _ = plan_job(request, None, 2600)
     scratch, clock = FolderScratch(folder / "scratch"), StageClock()
     scratch.prepare()

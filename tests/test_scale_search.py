@@ -72,11 +72,11 @@ def test_stages_of_a_search_are_reported_and_timed(scene, tmp_path, preset, goal
 
 
 def test_the_psnr_is_measured_in_the_frame_of_the_input(scene, tmp_path):
-    given = {"psnr": 20.0, **QUICK, "filters": [nanogs.filters.box((-9, -9, -9), (0.5, 9, 9))]}
+    options = {"psnr": 20.0, **QUICK, "filters": [nanogs.filters.box((-9, -9, -9), (0.5, 9, 9))]}
     out, frame = tmp_path / "a.spz", ("rdf", "rub")
-    report = nanogs.simplify_blocks(scene, out, frame=frame, **given)
+    report = nanogs.simplify_blocks(scene, out, frame=frame, **options)
     assert report.achieved_count < report.input_count < SPLATS
-    original, _ = nanogs.filters.apply(nanogs.load(scene), given["filters"])
+    original, _ = nanogs.filters.apply(nanogs.load(scene), options["filters"])
     assert report.judged == file_judge(original, ".spz", turn=frame).of(out)
     assert report.judged.psnr > 2 + file_judge(original, ".spz").of(out).psnr
 
@@ -163,11 +163,11 @@ def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, mo
             lambda *given: seen.append(1) or make_and_measure(*given),
         )
         whole = nanogs.simplify_blocks(scene, tmp_path / "a.spz", **goal, **LOOKS)
-    tried = len(seen)
-    assert tried >= 2
+    probe_count = len(seen)
+    assert probe_count >= 2
     assert whole.packings
     out, job = tmp_path / "b.spz", tmp_path / "b.spz.job"
-    for measured in sorted({0, tried // 2, tried - 1}):
+    for measured in sorted({0, probe_count // 2, probe_count - 1}):
         with monkeypatch.context() as patch:
             kill_after(patch, measured)
             with pytest.raises(Killed):
@@ -189,8 +189,8 @@ def test_discarded_results_are_removed_from_a_remote_scratch(scene, tmp_path, mo
     fsspec = pytest.importorskip("fsspec")
     make_and_measure, seen = JobResults.make_and_measure, []
 
-    def counted(results, *given):
-        found = make_and_measure(results, *given)
+    def counted(results, *options):
+        found = make_and_measure(results, *options)
         names = fsspec.filesystem("memory").find("/search")
         seen.append(
             {name.rpartition("/part-")[2].split("-")[0] for name in names if "/part-" in name}
@@ -198,8 +198,8 @@ def test_discarded_results_are_removed_from_a_remote_scratch(scene, tmp_path, mo
         return found
 
     monkeypatch.setattr(JobResults, "make_and_measure", counted)
-    given = {"scratch": "memory://search", **LOOKS}
-    nanogs.simplify_blocks(scene, tmp_path / "a.spz", psnr=26.0, **given)
+    options = {"scratch": "memory://search", **LOOKS}
+    nanogs.simplify_blocks(scene, tmp_path / "a.spz", psnr=26.0, **options)
     assert len(seen) >= 3
     assert all(len(levels) in (1, 2) for levels in seen)
     assert fsspec.filesystem("memory").find("/search") == []
@@ -256,9 +256,9 @@ def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
 
 def test_a_result_too_large_to_be_written_whole_is_refused(scene, tmp_path, monkeypatch):
     monkeypatch.setattr("nanogs.pipeline.search.in_blocks.row_bytes", lambda _: 10**9)
-    given = {"size": 40_000, "preset": "fast", "job": tmp_path / "job", "max_memory": "1GB"}
+    options = {"size": 40_000, "preset": "fast", "job": tmp_path / "job", "max_memory": "1GB"}
     with pytest.raises(OptionError, match=r"a\.sog: \.sog is not written block by block"):
-        nanogs.simplify_blocks(scene, tmp_path / "a.sog", **given)
+        nanogs.simplify_blocks(scene, tmp_path / "a.sog", **options)
     monkeypatch.undo()
-    report = nanogs.simplify_blocks(scene, tmp_path / "a.sog", resume=True, **given)
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.sog", resume=True, **options)
     assert report.blocks.resumed > 0

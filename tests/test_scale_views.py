@@ -42,10 +42,10 @@ BLOCKS = {**WITH_VIEWS, "block": 500, "threads": 1}
 
 @pytest.fixture(scope="module")
 def splats():
-    given = random_splats(COUNT, degree=1, seed=7)
+    model = random_splats(COUNT, degree=1, seed=7)
     label = np.arange(COUNT, dtype=np.int32)
-    larger = given.log_scales + np.float32(0.7)  # so that some splats hide others
-    return dataclasses.replace(given, log_scales=larger, extras={"label": label})
+    larger = model.log_scales + np.float32(0.7)  # so that some splats hide others
+    return dataclasses.replace(model, log_scales=larger, extras={"label": label})
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +104,8 @@ def test_an_interrupted_job_gives_the_same_bytes(
 
 
 def test_one_block_is_chosen_and_fitted_as_in_memory(splats, scene, tmp_path):
-    given = BLOCKS | {"block": 10**6}
-    blocks = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **given)
+    options = BLOCKS | {"block": 10**6}
+    blocks = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **options)
     _, whole = nanogs.simplify(splats, ratio=0.2, **WITH_VIEWS)
     assert blocks.blocks.blocks == 1
     assert blocks.reassign_rounds == whole.reassign_rounds > 0
@@ -127,22 +127,22 @@ def test_the_visible_share_is_nearly_that_of_the_model_in_memory(splats, blocks_
 @pytest.mark.parametrize("block", [500, 10**6])
 def test_an_invisible_scene_gets_the_result_of_the_preset_fast(splats, tmp_path, preset, block):
     invisible = dataclasses.replace(splats, opacity_logits=np.full(COUNT, -12, np.float32))
-    scene, given = tmp_path / "faint.ply", {"ratio": 0.2, "block": block, "threads": 1}
+    scene, options = tmp_path / "faint.ply", {"ratio": 0.2, "block": block, "threads": 1}
     nanogs.save(invisible, scene)
-    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", preset=preset, **given)
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", preset=preset, **options)
     assert [note.partition(":")[0] for note in report.notes] == ["Nothing was measured"]
     assert (report.shown, report.candidates, report.refit) == (None, (), None)
-    given["rounds"] = nanogs.presets[preset].rounds
-    nanogs.simplify_blocks(scene, tmp_path / "b.ply", preset="fast", **given)
+    options["rounds"] = nanogs.presets[preset].rounds
+    nanogs.simplify_blocks(scene, tmp_path / "b.ply", preset="fast", **options)
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
 def test_without_measured_views_no_visibility_weights_are_used(scene, tmp_path, monkeypatch):
     """As in memory; a block without views to fit to gets the result of `steps=0`."""
     monkeypatch.setattr(Work, "fit_views", lambda *_: None)
-    given = BLOCKS | {"preset": "fast", "ratio": 0.2}
-    nanogs.simplify_blocks(scene, tmp_path / "a.ply", **given)
-    nanogs.simplify_blocks(scene, tmp_path / "b.ply", **(given | {"steps": 0}))
+    options = BLOCKS | {"preset": "fast", "ratio": 0.2}
+    nanogs.simplify_blocks(scene, tmp_path / "a.ply", **options)
+    nanogs.simplify_blocks(scene, tmp_path / "b.ply", **(options | {"steps": 0}))
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
@@ -179,8 +179,8 @@ def test_the_scratch_takes_the_planned_disk_space(scene, tmp_path, monkeypatch, 
     out, chosen = tmp_path / "a.ply", BLOCKS | {"block": block} | options
     nanogs.simplify_blocks(scene, out, ratio=0.2, **chosen)
     overrides = {name: chosen[name] for name in ("views", "view_size", "steps")}
-    asked = {"preset": chosen["preset"], "overrides": overrides, "output": out}
-    plan = plan_job(Request(goal=Goal(ratio=0.2), inputs=(scene,), **asked), None, block)[1]
+    request = {"preset": chosen["preset"], "overrides": overrides, "output": out}
+    plan = plan_job(Request(goal=Goal(ratio=0.2), inputs=(scene,), **request), None, block)[1]
     assert plan.scratch == pytest.approx(found[0] + out.stat().st_size, rel=0.1)
 
 
@@ -310,11 +310,11 @@ def test_an_invisible_scene_is_simplified_all_the_same(splats, tmp_path):
 
 def test_blocks_that_are_small_in_every_view_get_nearer_cameras(tmp_path):
     """Nine objects far from each other: views of the whole scene show each in few pixels."""
-    places = [np.array([x, y, 0], np.float32) * 60 for x in range(3) for y in range(3)]
+    centres = [np.array([x, y, 0], np.float32) * 60 for x in range(3) for y in range(3)]
     parts = [random_splats(200, degree=0, seed=n) for n in range(9)]
     parts = [
-        dataclasses.replace(part, means=part.means + place)
-        for part, place in zip(parts, places, strict=True)
+        dataclasses.replace(part, means=part.means + centre)
+        for part, centre in zip(parts, centres, strict=True)
     ]
     nanogs.save(concatenate(parts), tmp_path / "city.ply")
     found = []
@@ -323,12 +323,12 @@ def test_blocks_that_are_small_in_every_view_get_nearer_cameras(tmp_path):
         found.append(work.of_block("look", block).facts)
         return fit_cameras(work, block)
 
-    given = BLOCKS | {"block": 110, "view_size": 256}
+    options = BLOCKS | {"block": 110, "view_size": 256}
     fit_cameras = fitting.looks_at
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fitting, "looks_at", noted)
         report = nanogs.simplify_blocks(
-            tmp_path / "city.ply", tmp_path / "a.ply", ratio=0.2, **given
+            tmp_path / "city.ply", tmp_path / "a.ply", ratio=0.2, **options
         )
     assert len(found) == report.blocks.blocks >= 18
     nearer = [facts["light"] for facts in found if len(facts["light"]) > 6]

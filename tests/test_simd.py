@@ -82,9 +82,11 @@ def test_simd_and_plain_kernels_render_nearly_the_same_images(tmp_path):
         "from nanogs.datasets.synthetic import make_scene\n"
         "np.save(sys.argv[1], nanogs.render(make_scene(2000, seed=3), views=2, pixels=96))\n"
     )
-    for way in "01":
-        python(f"import sys; sys.argv[1:] = [{str(tmp_path / way)!r}]\n{code}", NANOGS_SIMD=way)
-    plain, simd = (np.load(tmp_path / f"{way}.npy") for way in "01")
+    for switch in "01":
+        python(
+            f"import sys; sys.argv[1:] = [{str(tmp_path / switch)!r}]\n{code}", NANOGS_SIMD=switch
+        )
+    plain, simd = (np.load(tmp_path / f"{switch}.npy") for switch in "01")
     assert plain.std() > 0.05
     far = abs(plain - simd) > 1e-5  # where alpha is at the threshold of 1/255
     assert far.mean() < 1e-4
@@ -167,7 +169,7 @@ SPANS = """span_tiles(
 def test_simd_and_plain_kernels_are_cached_separately(tmp_path, call, second):
     """Only kernels that have a SIMD version; the others are cached once."""
     cache, code = {"NUMBA_CACHE_DIR": str(tmp_path)}, LOAD.format(call=call)
-    printed = [python(code, NANOGS_SIMD=way, **cache)[0].strip() for way in "1001"]
+    printed = [python(code, NANOGS_SIMD=switch, **cache)[0].strip() for switch in "1001"]
     assert printed == ["compiled", second, "loaded", "loaded"]
 
 

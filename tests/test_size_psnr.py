@@ -59,9 +59,9 @@ def test_a_page_size_works_if_the_first_splat_is_transparent(splats, tmp_path):
     clear.opacity_logits[0] = -30
     nanogs.save(clear, tmp_path / "scene.ply")
     page = tmp_path / "page.html"
-    asked = (tmp_path / "scene.ply", page, "--size", "10MB", "--preset", "fast", "-q")
-    assert run_here("simplify", *asked, "--dry-run") == 0
-    assert run_here("simplify", *asked) == 0
+    arguments = (tmp_path / "scene.ply", page, "--size", "10MB", "--preset", "fast", "-q")
+    assert run_here("simplify", *arguments, "--dry-run") == 0
+    assert run_here("simplify", *arguments) == 0
     assert page.stat().st_size < 10_000_000
 
 
@@ -145,24 +145,24 @@ def test_a_compressed_file_is_no_larger_than_requested(
     splats, tmp_path, suffix, preset, options, small_views
 ):
     size = {".spz": 6_000, ".sog": 12_000}[suffix]
-    given = {"preset": preset}
+    settings = {"preset": preset}
     small, report = nanogs.simplify(
-        splats, size=size, format=suffix, format_options=options, **given
+        splats, size=size, format=suffix, format_options=options, **settings
     )
     assert ("palette" in options) is ("palette" not in report.format_options)
     options = {**options, **report.format_options}
     nanogs.save(small, tmp_path / f"a{suffix}", format_options=options)
     written = (tmp_path / f"a{suffix}").stat().st_size
     assert report.achieved_size == written <= size
-    tried = [probe.count for probe in report.size_probes]
+    counts = [probe.count for probe in report.size_probes]
     assert len(small) == report.asked_count == report.achieved_count < len(splats)
-    assert len(small) in tried
+    assert len(small) in counts
     too_many = [probe.count for probe in report.size_probes if probe.bytes > size]
     close = too_many and min(too_many) <= max((1 + CLOSE) * len(small), len(small) + 1)
     assert written >= ENOUGH * size or close
     assert bool(report.notes) is (written < ENOUGH * size)
     if preset == "fast":  # others fit the splats that share harmonics
-        by_count, _ = nanogs.simplify(splats, count=len(small), **given)
+        by_count, _ = nanogs.simplify(splats, count=len(small), **settings)
         assert model_bytes(small) == model_bytes(by_count)
 
 
@@ -189,23 +189,23 @@ def test_the_search_for_a_size_never_exceeds_it(seed):
     noise = rng.uniform(0.98, 1, 97)
 
     def bytes_of(count):
-        tried.append(count)
+        counts.append(count)
         leap = leaps * each * (1 << (count.bit_length() - 1))
         return int(100 + (each * count + leap) * noise[count % 97])
 
-    tried = []
+    counts = []
     size = max(bytes_of(1), int(bytes_of(available) * rng.uniform(0.001, 1.1)))
-    tried = []
+    counts = []
     guess = int(available * 10 ** rng.uniform(-3, 1))
     found = search_fit(bytes_of, size, guess, 1, available)
     assert found.bytes <= size
-    assert [probe.count for probe in found.probes] == tried
-    assert all(1 <= count <= available for count in tried)
-    assert len(tried) <= 2 * FIT_PROBES
+    assert [probe.count for probe in found.probes] == counts
+    assert all(1 <= count <= available for count in counts)
+    assert len(counts) <= 2 * FIT_PROBES
     over = [probe.count for probe in found.probes if probe.bytes > size]
     best = found.bytes >= ENOUGH * size or found.count == available
     close = over and min(over) <= max((1 + CLOSE) * found.count, found.count + 1)
-    assert best or close or len(tried) >= FIT_PROBES
+    assert best or close or len(counts) >= FIT_PROBES
     assert bool(found.leap(size, available)) is not best
 
 
@@ -222,13 +222,13 @@ FEW = {"steps": 4, "views": 4, "view_size": 48}  # so few because each probe is 
 
 @pytest.mark.parametrize(("preset", "overrides"), [("fast", {}), ("default", FEW), ("fast", FEW)])
 def test_the_result_reaches_the_psnr_and_equals_that_of_its_count(splats, preset, overrides):
-    asked = 24.0
-    small, report = nanogs.simplify(splats, psnr=asked, preset=preset, **overrides)
+    requested = 24.0
+    small, report = nanogs.simplify(splats, psnr=requested, preset=preset, **overrides)
     assert report.stop is StopReason.TARGET
-    assert asked <= report.judged.psnr <= asked + SPAN
+    assert requested <= report.judged.psnr <= requested + SPAN
     assert len(small) == report.asked_count == report.achieved_count < len(splats)
-    tried = {probe.count: probe.psnr for probe in report.probes if not probe.quick}
-    assert tried[len(small)] == pytest.approx(report.judged.psnr, abs=1e-9)
+    psnrs = {probe.count: probe.psnr for probe in report.probes if not probe.quick}
+    assert psnrs[len(small)] == pytest.approx(report.judged.psnr, abs=1e-9)
     by_count, _ = nanogs.simplify(splats, count=len(small), preset=preset, **overrides)
     assert model_bytes(small) == model_bytes(by_count)
     [seen] = compare_models(
@@ -285,17 +285,17 @@ def test_the_preset_paper_refuses_a_psnr(splats):
 @pytest.mark.parametrize("guess", [1, 10_000, 99_999])
 def test_a_jump_of_the_psnr_is_located_to_a_hundredth(jump, guess):
     """No count is within the span: the one found reaches the PSNR, and 1 % fewer do not."""
-    tried = []
+    counts = []
 
     def psnr_of(count):
-        tried.append(count)
+        counts.append(count)
         return 31.0 if count >= jump else 20.0
 
     found = search_count(psnr_of, 30.0, 1, 100_000, guess)
     assert found.stop is StopReason.STEP
     assert jump <= found.count <= max(jump, 1.01 * jump)
-    assert [probe.count for probe in found.probes] == tried
-    assert len(set(tried)) == len(tried) <= MOST_PROBES + STEPS
+    assert [probe.count for probe in found.probes] == counts
+    assert len(set(counts)) == len(counts) <= MOST_PROBES + STEPS
 
 
 def test_the_search_continues_below_a_jump_of_the_psnr():
@@ -321,10 +321,10 @@ def test_a_search_along_a_curve_ends_within_the_span(seed):
         x = math.log(count / available)
         return 45 + slope * x - bend * x * x / 4 + noise[count % 97]
 
-    asked = psnr_of(available // 200) + 5
-    found = search_count(psnr_of, asked, 1, available, int(available ** rng.uniform(0.2, 1)))
+    requested = psnr_of(available // 200) + 5
+    found = search_count(psnr_of, requested, 1, available, int(available ** rng.uniform(0.2, 1)))
     assert found.stop is StopReason.TARGET
-    assert asked <= psnr_of(found.count) <= asked + SPAN
+    assert requested <= psnr_of(found.count) <= requested + SPAN
     assert len(found.probes) <= 8
 
 

@@ -73,9 +73,9 @@ def test_harmonics_are_dropped_if_nothing_fits_otherwise(tmp_path, suffix, block
     splats = random_splats(24, degree=3)
     source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
     nanogs.save(splats, source)
-    bare = tmp_path / f"bare{suffix}"
-    nanogs.save(splats.take(np.arange(1)).with_sh_degree(0), bare)
-    size = round(1.02 * bare.stat().st_size)
+    without_harmonics = tmp_path / f"bare{suffix}"
+    nanogs.save(splats.take(np.arange(1)).with_sh_degree(0), without_harmonics)
+    size = round(1.02 * without_harmonics.stat().st_size)
     report = nanogs.simplify_blocks(source, out, size=size, block=block, **FEW_VIEWS)
     assert out.stat().st_size == report.achieved_size <= size
     assert any("above degree 0 are left out" in note for note in report.notes)
@@ -208,6 +208,10 @@ def test_a_dry_run_in_blocks_applies_the_sh_degree(tmp_path):
     nanogs.save(random_splats(60, degree=3), source)
     arguments = ("--size", 3000, "--sh-degree", 0, "--job", tmp_path / "job", "--dry-run", "--json")
     plan = json.loads(run("simplify", source, out, *arguments).stdout)
-    bare = nanogs.load(source).with_sh_degree(0)
+    without_harmonics = nanogs.load(source).with_sh_degree(0)
     file_bytes = registry.writable(out).file_bytes
-    assert file_bytes(bare, plan["asked_count"]) <= 3000 < file_bytes(bare, plan["asked_count"] + 1)
+    assert (
+        file_bytes(without_harmonics, plan["asked_count"])
+        <= 3000
+        < file_bytes(without_harmonics, plan["asked_count"] + 1)
+    )

@@ -436,8 +436,8 @@ def test_bits_beyond_the_format_are_refused(tmp_path, bits):
 
 def test_spare_bits_reduce_the_precision_of_centres(tmp_path):
     model, errors, sizes = random_model(), [], []
-    for spare in range(7):
-        again = saved(tmp_path, model, spare_bits=spare)
+    for spare_bits in range(7):
+        again = saved(tmp_path, model, spare_bits=spare_bits)
         sizes.append((tmp_path / "a.sog").stat().st_size)
         shifts = np.abs(np.sort(again.means, axis=0) - np.sort(model.means, axis=0))
         errors.append(np.sqrt(np.square(shifts).mean()))

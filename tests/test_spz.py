@@ -146,15 +146,15 @@ def test_opening_does_not_inflate_the_body_for_the_frame(tmp_path, monkeypatch):
     records = struct.pack("<III", 0xADBE0003, 4, 6)
     rows = [row(mean=(i / 8, i / 3, 0)) for i in range(3000)]
     (tmp_path / "a.spz").write_bytes(encode(rows, 3, flags=2, records=records))
-    read, asked = spz_header.Inflater.read, []
+    read, requested = spz_header.Inflater.read, []
     monkeypatch.setattr(
-        spz_header.Inflater, "read", lambda self, size: asked.append(size) or read(self, size)
+        spz_header.Inflater, "read", lambda self, size: requested.append(size) or read(self, size)
     )
     with io.open(tmp_path / "a.spz") as source:
         assert (source.count, source.columns.sh_degree, source.info.splats) == (3000, 0, 3000)
-        assert sum(asked) == spz_header.LEGACY_HEADER.size
+        assert sum(requested) == spz_header.LEGACY_HEADER.size
         assert source.frame == "rdf"
-        assert sum(asked) > 3000 * 20
+        assert sum(requested) > 3000 * 20
 
 
 @pytest.mark.parametrize("payload", [b"\x11\0\0\0", b"\x04\0", b""])
@@ -167,8 +167,8 @@ def test_an_unknown_frame_is_refused(load, payload):
 def test_a_frame_is_written_in_version_4_only(tmp_path):
     model, path = random_splats(30, degree=1), tmp_path / "a.spz"
     for frame in ("rdf", "lub", "rbu"):
-        given = {"spz_version": 4, "frame": frame}
-        io.save(model, path, overwrite=True, format_options=given)
+        options = {"spz_version": 4, "frame": frame}
+        io.save(model, path, overwrite=True, format_options=options)
         assert stated_frame(path) == frame
         io.save(model, tmp_path / "b.spz", overwrite=True, format_options={"spz_version": 4})
         assert_same(io.load(path), io.load(tmp_path / "b.spz"))
@@ -554,24 +554,24 @@ def test_rows_are_sorted_only_if_values_are_rounded(tmp_path):
 
 
 def test_large_files_are_compressed_in_the_given_order(tmp_path, monkeypatch):
-    model, given = random_splats(500, degree=1), {"format_options": {"bits": 6}}
-    io.save(model, tmp_path / "a.spz", **given)
+    model, options = random_splats(500, degree=1), {"format_options": {"bits": 6}}
+    io.save(model, tmp_path / "a.spz", **options)
     monkeypatch.setattr("nanogs.io.spz.packing.WHOLE", 500 * 28 - 1)
-    io.save(model, tmp_path / "b.spz", **given)
+    io.save(model, tmp_path / "b.spz", **options)
     fraction = spz_write.fraction_bits(model, Precision(6))
     first, second = io.load(tmp_path / "a.spz"), io.load(tmp_path / "b.spz")
     assert_same(first, replace(second.take(order_by_y(model, fraction)), notes=first.notes))
     assert np.abs(second.means - model.means).max() <= 0.5 / 2**fraction
     monkeypatch.setattr("nanogs.io.spz.packing.WHOLE", 500 * 28)
-    io.save(model, tmp_path / "c.spz", **given)
+    io.save(model, tmp_path / "c.spz", **options)
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "c.spz").read_bytes()
 
 
 @pytest.mark.parametrize("version", WRITTEN)
 def test_a_source_gives_the_bytes_of_the_model(tmp_path, version):
     io.save(random_splats(300, degree=2), tmp_path / "a.ply")
-    model, given = io.load(tmp_path / "a.ply"), {"bits": 5, "spz_version": version}
-    io.save(model, tmp_path / "a.spz", format_options=given)
+    model, options = io.load(tmp_path / "a.ply"), {"bits": 5, "spz_version": version}
+    io.save(model, tmp_path / "a.spz", format_options=options)
     with io.open(tmp_path / "a.ply") as source, (tmp_path / "b.spz").open("wb") as file:
         spz_write.write(source, file, bits=5, version=version)
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()

@@ -213,9 +213,9 @@ def test_a_decimated_model_covers_as_much_as_the_model():
         render_whole(thin, cameras)[0].alpha.mean()
         < 0.5 * render_whole(splats, cameras)[0].alpha.mean()
     )
-    bare = decimated(splats)
-    assert bare.sh_degree == 0
-    np.testing.assert_array_equal(bare.log_scales, splats.log_scales)
+    sample = decimated(splats)
+    assert sample.sh_degree == 0
+    np.testing.assert_array_equal(sample.log_scales, splats.log_scales)
 
 
 # ---- compare, held-out views and render in little memory -----------------------------------------
@@ -276,18 +276,18 @@ def test_a_comparison_that_cannot_fit_into_memory_is_refused(pair, monkeypatch):
 
 
 def test_the_command_compares_in_little_memory(pair, tmp_path, little, capsys):
-    given = ["compare", *pair, "--sizes", "48", "--views", "3", "--json"]
-    assert command(*given) == 0
+    arguments = ["compare", *pair, "--sizes", "48", "--views", "3", "--json"]
+    assert command(*arguments) == 0
     expected = json.loads(capsys.readouterr().out)
     assert not little
-    assert command(*given, "--max-memory", f"{LIBRARIES + 1_500_000}") == 0
+    assert command(*arguments, "--max-memory", f"{LIBRARIES + 1_500_000}") == 0
     assert little
     assert json.loads(capsys.readouterr().out) == expected
     page = tmp_path / "page.html"
-    given = ["compare", *pair, "--max-memory", f"{LIBRARIES + 1_300_000}", "--views", "2"]
-    assert command(*given, "--sizes", "48", "--report", page, "--no-interactive", "-q") == 0
+    arguments = ["compare", *pair, "--max-memory", f"{LIBRARIES + 1_300_000}", "--views", "2"]
+    assert command(*arguments, "--sizes", "48", "--report", page, "--no-interactive", "-q") == 0
     assert page.read_text().count("data:image/") == 6
-    interactive = [*given, "--sizes", "48", "--report", tmp_path / "b.html"]
+    interactive = [*arguments, "--sizes", "48", "--report", tmp_path / "b.html"]
     assert command(*interactive) == 2
     assert "or leave the models out of the page (--no-interactive)" in squeezed(capsys)
     assert not (tmp_path / "b.html").exists()
@@ -330,18 +330,18 @@ def test_pictures_are_the_same_in_little_memory(pair, open_model, cameras, littl
 
 
 def test_the_command_renders_in_little_memory(pair, tmp_path, little, capsys):
-    given = ["--views", "2", "--pixels", "100x80", "--depth"]
-    assert command("render", pair[0], tmp_path / "a", *given) == 0
+    arguments = ["--views", "2", "--pixels", "100x80", "--depth"]
+    assert command("render", pair[0], tmp_path / "a", *arguments) == 0
     assert not little
     assert "1 splat with a NaN" in squeezed(capsys)
     most = LIBRARIES + 1_300_000
-    assert command("render", pair[0], tmp_path / "b", *given, "--max-memory", str(most)) == 0
+    assert command("render", pair[0], tmp_path / "b", *arguments, "--max-memory", str(most)) == 0
     assert little
     assert "1 splat with a NaN" in squeezed(capsys)
     files = sorted(path.name for path in (tmp_path / "a").iterdir())
     assert len(files) == 4
     for name in files:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-    assert command("render", pair[0], tmp_path / "c", *given, "--max-memory", "210MB") == 2
+    assert command("render", pair[0], tmp_path / "c", *arguments, "--max-memory", "210MB") == 2
     assert "smaller pictures (--pixels)" in squeezed(capsys)
     assert not (tmp_path / "c").exists()

@@ -89,9 +89,9 @@ def test_splats_that_cannot_be_written_are_counted_over_all_blocks(scene, tmp_pa
     model.means[[130, 131, 800]] = np.nan
     nanogs.save(model, scene, overwrite=True)
     for target in (".splat", ".spz"):
-        for given in (model, Strict(scene)):
+        for source in (model, Strict(scene)):
             with pytest.raises(nanogs.NanogsError, match=r"3 splats hold .* in row 130"):
-                nanogs.save(given, tmp_path / f"b{target}")
+                nanogs.save(source, tmp_path / f"b{target}")
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
 
 

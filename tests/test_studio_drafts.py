@@ -91,14 +91,14 @@ def answers(forest):
 def test_a_newer_request_gets_its_draft_while_an_older_one_is_measured(answers, forest):
     first, second = RecordingJob(1), RecordingJob(2)
     one, two = (choice_of({"wish": {"splats": count}}) for count in (50, 60))
-    asked = threading.Thread(target=answers.ask, args=(one, first))
-    asked.start()
+    thread = threading.Thread(target=answers.ask, args=(one, first))
+    thread.start()
     assert forest.measuring.wait(20)
     answers.sooner(two, second)
     assert second.events == ["draft"]
     assert first.events == ["draft", "made"]
     forest.go_on.set()
-    asked.join(20)
+    thread.join(20)
     assert first.events == ["draft", "made", "point", "measured"]
     answers.ask(two, second)
     assert second.events == ["draft", "made", "point", "measured"]  # and no second draft

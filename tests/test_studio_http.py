@@ -218,7 +218,7 @@ def test_nothing_is_saved_outside_the_folder(studio, path):
 
 
 def test_saving_over_the_scene_or_to_invalid_paths_is_refused(studio):
-    for path, overwrite, said in (
+    for path, overwrite, message in (
         ("scene.ply", True, "scene that is open"),
         ("sub/../scene.ply", True, "out of the folder"),
         ("note.txt", True, "is not the name of a .ply"),
@@ -227,7 +227,7 @@ def test_saving_over_the_scene_or_to_invalid_paths_is_refused(studio):
         body = ASK | {"path": path, "overwrite": overwrite}
         status, _, answer = studio.request("POST", "save", body)
         assert status == 422, path
-        assert said in json.loads(answer)["message"]
+        assert message in json.loads(answer)["message"]
 
 
 def test_the_command_of_a_save_is_available_before_saving(studio):

@@ -134,9 +134,9 @@ def listening_inbox():
 
 
 def seconds_of(act, *arguments):
-    begun = time.monotonic()
+    start = time.monotonic()
     act(*arguments)
-    return time.monotonic() - begun
+    return time.monotonic() - start
 
 
 def test_a_job_waits_until_its_model_was_drawn():

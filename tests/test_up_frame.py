@@ -69,8 +69,8 @@ def test_up_is_found_for_any_rotation_of_the_model(model, up, kind, quat):
 def test_cameras_surround_a_model_without_a_clear_up(shape):
     model = cloud(ball() * shape)
     assert frame_from_model(sample(model), room=True).band == ALL_AROUND
-    places = np.array([c.position for c in automatic_cameras(model, 24, habit=False)])
-    directions = places / np.linalg.norm(places, axis=1, keepdims=True)
+    positions = np.array([c.position for c in automatic_cameras(model, 24, habit=False)])
+    directions = positions / np.linalg.norm(positions, axis=1, keepdims=True)
     aimed = np.random.default_rng(0).normal(size=(200, 3))
     aimed /= np.linalg.norm(aimed, axis=1, keepdims=True)
     nearest = (aimed @ directions.T).max(axis=1)

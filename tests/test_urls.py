@@ -366,12 +366,12 @@ def test_library_functions_take_urls(folder, host, temporary, memory, tmp_path):
     nanogs.convert(folder / "scene.ply", tmp_path / "out.spz")
     assert memory.cat_file("/x/out.spz") == (tmp_path / "out.spz").read_bytes()
     assert str(nanogs.info(url).file.path) == f"{host}/scene.ply"
-    given = {"ratio": 0.1, "preset": "fast"}
-    nanogs.simplify_blocks(url, "memory://x/small.ply", **given)
-    nanogs.simplify_blocks(folder / "scene.ply", tmp_path / "small.ply", **given)
+    options = {"ratio": 0.1, "preset": "fast"}
+    nanogs.simplify_blocks(url, "memory://x/small.ply", **options)
+    nanogs.simplify_blocks(folder / "scene.ply", tmp_path / "small.ply", **options)
     assert memory.cat_file("/x/small.ply") == (tmp_path / "small.ply").read_bytes()
     for source, name in ((url, "a.ply"), (folder / "scene.ply", "b.ply")):
-        report = nanogs.simplify_blocks(source, tmp_path / name, block=150, threads=1, **given)
+        report = nanogs.simplify_blocks(source, tmp_path / name, block=150, threads=1, **options)
         assert report.blocks.blocks > 1
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     with pytest.raises(OptionError, match="is a URL; give the source"):
@@ -379,7 +379,7 @@ def test_library_functions_take_urls(folder, host, temporary, memory, tmp_path):
     compared = nanogs.compare(url, url, views=1, pixels=32)
     assert [model.name for model in compared.models] == ["scene.ply"]
     with pytest.raises(OptionError, match="`resume`"):
-        nanogs.simplify_blocks(url, tmp_path / "b.ply", resume=True, **given)
+        nanogs.simplify_blocks(url, tmp_path / "b.ply", resume=True, **options)
     splats = nanogs.load("memory://x/small.ply")
     with pytest.raises(OutputError, match="exists already; pass overwrite=True"):
         nanogs.save(splats, "memory://x/small.ply")

@@ -96,8 +96,8 @@ def test_the_command_converts_and_fits_a_size(tmp_path):
     assert (report["format"], report["splats"], report["sh_degree"]) == ("usda", 200, 1)
     assert report["output_bytes"] == (tmp_path / "a.usda").stat().st_size
     size = report["output_bytes"] // 3
-    given = ("--preset", "fast", "--size", size, "-q")
-    assert run("simplify", tmp_path / "a.ply", tmp_path / "b.usda", *given).returncode == 0
+    options = ("--preset", "fast", "--size", size, "-q")
+    assert run("simplify", tmp_path / "a.ply", tmp_path / "b.usda", *options).returncode == 0
     assert 0.9 * size < (tmp_path / "b.usda").stat().st_size <= size
 
 

@@ -375,8 +375,8 @@ def test_without_the_viewer_an_error_says_how_to_install_it(files, tmp_path):
     package = tmp_path / "src" / "nanogs"
     source = Path(nanogs.__file__).parent
     shutil.copytree(source, package, ignore=shutil.ignore_patterns("__pycache__", "viewer.js"))
-    bare = {**os.environ, "PYTHONPATH": str(package.parent)}
-    result = run("view", files / "scene.ply", "-o", tmp_path / "page.html", env=bare)
+    environment = {**os.environ, "PYTHONPATH": str(package.parent)}
+    result = run("view", files / "scene.ply", "-o", tmp_path / "page.html", env=environment)
     assert_refused(result, "without the viewer", "pip install", "NANOGS_NO_VIEWER")
     assert not (tmp_path / "page.html").exists()
 

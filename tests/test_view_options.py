@@ -99,10 +99,10 @@ def test_options_without_effect_are_refused(folder, arguments, message):
 
 def test_options_with_an_effect_are_accepted(folder, tmp_path):
     page = ("--up", "0,0,1", "--report", tmp_path / "page.html", "-w")
-    for given in (SMALL, ("--cameras", "cams.json"), ("--cameras", "cams.json", *page)):
-        result = run("compare", "a.ply", "a.ply", *given, "--json", cwd=folder)
+    for options in (SMALL, ("--cameras", "cams.json"), ("--cameras", "cams.json", *page)):
+        result = run("compare", "a.ply", "a.ply", *options, "--json", cwd=folder)
         assert result.returncode == 0, result.stderr
-        size = [32, 32] if given is SMALL else [48, 32]
+        size = [32, 32] if options is SMALL else [48, 32]
         assert json.loads(result.stdout)["protocol"]["pixels"] == size
     fit = ("--cameras", "cams.json", "--views", "1", "--pixels", "16", "--rounds", "1")
     result = run("refit", "a.ply", "a.ply", tmp_path / "b.ply", *fit, cwd=folder)

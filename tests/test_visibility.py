@@ -160,8 +160,8 @@ def test_further_views_differ_from_the_other_views():
     splats = box_with_something_inside()
     for cameras in (None, automatic_cameras(splats, 90, width=64, height=64)):
         for further in (9, PICTURES - 5):
-            given = view_parameters(views=6, view_size=48, further=further)
-            views = scene_with_views(splats, cameras, given)
+            parameters = view_parameters(views=6, view_size=48, further=further)
+            views = scene_with_views(splats, cameras, parameters)
             every = [view for group in views.groups for view in group.targets]
             every += [view for view in views.fitting if view.blocks == ALL_BLOCKS]
             cameras_of = [view.camera for view in every]
@@ -207,8 +207,8 @@ def test_a_single_view_only_validates_and_nothing_is_fitted():
 
 
 def test_the_report_of_the_fit_gives_its_number_of_views():
-    given = {"views": 8, "further": 0, "view_size": 48, "steps": 2}
-    _, report = nanogs.simplify(random_splats(300), ratio=0.5, **given)
+    options = {"views": 8, "further": 0, "view_size": 48, "steps": 2}
+    _, report = nanogs.simplify(random_splats(300), ratio=0.5, **options)
     parameters = report.refit.parameters
     assert parameters["views"] == len(report.refit.fit_views) == 7
     assert parameters["validation"] == len(report.refit.validation_views) == 1
@@ -278,7 +278,7 @@ def test_views_too_small_to_compare_results_are_refused_before_growing(
     path, stages, done = tmp_path / "a.ply", [], run.do
     nanogs.save(random_splats(300), path)
     cameras = automatic_cameras(nanogs.load(path), 3, width=160, height=20)
-    given = {"ratio": 0.5, "cameras": cameras, "view_size": 64, "steps": 1}
+    options = {"ratio": 0.5, "cameras": cameras, "view_size": 64, "steps": 1}
 
     def noted(scene, task):
         stages.append(task.stage)
@@ -286,8 +286,8 @@ def test_views_too_small_to_compare_results_are_refused_before_growing(
 
     def made(name, **more):
         if block is None:
-            return nanogs.simplify(path, **given, **more)[1]
-        return nanogs.simplify_blocks(path, tmp_path / name, block=block, **given, **more)
+            return nanogs.simplify(path, **options, **more)[1]
+        return nanogs.simplify_blocks(path, tmp_path / name, block=block, **options, **more)
 
     monkeypatch.setattr(run, "do", noted)
     words = "'fit_001' has 64 x 8 pixels here, .* views of at least 11 x 11; raise `view_size`"
@@ -320,14 +320,14 @@ def test_unseen_splats_do_not_count_as_hidden_if_views_overlap_little(
     counts = []
     for new in (visibility.NEW, 1.0):  # 1.0: as if no view could leave anything out
         monkeypatch.setattr(visibility, "NEW", new)
-        given = {"ratio": 0.1, "cameras": cameras, "steps": 0, "view_size": 96}
+        options = {"ratio": 0.1, "cameras": cameras, "steps": 0, "view_size": 96}
         if blocks:
             nanogs.simplify_blocks(
-                tmp_path / "in.ply", tmp_path / "out.ply", block=1500, overwrite=True, **given
+                tmp_path / "in.ply", tmp_path / "out.ply", block=1500, overwrite=True, **options
             )
             small = nanogs.load(tmp_path / "out.ply")
         else:
-            small, _ = nanogs.simplify(model, **given)
+            small, _ = nanogs.simplify(model, **options)
         counts.append(np.count_nonzero(small.means[:, 0] > 7.5))
     assert counts[0] > 1.5 * counts[1]
 
