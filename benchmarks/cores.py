@@ -49,8 +49,10 @@ def main() -> None:
         one, two = (middle(taken[preset, threads]) for threads in THREADS)
         show(preset, one, two)
         over = two[WHOLE] / median(query_times)
-        seconds = median(query_times)
-        print(f"\nOne cKDTree query: {seconds:.2f} s; two threads take {over:.2f} times that.")
+        query_seconds = median(query_times)
+        print(
+            f"\nOne cKDTree query: {query_seconds:.2f} s; two threads take {over:.2f} times that."
+        )
 
 
 def arguments() -> argparse.Namespace:
@@ -69,9 +71,9 @@ def run(model: Path, preset: str, threads: int, options: argparse.Namespace) -> 
     """Run the command once; return its seconds by stage, and those outside the stages."""
     command = simplify_command(model, WORK / options.output, preset, options.ratio, threads)
     start = time.perf_counter()
-    done = subprocess.run([*command, "--json"], check=True, stdout=subprocess.PIPE, text=True)
+    result = subprocess.run([*command, "--json"], check=True, stdout=subprocess.PIPE, text=True)
     whole = time.perf_counter() - start
-    report = json.loads(done.stdout)
+    report = json.loads(result.stdout)
     call, stages = report["total_seconds"], report["seconds"]
     return {**stages, "rest": call - sum(stages.values()), "start": whole - call, WHOLE: whole}
 

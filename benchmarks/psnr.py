@@ -56,10 +56,10 @@ def _row(model: Path, target: str, preset: str, out: Path) -> str:
 def _nanogs(*words: object) -> dict[str, Any]:
     """Run a command of nanogs and return its JSON."""
     command = [sys.executable, "-m", "nanogs", *map(str, words), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
-    if done.returncode not in (0, 3):  # 3: the request was not met, and the report says so
-        raise SystemExit(done.stderr)
-    report: dict[str, Any] = json.loads(done.stdout)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
+    if result.returncode not in (0, 3):  # 3: the request was not met, and the report says so
+        raise SystemExit(result.stderr)
+    report: dict[str, Any] = json.loads(result.stdout)
     return report
 
 

@@ -187,7 +187,7 @@ def kill(args: argparse.Namespace) -> None:
         start = time.perf_counter()
         subprocess.run(command, check=True)
         whole = time.perf_counter() - start
-        wanted = digest(out)
+        expected = digest(out)
         rng, kills, results = random.Random(args.seed), 0, 0
         while kills < args.times:
             remove(out)
@@ -203,7 +203,7 @@ def kill(args: argparse.Namespace) -> None:
                         continue  # otherwise the run was done, and only Python had not exited yet
                 break
             results += 1
-            if digest(out) != wanted:
+            if digest(out) != expected:
                 raise SystemExit(f"after {kills} kills the result differs")
             if left := [path.name for path in Path(folder).iterdir() if path != out]:
                 raise SystemExit(f"after {kills} kills {left} were left")

@@ -102,11 +102,11 @@ def run(folder: Path, command: str, mark: str) -> None:
     """Run a command in a subprocess that records its kernels."""
     words = [sys.executable, __file__, "--run", str(folder / f"{mark}.txt"), *command.split()]
     environment = os.environ | {"NUMBA_NUM_THREADS": "1"}
-    done = subprocess.run(
+    result = subprocess.run(
         words, cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
-    if done.returncode:
-        sys.exit(f"nanogs {command}\n{done.stderr}")
+    if result.returncode:
+        sys.exit(f"nanogs {command}\n{result.stderr}")
     print(command, file=sys.stderr, flush=True)
 
 

@@ -70,10 +70,10 @@ def read_early(env=os.environ):
 def _started(words, cwd, env, data, timeout):
     """Start an ordinary process; return its exit code, stdout and stderr."""
     command = [sys.executable, "-m", "nanogs", *words]
-    done = subprocess.run(
+    result = subprocess.run(
         command, input=data, capture_output=True, cwd=cwd, env=env, timeout=timeout
     )
-    return done.returncode, done.stdout, done.stderr
+    return result.returncode, result.stdout, result.stderr
 
 
 def _forked(words, cwd, env, data, timeout):

@@ -306,15 +306,15 @@ def _run_command(request: Request, source: Path, out: Path) -> dict[str, Any]:
     ]
     if request.frame:
         words += ["--frame", ":".join(request.frame)]
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-m", "nanogs", "simplify", source, out, *words, "--json"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if done.returncode == 2:
-        raise NanogsError(done.stderr.strip().removeprefix("Error: ").removeprefix("error: "))
-    if done.returncode not in (0, 3):
-        raise RuntimeError(f"{done.returncode}: {done.stderr.strip()[-300:]}")
-    found: dict[str, Any] = json.loads(done.stdout)
+    if result.returncode == 2:
+        raise NanogsError(result.stderr.strip().removeprefix("Error: ").removeprefix("error: "))
+    if result.returncode not in (0, 3):
+        raise RuntimeError(f"{result.returncode}: {result.stderr.strip()[-300:]}")
+    found: dict[str, Any] = json.loads(result.stdout)
     return found
 
 

@@ -284,8 +284,8 @@ def test_an_invalid_argument_is_refused_in_one_sentence(pair, call, message):
 @pytest.mark.parametrize("several", [np.array, iter, tuple])
 def test_ratios_may_be_an_array_an_iterator_or_a_tuple(pair, files, tmp_path, several):
     ratios = [0.5, 0.1]
-    made = [len(small) for small, _ in nanogs.levels(pair[0], several(ratios), preset="fast")]
-    assert made == [200, 40]
+    levels = [len(small) for small, _ in nanogs.levels(pair[0], several(ratios), preset="fast")]
+    assert levels == [200, 40]
     folder = tmp_path / "levels"
     manifest, _ = nanogs.write_levels(files[0], folder, several(ratios), preset="fast")
     assert [level.ratio for level in manifest.levels] == ratios

@@ -39,11 +39,11 @@ def test_all_benchmarks_show_their_help(tmp_path):
     ]
     assert len(programs) > 20
     code = f"import sys; sys.path.insert(0, {str(FOLDER)!r})\n{RUN}"
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code, *programs],
         cwd=tmp_path, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    failed = {name: text for name, text in json.loads(done.stdout).items() if text}
+    failed = {name: text for name, text in json.loads(result.stdout).items() if text}
     assert not failed, "\n".join(f"{name}: {text}" for name, text in failed.items())
     assert not any(tmp_path.iterdir())
 

@@ -195,13 +195,13 @@ def test_compiled_gradients_agree_with_plain_python(seed):
         rng = np.random.default_rng(seed)
         shapes = np.stack([shape_of(*row) for row in some_splats(rng)])
         values = rng.normal(size=(BATCH, 4)).astype(np.float32)
-        behind, wanted = rng.normal(size=(2, 4, LANES, LANES)).astype(np.float32)
+        behind, expected = rng.normal(size=(2, 4, LANES, LANES)).astype(np.float32)
         trust = rng.uniform(size=(LANES, LANES)).astype(np.float32)
         left = np.ones((LANES, LANES), np.float32)
         partial = np.full((12, gradients.SUMS), 7, np.float32)
         for j in range(10):
             mark = int(mark_compiled(shapes, j, np.zeros(LANES, np.uint32))) & ~(1 << j)
-            gradient(mark, j, shapes, values, left, behind, wanted, trust, partial, j + 1)
+            gradient(mark, j, shapes, values, left, behind, expected, trust, partial, j + 1)
         results.append((left, behind, partial))
     for plain, compiled in zip(*results, strict=True):
         np.testing.assert_allclose(compiled, plain, rtol=1e-3, atol=1e-3)

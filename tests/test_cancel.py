@@ -201,14 +201,14 @@ if __name__ == "__main__":
 def test_a_run_cancelled_while_it_starts_a_process_ends_quietly(tmp_path, starter, number):
     script = tmp_path / "start.py"
     script.write_text(START)
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, script, starter, str(int(number))],
         capture_output=True,
         text=True,
         timeout=60,
     )
-    assert done.returncode == 128 + number
-    assert done.stderr == "cancelled\n"
+    assert result.returncode == 128 + number
+    assert result.stderr == "cancelled\n"
 
 
 HOLD = """

@@ -51,9 +51,9 @@ def test_prefixes_of_older_checkpoints_are_accepted(tmp_path, prefix):
 
 def test_nerfstudio_stores_colours_of_degree_0_as_logits(tmp_path):
     model = random_splats(9, degree=0)
-    back = io.load(write_checkpoint(tmp_path / "a.ckpt", nerfstudio(model)))
+    loaded = io.load(write_checkpoint(tmp_path / "a.ckpt", nerfstudio(model)))
     colours = 1 / (1 + np.exp(-model.sh.astype(np.float64)))
-    assert back.sh == pytest.approx((colours - 0.5) / 0.28209479177387814, abs=1e-6)
+    assert loaded.sh == pytest.approx((colours - 0.5) / 0.28209479177387814, abs=1e-6)
     assert_same(io.load(write_checkpoint(tmp_path / "a.pt", gsplat(model))), model)
 
 
@@ -80,8 +80,8 @@ def test_bfloat16_tensors_are_read(tmp_path):
     content = gsplat(model)
     top = (model.log_scales.view(np.uint32) >> 16).astype(np.uint16)
     content["splats"]["scales"] = top
-    back = io.load(write_checkpoint(tmp_path / "a.pt", content))
-    assert np.array_equal(back.log_scales.view(np.uint32), top.astype(np.uint32) << 16)
+    loaded = io.load(write_checkpoint(tmp_path / "a.pt", content))
+    assert np.array_equal(loaded.log_scales.view(np.uint32), top.astype(np.uint32) << 16)
 
 
 def test_files_of_other_ranks_are_named_in_the_notes(tmp_path):

@@ -24,14 +24,14 @@ pytestmark = [
 SPLATS = 8_000  # of each scene, so few that rendering on a CPU is fast
 LEVELS = (1.0, 0.25)
 WIDTH, HEIGHT = 240, 180
-LEAST = 25.0  # dB between a viewer's picture and our rendering
+MIN_PSNR = 25.0  # dB between a viewer's picture and our rendering
 CHUNKS = ("1_0/meta.json", "0_0/meta.json")
 # An object, an object in another coordinate frame, and one with view-dependent colours.
 SCENES = {"biker": "biker.spz", "plant": "plant.splat", "skull": "skull.sog"}
 
 
 @pytest.fixture(scope="module", params=SCENES)
-def seen(request):
+def model_and_camera(request):
     """A scene with fewer splats, and a camera that looks at it."""
     whole = nanogs.load(scene_path(SCENES[request.param]))
     model, _ = nanogs.simplify(whole, count=SPLATS, preset="fast")
@@ -42,15 +42,15 @@ def assert_same(picture, model, camera):
     """Check that a picture shows the model, and matches less if it is flipped or recoloured."""
     rendered = render(model, camera).shown()
     closeness = psnr(picture, rendered)
-    assert closeness > LEAST
+    assert closeness > MIN_PSNR
     assert (rendered.max(axis=2) > 0.05).mean() > 0.04
     for other in (picture[::-1], picture[:, ::-1], picture[..., ::-1]):
         assert psnr(other, rendered) < closeness - 1
 
 
-def test_supersplat_loads_a_streamed_model_from_coarse_to_fine(seen, tmp_path):
+def test_supersplat_loads_a_streamed_model_from_coarse_to_fine(model_and_camera, tmp_path):
     """It requests the coarsest level first, and ends with the finest."""
-    model, camera = seen
+    model, camera = model_and_camera
     path = tmp_path / "web" / "lod-meta.json"
     nanogs.write_levels(model, path.parent, LEVELS, layout=Layout.SOG, preset="fast")
     start = camera_options(camera)
@@ -59,8 +59,8 @@ def test_supersplat_loads_a_streamed_model_from_coarse_to_fine(seen, tmp_path):
     assert_same(picture, io.load(path, level=0), camera)
 
 
-def test_spark_draws_a_rad_file_with_levels_of_detail(seen, tmp_path):
-    model, camera = seen
+def test_spark_draws_a_rad_file_with_levels_of_detail(model_and_camera, tmp_path):
+    model, camera = model_and_camera
     path = tmp_path / "model.rad"
     nanogs.write_levels(model, path, LEVELS, layout=Layout.TREE, preset="fast")
     picture, state = render_in_spark(path, camera, tmp_path, mesh={"paged": True}, lodRenderScale=0)
@@ -68,9 +68,9 @@ def test_spark_draws_a_rad_file_with_levels_of_detail(seen, tmp_path):
     assert_same(picture, model, camera)
 
 
-def test_spark_draws_a_quantised_spz_file(seen, tmp_path):
+def test_spark_draws_a_quantised_spz_file(model_and_camera, tmp_path):
     """With few bits, the file is of another version of the format and sorted in another order."""
-    model, camera = seen
+    model, camera = model_and_camera
     path = tmp_path / "model.spz"
     nanogs.save(model, path, format_options={"bits": 6})
     picture, state = render_in_spark(path, camera, tmp_path)
@@ -78,8 +78,8 @@ def test_spark_draws_a_quantised_spz_file(seen, tmp_path):
     assert_same(picture, model, camera)
 
 
-def test_cesium_draws_3d_tiles(seen, tmp_path):
-    model, camera = seen
+def test_cesium_draws_3d_tiles(model_and_camera, tmp_path):
+    model, camera = model_and_camera
     path = tmp_path / "tiles" / "tileset.json"
     nanogs.write_levels(model, path.parent, LEVELS, layout=Layout.TILES, preset="fast")
     picture, state = render_in_cesium(path, camera, tmp_path)

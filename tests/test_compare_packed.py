@@ -52,15 +52,15 @@ def test_scores_equal_those_of_files_saved_and_loaded_by_hand(files, tmp_path, t
         assert (own.packed, own.psnr) == (None, pytest.approx(unpacked[0]))
         for suffix, one in zip(FORMATS, packed, strict=True):
             nanogs.save(whole, tmp_path / f"twin{suffix}", overwrite=True)
-            back = nanogs.load(tmp_path / f"twin{suffix}")
-            expected = mean_psnr_ssim(original, back, cameras)
+            loaded = nanogs.load(tmp_path / f"twin{suffix}")
+            expected = mean_psnr_ssim(original, loaded, cameras)
             assert [one.psnr, one.ssim] == pytest.approx(expected)
             assert one.file_bytes == (tmp_path / f"twin{suffix}").stat().st_size
             loss = one.packed
             assert (loss.format, loss.of) == (suffix, path.name)
             assert loss.psnr_cost == pytest.approx(unpacked[0] - expected[0])
             assert loss.ssim_cost == pytest.approx(unpacked[1] - expected[1])
-            assert [loss.psnr, loss.ssim] == pytest.approx(mean_psnr_ssim(whole, back, cameras))
+            assert [loss.psnr, loss.ssim] == pytest.approx(mean_psnr_ssim(whole, loaded, cameras))
 
 
 def test_packed_models_are_scored_at_every_size_of_views(files, temporary):

@@ -111,13 +111,13 @@ def test_the_cost_does_not_depend_on_blocks_or_threads(tmp_path, monkeypatch):
     model = random_splats(700, seed=8)
     model.means[::50] = np.nan
     nanogs.save(model, tmp_path / "a.npz")
-    held = nanogs.draw_cost(nanogs.load(tmp_path / "a.npz"), pixels=96, views=3, threads=1)
+    in_memory = nanogs.draw_cost(nanogs.load(tmp_path / "a.npz"), pixels=96, views=3, threads=1)
     monkeypatch.setattr(covering, "BLOCK_ROWS", 64)
     with nanogs.open(tmp_path / "a.npz") as source:
-        assert nanogs.draw_cost(source, pixels=96, views=3, threads=2) == held
-    assert nanogs.draw_cost(tmp_path / "a.npz", pixels=96, views=3, max_memory="1GB") == held
-    assert held.protocol.views == 3
-    assert held.protocol.split == "test"
+        assert nanogs.draw_cost(source, pixels=96, views=3, threads=2) == in_memory
+    assert nanogs.draw_cost(tmp_path / "a.npz", pixels=96, views=3, max_memory="1GB") == in_memory
+    assert in_memory.protocol.views == 3
+    assert in_memory.protocol.split == "test"
 
 
 def test_larger_splats_cost_more_to_draw():
@@ -188,13 +188,13 @@ def test_compare_reports_the_draw_cost_of_each_model_on_its_views(pair, tmp_path
 
 
 def test_models_that_are_read_in_blocks_have_the_same_draw_cost(pair):
-    held = nanogs.compare(pair[0], pair[1], pixels=64, views=2)
+    in_memory = nanogs.compare(pair[0], pair[1], pixels=64, views=2)
     streamed = compare_on_sets(
         NamedModel(pair[0].name, nanogs.open(pair[0])),
         [NamedModel(pair[1].name, nanogs.open(pair[1]))],
         view_sets(nanogs.load(pair[0]), ["auto"], [(64, 64)], views=2),
         room=LEAST,
     )[0]
-    assert streamed.models[0].cost == held.models[0].cost
-    assert streamed.reference_cost == held.reference_cost
-    assert held.models[0].cost.share_of(held.reference_cost) > 0.25
+    assert streamed.models[0].cost == in_memory.models[0].cost
+    assert streamed.reference_cost == in_memory.reference_cost
+    assert in_memory.models[0].cost.share_of(in_memory.reference_cost) > 0.25

@@ -158,8 +158,8 @@ def test_a_gltf_text_file_holds_the_same_model_as_a_glb(tmp_path, model):
 def test_a_gltf_file_appears_complete_or_not_at_all(tmp_path):
     model = random_splats(500, degree=1)
     io.save(model, tmp_path / "a.ply")
-    done = run("convert", tmp_path / "a.ply", tmp_path / "a.gltf")
-    assert done.returncode == 0, done.stderr
+    completed = run("convert", tmp_path / "a.ply", tmp_path / "a.gltf")
+    assert completed.returncode == 0, completed.stderr
     before = (tmp_path / "a.gltf").read_bytes()
     model.means[7] = np.nan
     io.save(model, tmp_path / "b.ply")

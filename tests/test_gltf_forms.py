@@ -252,8 +252,8 @@ def test_linear_base_colours_are_converted_to_srgb(tmp_path):
     (tmp_path / "a.glb").write_bytes(linear(model))
     loaded = io.load(tmp_path / "a.glb")
     c0 = 0.5 / np.pi**0.5
-    wanted = encode(model.sh[:, 0].astype(np.float64) * c0 + 0.5)
-    assert loaded.sh[:, 0] * c0 + 0.5 == pytest.approx(wanted, abs=1e-6)
+    target = encode(model.sh[:, 0].astype(np.float64) * c0 + 0.5)
+    assert loaded.sh[:, 0] * c0 + 0.5 == pytest.approx(target, abs=1e-6)
     assert any("lin_rec709_display" in note for note in loaded.notes)
 
 

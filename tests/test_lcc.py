@@ -102,19 +102,19 @@ def test_splat_transform_reads_the_same(typical_model, tmp_path, level):
     assert np.array_equal(ours.means, theirs.means)
     assert ours.opacity_logits == pytest.approx(theirs.opacity_logits, abs=1e-6)
     assert np.abs(ours.sh - theirs.sh).max() < 1e-5
-    wanted = covariances(theirs)
-    assert np.allclose(covariances(ours), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
+    expected = covariances(theirs)
+    assert np.allclose(covariances(ours), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 
 
 def test_commands_read_lcc(typical_model, tmp_path):
     shown = run("info", typical_model.parent)
     assert shown.returncode == 0, shown.stderr
     assert "0: 34, 1: 16 splats" in shown.stdout
-    done = run("convert", typical_model, tmp_path / "a.ply", "--level", "1")
-    assert done.returncode == 0, done.stderr
+    result = run("convert", typical_model, tmp_path / "a.ply", "--level", "1")
+    assert result.returncode == 0, result.stderr
     assert len(io.load(tmp_path / "a.ply")) == 16
-    done = run("simplify", typical_model, tmp_path / "b.spz", "-r", "0.5", "--preset", "fast")
-    assert done.returncode == 0, done.stderr
+    result = run("simplify", typical_model, tmp_path / "b.spz", "-r", "0.5", "--preset", "fast")
+    assert result.returncode == 0, result.stderr
     assert len(io.load(tmp_path / "b.spz")) == 17
     refused = run("convert", typical_model, tmp_path / "b.lcc")
     assert refused.returncode == 2

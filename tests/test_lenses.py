@@ -80,10 +80,10 @@ def distorted_photo(model):
     """Return the pattern as seen through that lens; the ray of each pixel is found by iteration."""
     (fx, fy, cx, cy), lens = split_params(model)
     u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
-    wanted = np.stack([(u - cx) / fx, (v - cy) / fy], axis=-1)
-    ray = wanted.copy()
+    expected = np.stack([(u - cx) / fx, (v - cy) / fy], axis=-1)
+    ray = expected.copy()
     for _ in range(30):
-        ray += wanted - np.stack(distorted_points(model, lens, ray[..., 0], ray[..., 1]), axis=-1)
+        ray += expected - np.stack(distorted_points(model, lens, ray[..., 0], ray[..., 1]), axis=-1)
     return pattern(ray[..., 0], ray[..., 1])
 
 

@@ -44,9 +44,9 @@ def names(folder):
 
 @pytest.mark.parametrize("preset", ["default", "fast", "paper"])
 def test_every_level_equals_the_result_of_simplify(splats, preset, small_views):
-    made = list(nanogs.levels(splats, RATIOS, preset=preset))
-    assert [report.asked_ratio for _, report in made] == list(RATIOS)
-    for ratio, (small, report) in zip(RATIOS, made, strict=True):
+    levels = list(nanogs.levels(splats, RATIOS, preset=preset))
+    assert [report.asked_ratio for _, report in levels] == list(RATIOS)
+    for ratio, (small, report) in zip(RATIOS, levels, strict=True):
         alone, expected = nanogs.simplify(splats, ratio=ratio, preset=preset)
         assert model_bytes(small) == model_bytes(alone)
         assert report.asked_count == report.achieved_count == expected.achieved_count
@@ -55,8 +55,8 @@ def test_every_level_equals_the_result_of_simplify(splats, preset, small_views):
 
 @pytest.mark.parametrize("preset", ["default", "fast"])
 def test_levels_are_fitted_at_the_sh_degree_they_keep(splats, preset, small_views):
-    made = list(nanogs.levels(splats, RATIOS, preset=preset, sh_degree=0))
-    for ratio, (small, _) in zip(RATIOS, made, strict=True):
+    levels = list(nanogs.levels(splats, RATIOS, preset=preset, sh_degree=0))
+    for ratio, (small, _) in zip(RATIOS, levels, strict=True):
         alone, _ = nanogs.simplify(splats, ratio=ratio, preset=preset, sh_degree=0)
         assert small.sh_degree == 0
         assert model_bytes(small) == model_bytes(alone)
@@ -91,11 +91,11 @@ def test_one_forest_serves_all_levels(splats, monkeypatch):
 
 def test_only_one_level_is_in_memory_at_a_time(splats):
     """The iterator keeps no array of a level once the next level is requested."""
-    made = nanogs.levels(splats, RATIOS, preset="fast")
-    small, _ = next(made)
+    levels = nanogs.levels(splats, RATIOS, preset="fast")
+    small, _ = next(levels)
     array = weakref.ref(small.sh)
     del small, _
-    next(made)
+    next(levels)
     assert array() is None
 
 
@@ -103,8 +103,8 @@ def test_the_number_of_threads_is_restored_between_levels(splats):
     import numba
 
     before = numba.get_num_threads()
-    made = nanogs.levels(splats, RATIOS, preset="fast", threads=1)
-    next(made)
+    levels = nanogs.levels(splats, RATIOS, preset="fast", threads=1)
+    next(levels)
     assert numba.get_num_threads() == before
 
 
@@ -176,15 +176,15 @@ def test_presets_without_rendering_measure_nothing(splats, tmp_path):
 
 def test_a_level_equal_to_the_model_is_shown_with_infinite_psnr(scene, tmp_path):
     out = tmp_path / "levels"
-    done = run("lod", scene, out, "--levels", "1,0.5", "--preset", "fast", "--measure")
-    assert done.returncode == 0, done.stderr
-    cells = [line.split() for line in done.stderr.splitlines() if line.startswith("level_")]
+    result = run("lod", scene, out, "--levels", "1,0.5", "--preset", "fast", "--measure")
+    assert result.returncode == 0, result.stderr
+    cells = [line.split() for line in result.stderr.splitlines() if line.startswith("level_")]
     assert cells[0][5:7] == ["∞", "1.0000"]
     assert float(cells[1][5]) < 100
     manifest = json.loads((out / "levels.json").read_text())
     assert manifest["levels"][0]["psnr"] is None
-    done = run("lod", scene, tmp_path / "fast", "--levels", "1", "--preset", "fast")
-    assert [line.split()[5:7] for line in done.stderr.splitlines()[1:2]] == [[NONE, NONE]]
+    result = run("lod", scene, tmp_path / "fast", "--levels", "1", "--preset", "fast")
+    assert [line.split()[5:7] for line in result.stderr.splitlines()[1:2]] == [[NONE, NONE]]
 
 
 @pytest.mark.parametrize(
@@ -414,5 +414,5 @@ def test_full_disk_leaves_no_folder(scene, tmp_path):
 
 def test_every_level_has_at_least_one_splat():
     """Every level has at least one splat, however small the ratio."""
-    made = nanogs.levels(random_splats(3), [0.5, 0.1, 0.001], preset="fast")
-    assert [len(small) for small, _ in made] == [2, 1, 1]
+    levels = nanogs.levels(random_splats(3), [0.5, 0.1, 0.001], preset="fast")
+    assert [len(small) for small, _ in levels] == [2, 1, 1]

@@ -17,7 +17,7 @@ FAST = ("--preset", "fast", "--chunk", "500")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def archive_folder(tmp_path_factory):
     """A model, the folder of its levels and the same levels as one file."""
     folder = tmp_path_factory.mktemp("archive")
     nanogs.save(random_splats(3000, degree=1), folder / "a.ply")
@@ -27,12 +27,12 @@ def made(tmp_path_factory):
     return folder
 
 
-def test_an_archive_holds_the_files_of_the_folder(made):
-    with zipfile.ZipFile(made / "a.ssog") as archive:
+def test_an_archive_holds_the_files_of_the_folder(archive_folder):
+    with zipfile.ZipFile(archive_folder / "a.ssog") as archive:
         names = archive.namelist()
         assert all(entry.compress_type == zipfile.ZIP_STORED for entry in archive.infolist())
         files = {name: archive.read(name) for name in names}
-    web = made / "web"
+    web = archive_folder / "web"
     paths = {path.relative_to(web).as_posix(): path for path in web.rglob("*") if path.is_file()}
     assert files == {name: path.read_bytes() for name, path in paths.items()}
     # The files that a first picture needs come first: lod-meta.json, then the coarsest level.
@@ -40,51 +40,53 @@ def test_an_archive_holds_the_files_of_the_folder(made):
     assert names[0] == LEVELS
     assert levels == sorted(levels, reverse=True)
     assert levels[0] == 3
-    assert sorted(path.name for path in made.iterdir()) == ["a.ply", "a.ssog", "web"]
+    assert sorted(path.name for path in archive_folder.iterdir()) == ["a.ply", "a.ssog", "web"]
 
 
 @pytest.mark.parametrize("level", [0, 3])
-def test_a_level_is_the_same_as_from_the_folder(made, level):
-    folder = io.open(made / "web" / LEVELS, level=level)
-    archive = io.open(made / "a.ssog", level=level)
+def test_a_level_is_the_same_as_from_the_folder(archive_folder, level):
+    folder = io.open(archive_folder / "web" / LEVELS, level=level)
+    archive = io.open(archive_folder / "a.ssog", level=level)
     assert archive.levels == folder.levels == (3000, 1500, 750, 375)
-    assert archive.files == (made / "a.ssog",)
+    assert archive.files == (archive_folder / "a.ssog",)
     info = archive.info
     assert (info.format, info.splats) == ("streamed sog", archive.levels[level])
-    assert info.file_bytes == (made / "a.ssog").stat().st_size
+    assert info.file_bytes == (archive_folder / "a.ssog").stat().st_size
     ours, theirs = archive.load(), folder.load()
     for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):
         assert np.array_equal(getattr(ours, name), getattr(theirs, name))
 
 
-def test_commands_take_an_archive(made, tmp_path):
-    shown = json.loads(run("info", made / "a.ssog", "--json").stdout)
+def test_commands_take_an_archive(archive_folder, tmp_path):
+    shown = json.loads(run("info", archive_folder / "a.ssog", "--json").stdout)
     assert shown["levels"] == [3000, 1500, 750, 375]
-    result = run("convert", made / "a.ssog", tmp_path / "c.ply", "--level", "2", "-q")
+    result = run("convert", archive_folder / "a.ssog", tmp_path / "c.ply", "--level", "2", "-q")
     assert result.returncode == 0, result.stderr
     assert len(nanogs.load(tmp_path / "c.ply")) == 750
-    data = (made / "a.ssog").read_bytes()
+    data = (archive_folder / "a.ssog").read_bytes()
     result = run("convert", "-", tmp_path / "d.ply", "--from", "ssog", "-q", data=data)
     assert result.returncode == 0, result.stderr
     assert len(nanogs.load(tmp_path / "d.ply")) == 3000
 
 
-def test_blocks_give_the_same_bytes_for_any_number_of_threads(made, tmp_path):
+def test_blocks_give_the_same_bytes_for_any_number_of_threads(archive_folder, tmp_path):
     options = {"preset": "fast", "layout": "streamed sog archive", "chunk": 500, "block": 1000}
     for number in (1, 2):
-        nanogs.write_levels(made / "a.ply", tmp_path / f"{number}.ssog", **options, threads=number)
+        nanogs.write_levels(
+            archive_folder / "a.ply", tmp_path / f"{number}.ssog", **options, threads=number
+        )
     assert (tmp_path / "1.ssog").read_bytes() == (tmp_path / "2.ssog").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["1.ssog", "2.ssog"]
     assert io.open(tmp_path / "1.ssog").levels == (3000, 1500, 750, 375)
 
 
-def test_an_existing_file_is_replaced_only_with_w(made, tmp_path):
+def test_an_existing_file_is_replaced_only_with_w(archive_folder, tmp_path):
     (tmp_path / "a.ssog").write_bytes(b"mine")
-    refused = run("lod", made / "a.ply", tmp_path / "a.ssog", *FAST)
+    refused = run("lod", archive_folder / "a.ply", tmp_path / "a.ssog", *FAST)
     assert (refused.returncode, "exists already" in refused.stderr) == (2, True)
     assert (tmp_path / "a.ssog").read_bytes() == b"mine"
-    assert run("lod", made / "a.ply", tmp_path / "a.ssog", *FAST, "-w").returncode == 0
-    assert (tmp_path / "a.ssog").read_bytes() == (made / "a.ssog").read_bytes()
+    assert run("lod", archive_folder / "a.ply", tmp_path / "a.ssog", *FAST, "-w").returncode == 0
+    assert (tmp_path / "a.ssog").read_bytes() == (archive_folder / "a.ssog").read_bytes()
     with pytest.raises(OptionError, match="levels of detail; make them with `nanogs lod`"):
         nanogs.save(random_splats(3), tmp_path / "b.ssog")
 
@@ -116,7 +118,7 @@ def write_changed(source, target, change):
     ],
     ids=["no description", "no model", "no JSON", "outside", "no folder"],
 )
-def test_a_damaged_archive_is_refused_in_a_sentence(made, tmp_path, change, message):
-    write_changed(made / "a.ssog", tmp_path / "b.ssog", change)
+def test_a_damaged_archive_is_refused_in_a_sentence(archive_folder, tmp_path, change, message):
+    write_changed(archive_folder / "a.ssog", tmp_path / "b.ssog", change)
     with pytest.raises(FormatError, match=message):
         io.open(tmp_path / "b.ssog").load()

@@ -60,7 +60,7 @@ def write(scene, folder, layout, *, ratios=RATIOS, progress=None, **options):
 
 
 @pytest.fixture(scope="module")
-def made(scene, tmp_path_factory):
+def levels_by_layout(scene, tmp_path_factory):
     """For each layout: its folder, its manifest and the reports of its levels."""
     folder = tmp_path_factory.mktemp("made")
     return {
@@ -72,9 +72,12 @@ def made(scene, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def plain(made):
+def plain(levels_by_layout):
     """The levels of the layout of plain files, finest first."""
-    return [nanogs.load(made[Layout.FILES][0] / f"level_{n}.ply") for n in range(len(RATIOS))]
+    return [
+        nanogs.load(levels_by_layout[Layout.FILES][0] / f"level_{n}.ply")
+        for n in range(len(RATIOS))
+    ]
 
 
 def in_order(splats):
@@ -95,8 +98,8 @@ def tile_parts(path):
 # Contents of the levels
 
 
-def test_every_layout_has_the_requested_counts(made):
-    for layout, (folder, manifest, reports) in made.items():
+def test_every_layout_has_the_requested_counts(levels_by_layout):
+    for layout, (folder, manifest, reports) in levels_by_layout.items():
         assert [level.count for level in manifest.levels] == [600, 120, 24]
         assert [report.achieved_count for report in reports] == [600, 120, 24]
         assert reports[0].blocks.blocks > 2
@@ -109,9 +112,9 @@ def test_every_layout_has_the_requested_counts(made):
             assert sum(level.bytes for level in manifest.levels) == sum(sizes)
 
 
-def test_the_tiles_of_a_level_together_equal_the_plain_level(made, plain):
+def test_the_tiles_of_a_level_together_equal_the_plain_level(levels_by_layout, plain):
     """The same splats bit for bit, none twice and none missing."""
-    parts = tile_parts(made[Layout.TILES][0] / "tileset.json")
+    parts = tile_parts(levels_by_layout[Layout.TILES][0] / "tileset.json")
     for level, expected in enumerate(map(in_order, plain)):
         assert all(1 <= len(part) <= CHUNK for part in parts[level])
         whole = in_order(concatenate(parts[level]))
@@ -119,21 +122,21 @@ def test_the_tiles_of_a_level_together_equal_the_plain_level(made, plain):
         assert np.array_equal(whole.sh, expected.sh)
 
 
-def test_a_streamed_level_equals_the_plain_level_up_to_quantisation(made, plain):
-    path = made[Layout.SOG][0] / "lod-meta.json"
+def test_a_streamed_level_equals_the_plain_level_up_to_quantisation(levels_by_layout, plain):
+    path = levels_by_layout[Layout.SOG][0] / "lod-meta.json"
     assert json.loads(path.read_text())["counts"] == [600, 120, 24]
     for level, expected in enumerate(plain):
-        back = nanogs.load(path, level=level)
-        assert len(back) == len(expected)
+        loaded = nanogs.load(path, level=level)
+        assert len(loaded) == len(expected)
         fine = 0.03 * float(np.median(expected.scales()))  # positions are quantised finer than this
         for axis in range(3):  # quantisation changes the order of the splats
-            found, wanted = np.sort(back.means[:, axis]), np.sort(expected.means[:, axis])
-            assert np.abs(found - wanted).max() < fine
+            found, target = np.sort(loaded.means[:, axis]), np.sort(expected.means[:, axis])
+            assert np.abs(found - target).max() < fine
 
 
-def test_blocks_with_few_remaining_splats_share_files(made, scene, tmp_path):
+def test_blocks_with_few_remaining_splats_share_files(levels_by_layout, scene, tmp_path):
     """No file has fewer splats than the minimum of a chunk, unless its whole level has fewer."""
-    path = made[Layout.SOG][0] / "lod-meta.json"
+    path = levels_by_layout[Layout.SOG][0] / "lod-meta.json"
     for level, counts in counts_by_file(path).items():
         assert min(counts) >= min(CHUNK // 4, sum(counts)), level
         assert max(counts) <= 4 * CHUNK
@@ -216,9 +219,9 @@ def test_levels_too_large_for_formats_that_are_written_whole_are_refused(tmp_pat
         refuse(10**6, suffix=".sog")
 
 
-def test_geometric_errors_have_one_scale_for_the_whole_scene(made):
+def test_geometric_errors_have_one_scale_for_the_whole_scene(levels_by_layout):
     """Errors follow from the splats alone, not from the block that a tile belongs to."""
-    path = made[Layout.TILES][0] / "tileset.json"
+    path = levels_by_layout[Layout.TILES][0] / "tileset.json"
     blocks, errors = set(), {0: [], 1: [], 2: []}
     for tile, parent in tiles(path):
         inner = tile.get("children", [])
@@ -241,8 +244,8 @@ def test_geometric_errors_have_one_scale_for_the_whole_scene(made):
     assert 0 == np.mean(errors[0]) < np.mean(errors[1]) < np.mean(errors[2])
 
 
-def test_the_streamed_tree_is_binary_and_covers_every_row_once(made):
-    path = made[Layout.SOG][0] / "lod-meta.json"
+def test_the_streamed_tree_is_binary_and_covers_every_row_once(levels_by_layout):
+    path = levels_by_layout[Layout.SOG][0] / "lod-meta.json"
     meta = json.loads(path.read_text())
     assert_binary(meta["tree"])
     spans = {}
@@ -260,9 +263,9 @@ def test_the_streamed_tree_is_binary_and_covers_every_row_once(made):
 
 
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
-def test_supersplat_streams_levels_that_were_made_in_blocks(made, tmp_path):
+def test_supersplat_streams_levels_that_were_made_in_blocks(levels_by_layout, tmp_path):
     """SuperSplat loads the coarsest level first, and in the end every file of the finest."""
-    path = made[Layout.SOG][0] / "lod-meta.json"
+    path = levels_by_layout[Layout.SOG][0] / "lod-meta.json"
     pixels, requested = render_in_supersplat(path, tmp_path, 600)
     names = json.loads(path.read_text())["filenames"]
     assert {f"scene/{name}" for name in names if name.startswith("0_")} <= set(requested)
@@ -276,8 +279,8 @@ def test_very_small_and_full_ratios_give_the_requested_counts(scene, tmp_path, l
     """Some blocks keep fewer splats than their forest can be cut to, or none at all."""
     folder = tmp_path / "levels"
     manifest, _ = write(scene, folder, layout, ratios=ratios)
-    wanted = [int(np.ceil(1200 * ratio)) for ratio in ratios]
-    assert [level.count for level in manifest.levels] == wanted
+    expected = [int(np.ceil(1200 * ratio)) for ratio in ratios]
+    assert [level.count for level in manifest.levels] == expected
     if layout is Layout.SOG:
         found = [len(nanogs.load(folder / "lod-meta.json", level=n)) for n in range(len(ratios))]
     else:
@@ -286,7 +289,7 @@ def test_very_small_and_full_ratios_give_the_requested_counts(scene, tmp_path, l
             assert ("children" in tile) == (tile["geometricError"] > 0)
         parts = tile_parts(path)
         found = [sum(map(len, parts[level])) for level in range(len(ratios))]
-    assert found == wanted
+    assert found == expected
 
 
 def test_coarse_splats_may_be_in_blocks_without_splats_of_the_finest_level(tmp_path):
@@ -324,7 +327,7 @@ def test_data_that_are_left_out_are_noted_once_for_all_blocks(tmp_path):
 
 @pytest.mark.parametrize("layout", [Layout.SOG, Layout.TILES])
 def test_resuming_a_job_that_crashed_anywhere_gives_the_same_bytes(
-    scene, tmp_path, made, layout, monkeypatch
+    scene, tmp_path, levels_by_layout, layout, monkeypatch
 ):
     folder, events = tmp_path / "levels", []
     move = levels_folder.move_folder
@@ -348,7 +351,7 @@ def test_resuming_a_job_that_crashed_anywhere_gives_the_same_bytes(
             assert folder.exists() == ("moved" in events)
     assert events.count("crash") == 8
     assert "moved" in events
-    assert files(folder) == files(made[layout][0])
+    assert files(folder) == files(levels_by_layout[layout][0])
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
 
@@ -379,14 +382,14 @@ def test_folders_with_foreign_files_are_not_replaced(scene, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
 
-def test_the_job_folder_may_be_on_another_file_system(scene, tmp_path, made):
+def test_the_job_folder_may_be_on_another_file_system(scene, tmp_path, levels_by_layout):
     other = Path("/dev/shm")
     if not other.is_dir() or other.stat().st_dev == tmp_path.stat().st_dev:
         pytest.skip("there is no other file system")
     with tempfile.TemporaryDirectory(dir=other) as job:
         write(scene, tmp_path / "levels", Layout.TILES, job=Path(job) / "job")
         assert list(Path(job).iterdir()) == []
-    assert files(tmp_path / "levels") == files(made[Layout.TILES][0])
+    assert files(tmp_path / "levels") == files(levels_by_layout[Layout.TILES][0])
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
 
@@ -403,14 +406,14 @@ def test_file_names_cannot_lead_out_of_the_folder(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_workers_make_the_same_bytes(scene, tmp_path, made):
+def test_workers_make_the_same_bytes(scene, tmp_path, levels_by_layout):
     distributed = pytest.importorskip("distributed")
     with distributed.Client(
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None,
         set_as_default=False,
     ) as client:  # fmt: skip
         write(scene, tmp_path / "levels", Layout.TILES, executor=client)
-    assert files(tmp_path / "levels") == files(made[Layout.TILES][0])
+    assert files(tmp_path / "levels") == files(levels_by_layout[Layout.TILES][0])
 
 
 # Memory

@@ -30,8 +30,8 @@ def test_the_finest_level_has_the_splats_of_the_input(tmp_path, max_memory):
     options = {"preset": "fast", "max_memory": max_memory}
     if max_memory:
         options["block"] = 1000
-    made, _ = nanogs.write_levels(tmp_path / "a.ply", tmp_path / "levels", **options)
-    assert [level.count for level in made.levels] == [3000, 1500, 750, 375]
+    manifest, _ = nanogs.write_levels(tmp_path / "a.ply", tmp_path / "levels", **options)
+    assert [level.count for level in manifest.levels] == [3000, 1500, 750, 375]
     finest = nanogs.load(tmp_path / "levels" / "level_0.ply")
     order, rows = (np.lexsort(each.means.T) for each in (finest, model))
     for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):

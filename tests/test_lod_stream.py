@@ -228,17 +228,17 @@ def test_boxes_enclose_the_ellipsoids_tightly():
 
 def test_every_level_equals_that_of_the_library_up_to_quantisation(splats, path):
     meta = json.loads(path.read_text())
-    made = list(nanogs.levels(splats, RATIOS, preset="fast"))
-    assert meta["counts"] == [len(small) for small, _ in made] == [450, 90, 18]
+    levels = list(nanogs.levels(splats, RATIOS, preset="fast"))
+    assert meta["counts"] == [len(small) for small, _ in levels] == [450, 90, 18]
     assert (meta["count"], meta["lodLevels"], meta["version"]) == (558, 3, 1)
-    for level, (small, _) in enumerate(made):
-        back = in_order_of(small, nanogs.load(path, level=level))
-        logarithms = [np.log1p(np.abs(m.means)) for m in (small, back)]
+    for level, (small, _) in enumerate(levels):
+        loaded = in_order_of(small, nanogs.load(path, level=level))
+        logarithms = [np.log1p(np.abs(m.means)) for m in (small, loaded)]
         assert np.abs(logarithms[0] - logarithms[1]).max() < 1e-3
-        assert angle(small, back).max() < 0.035
-        assert np.abs(small.log_scales - back.log_scales).max() < 0.03
-        assert np.abs(small.opacities() - back.opacities()).max() <= 0.5 / 255 + 1e-9
-        assert np.abs(small.sh[:, 0] - back.sh[:, 0]).max() < 0.03
+        assert angle(small, loaded).max() < 0.035
+        assert np.abs(small.log_scales - loaded.log_scales).max() < 0.03
+        assert np.abs(small.opacities() - loaded.opacities()).max() <= 0.5 / 255 + 1e-9
+        assert np.abs(small.sh[:, 0] - loaded.sh[:, 0]).max() < 0.03
     assert len(io.load(path)) == io.inspect(path).splats == 450
 
 

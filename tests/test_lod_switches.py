@@ -138,7 +138,7 @@ def test_the_command_shows_the_switches(scene, tmp_path):
 
 
 def test_levels_made_in_blocks_report_their_switches(scene, tmp_path):
-    made, _ = nanogs.write_levels(
+    manifest, _ = nanogs.write_levels(
         scene, tmp_path / "l", [1, 0.2], preset="fast", layout="streamed sog", block=150,
         measured=True,
     )  # fmt: skip
@@ -147,7 +147,7 @@ def test_levels_made_in_blocks_report_their_switches(scene, tmp_path):
     cameras = automatic_cameras(original, 8, width=512, height=512, split="test")
     views = switch_views(original, cameras)
     again = views.judge(level, StreamedSog(9).switch_pixel(1, 0))
-    assert astuple(made.levels[1].switch) == pytest.approx(astuple(again), rel=1e-6)
+    assert astuple(manifest.levels[1].switch) == pytest.approx(astuple(again), rel=1e-6)
 
 
 @pytest.mark.parametrize("block", [None, 300])
@@ -157,18 +157,20 @@ def test_levels_of_an_almost_transparent_model_are_kept_unmeasured(tmp_path, blo
     splats.opacity_logits[:] = -5
     splats.log_scales[:] = -5
     nanogs.save(splats, tmp_path / "faint.ply")
-    made, _ = nanogs.write_levels(
+    manifest, _ = nanogs.write_levels(
         tmp_path / "faint.ply", tmp_path / "l", [1, 0.5, 0.2], preset="fast",
         layout="streamed sog", environment="none", block=block, measured=True,
     )  # fmt: skip
-    assert [level.switch for level in made.levels] == [None] * 3
-    assert sum("Nothing was measured" in note for note in made.notes) == 1
+    assert [level.switch for level in manifest.levels] == [None] * 3
+    assert sum("Nothing was measured" in note for note in manifest.notes) == 1
     assert len(nanogs.load(tmp_path / "l/lod-meta.json", level=1)) == 150
 
 
 def test_plain_level_files_have_no_switches(splats, tmp_path):
-    made, _ = nanogs.write_levels(splats, tmp_path / "l", [1, 0.1], preset="fast", measured=True)
-    assert "switch" not in made.to_dict()["levels"][1]
+    manifest, _ = nanogs.write_levels(
+        splats, tmp_path / "l", [1, 0.1], preset="fast", measured=True
+    )
+    assert "switch" not in manifest.to_dict()["levels"][1]
     quick, _ = nanogs.write_levels(
         splats, tmp_path / "s", [1, 0.1], preset="fast", layout="streamed sog"
     )

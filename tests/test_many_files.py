@@ -237,8 +237,8 @@ def test_every_command_takes_a_folder_with_one_model(
     arguments = [
         paths.get(word, str(word).replace("OUT", str(tmp_path / "out"))) for word in command_line
     ]
-    done = run(*arguments)
-    assert done.returncode == 0, done.stderr
+    result = run(*arguments)
+    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.parametrize(
@@ -253,9 +253,9 @@ def test_every_command_takes_a_folder_with_one_model(
 )
 def test_a_folder_of_several_models_is_refused_with_their_names(folder, tmp_path, command_line):
     paths = {"IN": folder, "OUT": tmp_path / "out", "OUT.ply": tmp_path / "out.ply"}
-    done = run(*(paths.get(word, word) for word in command_line))
-    assert done.returncode == 2
-    assert done.stderr == f"error: The folder {folder} holds 2 models; name one: a.ply, b.spz.\n"
+    result = run(*(paths.get(word, word) for word in command_line))
+    assert result.returncode == 2
+    assert result.stderr == f"error: The folder {folder} holds 2 models; name one: a.ply, b.spz.\n"
     assert names(tmp_path) == ["in"]
 
 
@@ -271,7 +271,9 @@ def test_parts_of_a_scene_can_be_given_by_a_folder_or_pattern(
 ):
     command, *options = command_start
     target = tmp_path / ("out.ply" if command == "simplify" else "out")
-    done = run(command, folder / pattern, target, "--join", *options, "--preset", "fast", "--json")
-    assert done.returncode == 0, done.stderr
+    result = run(
+        command, folder / pattern, target, "--join", *options, "--preset", "fast", "--json"
+    )
+    assert result.returncode == 0, result.stderr
     whole = target if command == "simplify" else target / "level_0.ply"
     assert len(nanogs.load(whole)) == 130

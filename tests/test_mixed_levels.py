@@ -308,9 +308,9 @@ def test_seams_are_pixels_to_which_two_levels_contribute():
 def test_seams_of_real_scenes_are_no_worse_than_the_coarser_level(tmp_path, name):
     path = scene_path(name)
     options = {"layout": "streamed sog", "chunk": 8192, "preset": "fast"}
-    made, _ = nanogs.write_levels(path, tmp_path / "web", [0.5, 0.25, 0.125], **options)
+    manifest, _ = nanogs.write_levels(path, tmp_path / "web", [0.5, 0.25, 0.125], **options)
     found = nanogs.compare_mixed(
-        path, tmp_path / "web" / "lod-meta.json", budget=made.levels[0].count * 2 // 3,
+        path, tmp_path / "web" / "lod-meta.json", budget=manifest.levels[0].count * 2 // 3,
         cameras=["auto", "roam"], views=4, pixels=256,
     )  # fmt: skip
     for score in found.scores:

@@ -213,7 +213,7 @@ def test_a_closed_pipe_ends_the_command_quietly(scene, arguments):
 def test_levels_of_a_piped_model_equal_those_of_its_file(scene, tmp_path):
     for source, data in (("-", scene.read_bytes()), (scene, None)):
         folder = tmp_path / str(data is None)
-        done = run("lod", source, folder, "--preset", "fast", "--levels", "0.1", data=data)
-        assert done.returncode == 0, done.stderr
+        result = run("lod", source, folder, "--preset", "fast", "--levels", "0.1", data=data)
+        assert result.returncode == 0, result.stderr
     levels = [tmp_path / str(whole) / "level_0.ply" for whole in (False, True)]
     assert levels[0].read_bytes() == levels[1].read_bytes()

@@ -211,8 +211,8 @@ def test_values_that_bytes_would_hold_badly_are_stored_as_floats(tmp_path):
     model.sh[4, 1] = (9.0, 0, 0)
     model.sh[5, 2] = (0, 1e5, 0)
     io.save(model, tmp_path / "a.rad")
-    back = io.load(tmp_path / "a.rad")
-    np.testing.assert_allclose(back.sh, model.sh, atol=0.004, rtol=0.001)
+    loaded = io.load(tmp_path / "a.rad")
+    np.testing.assert_allclose(loaded.sh, model.sh, atol=0.004, rtol=0.001)
     head, [(header, _)] = radfiles.parse_rad((tmp_path / "a.rad").read_bytes())
     encodings = {entry["property"]: entry["encoding"] for entry in header["properties"]}
     assert (encodings["rgb"], encodings["sh1"]) == ("f16", "f32")
@@ -223,18 +223,18 @@ def test_models_of_several_chunks_are_read_and_written_in_parts(tmp_path):
     model = random_splats(140_000, degree=1, seed=4)
     io.save(model, tmp_path / "a.ply")
     io.save(model, tmp_path / "a.rad")
-    done = run("convert", tmp_path / "a.ply", tmp_path / "b.rad", "--json")
-    assert done.returncode == 0, done.stderr
+    result = run("convert", tmp_path / "a.ply", tmp_path / "b.rad", "--json")
+    assert result.returncode == 0, result.stderr
     assert (tmp_path / "a.rad").read_bytes() == (tmp_path / "b.rad").read_bytes()
     _, chunks = radfiles.parse_rad((tmp_path / "a.rad").read_bytes())
     assert [header["count"] for header, _ in chunks] == [65_536, 65_536, 8_928]
     assert [header["base"] for header, _ in chunks] == [0, 65_536, 131_072]
-    back = io.load(tmp_path / "a.rad")
-    np.testing.assert_array_equal(back.means, model.means)
+    loaded = io.load(tmp_path / "a.rad")
+    np.testing.assert_array_equal(loaded.means, model.means)
     source = io.open(tmp_path / "a.rad")
-    np.testing.assert_array_equal(source.read(65_000, 66_000).sh, back.sh[65_000:66_000])
+    np.testing.assert_array_equal(source.read(65_000, 66_000).sh, loaded.sh[65_000:66_000])
     rows = np.array([139_999, 3, 70_000])
-    np.testing.assert_array_equal(source.take(rows).quats, back.quats[rows])
+    np.testing.assert_array_equal(source.take(rows).quats, loaded.quats[rows])
 
 
 def test_info_and_losses_are_reported(tmp_path):

@@ -49,7 +49,7 @@ def write(scene, out, ratios=RATIOS, **options):
 
 
 @pytest.fixture(scope="module")
-def made(scene, tmp_path_factory):
+def tree_in_blocks(scene, tmp_path_factory):
     out = tmp_path_factory.mktemp("made") / "a.rad"
     return out, *write(scene, out)
 
@@ -63,8 +63,8 @@ def assert_tree(path):
     assert counts.sum() == len(counts) - 1
 
 
-def test_all_levels_form_one_tree(model, made):
-    path, manifest, reports = made
+def test_all_levels_form_one_tree(model, tree_in_blocks):
+    path, manifest, reports = tree_in_blocks
     assert reports[0].blocks.blocks > 3
     assert [level.count for level in manifest.levels] == [3000, 1500, 750, 300]
     assert_tree(path)
@@ -74,10 +74,10 @@ def test_all_levels_form_one_tree(model, made):
     np.testing.assert_array_equal(rows_sorted(source.load().means), rows_sorted(model.means))
 
 
-def test_each_splat_is_within_the_bounds_of_its_children(made, scene, tmp_path):
+def test_each_splat_is_within_the_bounds_of_its_children(tree_in_blocks, scene, tmp_path):
     """Above the blocks, at the roots of the blocks, and below them."""
     write(scene, tmp_path / "further.rad", (1, 0.5, 0.02))
-    for path in (made[0], tmp_path / "further.rad"):
+    for path in (tree_in_blocks[0], tmp_path / "further.rad"):
         _, chunks = radfiles.parse_rad(path.read_bytes())
         header, payload = chunks[0]
         entry = next(each for each in header["properties"] if each["property"] == "center")
@@ -91,7 +91,9 @@ def test_each_splat_is_within_the_bounds_of_its_children(made, scene, tmp_path):
             assert (means[row] <= below.max(axis=0) + 1e-5).all()
 
 
-def test_trees_made_in_blocks_look_like_those_made_in_memory(model, scene, made, tmp_path):
+def test_trees_made_in_blocks_look_like_those_made_in_memory(
+    model, scene, tree_in_blocks, tmp_path
+):
     """At all levels, also those above the coarsest: blocks leave no visible seams."""
     write(scene, tmp_path / "a.rad", block=None)
     camera = opening_camera(model)
@@ -99,7 +101,7 @@ def test_trees_made_in_blocks_look_like_those_made_in_memory(model, scene, made,
     losses = [
         np.subtract(*(
             psnr(render(nanogs.load(path, level=level), camera).shown(), whole)
-            for path in (tmp_path / "a.rad", made[0])
+            for path in (tmp_path / "a.rad", tree_in_blocks[0])
         ))
         for level in range(len(RATIOS) + 2)
     ]  # fmt: skip
@@ -109,16 +111,18 @@ def test_trees_made_in_blocks_look_like_those_made_in_memory(model, scene, made,
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
-def test_spark_draws_trees_made_in_blocks(model, made, tmp_path):
+def test_spark_draws_trees_made_in_blocks(model, tree_in_blocks, tmp_path):
     """All splats, or no more than a limit allows, from several levels."""
     camera = opening_camera(model)
     whole = render(model, camera).shown()
     shown, state = render_in_spark(
-        made[0], camera, tmp_path, mesh={"paged": True}, lodRenderScale=0
+        tree_in_blocks[0], camera, tmp_path, mesh={"paged": True}, lodRenderScale=0
     )
     assert state["splats"] == 3000
     assert psnr(shown, whole) > 30
-    few, state = render_in_spark(made[0], camera, tmp_path, mesh={"paged": True}, lodSplatCount=900)
+    few, state = render_in_spark(
+        tree_in_blocks[0], camera, tmp_path, mesh={"paged": True}, lodSplatCount=900
+    )
     assert 700 < state["splats"] <= 900
     assert 22 < psnr(few, whole) < psnr(shown, whole)
 
@@ -129,9 +133,9 @@ def test_spark_draws_trees_made_in_blocks(model, made, tmp_path):
 def test_levels_may_have_counts_that_blocks_cannot_be_cut_to(model, scene, tmp_path, ratios):
     """Levels of any counts form one tree, even if the forests of blocks cannot be cut to them."""
     manifest, _ = write(scene, tmp_path / "a.rad", ratios)
-    wanted = [int(np.ceil(3000 * ratio)) for ratio in ratios]
-    assert [level.count for level in manifest.levels] == wanted
-    assert list(io.open(tmp_path / "a.rad").levels[: len(wanted)]) == wanted
+    expected = [int(np.ceil(3000 * ratio)) for ratio in ratios]
+    assert [level.count for level in manifest.levels] == expected
+    assert list(io.open(tmp_path / "a.rad").levels[: len(expected)]) == expected
     assert_tree(tmp_path / "a.rad")
     if ratios[0] == 1:
         np.testing.assert_array_equal(
@@ -139,14 +143,14 @@ def test_levels_may_have_counts_that_blocks_cannot_be_cut_to(model, scene, tmp_p
         )
 
 
-def test_bytes_are_the_same_for_any_number_of_threads_and_workers(scene, made, tmp_path):
+def test_bytes_are_the_same_for_any_number_of_threads_and_workers(scene, tree_in_blocks, tmp_path):
     from concurrent.futures import ThreadPoolExecutor
 
     write(scene, tmp_path / "b.rad", threads=2)
     with ThreadPoolExecutor(2) as pool:
         write(scene, tmp_path / "c.rad", executor=pool)
     for name in ("b.rad", "c.rad"):
-        assert (tmp_path / name).read_bytes() == made[0].read_bytes()
+        assert (tmp_path / name).read_bytes() == tree_in_blocks[0].read_bytes()
 
 
 def test_frame_and_sh_degree_apply_and_extra_columns_are_noted(tmp_path):

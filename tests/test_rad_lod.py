@@ -49,12 +49,12 @@ def model():
 
 
 @pytest.fixture(scope="module")
-def made(model, tmp_path_factory):
+def tree_path(model, tmp_path_factory):
     folder = tmp_path_factory.mktemp("tree")
     io.save(model, folder / "a.ply")
     levels = ",".join(map(str, RATIOS))
-    done = run("lod", folder / "a.ply", folder / "a.rad", "--levels", levels, "--preset", "fast")
-    assert done.returncode == 0, done.stderr
+    result = run("lod", folder / "a.ply", folder / "a.rad", "--levels", levels, "--preset", "fast")
+    assert result.returncode == 0, result.stderr
     return folder / "a.rad"
 
 
@@ -80,18 +80,18 @@ def rows_sorted(means):
     return means[np.lexsort(means.T)]
 
 
-def test_the_leaves_are_the_whole_model(model, made):
-    leaves = io.load(made)
+def test_the_leaves_are_the_whole_model(model, tree_path):
+    leaves = io.load(tree_path)
     np.testing.assert_array_equal(rows_sorted(leaves.means), rows_sorted(model.means))
-    info = json.loads(run("info", made, "--json").stdout)
+    info = json.loads(run("info", tree_path, "--json").stdout)
     assert info["levels"][:4] == [3000, 1500, 750, 300]
     assert info["levels"][-1] == 1
     assert info["splats"] == 3000
 
 
-def test_rows_are_in_the_order_that_spark_requires(made):
+def test_rows_are_in_the_order_that_spark_requires(tree_path):
     """The root first, siblings contiguous and after their parent, each row with one parent."""
-    counts, starts = tree_of(made)
+    counts, starts = tree_of(tree_path)
     inner = np.flatnonzero(counts)
     assert (starts[inner] > inner).all()
     named = np.concatenate([np.arange(starts[i], starts[i] + counts[i]) for i in inner])
@@ -99,19 +99,19 @@ def test_rows_are_in_the_order_that_spark_requires(made):
     assert np.all(np.diff(starts[inner]) > 0)
 
 
-def test_each_level_can_be_read(model, made):
+def test_each_level_can_be_read(model, tree_path):
     for level, ratio in enumerate(RATIOS):
-        found = nanogs.load(made, level=level)
+        found = nanogs.load(tree_path, level=level)
         assert len(found) == ratio * 3000
-    done = run("convert", made, made.with_name("c.ply"), "--level", "2")
-    assert done.returncode == 0, done.stderr
-    assert len(io.load(made.with_name("c.ply"))) == 750
-    last = len(io.open(made).levels)
+    result = run("convert", tree_path, tree_path.with_name("c.ply"), "--level", "2")
+    assert result.returncode == 0, result.stderr
+    assert len(io.load(tree_path.with_name("c.ply"))) == 750
+    last = len(io.open(tree_path).levels)
     with pytest.raises(OptionError, match=f"has levels 0 to {last - 1}"):
-        nanogs.load(made, level=last)
-    io.save(model, made.with_name("plain.rad"))
+        nanogs.load(tree_path, level=last)
+    io.save(model, tree_path.with_name("plain.rad"))
     with pytest.raises(OptionError, match="has levels 0 to 0"):
-        nanogs.load(made.with_name("plain.rad"), level=1)
+        nanogs.load(tree_path.with_name("plain.rad"), level=1)
 
 
 def test_coarser_levels_look_like_the_model(tmp_path):
@@ -127,12 +127,12 @@ def test_coarser_levels_look_like_the_model(tmp_path):
     assert scores[1] > 25
 
 
-def test_the_same_bytes_for_any_number_of_threads(model, made):
+def test_the_same_bytes_for_any_number_of_threads(model, tree_path):
     nanogs.write_levels(
-        model, made.with_name("b.rad"), RATIOS, layout="spark tree", preset="fast", threads=1,
+        model, tree_path.with_name("b.rad"), RATIOS, layout="spark tree", preset="fast", threads=1,
         source="a.ply",
     )  # fmt: skip
-    assert made.read_bytes() == made.with_name("b.rad").read_bytes()
+    assert tree_path.read_bytes() == tree_path.with_name("b.rad").read_bytes()
 
 
 def test_levels_can_be_measured(model, tmp_path):
@@ -148,8 +148,8 @@ def test_the_reported_size_is_that_of_the_file(model, tmp_path):
     """It includes the headers and the nodes above the coarsest level."""
     out = tmp_path / "a.rad"
     io.save(model, tmp_path / "a.ply")
-    done = run("lod", tmp_path / "a.ply", out, "--levels", "0.1", "--preset", "fast")
-    assert f"1 level in {out}, {bytes_text(out.stat().st_size)}, " in done.stderr
+    result = run("lod", tmp_path / "a.ply", out, "--levels", "0.1", "--preset", "fast")
+    assert f"1 level in {out}, {bytes_text(out.stat().st_size)}, " in result.stderr
 
 
 def test_trees_made_in_blocks_look_like_the_model(tmp_path):
@@ -191,22 +191,26 @@ def test_a_job_interrupted_while_writing_can_be_resumed(model, tmp_path, monkeyp
     assert (tmp_path / "a.rad").read_bytes() == (tmp_path / "b.rad").read_bytes()
 
 
-def test_nothing_is_overwritten_without_w(made):
-    before = made.read_bytes()
-    done = run("lod", made.with_name("a.ply"), made, "--levels", "1,0.1", "--preset", "fast")
-    assert done.returncode == 2
-    assert "-w" in done.stderr
-    assert made.read_bytes() == before
-    assert {path.suffix for path in made.parent.iterdir()} <= {".ply", ".rad"}
+def test_nothing_is_overwritten_without_w(tree_path):
+    before = tree_path.read_bytes()
+    result = run(
+        "lod", tree_path.with_name("a.ply"), tree_path, "--levels", "1,0.1", "--preset", "fast"
+    )
+    assert result.returncode == 2
+    assert "-w" in result.stderr
+    assert tree_path.read_bytes() == before
+    assert {path.suffix for path in tree_path.parent.iterdir()} <= {".ply", ".rad"}
 
 
 def test_w_replaces_the_file_and_an_unused_fit_is_noted(tmp_path):
     io.save(random_splats(200, degree=0), tmp_path / "a.ply")
     noted = []
     for chosen in (["--preset", "fast"], ["-w"]):
-        done = run("lod", tmp_path / "a.ply", tmp_path / "a.rad", "--levels", "1,0.2", *chosen)
-        assert done.returncode == 0, done.stderr
-        noted.append("the fit of the preset 'default' is not used" in " ".join(done.stderr.split()))
+        result = run("lod", tmp_path / "a.ply", tmp_path / "a.rad", "--levels", "1,0.2", *chosen)
+        assert result.returncode == 0, result.stderr
+        noted.append(
+            "the fit of the preset 'default' is not used" in " ".join(result.stderr.split())
+        )
     assert noted == [False, True]
     assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "a.rad"}
 
@@ -216,10 +220,10 @@ def test_w_replaces_the_file_and_an_unused_fit_is_noted(tmp_path):
     [(["--chunk", "100"], "65,536"), (["--format", "sog"], "determines it; leave it out"),
      (["--plain"], "only in 3D Tiles")],
 )  # fmt: skip
-def test_options_of_other_layouts_are_refused(made, options, message):
-    done = run("lod", made.with_name("a.ply"), made.with_name("d.rad"), *options)
-    assert done.returncode == 2
-    assert message in done.stderr
+def test_options_of_other_layouts_are_refused(tree_path, options, message):
+    result = run("lod", tree_path.with_name("a.ply"), tree_path.with_name("d.rad"), *options)
+    assert result.returncode == 2
+    assert message in result.stderr
 
 
 def test_nodes_with_too_many_children_are_refused(monkeypatch, model):

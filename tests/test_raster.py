@@ -375,7 +375,7 @@ def test_tile_lists_have_the_splats_that_meet_each_tile_nearest_first(size):
     width, height = size
     splats = make_splats(60, 3, size=-1, spread=1.5)
     view = project(prepare(splats), make_camera(width, height, 90.0))
-    wanted = [[] for _ in range(len(view.starts) - 1)]
+    expected = [[] for _ in range(len(view.starts) - 1)]
     tiles_x, paths = math.ceil(width / raster.TILE), set()
     for index in view.order.tolist():
         left, top, across, down = project_kernels.unpack_box(int(view.boxes[index]))
@@ -389,10 +389,10 @@ def test_tile_lists_have_the_splats_that_meet_each_tile_nearest_first(size):
                     view.geometry[index], lowest, left, across, ty, width, height
                 )
             for tx in range(first, end):
-                wanted[ty * tiles_x + tx].append(index)
+                expected[ty * tiles_x + tx].append(index)
     assert len(paths) > 1
     found = [view.entries[a:b].tolist() for a, b in pairwise(view.starts)]
-    assert found == wanted
+    assert found == expected
 
 
 @pytest.mark.parametrize("scale", [1e6, 1e12, 1e18, 1e22])

@@ -98,22 +98,22 @@ def test_gradients_match_their_reference(seed, size):
 
 def test_pixel_errors_are_the_mean_over_black_and_white_backgrounds():
     rng = np.random.default_rng(7)
-    wanted, image = rng.uniform(0, 1, (2, 9, 11, 4))
+    target, image = rng.uniform(0, 1, (2, 9, 11, 4))
     image[..., :3] *= 1.4  # some colours are above 1
-    image[0, 0, :3], wanted[0, 0, :3] = 1.3, 1.0
+    image[0, 0, :3], target[0, 0, :3] = 1.3, 1.0
     shifted = image.copy()
     shifted[..., :3] -= WHITE * image[..., 3:]
     shifted[..., 3] *= ALPHA
     residual, precision = np.empty((9, 11, 4), np.float32), np.empty((9, 11), np.float32)
     errors = np.empty((9, 2))
-    wanted = np.rint(wanted * 255) / 255
-    fixed = np.rint(wanted * 255).astype(np.uint8)
+    target = np.rint(target * 255) / 255
+    fixed = np.rint(target * 255).astype(np.uint8)
     backward.weigh_pixels(
         shifted.astype(np.float32), fixed, WHITE, ALPHA, ALL_BLOCKS, residual, precision, errors
     )
     assert (errors[:, 1] == 11).all()
     errors = errors[:, 0]
-    change = wanted - np.minimum(image, 1)
+    change = target - np.minimum(image, 1)
     over_black = (change[..., :3] ** 2).sum()
     over_white = ((change[..., :3] - change[..., 3:]) ** 2).sum()
     assert errors.sum() == pytest.approx((over_black + over_white) / 2, rel=1e-4)

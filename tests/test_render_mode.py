@@ -110,13 +110,13 @@ def test_simplify_gives_the_result_of_the_rightly_tagged_file(tmp_path, models, 
     one, two = tmp_path / "one.ply", tmp_path / "two.ply"
     options = ["--preset", "fast", "--ratio", "0.3", "--measure"]
     options += ["--job", tmp_path / "job"] * blocks
-    wanted = run_json("simplify", right, one, *options)
+    expected = run_json("simplify", right, one, *options)
     found = run_json("simplify", wrong, two, *options, "--render-mode", "default")
     assert bool(found["blocks"]) == blocks
     assert two.read_bytes() == one.read_bytes()
-    assert found["judged"] == wanted["judged"]
+    assert found["judged"] == expected["judged"]
     assert has_override_note(found["notes"])
-    assert not has_override_note(wanted["notes"])
+    assert not has_override_note(expected["notes"])
 
 
 def test_a_job_is_not_continued_under_another_render_mode(tmp_path, models):
@@ -171,8 +171,8 @@ def test_streamed_renders_use_the_requested_render_mode(models):
     [camera] = automatic_cameras(nanogs.load(right), 1, width=48, height=48)
     with nanogs.open(wrong, render_mode="default") as source:
         [found] = renderings(drawable(source, LEAST), [camera])
-    [wanted] = nanogs.render(right, cameras=camera)
-    assert found.shown().tobytes() == wanted.tobytes()
+    [expected] = nanogs.render(right, cameras=camera)
+    assert found.shown().tobytes() == expected.tobytes()
 
 
 def test_compare_draws_all_models_in_the_requested_mode(models):

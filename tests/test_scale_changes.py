@@ -56,13 +56,13 @@ def options_for(parts):
 def test_filters_give_the_result_of_a_file_filtered_before(parts, scene, tmp_path):
     options = options_for(parts) | {"ratio": 0.3}
     one, two = tmp_path / "one.ply", tmp_path / "two.ply"
-    wanted = nanogs.simplify_blocks(scene, one, **options)
+    expected = nanogs.simplify_blocks(scene, one, **options)
     report = nanogs.simplify_blocks(parts, two, filters=KEPT, **options)
     assert model_bytes(nanogs.load(two)) == model_bytes(nanogs.load(one))
-    assert report.input_count == wanted.input_count == len(nanogs.load(scene))
-    assert report.achieved_count == wanted.achieved_count
-    assert report.blocks.blocks == wanted.blocks.blocks
-    assert (report.read_count, wanted.filters) == (1400, ())
+    assert report.input_count == expected.input_count == len(nanogs.load(scene))
+    assert report.achieved_count == expected.achieved_count
+    assert report.blocks.blocks == expected.blocks.blocks
+    assert (report.read_count, expected.filters) == (1400, ())
     whole = nanogs.source.Joined([nanogs.open(part) for part in parts]).load()
     assert report.filters == filters.apply(whole, KEPT)[1]
 

@@ -422,10 +422,10 @@ def test_resume_refuses_an_existing_output_at_once(scene, tmp_path, expected):
         nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **other)
     fits = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1", "--resume"]
     enough = ["--max-memory", "2GB", "-w", "--up", "0,0,1", "--sh-degree", "0"]
-    done = subprocess.run([*map(str, fits), *enough], capture_output=True, text=True)
-    assert done.returncode == 2
+    result = subprocess.run([*map(str, fits), *enough], capture_output=True, text=True)
+    assert result.returncode == 2
     other = "the preset or its parameters, the views (--cameras, --up), --sh-degree"
-    assert f"holds another job (what differs: {other}); resume it with the same" in done.stderr
+    assert f"holds another job (what differs: {other}); resume it with the same" in result.stderr
     report = nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **GIVEN)
     assert report.blocks.resumed >= 3
     assert out.read_bytes() == expected

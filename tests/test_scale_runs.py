@@ -160,14 +160,14 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
     subprocess.run(
         nanogs_command(*arguments), check=True
     )  # in the same way as those that are killed
-    whole, wanted = time.perf_counter() - start, out.read_bytes()
+    whole, expected = time.perf_counter() - start, out.read_bytes()
     out.unlink()
     rng, kills, jobs = random.Random(5), 0, 0
     for _ in range(20):
         child = subprocess.Popen([*nanogs_command(*arguments), "-w"])
         try:
             assert child.wait(rng.uniform(0.3, 0.9) * whole) == 0
-            assert out.read_bytes() == wanted
+            assert out.read_bytes() == expected
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()
@@ -178,7 +178,7 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
     assert kills == 3
     assert jobs > 0, "no killed run left anything to resume"
     run(*arguments, "-w")
-    assert out.read_bytes() == wanted
+    assert out.read_bytes() == expected
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 

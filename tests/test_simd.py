@@ -195,8 +195,8 @@ def test_an_invalid_value_of_nanogs_simd_is_refused(tmp_path):
 
 def test_tried_numba_versions_are_those_that_pyproject_allows():
     text = (ROOT / "pyproject.toml").read_text()
-    wanted = tomllib.loads(text)["project"]["dependencies"]
-    [bounds] = [one for one in wanted if one.startswith("numba")]
+    expected = tomllib.loads(text)["project"]["dependencies"]
+    [bounds] = [one for one in expected if one.startswith("numba")]
     least, above = map(int, re.fullmatch(r"numba>=0\.(\d+),<0\.(\d+)", bounds).groups())
     assert ((0, least), (0, above - 1)) == (choice.FIRST, choice.LAST)
     for version in (f"0.{least}.0", f"0.{above - 1}.9"):

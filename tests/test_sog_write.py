@@ -90,9 +90,9 @@ def test_round_trip_is_within_the_quantisation(tmp_path_factory, model):
 def test_a_scale_of_zero_stays_far_below_all_others(tmp_path):
     model = random_model(500, 0)
     model.log_scales[7, 1] = -np.inf
-    back = in_order_of(model, saved(tmp_path, model))
-    others = np.delete(back.log_scales, 7, axis=0)
-    assert back.log_scales[7, 1] == pytest.approx(others.min() - 20, abs=0.5)
+    loaded = in_order_of(model, saved(tmp_path, model))
+    others = np.delete(loaded.log_scales, 7, axis=0)
+    assert loaded.log_scales[7, 1] == pytest.approx(others.min() - 20, abs=0.5)
 
 
 def test_saving_a_loaded_file_again_changes_no_value(tmp_path):
@@ -111,9 +111,9 @@ def test_saving_a_loaded_file_again_changes_no_value(tmp_path):
 @pytest.mark.parametrize("degree", [0, 3])
 def test_any_count_can_be_written(tmp_path, n, degree):
     model = random_model(n, degree)
-    back = saved(tmp_path, model)
-    assert len(back) == n
-    assert back.sh_degree == degree
+    loaded = saved(tmp_path, model)
+    assert len(loaded) == n
+    assert loaded.sh_degree == degree
 
 
 def test_coincident_splats_keep_their_position(tmp_path):
@@ -136,8 +136,8 @@ def test_losses_are_reported(tmp_path):
         "Further elements are left out, .sog has no room for them: camera.",
         "Spherical harmonics above degree 3 are left out, .sog holds no more.",
     )
-    back = saved(tmp_path, model)
-    assert (len(back), back.sh_degree) == (20, 3)
+    loaded = saved(tmp_path, model)
+    assert (len(loaded), loaded.sh_degree) == (20, 3)
     assert io.losses(random_model(20, 3), "a.sog") == ()
 
 
@@ -172,12 +172,12 @@ def test_values_at_the_limit_are_kept(tmp_path):
     model.means[7] = (1e30, -3.4e38, 1e-38)
     model.sh[5, 0, 0], model.sh[6, 3, 1] = 1e18, -1e18
     model.log_scales[9, 2] = -1e18
-    back = saved(tmp_path, model)
-    assert len(back) == 300
-    assert back.finite().all()
-    assert back.sh[:, 0].max() == np.float32(1e18)
-    assert back.sh[:, 3].min() == pytest.approx(-1e18)
-    assert back.means[:, 1].min() == pytest.approx(-3.4e38, rel=1e-3)
+    loaded = saved(tmp_path, model)
+    assert len(loaded) == 300
+    assert loaded.finite().all()
+    assert loaded.sh[:, 0].max() == np.float32(1e18)
+    assert loaded.sh[:, 3].min() == pytest.approx(-1e18)
+    assert loaded.means[:, 1].min() == pytest.approx(-3.4e38, rel=1e-3)
 
 
 @pytest.mark.skipif(most_threads() < 2, reason="this machine has one thread")
@@ -265,8 +265,8 @@ def test_groups_stay_together_and_in_their_order(tmp_path):
     groups = np.arange(60) * 7 % 3
     for name, data in sog_write.contents(model, groups).items():
         (tmp_path / name).write_bytes(data)
-    back = io.load(tmp_path / "meta.json")
-    rows = cKDTree(model.means).query(back.means)[1]
+    loaded = io.load(tmp_path / "meta.json")
+    rows = cKDTree(model.means).query(loaded.means)[1]
     assert groups[rows].tolist() == [0] * 20 + [1] * 20 + [2] * 20
     whole = cKDTree(model.means).query(saved(tmp_path, model).means)[1]
     for group in range(3):  # Morton order within
@@ -350,9 +350,9 @@ def test_the_palette_has_the_requested_number_of_entries(tmp_path, size):
     io.save(model, tmp_path / "m" / "meta.json", format_options=options)
     described = json.loads((tmp_path / "m" / "meta.json").read_text())
     assert described["shN"]["count"] == size
-    back = io.load(tmp_path / "a.sog")
-    assert_same(io.load(tmp_path / "m" / "meta.json"), back)
-    assert len(np.unique(back.sh[:, 1:], axis=0)) == size
+    loaded = io.load(tmp_path / "a.sog")
+    assert_same(io.load(tmp_path / "m" / "meta.json"), loaded)
+    assert len(np.unique(loaded.sh[:, 1:], axis=0)) == size
     assert io.encoded_bytes(model, tmp_path / "a.sog", options) == (
         (tmp_path / "a.sog").stat().st_size
     )
@@ -395,13 +395,13 @@ def test_a_palette_of_unevenly_spaced_points_has_a_small_error():
 
 def test_real_scene_is_written_smaller(tmp_path):
     model = io.load(scene_path("skull.sog"))
-    back = saved(tmp_path, model, palette=65_536)
+    loaded = saved(tmp_path, model, palette=65_536)
     assert (tmp_path / "a.sog").stat().st_size < 0.8 * scene_path("skull.sog").stat().st_size
     for before, after, least in (
-        (model.opacities(), back.opacities(), 0.006),
-        (model.sh[:, 0], back.sh[:, 0], 0.05),
-        (model.sh[:, 1:], back.sh[:, 1:], 0.03),
-        (model.log_scales.ravel(), back.log_scales.ravel(), 0.05),
+        (model.opacities(), loaded.opacities(), 0.006),
+        (model.sh[:, 0], loaded.sh[:, 0], 0.05),
+        (model.sh[:, 1:], loaded.sh[:, 1:], 0.03),
+        (model.log_scales.ravel(), loaded.log_scales.ravel(), 0.05),
     ):
         error = np.abs(np.sort(before, axis=0) - np.sort(after, axis=0))
         assert np.quantile(error, 0.99) < least
@@ -410,18 +410,18 @@ def test_real_scene_is_written_smaller(tmp_path):
 @pytest.mark.parametrize("bits", [4, 5, 6, 7, 8])
 def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
     model = random_model(4000, 0)
-    back = in_order_of(model, saved(tmp_path, model, bits=bits))
+    loaded = in_order_of(model, saved(tmp_path, model, bits=bits))
     step = 2.0 ** (8 - bits)
-    assert angle(model, back).max() < 0.017 * step
-    assert len(np.unique(back.log_scales)) <= 3 * 2 ** (bits - 1)
-    assert len(np.unique(back.sh)) <= 3 * 2 ** (bits - 2)
+    assert angle(model, loaded).max() < 0.017 * step
+    assert len(np.unique(loaded.log_scales)) <= 3 * 2 ** (bits - 1)
+    assert len(np.unique(loaded.sh)) <= 3 * 2 ** (bits - 2)
     assert (
-        np.abs(model.opacities() - back.opacities()).max()
+        np.abs(model.opacities() - loaded.opacities()).max()
         < 0.5 / min(2 ** (bits + 1) - 1, 255) + 0.002
     )
     # For visible splats, a step of the centre is a small share of the size.
     sizes = np.sort(model.scales(), axis=1)[:, 1]
-    moved = np.abs(model.means - back.means).max(axis=1) / sizes
+    moved = np.abs(model.means - loaded.means).max(axis=1) / sizes
     assert 0.001 * step < np.average(moved, weights=visibility(model)) < 0.02 * step
     if bits < 8:
         more = io.encoded_bytes(model, tmp_path / "a.sog", {"bits": bits + 1})
@@ -461,22 +461,22 @@ def test_derived_options_can_be_given_explicitly():
 
 def test_gaussforge_reads_the_same_values(tmp_path):
     gaussforge = pytest.importorskip("gaussforge")
-    back = saved(tmp_path, random_model(2000, 3))
+    loaded = saved(tmp_path, random_model(2000, 3))
     data = (tmp_path / "a.sog").read_bytes()
     converted = gaussforge.GaussForge().convert(data, "sog", "ply")
     (tmp_path / "b.ply").write_bytes(converted["data"])
     other = io.load(tmp_path / "b.ply")
     for name in ("means", "log_scales", "quats", "sh"):
-        assert getattr(other, name) == pytest.approx(getattr(back, name), rel=3e-6, abs=1e-6)
-    finite = np.isfinite(back.opacity_logits)
-    assert other.opacity_logits[finite] == pytest.approx(back.opacity_logits[finite], abs=1e-4)
+        assert getattr(other, name) == pytest.approx(getattr(loaded, name), rel=3e-6, abs=1e-6)
+    finite = np.isfinite(loaded.opacity_logits)
+    assert other.opacity_logits[finite] == pytest.approx(loaded.opacity_logits[finite], abs=1e-4)
 
 
 def test_gsply_reads_the_same_values(tmp_path):
     pytest.importorskip("imagecodecs")
     gsply = pytest.importorskip("gsply")
-    back = saved(tmp_path, random_model(2000, 2))
+    loaded = saved(tmp_path, random_model(2000, 2))
     other = gsply.sogread(str(tmp_path / "a.sog"))
-    assert other.means == pytest.approx(back.means, rel=3e-6, abs=1e-6)
-    assert np.array_equal(other.scales, back.log_scales)
-    assert np.array_equal(other.shN, back.sh[:, 1:])
+    assert other.means == pytest.approx(loaded.means, rel=3e-6, abs=1e-6)
+    assert np.array_equal(other.scales, loaded.log_scales)
+    assert np.array_equal(other.shN, loaded.sh[:, 1:])

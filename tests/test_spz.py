@@ -205,9 +205,9 @@ def test_records_are_kept_if_no_splats_are_removed(tmp_path):
     assert ("spz_record_12340002", 4) in io.inspect(path).elements
     for first, second in (("a.spz", "a.spz"), ("b.ply", "b.spz")):
         for source, target in ((path, first), (tmp_path / first, second))[: 1 + (first != second)]:
-            done = run("convert", source, tmp_path / target)
-            assert done.returncode == 0, done.stderr
-            assert "spz_record" not in done.stderr
+            result = run("convert", source, tmp_path / target)
+            assert result.returncode == 0, result.stderr
+            assert "spz_record" not in result.stderr
         assert records_in(tmp_path / second) == CAMERA + UNKNOWN + SHARES
     converted = run("convert", path, tmp_path / "c.splat")
     assert "spz_record_ADBE0002" in converted.stderr
@@ -219,8 +219,8 @@ def test_records_are_kept_if_no_splats_are_removed(tmp_path):
 
 def test_simplify_keeps_records_that_belong_to_the_whole_model(tmp_path):
     path, halved = with_records(tmp_path, CAMERA + UNKNOWN, 40), ("--preset", "fast", "-r", "0.5")
-    done = run("simplify", path, tmp_path / "a.spz", *halved)
-    assert done.returncode == 0, done.stderr
+    result = run("simplify", path, tmp_path / "a.spz", *halved)
+    assert result.returncode == 0, result.stderr
     assert records_in(tmp_path / "a.spz") == CAMERA + UNKNOWN
     refused = run("simplify", with_records(tmp_path, SHARES), tmp_path / "b.spz", *halved)
     assert refused.returncode == 2
@@ -234,18 +234,18 @@ def test_convert_and_simplify_keep_a_stated_frame_or_note_its_loss(tmp_path):
         ("convert", path, tmp_path / "a.spz"),
         ("simplify", path, tmp_path / "b.spz", *halved),
     ):
-        done = run(*command)
-        assert done.returncode == 0, done.stderr
+        result = run(*command)
+        assert result.returncode == 0, result.stderr
         assert stated_frame(command[2]) == "lub"
     for name, words in {
         "c.ply": "but .ply files have the axes rdf; the model was not turned",
         "d.spz": "cannot state its axes",
     }.items():
         more = ("--spz-version", "3") if name == "d.spz" else ()
-        done = run("convert", path, tmp_path / name, *more)
-        assert done.returncode == 0
-        assert "states that its axes are lub" in done.stderr
-        assert words in done.stderr
+        result = run("convert", path, tmp_path / name, *more)
+        assert result.returncode == 0
+        assert "states that its axes are lub" in result.stderr
+        assert words in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -268,10 +268,10 @@ def test_convert_and_simplify_keep_a_stated_frame_or_note_its_loss(tmp_path):
 )
 def test_lod_notes_that_a_stated_frame_is_left_out(tmp_path, name, options, note_text):
     path = with_records(tmp_path, struct.pack("<III", 0xADBE0003, 4, 3), 40)
-    done = run("lod", path, tmp_path / name, "--levels", "1,0.5", "--preset", "fast", *options)
-    assert done.returncode == 0, done.stderr
-    assert ("states that its axes are lub" in done.stderr) == bool(note_text)
-    assert note_text in done.stderr
+    result = run("lod", path, tmp_path / name, "--levels", "1,0.5", "--preset", "fast", *options)
+    assert result.returncode == 0, result.stderr
+    assert ("states that its axes are lub" in result.stderr) == bool(note_text)
+    assert note_text in result.stderr
     if name == "levels" and not note_text:
         files = sorted((tmp_path / name).glob("*.spz"))
         assert [stated_frame(path) for path in files] == ["lub", "lub"]
@@ -545,12 +545,12 @@ def test_rows_are_sorted_only_if_values_are_rounded(tmp_path):
     fraction = spz_write.fraction_bits(model)
     assert np.abs(io.load(tmp_path / "a.spz").means - model.means).max() <= 0.5 / 2**fraction
     io.save(model, tmp_path / "b.spz", format_options={"bits": 6, "palette": 20})
-    back = io.load(tmp_path / "b.spz")
-    sets = np.unique(back.sh[:, 1:].reshape(500, -1), axis=0, return_inverse=True)[1].ravel()
+    loaded = io.load(tmp_path / "b.spz")
+    sets = np.unique(loaded.sh[:, 1:].reshape(500, -1), axis=0, return_inverse=True)[1].ravel()
     for each in range(sets.max() + 1):
         rows = np.flatnonzero(sets == each)
         assert (np.diff(rows) == 1).all()  # contiguous, and sorted by y
-        assert (np.diff(back.means[rows, 1]) >= 0).all()
+        assert (np.diff(loaded.means[rows, 1]) >= 0).all()
 
 
 def test_large_files_are_compressed_in_the_given_order(tmp_path, monkeypatch):
@@ -585,8 +585,8 @@ def test_rows_keep_their_order_if_a_record_may_refer_to_them(tmp_path, options):
         model = replace(given, elements=model.elements)
         io.save(model, tmp_path / "b.spz", overwrite=True, format_options=options)
         assert records_in(tmp_path / "b.spz") == records
-        back = io.load(tmp_path / "b.spz")
-        kept = np.abs(back.means - model.means).max() < 0.1
+        loaded = io.load(tmp_path / "b.spz")
+        kept = np.abs(loaded.means - model.means).max() < 0.1
         assert kept != moved
 
 
@@ -603,8 +603,8 @@ def test_splats_of_the_same_palette_entry_are_contiguous(tmp_path, version):
     model, options = splats_with_shared_harmonics(3000, 60), {"spz_version": version}
     usual = io.encoded_bytes(model, tmp_path / "a.spz", options)
     io.save(model, tmp_path / "a.spz", format_options=options | {"palette": 100})
-    back = io.load(tmp_path / "a.spz")
-    rows = back.sh[:, 1:].reshape(len(back), -1)
+    loaded = io.load(tmp_path / "a.spz")
+    rows = loaded.sh[:, 1:].reshape(len(loaded), -1)
     changes = 1 + int((rows[1:] != rows[:-1]).any(axis=1).sum())
     # Each set is one run of rows; some sets round to the same values.
     assert 60 <= len(np.unique(rows, axis=0)) <= changes <= 100
@@ -614,7 +614,7 @@ def test_splats_of_the_same_palette_entry_are_contiguous(tmp_path, version):
     plain = io.load(tmp_path / "b.spz")
     found, expected = (
         np.column_stack([s.means, s.log_scales, s.quats, s.opacity_logits, s.sh[:, 0]])
-        for s in (back, plain)
+        for s in (loaded, plain)
     )
     order, right = (np.lexsort(columns.T) for columns in (found, expected))
     assert np.array_equal(found[order], expected[right])

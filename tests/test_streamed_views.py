@@ -299,8 +299,10 @@ def test_held_out_views_score_sources_like_models(pair, open_model, little):
     expected = held_out(splats)
     opened = [open_model(path if open_model is nanogs.open else nanogs.load(path)) for path in pair]
     reported = []
-    most = LIBRARIES + 122 * 512**2 * 8
-    found = held_out(opened[0], lambda done, parts: reported.append((done, parts)), max_memory=most)
+    limit = LIBRARIES + 122 * 512**2 * 8
+    found = held_out(
+        opened[0], lambda done, parts: reported.append((done, parts)), max_memory=limit
+    )
     assert reported[-1] == (8, 8)
     assert found.judge(opened[1]) == expected.judge(small)
     assert found.psnr(opened[1]) == expected.psnr(small) == found.psnr(small)
@@ -316,10 +318,10 @@ def test_pictures_are_the_same_in_little_memory(pair, open_model, cameras, littl
     options = {"views": 2, "pixels": (100, 80), "transparent": cameras == "roam"}
     expected = nanogs.render(pair[0], cameras, **options)
     assert not little
-    most = LIBRARIES + (2_100_000 if open_model is nanogs.load else 1_500_000)
+    limit = LIBRARIES + (2_100_000 if open_model is nanogs.load else 1_500_000)
     steps = []
     found = nanogs.render(
-        open_model(pair[0]), cameras, max_memory=most, progress=steps.append, **options
+        open_model(pair[0]), cameras, max_memory=limit, progress=steps.append, **options
     )
     assert 100_000 < little[0] < 1_000_000
     assert steps[-1].fraction == 1
@@ -334,8 +336,8 @@ def test_the_command_renders_in_little_memory(pair, tmp_path, little, capsys):
     assert command("render", pair[0], tmp_path / "a", *arguments) == 0
     assert not little
     assert "1 splat with a NaN" in squeezed(capsys)
-    most = LIBRARIES + 1_300_000
-    assert command("render", pair[0], tmp_path / "b", *arguments, "--max-memory", str(most)) == 0
+    limit = LIBRARIES + 1_300_000
+    assert command("render", pair[0], tmp_path / "b", *arguments, "--max-memory", str(limit)) == 0
     assert little
     assert "1 splat with a NaN" in squeezed(capsys)
     files = sorted(path.name for path in (tmp_path / "a").iterdir())

@@ -138,8 +138,8 @@ def assert_peaks(runs, folder, most):
     subprocess.run([sys.executable, "-m", "nanogs", "info", *map(str, runs[0][1:2])], cwd=folder)
     for run in runs:
         command = [sys.executable, "-c", PRINT_PEAK, *map(str, run)]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-        assert int(done.stdout.split()[-1]) < most, run
+        result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+        assert int(result.stdout.split()[-1]) < most, run
 
 
 @LINUX

@@ -327,10 +327,10 @@ def test_the_studio_ends_some_time_after_the_last_page_closes(folder):
 def test_an_unreadable_scene_gives_a_one_line_error(tmp_path):
     (tmp_path / "bad.ply").write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
     for path in ("bad.ply", "missing.ply", "scene.xyz"):
-        done = run("studio", path, "--no-open", cwd=tmp_path)
-        assert done.returncode == 2
-        assert done.stderr.count("\n") == 1
-        assert path in done.stderr
+        result = run("studio", path, "--no-open", cwd=tmp_path)
+        assert result.returncode == 2
+        assert result.stderr.count("\n") == 1
+        assert path in result.stderr
 
 
 def test_without_the_extra_an_error_says_what_to_install(folder, monkeypatch, capfd):
@@ -341,9 +341,9 @@ def test_without_the_extra_an_error_says_what_to_install(folder, monkeypatch, ca
 
 def test_a_port_in_use_gives_an_error(studio, folder):
     port = studio.url.split(":")[2].split("/")[0]
-    done = run("studio", "scene.ply", "--no-open", "--port", port, cwd=folder)
-    assert done.returncode == 2
-    assert f"Port {port} cannot be used" in done.stderr
+    result = run("studio", "scene.ply", "--no-open", "--port", port, cwd=folder)
+    assert result.returncode == 2
+    assert f"Port {port} cannot be used" in result.stderr
 
 
 def test_help_imports_neither_the_server_nor_numba():
@@ -355,5 +355,7 @@ def test_help_imports_neither_the_server_nor_numba():
         "names = ('starlette', 'uvicorn', 'numba', 'numpy', 'asyncio')\n"
         "print(json.dumps([name for name in names if name in sys.modules]))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert json.loads(done.stdout.splitlines()[-1]) == []
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60
+    )
+    assert json.loads(result.stdout.splitlines()[-1]) == []

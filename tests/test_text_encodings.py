@@ -37,8 +37,8 @@ def test_comments_that_are_not_utf_8_are_read_back_as_latin_1(latin, tmp_path, s
     nanogs.convert(latin, tmp_path / f"b{suffix}")
     io.save(io.load(latin), tmp_path / f"c{suffix}")
     assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes()
-    back = io.load(tmp_path / f"b{suffix}")
-    assert back.comments == io.inspect(tmp_path / f"b{suffix}").comments == ("café", "é")
+    loaded = io.load(tmp_path / f"b{suffix}")
+    assert loaded.comments == io.inspect(tmp_path / f"b{suffix}").comments == ("café", "é")
     nanogs.convert(tmp_path / f"b{suffix}", tmp_path / "d.ply")
     assert b"comment caf\xc3\xa9\ncomment \xc3\xa9\n" in (tmp_path / "d.ply").read_bytes()
 
@@ -85,10 +85,10 @@ def test_notes_on_losses_can_be_printed(latin, tmp_path):
 
 def test_every_extra_column_keeps_its_name(latin, tmp_path):
     io.save(io.load(latin), tmp_path / "b.ply")
-    back = io.load(tmp_path / "b.ply")
-    assert list(back.extras) == [LATIN]
-    assert model_bytes(back) == model_bytes(io.load(latin))
-    assert isinstance(back, Splats)
+    loaded = io.load(tmp_path / "b.ply")
+    assert list(loaded.extras) == [LATIN]
+    assert model_bytes(loaded) == model_bytes(io.load(latin))
+    assert isinstance(loaded, Splats)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text elsewhere")
@@ -97,12 +97,12 @@ def test_info_escapes_what_stdout_cannot_encode(latin, encoding):
     """With UTF-8, Python refuses lone surrogates on stdout; with LANG=C it lets them pass."""
     path = latin.with_name(f"{LATIN}.ply")
     latin.rename(path)
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-m", "nanogs", "info", path], capture_output=True, check=False,
         env=os.environ | {"PYTHONIOENCODING": encoding},
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    stdout = done.stdout.decode(encoding.partition(":")[0])
+    assert result.returncode == 0, result.stderr
+    stdout = result.stdout.decode(encoding.partition(":")[0])
     shown = "café" if encoding.startswith("utf") else r"caf\xe9"
     assert r"caf\udce9.ply (ply, " in stdout
     assert f"extra columns       {shown}" in stdout

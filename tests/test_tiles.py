@@ -35,7 +35,7 @@ def splats():
 
 
 @pytest.fixture(scope="module", params=["plain", "spz"])
-def made(request, splats, tmp_path_factory):
+def command_tileset(request, splats, tmp_path_factory):
     """The `tileset.json` that the command writes, and the form of its contents, plain or spz."""
     folder = tmp_path_factory.mktemp("tiles")
     nanogs.save(splats, folder / "scene.ply")
@@ -94,8 +94,8 @@ def corners(tile):
     return box[:3] - np.diag(axes), box[:3] + np.diag(axes)
 
 
-def test_the_tile_tree_follows_the_specification(made):
-    path, form = made
+def test_the_tile_tree_follows_the_specification(command_tileset):
+    path, form = command_tileset
     data = tileset(path)
     assert data["asset"]["version"] == "1.1"
     assert data["extensionsUsed"] == list(data["extensions"]) == ["3DTILES_content_gltf"]
@@ -121,8 +121,8 @@ def test_the_tile_tree_follows_the_specification(made):
     assert files == {"tileset.json"} | {tile["content"]["uri"] for tile, _ in tiles(path)}
 
 
-def test_geometric_errors_are_smaller_for_finer_levels(made):
-    path, _ = made
+def test_geometric_errors_are_smaller_for_finer_levels(command_tileset):
+    path, _ = command_tileset
     errors = {}
     for tile, _ in tiles(path):
         errors.setdefault(level_of(tile), []).append(tile["geometricError"])
@@ -130,9 +130,9 @@ def test_geometric_errors_are_smaller_for_finer_levels(made):
     assert 0 == means[0] < means[1] < means[2]
 
 
-def test_the_tiles_of_a_level_contain_exactly_its_splats(splats, made):
+def test_the_tiles_of_a_level_contain_exactly_its_splats(splats, command_tileset):
     """Bit for bit if uncompressed, so that no splat is missing or duplicated."""
-    path, form = made
+    path, form = command_tileset
     parts = {}
     for tile, _ in tiles(path):
         part = content(path, tile)
@@ -153,9 +153,9 @@ def test_the_tiles_of_a_level_contain_exactly_its_splats(splats, made):
             assert np.abs(sh[rows, 0] - small.sh[:, 0]).max() < 0.5 / 255 / 0.15 + 1e-6
 
 
-def test_contents_are_inside_their_boxes_after_all_transforms(made):
+def test_contents_are_inside_their_boxes_after_all_transforms(command_tileset):
     """Contents are transformed by the node's transform and then from y up to z up."""
-    path, _ = made
+    path, _ = command_tileset
     for tile, _ in tiles(path):
         document, _ = glb(path.parent / tile["content"]["uri"])
         scene_node = document["nodes"][0]
@@ -295,8 +295,8 @@ def test_notes_name_what_is_left_out(tmp_path, unpacked):
     assert ("log-scales" in notes) == ("render mode" in notes) == (not unpacked)
 
 
-def test_packed_contents_name_the_attributes_of_the_draft(made):
-    path, form = made
+def test_packed_contents_name_the_attributes_of_the_draft(command_tileset):
+    path, form = command_tileset
     document, body = glb(path.parent / "2_0.glb")
     primitive = document["meshes"][0]["primitives"][0]
     if form == "plain":
@@ -312,10 +312,10 @@ def test_packed_contents_name_the_attributes_of_the_draft(made):
     assert body[:2] == b"\x1f\x8b"  # gzip: SPZ up to version 3
 
 
-def test_the_khronos_validator_finds_no_fault(made):
+def test_the_khronos_validator_finds_no_fault(command_tileset):
     """The validator does not know the extension yet, and so neither its attribute names."""
     package("gltf-validator")
-    path, _ = made
+    path, _ = command_tileset
     script = (
         "const fs = require('fs'), v = require('gltf-validator');"
         "Promise.all(process.argv.slice(1).map(f => v.validateBytes("

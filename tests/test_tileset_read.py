@@ -51,9 +51,9 @@ def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, unpacked):
 def test_commands_read_what_lod_packs_as_spz(splats, tmp_path):
     """The tileset, a level of it and a single tile: the same splats as SPZ files of them."""
     nanogs.save(splats, tmp_path / "a.ply")
-    done = run("lod", tmp_path / "a.ply", tmp_path / "t" / "tileset.json", "--levels", "1,0.5",
+    result = run("lod", tmp_path / "a.ply", tmp_path / "t" / "tileset.json", "--levels", "1,0.5",
                "--preset", "fast", "--chunk", "100")  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
     one = min((tmp_path / "t").glob("0_*.glb"))
     for model, count, more in (
         (tmp_path / "t", 900, ()),
@@ -63,8 +63,8 @@ def test_commands_read_what_lod_packs_as_spz(splats, tmp_path):
         info = run("info", model)
         assert info.returncode == 0, info.stderr
         assert "gzip; columns: 1 int24" in info.stdout
-        done = run("convert", model, tmp_path / "b.ply", "-w", *more)
-        assert done.returncode == 0, done.stderr
+        result = run("convert", model, tmp_path / "b.ply", "-w", *more)
+        assert result.returncode == 0, result.stderr
         assert io.inspect(tmp_path / "b.ply").splats == count
     whole = nanogs.convert(tmp_path / "t" / "tileset.json", tmp_path / "c.ply")
     assert whole.splats == 900

@@ -46,7 +46,7 @@ def test_a_type_checker_accepts_models_of_any_arrays(tmp_path):
     words = ["-m", "mypy", "--strict", "program.py"]
     if (ROOT / "pyproject.toml").exists():  # of `make types`, which leaves a cache that saves 25 s
         words += ["--config-file", ROOT / "pyproject.toml", "--cache-dir", ROOT / ".mypy_cache"]
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert result.returncode == 0, result.stdout + result.stderr

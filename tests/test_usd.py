@@ -116,7 +116,7 @@ def test_usd_itself_reads_the_file(tmp_path):
 
     coefficients = value("radiance:sphericalHarmonicsCoefficients")
     assert_same_splats(io.load(tmp_path / "a.usda"), model)
-    back = Splats(
+    loaded = Splats(
         means=value("positions"),
         log_scales=np.log(value("scales")),
         quats=np.array([[q.real, *q.imaginary] for q in prim.GetAttribute("orientations").Get()],
@@ -124,9 +124,9 @@ def test_usd_itself_reads_the_file(tmp_path):
         opacity_logits=np.zeros(20_000, np.float32),
         sh=coefficients.reshape(20_000, 16, 3),
     )  # fmt: skip
-    assert np.array_equal(back.means, model.means)
-    assert np.array_equal(back.quats, model.unit_quats())
-    assert np.array_equal(back.sh, model.sh)
+    assert np.array_equal(loaded.means, model.means)
+    assert np.array_equal(loaded.quats, model.unit_quats())
+    assert np.array_equal(loaded.sh, model.sh)
     assert np.array_equal(value("opacities"), model.opacities().astype(np.float32))
     assert np.array_equal(value("scales"), model.scales())
     up = geom.Xformable(prim).GetLocalTransformation().Transform((0, -1, 0))
@@ -204,11 +204,11 @@ def test_layers_of_other_programs_are_read(load):
         prim(body, inside=inside), prim(name="B", count=3), "}",
         metadata='defaultPrim = "World"\n subLayers = [@b.usda@]\n upAxis = "Y"',
     )  # fmt: skip
-    back = load(text)
-    assert len(back) == 5
-    assert back.means[4].tolist() == [-1, -2, 3]  # y up, turned to y down
-    assert back.log_scales[0] == pytest.approx(np.log([1, 2, 4]))
-    assert back.sh[0, 0] == pytest.approx([0.1, 0.2, 0.3])
+    loaded = load(text)
+    assert len(loaded) == 5
+    assert loaded.means[4].tolist() == [-1, -2, 3]  # y up, turned to y down
+    assert loaded.log_scales[0] == pytest.approx(np.log([1, 2, 4]))
+    assert loaded.sh[0, 0] == pytest.approx([0.1, 0.2, 0.3])
 
 
 def test_transforms_are_applied(load):
@@ -218,11 +218,11 @@ def test_transforms_are_applied(load):
     uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ"]"""
     inner = """float3 xformOp:scale:big = (2, 2, 2)
     uniform token[] xformOpOrder = ["xformOp:scale:big"]"""
-    back = load(layer(outer, prim(inner), "}"))
+    loaded = load(layer(outer, prim(inner), "}"))
     # (1, 2, 3) twice as large, a quarter turn about z, ten along x; then half a turn about z.
-    assert back.means[0] == pytest.approx([-(10 - 4), -2, 6], abs=1e-5)
-    assert back.log_scales[0] == pytest.approx(np.log([2, 4, 8]), abs=1e-6)
-    assert np.abs(back.quats[0]) == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5], abs=1e-6)
+    assert loaded.means[0] == pytest.approx([-(10 - 4), -2, 6], abs=1e-5)
+    assert loaded.log_scales[0] == pytest.approx(np.log([2, 4, 8]), abs=1e-6)
+    assert np.abs(loaded.quats[0]) == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5], abs=1e-6)
 
 
 def test_z_up_is_converted_too(load):
@@ -238,11 +238,11 @@ def test_matrices_and_rotations_equal_those_of_usd(load, tmp_path):
     matrix4d xformOp:transform:m = ((0, 2, 0, 0), (-2, 0, 0, 0), (0, 0, 2, 0), (5, 6, 7, 1))
     uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateX", "xformOp:rotateY",
         "xformOp:transform:m"]"""
-    back = load(layer(prim(body)))
+    loaded = load(layer(prim(body)))
     stage = usd.Stage.Open(str(tmp_path / "a.usda"))
     found = geom.Xformable(stage.GetPrimAtPath("/Splats")).GetLocalTransformation()
     x, y, z = found.Transform((1, 2, 3))
-    assert back.means[0] == pytest.approx([-x, -y, z], abs=1e-5)
+    assert loaded.means[0] == pytest.approx([-x, -y, z], abs=1e-5)
 
 
 REFUSED = {
@@ -287,5 +287,5 @@ def test_unreadable_layers_are_refused(load, name):
 def test_long_comments_and_texts_are_skipped(load):
     hidden = 1_000 * f"{prim()} {{ ".replace("\n", " ")
     doc = hidden.replace('"', "'")
-    back = load(layer(f"# {hidden}", f'def "a" (doc = "{doc}") {{ }}', prim()))
-    assert len(back) == 2
+    loaded = load(layer(f"# {hidden}", f'def "a" (doc = "{doc}") {{ }}', prim()))
+    assert len(loaded) == 2

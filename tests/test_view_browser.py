@@ -45,7 +45,7 @@ def chromium(driver):
     browser.close()
 
 
-class Seen:
+class OpenedPage:
     """A page in the browser, with the requests it made and the errors it had."""
 
     def __init__(self, browser, path, width=200, height=160, **options):
@@ -106,10 +106,10 @@ def files(tmp_path_factory):
 
 @pytest.fixture
 def two(chromium, files):
-    seen = Seen(chromium, files / "two.html")
-    seen.settle()
-    yield seen
-    seen.close()
+    opened = OpenedPage(chromium, files / "two.html")
+    opened.settle()
+    yield opened
+    opened.close()
 
 
 def is_red(pixels):
@@ -214,10 +214,10 @@ def test_mouse_and_keys_move_the_camera_of_both_sides(two):
 
 
 def test_touches_move_divider_and_camera_on_a_phone(chromium, files):
-    seen = Seen(chromium, files / "two.html", 240, 400, has_touch=True, is_mobile=True)
-    seen.settle()
-    first = seen.pixels()
-    session = seen.context.new_cdp_session(seen.page)
+    opened = OpenedPage(chromium, files / "two.html", 240, 400, has_touch=True, is_mobile=True)
+    opened.settle()
+    first = opened.pixels()
+    session = opened.context.new_cdp_session(opened.page)
 
     def swipe(*fingers):
         """Move each finger in a straight line from one point to another."""
@@ -230,25 +230,25 @@ def test_touches_move_divider_and_camera_on_a_phone(chromium, files):
         session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
     swipe(((120, 200), (150, 210)))
-    seen.sees(edge_at(150 / 240))
+    opened.sees(edge_at(150 / 240))
     swipe(((150, 200), (120, 200)))
     swipe(((40, 260), (80, 280)))
-    turned = seen.sees(lambda pixels: edge_at(0.5)(pixels) and changed(pixels, first, 0.003))
+    turned = opened.sees(lambda pixels: edge_at(0.5)(pixels) and changed(pixels, first, 0.003))
     swipe(((40, 200), (20, 200)), ((80, 200), (100, 200)))
-    seen.sees(lambda pixels: is_background(pixels).mean() < is_background(turned).mean() - 0.05)
-    seen.page.get_by_role("button", name="First view").tap()
-    seen.sees(same_as(first))
-    seen.close()
+    opened.sees(lambda pixels: is_background(pixels).mean() < is_background(turned).mean() - 0.05)
+    opened.page.get_by_role("button", name="First view").tap()
+    opened.sees(same_as(first))
+    opened.close()
 
 
 @pytest.fixture(scope="module")
 def helping(chromium, files):
     """A page on a phone, with its help shown."""
-    seen = Seen(chromium, files / "two.html", 390, 844)
-    seen.settle()
-    seen.page.get_by_role("button", name="Help").click()
-    yield seen
-    seen.close()
+    opened = OpenedPage(chromium, files / "two.html", 390, 844)
+    opened.settle()
+    opened.page.get_by_role("button", name="Help").click()
+    yield opened
+    opened.close()
 
 
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (844, 390), (1200, 800)])
@@ -277,11 +277,11 @@ def test_labels_and_help_fit_any_screen(helping, width, height):
 
 
 def test_a_page_of_one_model_has_no_divider(chromium, files):
-    seen = Seen(chromium, files / "one.html")
-    seen.settle()
-    assert seen.page.get_by_role("slider").count() == 0
-    assert is_red(seen.pixels()).mean() > 0.1
-    seen.close()
+    opened = OpenedPage(chromium, files / "one.html")
+    opened.settle()
+    assert opened.page.get_by_role("slider").count() == 0
+    assert is_red(opened.pixels()).mean() > 0.1
+    opened.close()
 
 
 @pytest.mark.parametrize(
@@ -313,10 +313,10 @@ def rendered_and_shown(chromium, model, folder):
     """Return the first view as nanogs and as the page draw it, each (200, 200, 3)."""
     require_bundle()
     view_files([("model", model)], folder / "page.html")
-    seen = Seen(chromium, folder / "page.html", 200, 200)
-    seen.settle()
-    shown = seen.pixels()
-    seen.close()
+    opened = OpenedPage(chromium, folder / "page.html", 200, 200)
+    opened.settle()
+    shown = opened.pixels()
+    opened.close()
     splats = nanogs.load(model)
     camera = opening_camera(splats, 200, 200)
     return render(splats, camera).shown(), shown
@@ -329,13 +329,13 @@ def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
         ("red", files / "red.ply"), tests, views=1, sizes=[(32, 32)],
         report=tmp_path / "report.html", interactive=True,
     )  # fmt: skip
-    seen = Seen(chromium, tmp_path / "report.html", 400, 700)
-    page = seen.page
+    opened = OpenedPage(chromium, tmp_path / "report.html", 400, 700)
+    page = opened.page
     assert page.locator("canvas").count() == 0
     assert page.evaluate("typeof nanogsViewer") == "undefined"
     page.get_by_role("button", name="Show in 3D").click()
-    seen.settle()
-    many = seen.pixels()
+    opened.settle()
+    many = opened.pixels()
     assert is_red(many).any()
     assert is_blue(many).any()
     panel = page.locator(VIEW).bounding_box()
@@ -346,12 +346,12 @@ def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
     chooser.select_option(label="blue: 200 splats (66.67\N{NO-BREAK SPACE}%)")
     assert "200" not in page.locator(".nv-left").inner_text()
     half = many.shape[1] // 2
-    fewer = seen.sees(lambda pixels: not np.array_equal(pixels[:, half:], many[:, half:]))
+    fewer = opened.sees(lambda pixels: not np.array_equal(pixels[:, half:], many[:, half:]))
     assert np.array_equal(fewer[:, :half], many[:, :half])
     chooser.select_option(index=0)
-    seen.sees(same_as(many))
+    opened.sees(same_as(many))
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
-    seen.close()
+    opened.close()
 
 
 def test_without_webgl_the_page_says_so(driver, files):
