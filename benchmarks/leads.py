@@ -77,8 +77,8 @@ def summary_table(
             for kind in shown:
                 leads = [
                     lead(group, method, value)
-                    for (_, at, of), group in groups.items()
-                    if (at, of) == (ratio, kind) and method in group
+                    for (_, at_ratio, of), group in groups.items()
+                    if (at_ratio, of) == (ratio, kind) and method in group
                 ]
                 cells.append(
                     f"{mean(leads):+.{digits}f} ({min(leads):+.{digits}f})" if leads else ""
@@ -133,12 +133,12 @@ def means_table(rows: Sequence[Row], kinds: Sequence[str]) -> str:
     lines += ["|---|--:|" + "--:|" * len(shown)]
     methods = list(dict.fromkeys(row["method"] for row in rows))
     for ratio in dict.fromkeys(row["ratio"] for row in rows):
-        at = [row for row in rows if row["ratio"] == ratio]
-        common = {row["scene"] for row in at}
+        at_ratio = [row for row in rows if row["ratio"] == ratio]
+        common = {row["scene"] for row in at_ratio}
         for method in methods:
-            common &= {row["scene"] for row in at if row["method"] == method}
+            common &= {row["scene"] for row in at_ratio if row["method"] == method}
         for method in methods:
-            of = [row for row in at if row["method"] == method and row["scene"] in common]
+            of = [row for row in at_ratio if row["method"] == method and row["scene"] in common]
             cells = [_mean_cell([row for row in of if row["kind"] == kind]) for kind in shown]
             if any(cells):
                 lines.append(f"| {method} | {ratio:g} | {' | '.join(cells)} |")

@@ -114,7 +114,7 @@ def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]
     ) in damaged_format.seeds:  # so that time and memory of imports and tables are not measured
         assert outcome(_placed(folder, files)) == "model"
     found = {"model": 0, "refused": 0}
-    slowest, most, failure = 0.0, 0, ""
+    slowest, peak, failure = 0.0, 0, ""
     for number in range(count):
         files = damaged_format.damaged(rng)
         path = _placed(folder, files)
@@ -126,7 +126,7 @@ def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]
         faulthandler.cancel_dump_traceback_later()
         slowest = max(slowest, time.process_time() - start)
         took, size = _resident() - before, sum(map(len, files.values()))
-        most = max(most, took)
+        peak = max(peak, took)
         if took > TIMES * size + FREE_BYTES:
             failure = f"file {number}: {took:,} bytes of memory for one of {size:,}"
             break
@@ -135,7 +135,7 @@ def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]
         "models": found["model"],
         "refused": found["refused"],
         "seconds": slowest,
-        "bytes": most,
+        "bytes": peak,
         "failure": failure,
     }
 

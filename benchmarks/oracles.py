@@ -229,8 +229,8 @@ def kept(kind: str, model: Splats, path: Path) -> dict[str, float]:
     near = tree.query(model.means, min(CANDIDATES, len(file)))[1].reshape(len(model), -1)
     best, rows = np.full(len(model), np.inf), near[:, 0].copy()
     for candidates in near.T:
-        own = with_axes_of(model, file.take(candidates))
-        apart = differences(model, own, measure, candidates)
+        expected = with_axes_of(model, file.take(candidates))
+        apart = differences(model, expected, measure, candidates)
         cost = np.max([column.max(axis=1) for column in apart.values()], axis=0)
         better = cost < best
         best[better], rows[better] = cost[better], candidates[better]
@@ -239,10 +239,10 @@ def kept(kind: str, model: Splats, path: Path) -> dict[str, float]:
 
 def with_axes_of(model: Splats, other: Splats) -> Splats:
     """Rewrite the other model's axes: of the 24 equivalent ways, the nearest to this model's."""
-    own = model.unit_quats().astype(np.float64)
-    between = product(own * [1, -1, -1, -1], other.unit_quats().astype(np.float64))
+    quats = model.unit_quats().astype(np.float64)
+    between = product(quats * [1, -1, -1, -1], other.unit_quats().astype(np.float64))
     turned, scales = minimise_rotation(replace(other, quats=between.astype(np.float32)))
-    return replace(other, quats=product(own, turned).astype(np.float32), log_scales=scales)
+    return replace(other, quats=product(quats, turned).astype(np.float32), log_scales=scales)
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -373,17 +373,17 @@ def table(found: list[dict[str, Any]]) -> str:
     for kind in FORMATS:
         for name in ("nanogs", *(program[0] for program in PROGRAMS)):
             rows = [row for row in found if (row["format"], row["program"]) == (kind, name)]
-            for what in ("read", "read theirs", "kept"):
-                measured = [row[what] for row in rows if what in row]
+            for label in ("read", "read theirs", "kept"):
+                measured = [row[label] for row in rows if label in row]
                 if not measured:
                     continue
                 worst = [max((m.get(c, -1) for m in measured), default=-1) for c in COLUMNS]
                 cells = ["" if value < 0 else f"{value:.2f}" for value in worst]
-                lines.append(f"| `{kind}` | {name} | {what} | {' | '.join(cells)} |")
+                lines.append(f"| `{kind}` | {name} | {label} | {' | '.join(cells)} |")
             failed = [row["failed"] for row in rows if "failed" in row]
             if failed:
-                what = f"failed {len(failed)} of {len(rows)}: {min(failed)}"
-                lines.append(f"| `{kind}` | {name} | {what} |")
+                label = f"failed {len(failed)} of {len(rows)}: {min(failed)}"
+                lines.append(f"| `{kind}` | {name} | {label} |")
     return "\n".join(lines)
 
 

@@ -38,7 +38,7 @@ def main() -> None:
 def _row(model: Path, target: str, preset: str, out: Path) -> str:
     run = _nanogs("simplify", model, out, "-w", "--psnr", target, "--preset", preset)
     reported_psnr = float(run["judged"]["psnr"])
-    [seen] = _nanogs("compare", model, out)["models"]
+    [compared] = _nanogs("compare", model, out)["models"]
     name = model.parent.name if model.suffix == ".json" else model.name.split(".")[0]
     counts, probe_count = f"{run['achieved_count']:,}", f"{len(run['probes'])}"
     cells = [
@@ -46,7 +46,7 @@ def _row(model: Path, target: str, preset: str, out: Path) -> str:
         preset,
         target,
         f"{reported_psnr:.2f}",
-        f"{float(seen['psnr']):.2f}",
+        f"{float(compared['psnr']):.2f}",
         counts,
         probe_count,
     ]

@@ -51,11 +51,11 @@ def copies(scenes: list[Splats], count: int, degree: int) -> Iterator[Splats]:
     across = math.ceil(math.sqrt(count / np.mean([len(s) for s in scenes])))
     offset = 0
     while count > 0:
-        which = offset % len(scenes)
+        scene_number = offset % len(scenes)
         rng = np.random.default_rng(offset)
         row, column = divmod(offset, across)
-        at = np.array([column, 0, row], np.float32) * 0.7 * sizes[which]
-        scene = scenes[which].span(0, count)
+        shift = np.array([column, 0, row], np.float32) * 0.7 * sizes[scene_number]
+        scene = scenes[scene_number].span(0, count)
         scale = np.float32(rng.uniform(0.8, 1.2))
         sh = np.zeros((len(scene), (degree + 1) ** 2, 3), np.float32)
         bands = min(sh.shape[1], scene.sh.shape[1])
@@ -64,7 +64,7 @@ def copies(scenes: list[Splats], count: int, degree: int) -> Iterator[Splats]:
         sh[:, 0] += rng.normal(0, 0.2, 3) + rng.normal(0, 0.02, (len(scene), 3))
         jitter = rng.normal(0, 1, scene.means.shape) * 0.1 * np.exp(scene.log_scales)
         yield Splats(
-            means=(scene.means * scale + jitter + at).astype(np.float32),
+            means=(scene.means * scale + jitter + shift).astype(np.float32),
             log_scales=scene.log_scales + np.log(scale),
             quats=scene.quats,
             opacity_logits=scene.opacity_logits,
@@ -240,12 +240,12 @@ def tree(args: argparse.Namespace) -> None:
             for name, block in ("memory", None), ("blocks", len(model) // args.blocks):
                 out = Path(folder) / f"{name}.rad"
                 nanogs.write_levels(path, out, layout="spark tree", preset="fast", block=block)
-                marks = {}
+                psnrs = {}
                 for level, count in enumerate(nanogs.open(out).levels[1:7], 1):
                     small = nanogs.load(out, level=level)
                     shown = [render(small, camera).shown() for camera in cameras]
-                    marks[count] = round(float(np.mean(list(map(psnr, shown, targets)))), 2)
-                print(path.name, name, marks, flush=True)
+                    psnrs[count] = round(float(np.mean(list(map(psnr, shown, targets)))), 2)
+                print(path.name, name, psnrs, flush=True)
 
 
 def chance(args: argparse.Namespace) -> None:

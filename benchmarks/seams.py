@@ -50,9 +50,9 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
             return result.load(), of_block
 
 
-def beside_borders(means: np.ndarray, of_block: np.ndarray, reach: int) -> np.ndarray:
-    """Return (N,) bool: splats with one of another block among their `reach` neighbours."""
-    near = nearest_neighbours(means.astype(np.float64), reach, 2)
+def beside_borders(means: np.ndarray, of_block: np.ndarray, k: int) -> np.ndarray:
+    """Return (N,) bool: splats with one of another block among their `k` neighbours."""
+    near = nearest_neighbours(means.astype(np.float64), k, 2)
     beside: np.ndarray = (of_block[near] != of_block[:, None]).any(axis=1)
     return beside
 
@@ -115,5 +115,9 @@ def chance(path: Path, ratio: float, rounds: int, times: int) -> list[float]:
         small, _ = nanogs.simplify(splats, count=goal, preset="fast", rounds=rounds)
         model = prepare(small)
         views = zip(images, cameras, strict=True)
-        found.append(np.mean([psnr(image, render(model, at).shown()) for image, at in views]))
+        found.append(
+            np.mean(
+                [psnr(image, render(model, view_camera).shown()) for image, view_camera in views]
+            )
+        )
     return [round(float(value - found[0]), 2) for value in found[1:]]

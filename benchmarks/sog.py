@@ -84,11 +84,11 @@ def measured(
 
 def line(row: dict[str, Any]) -> str:
     """Format a row of the table."""
-    (own, other), (psnr, other_psnr) = row["bytes"], row["psnr"]
+    (own_bytes, other), (psnr, other_psnr) = row["bytes"], row["psnr"]
     seconds, other_seconds = row["seconds"]
     cells = [
         row["scene"], f"{row['splats']:,}", str(row["degree"]),
-        f"{own:,}", f"{other:,}", f"{own / other - 1:+.1%}",
+        f"{own_bytes:,}", f"{other:,}", f"{own_bytes / other - 1:+.1%}",
         f"{psnr:.2f}", f"{other_psnr:.2f}", f"{psnr - other_psnr:+.2f}",
         f"{seconds:.1f}", f"{other_seconds:.1f}",
     ]  # fmt: skip

@@ -34,9 +34,11 @@ def main() -> None:
     folder = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
     for scene in options.scenes.split(","):
         shares = [float(share) for share in options.shares.split(",")]
-        with tempfile.TemporaryDirectory() as made:
+        with tempfile.TemporaryDirectory() as temporary_folder:
             try:
-                _compare(folder / scene, Path(made), shares, options.views, options.preset)
+                _compare(
+                    folder / scene, Path(temporary_folder), shares, options.views, options.preset
+                )
             except pytest.skip.Exception as missing:  # Node, Chromium or the package is absent
                 sys.exit(str(missing))
 
@@ -50,7 +52,7 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _compare(path: Path, made: Path, shares: list[float], views: int, preset: str) -> None:
+def _compare(path: Path, folder: Path, shares: list[float], views: int, preset: str) -> None:
     import nanogs
     from nanogs.metrics import psnr
     from nanogs.raster.rendering import render
@@ -59,22 +61,22 @@ def _compare(path: Path, made: Path, shares: list[float], views: int, preset: st
     from spark_page import render_in_spark
 
     model = nanogs.load(path)
-    nanogs.write_levels(model, made / "a.rad", RATIOS, layout="spark tree", preset=preset)
-    nanogs.save(model, made / "a.spz")
+    nanogs.write_levels(model, folder / "a.rad", RATIOS, layout="spark tree", preset=preset)
+    nanogs.save(model, folder / "a.spz")
     mip = model.render_mode is RenderMode.MIP
     blurs = {"preBlurAmount": 0, "blurAmount": 0.3} if mip else {}
     cameras = automatic_cameras(model, views, width=PIXELS, height=PIXELS)
     targets = [render(model, camera).shown() for camera in cameras]
     for share in shares:
         count = int(len(model) * share)
-        ways: dict[str, tuple[Path, dict[str, Any]]] = {"nanogs": (made / "a.rad", {})}
-        ways |= {name: (made / "a.spz", mesh) for name, mesh in OWN.items()}
+        ways: dict[str, tuple[Path, dict[str, Any]]] = {"nanogs": (folder / "a.rad", {})}
+        ways |= {name: (folder / "a.spz", mesh) for name, mesh in OWN.items()}
         cells = []
         for file, mesh in ways.values():
             found = []
             for camera, target in zip(cameras, targets, strict=True):
                 shown, state = render_in_spark(
-                    file, camera, made, mesh=mesh, still_frames=4, lodSplatCount=count, **blurs
+                    file, camera, folder, mesh=mesh, still_frames=4, lodSplatCount=count, **blurs
                 )
                 found.append((psnr(shown, target), state["splats"]))
             mean, drawn = np.mean(found, axis=0)

@@ -132,15 +132,16 @@ def against_others(model: Path, options: argparse.Namespace) -> None:
     taken = in_turns(runs, options.rounds)
     first = median(seconds for seconds, _ in taken[presets[0]])
     columns = inspect(model)
-    held = column_bytes(model)
+    model_size = column_bytes(model)
     print(
-        f"{columns.splats:,} splats, SH degree {columns.sh_degree}, {bytes_text(held)} of columns\n"
+        f"{columns.splats:,} splats, SH degree {columns.sh_degree}, "
+        f"{bytes_text(model_size)} of columns\n"
     )
     print(f"| | seconds | over {presets[0]} | peak memory | over the columns |")
     print("|---|--:|--:|--:|--:|")
     for name, turns in taken.items():
         seconds, peak = (median(values) for values in zip(*turns, strict=True))
-        memory = f"{bytes_text(int(peak))} | {peak / held:.2f}" if peak else "|"
+        memory = f"{bytes_text(int(peak))} | {peak / model_size:.2f}" if peak else "|"
         print(f"| {name} | {seconds:.2f} | {seconds / first:.2f} | {memory} |")
 
 

@@ -286,11 +286,11 @@ def main() -> None:
     for name in options.scenes.split(","):
         model, (cameras, others) = load(bench.model(name)), near_views(name, bench.model)
         for ratio in (0.1, 0.01):
-            made = {preset: simplify(model, ratio=ratio, preset=preset)[0] for preset in PRESETS}
-            for what, extent.APART in (("cameras, all alike", 1e9), ("cameras", known)):
-                made[what] = simplify(model, ratio=ratio, cameras=cameras)[0]
-            found = compare(model, *made.values(), cameras=others)
-            texts = [f"{a} {b.psnr:.2f} dB" for a, b in zip(made, found.models, strict=True)]
+            results = {preset: simplify(model, ratio=ratio, preset=preset)[0] for preset in PRESETS}
+            for label, extent.APART in (("cameras, all alike", 1e9), ("cameras", known)):
+                results[label] = simplify(model, ratio=ratio, cameras=cameras)[0]
+            found = compare(model, *results.values(), cameras=others)
+            texts = [f"{a} {b.psnr:.2f} dB" for a, b in zip(results, found.models, strict=True)]
             print(f"{name} {ratio:g}: {'; '.join(texts)}", flush=True)
 
 

@@ -36,23 +36,23 @@ def mutate(rng, data, *, header=None, anywhere=1.0, text=()):
             limit = min(limit, header)
         if limit == 0:
             break
-        at, size = int(rng.integers(limit)), int(rng.integers(1, 12))
+        offset, size = int(rng.integers(limit)), int(rng.integers(1, 12))
         kind = rng.integers(20)
         if kind < 7:
-            out[at] = rng.integers(256)
+            out[offset] = rng.integers(256)
         elif kind < 9:
-            del out[at : at + size]
+            del out[offset : offset + size]
         elif kind < 11:
-            out[at:at] = out[at : at + size]
+            out[offset:offset] = out[offset : offset + size]
         elif kind == 11:
-            del out[at:]
+            del out[offset:]
         elif kind < 15:
-            number = _number(rng)[: len(out) - at]
-            out[at : at + len(number)] = number
+            number = _number(rng)[: len(out) - offset]
+            out[offset : offset + len(number)] = number
         elif text:
-            out[at:at] = text[rng.integers(len(text))]
+            out[offset:offset] = text[rng.integers(len(text))]
         else:
-            out[at] ^= 1 << rng.integers(8)
+            out[offset] ^= 1 << rng.integers(8)
     return bytes(out)
 
 

@@ -71,8 +71,8 @@ class FakeStudio:
 
     def send_result(self, kind, number, model, drawn=None, **more):
         """Send an event about a result, whose model may have fewer splats than the result has."""
-        usual = {"splats": 30, "bytes": 600, "psnr": 31.0, "ssim": 0.9, "seconds": 1, "stop": ""}
-        event = usual | more
+        defaults = {"splats": 30, "bytes": 600, "psnr": 31.0, "ssim": 0.9, "seconds": 1, "stop": ""}
+        event = defaults | more
         entry = self.model(model, event["splats"] if drawn is None else drawn)
         self.send_event(type=kind, number=number, model=entry, **event)
 

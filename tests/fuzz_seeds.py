@@ -355,10 +355,10 @@ def _streamed():
     """Make streams of two levels in four models, one of them written by nanogs and larger."""
     out: Files = {}
     for name, colour in (("0_0", 1), ("0_1", 2), ("1_0", 3)):
-        own = {"sh0.webp": sogfiles.webp([[colour, row, 0, 255] for row in range(3)])}
-        out |= {f"{name}/{file}": data for file, data in sogfiles.files(**own).items()}
-    own = saved(random_splats(300, degree=2), "meta.json")
-    out |= {f"0_2/{file}": data for file, data in own.items()}
+        files_of_part = {"sh0.webp": sogfiles.webp([[colour, row, 0, 255] for row in range(3)])}
+        out |= {f"{name}/{file}": data for file, data in sogfiles.files(**files_of_part).items()}
+    files_of_part = saved(random_splats(300, degree=2), "meta.json")
+    out |= {f"0_2/{file}": data for file, data in files_of_part.items()}
 
     def span(file, offset, count):
         return {"file": file, "offset": offset, "count": count}
@@ -377,10 +377,10 @@ def _streamed():
         },
     }
     sky = manifest | {"environment": "env/meta.json"}
-    own = {f"env/{name}": data for name, data in sogfiles.files().items()}
+    files_of_part = {f"env/{name}": data for name, data in sogfiles.files().items()}
     return [
         {"lod-meta.json": json.dumps(manifest).encode()} | out,
-        {"lod-meta.json": json.dumps(sky).encode()} | out | own,
+        {"lod-meta.json": json.dumps(sky).encode()} | out | files_of_part,
     ]
 
 
@@ -469,8 +469,8 @@ def _lccs():
 def index_of_lcc(rng, files):
     """Damage a byte of the cells' counts, offsets or sizes."""
     damaged = bytearray(files["index.bin"])
-    at = int(rng.integers(len(damaged)))
-    damaged[at] = rng.choice([0, 1, 2, 32, 127, 128, 255])
+    offset = int(rng.integers(len(damaged)))
+    damaged[offset] = rng.choice([0, 1, 2, 32, 127, 128, 255])
     return files | {"index.bin": bytes(damaged)}
 
 

@@ -40,8 +40,8 @@ def moments(a, b, jitter=0.0):
     total = np.zeros((3, 3))
     for share, part in ((pi, a), (1 - pi, b)):
         offset = part["mean"] - mean
-        own = covariance(part["scales"], part["quat"], jitter)
-        total += share * (own + np.outer(offset, offset))
+        part_covariance = covariance(part["scales"], part["quat"], jitter)
+        total += share * (part_covariance + np.outer(offset, offset))
     return mean, total
 
 

@@ -74,9 +74,11 @@ def render_reference(splats, camera, background=(0.0, 0.0, 0.0), probes=None):
     color, depth = np.zeros((*shape, 3)), np.zeros(shape)
     probes = np.ones((1, *shape)) if probes is None else probes
     contributions = np.zeros((len(splats), len(probes)))
-    seen = {i: splat_on_screen(splats, camera, i) for i in np.flatnonzero(splats.finite())}
-    for i in sorted((i for i in seen if seen[i] is not None), key=lambda i: (seen[i][0], i)):
-        z, centre, covariance, opacity, colour = seen[i]
+    projected = {i: splat_on_screen(splats, camera, i) for i in np.flatnonzero(splats.finite())}
+    for i in sorted(
+        (i for i in projected if projected[i] is not None), key=lambda i: (projected[i][0], i)
+    ):
+        z, centre, covariance, opacity, colour = projected[i]
         offsets = np.stack([columns - centre[0], rows - centre[1]], axis=-1)
         power = -0.5 * np.einsum("...i,ij,...j", offsets, np.linalg.inv(covariance), offsets)
         alpha = np.minimum(0.99, opacity * np.exp(np.minimum(power, 0)))

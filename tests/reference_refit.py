@@ -23,12 +23,14 @@ def pixel_weights(splats, camera, cutoff=1 / 255):
     """
     shape = (camera.height, camera.width)
     columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
-    seen = {i: splat_on_screen(splats, camera, i) for i in range(len(splats))}
-    order = sorted((i for i in seen if seen[i] is not None), key=lambda i: (seen[i][0], i))
+    projected = {i: splat_on_screen(splats, camera, i) for i in range(len(splats))}
+    order = sorted(
+        (i for i in projected if projected[i] is not None), key=lambda i: (projected[i][0], i)
+    )
     transmittance, saturated = np.ones(shape), np.zeros(shape, bool)
     weights, after = [], []
     for i in order:
-        _, centre, covariance, opacity, _ = seen[i]
+        _, centre, covariance, opacity, _ = projected[i]
         offsets = np.stack([columns - centre[0], rows - centre[1]], axis=-1)
         power = -0.5 * np.einsum("...i,ij,...j", offsets, np.linalg.inv(covariance), offsets)
         alpha = np.minimum(0.99, opacity * np.exp(power))
@@ -148,8 +150,8 @@ def resolved_share(row):
         [[width, slope * height], [0, height]]
     )  # its columns are axes in (x, y) on screen
     dilated = frame @ frame.T
-    own = np.linalg.eigvals(np.linalg.solve(dilated, dilated - 0.3 * np.eye(2)))
-    return (own.real**2).mean()
+    eigenvalues = np.linalg.eigvals(np.linalg.solve(dilated, dilated - 0.3 * np.eye(2)))
+    return (eigenvalues.real**2).mean()
 
 
 class ReferenceFit:

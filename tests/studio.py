@@ -49,10 +49,15 @@ class Started:
         """
         parts = urlsplit(self.url)
         connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60)
-        usual = {"Host": parts.netloc}
+        default_headers = {"Host": parts.netloc}
         if method == "POST":
-            usual |= {"Origin": f"http://{parts.netloc}", "Content-Type": "application/json"}
-        all_headers = {k: v for k, v in (usual | (headers or {})).items() if v is not None}
+            default_headers |= {
+                "Origin": f"http://{parts.netloc}",
+                "Content-Type": "application/json",
+            }
+        all_headers = {
+            k: v for k, v in (default_headers | (headers or {})).items() if v is not None
+        }
         connection.putrequest(method, path if whole else parts.path + path, skip_host=True)
         data = json.dumps(body).encode() if isinstance(body, dict) else body or b""
         if method == "POST" and "Content-Length" not in all_headers:

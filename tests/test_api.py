@@ -85,8 +85,8 @@ def test_every_module_can_be_imported_by_its_name(first):
 
 def test_no_function_has_the_name_of_a_module():
     modules = {one.name for one in pkgutil.iter_modules(nanogs.__path__)}
-    own = {name for name in nanogs.__all__ if not inspect.ismodule(getattr(nanogs, name))}
-    assert not own & modules
+    public_names = {name for name in nanogs.__all__ if not inspect.ismodule(getattr(nanogs, name))}
+    assert not public_names & modules
 
 
 def test_functions_have_the_usual_attributes_and_can_be_pickled():

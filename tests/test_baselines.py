@@ -170,8 +170,10 @@ def reference_moments(gaussians, rows):
             ]
         )
         offset = gaussians.means[row] - mean
-        own = rotation @ np.diag(gaussians.scales[row].astype(float) ** 2) @ rotation.T
-        covariance += share * (own + np.outer(offset, offset))
+        covariance_of_row = (
+            rotation @ np.diag(gaussians.scales[row].astype(float) ** 2) @ rotation.T
+        )
+        covariance += share * (covariance_of_row + np.outer(offset, offset))
     return mean, covariance, shares @ gaussians.opacities[rows], shares @ gaussians.features[rows]
 
 

@@ -296,14 +296,14 @@ def test_a_folder_whose_replacement_was_interrupted_is_restored(tmp_path, swappe
 
 
 def test_clean_ups_run_in_reverse_order_and_not_after_their_context():
-    done = []
-    with cleanup.cleaned_up(lambda: done.append(1)):
-        with cleanup.cleaned_up(lambda: done.append(2)):
+    order = []
+    with cleanup.cleaned_up(lambda: order.append(1)):
+        with cleanup.cleaned_up(lambda: order.append(2)):
             cleanup.clean_all()
-        assert done == [2, 1, 2]
-    assert done == [2, 1, 2, 1]
+        assert order == [2, 1, 2]
+    assert order == [2, 1, 2, 1]
     cleanup.clean_all()
-    assert done == [2, 1, 2, 1]
+    assert order == [2, 1, 2, 1]
 
 
 def test_temporary_files_of_a_round_trip_are_removed_on_exit(tmp_path, monkeypatch):

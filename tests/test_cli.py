@@ -118,8 +118,8 @@ def test_a_psnr_is_reached_or_the_run_ends_with_code_3(scene, tmp_path):
     report = json.loads(reached.stdout)
     assert (reached.returncode, report["stop"], reached.stderr) == (0, "target", "")
     assert 23 <= report["judged"]["psnr"] <= 23.3
-    [seen] = json.loads(run("compare", scene, tmp_path / "a.ply", "--json").stdout)["models"]
-    assert seen["psnr"] == pytest.approx(report["judged"]["psnr"], abs=1e-9)
+    [compared] = json.loads(run("compare", scene, tmp_path / "a.ply", "--json").stdout)["models"]
+    assert compared["psnr"] == pytest.approx(report["judged"]["psnr"], abs=1e-9)
     missed = run("simplify", scene, tmp_path / "b.ply", "--psnr", "100", *options)
     report = json.loads(missed.stdout)
     assert (missed.returncode, report["stop"]) == (3, "unreached")

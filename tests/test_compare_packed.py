@@ -46,10 +46,10 @@ def test_scores_equal_those_of_files_saved_and_loaded_by_hand(files, tmp_path, t
     assert [one.name for one in found] == [
         f"{path.name}{more}" for path in models for more in ("", " as .sog", " as .spz")
     ]
-    for path, (own, *packed) in zip(models, (found[:3], found[3:]), strict=True):
+    for path, (unpacked_row, *packed) in zip(models, (found[:3], found[3:]), strict=True):
         whole = nanogs.load(path)
         unpacked = mean_psnr_ssim(original, whole, cameras)
-        assert (own.packed, own.psnr) == (None, pytest.approx(unpacked[0]))
+        assert (unpacked_row.packed, unpacked_row.psnr) == (None, pytest.approx(unpacked[0]))
         for suffix, one in zip(FORMATS, packed, strict=True):
             nanogs.save(whole, tmp_path / f"twin{suffix}", overwrite=True)
             loaded = nanogs.load(tmp_path / f"twin{suffix}")
@@ -153,11 +153,11 @@ def test_a_measured_result_reports_the_cost_of_packing(files, tmp_path, suffix, 
     )
     plain = nanogs.simplify_blocks(scene, tmp_path / "a.ply", measured=True, **target)
     assert plain.packed is None
-    own, packed = nanogs.compare(
+    unpacked, packed = nanogs.compare(
         scene, tmp_path / "a.ply", packed=[suffix], format_options=options.get("format_options"),
         pixels=128,
     ).models  # fmt: skip
-    assert (own.psnr, own.ssim) == (plain.judged.psnr, plain.judged.ssim)
+    assert (unpacked.psnr, unpacked.ssim) == (plain.judged.psnr, plain.judged.ssim)
     psnr_tolerance = {"abs": 0.3} if "frame" in options else {}  # rounding differs there
     expected, loss = packed.packed, found.packed
     assert loss.format == suffix

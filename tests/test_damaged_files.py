@@ -96,9 +96,9 @@ def webp_bomb(method=zipfile.ZIP_STORED):
 
 def canvas_bomb():
     """A small picture on a canvas of the largest size, for which decoders allocate memory."""
-    own = sogfiles.textures()["sh0.webp"]
+    texture = sogfiles.textures()["sh0.webp"]
     canvas = b"VP8X" + struct.pack("<I", 10) + bytes(4) + (2**14 - 2).to_bytes(3, "little") * 2
-    picture = b"RIFF" + struct.pack("<I", len(own) - 8 + 18) + b"WEBP" + canvas + own[12:]
+    picture = b"RIFF" + struct.pack("<I", len(texture) - 8 + 18) + b"WEBP" + canvas + texture[12:]
     contents = sogfiles.files(**{"sh0.webp": picture})
     return {"meta.json": contents.pop("meta.json")} | contents
 

@@ -47,8 +47,8 @@ def test_a_blender_camera_has_the_values_computed_by_hand(file):
     assert only.photo_path == file.parent / "test" / "r_0.png"
     np.testing.assert_allclose(camera.position, [1, 2, 3])
     # A point one ahead (world -z), one right and one up; camera axes: x right, y down, z forward.
-    seen = camera.world_to_camera @ [2, 3, 2, 1]
-    np.testing.assert_allclose(seen, [1, -1, 1, 1])
+    in_camera = camera.world_to_camera @ [2, 3, 2, 1]
+    np.testing.assert_allclose(in_camera, [1, -1, 1, 1])
 
 
 def test_stated_sizes_and_intrinsics_are_used(file):

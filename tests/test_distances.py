@@ -135,28 +135,28 @@ def under_a_sky(count):
     In scene units the area of the sky is ten thousand times as large.
     """
     front, sky = make_scene(3 * count, sh_degree=0), make_scene(count, sh_degree=0, seed=1)
-    reach = np.abs(front.means).max()
+    radius = np.abs(front.means).max()
     directions = sky.means / np.linalg.norm(sky.means, axis=1, keepdims=True)
     sky = replace(
-        sky, means=(100 * reach * directions).astype(np.float32),
+        sky, means=(100 * radius * directions).astype(np.float32),
         log_scales=sky.log_scales + np.float32(np.log(100)),
     )  # fmt: skip
-    return front, concatenate([front, sky]), 10 * reach
+    return front, concatenate([front, sky]), 10 * radius
 
 
-def kept_within(reach, scene, folder, **options):
+def kept_within(radius, scene, folder, **options):
     """Simplify to a tenth and return the share of splats within the radius, before the sky."""
     nanogs.save(scene, folder / "in.ply", overwrite=True)
     out = folder / "out.ply"
     nanogs.simplify_blocks(folder / "in.ply", out, ratio=0.1, overwrite=True, **options)
     small = nanogs.load(out)
-    return np.mean(np.linalg.norm(small.means, axis=1) < reach)
+    return np.mean(np.linalg.norm(small.means, axis=1) < radius)
 
 
 @pytest.mark.parametrize("options", [{"preset": "fast"}, {"block": 2500, "preset": "fast"}])
 def test_a_sky_does_not_take_most_splats_from_the_scene_before_it(tmp_path, options):
-    _, scene, reach = under_a_sky(2000)
-    assert kept_within(reach, scene, tmp_path, **options) > 0.5
+    _, scene, radius = under_a_sky(2000)
+    assert kept_within(radius, scene, tmp_path, **options) > 0.5
 
 
 @pytest.mark.parametrize(
@@ -179,11 +179,11 @@ def test_automatic_cameras_are_not_taken_for_positions_of_viewers(tmp_path, view
 
 @pytest.mark.parametrize("blocks", [{}, {"block": 4000}])
 def test_the_users_cameras_count_as_viewers_even_without_measuring(tmp_path, blocks):
-    front, scene, reach = under_a_sky(1000)
-    front_elsewhere = replace(front, means=front.means + np.float32([5 * reach, 0, 0]))
+    front, scene, radius = under_a_sky(1000)
+    front_elsewhere = replace(front, means=front.means + np.float32([5 * radius, 0, 0]))
     cameras = automatic_cameras(front_elsewhere, 6, width=64, height=64)
     options = {"measure": False, "steps": 2, "further": 0, "view_size": 64}
-    kept = kept_within(reach, scene, tmp_path, cameras=cameras, **options, **blocks)
+    kept = kept_within(radius, scene, tmp_path, cameras=cameras, **options, **blocks)
     assert kept < 0.5
 
 

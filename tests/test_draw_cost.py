@@ -35,10 +35,10 @@ def cover_reference(splats, camera):
     columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
     counts, sure = np.zeros(shape, int), np.ones(shape, bool)
     for i in np.flatnonzero(splats.finite()):
-        seen = splat_on_screen(splats, camera, i)
-        if seen is None:
+        projected = splat_on_screen(splats, camera, i)
+        if projected is None:
             continue
-        _, centre, covariance, opacity, _ = seen
+        _, centre, covariance, opacity, _ = projected
         offsets = np.stack([columns - centre[0], rows - centre[1]], axis=-1)
         power = -0.5 * np.einsum("...i,ij,...j", offsets, np.linalg.inv(covariance), offsets)
         alpha = opacity * np.exp(np.minimum(power, 0))
@@ -69,9 +69,9 @@ def test_a_splat_of_known_size_covers_a_disc_of_known_radius():
     camera = make_camera(width=64, height=64, focal=30.0)
     splats = one_splat(scale=0.4, logit=0.0)  # 3 pixels, alpha 0.5
     deviation = np.sqrt((0.4 * 30 / 4) ** 2 + 0.3)
-    reach = deviation * np.sqrt(2 * np.log(255 * 0.5))
+    radius = deviation * np.sqrt(2 * np.log(255 * 0.5))
     offsets = np.arange(64) + 0.5 - 32
-    inside = np.hypot(*np.meshgrid(offsets, offsets)) <= reach
+    inside = np.hypot(*np.meshgrid(offsets, offsets)) <= radius
     np.testing.assert_array_equal(covered(splats, camera), inside)
 
 

@@ -103,10 +103,10 @@ def test_outliers_between_scene_and_sky_stay_in_the_scene():
     assert found(model).splats == SKY
 
 
-def on_the_ground(count, reach, seed=3):
-    """Return splats on a plane, denser in the middle; `reach` scales the extent."""
+def on_the_ground(count, radius, seed=3):
+    """Return splats on a plane, denser in the middle; `radius` scales the extent."""
     model = random_splats(count, seed=seed)
-    distances = np.abs(model.means[:, :1]) ** 4 * reach
+    distances = np.abs(model.means[:, :1]) ** 4 * radius
     means = np.concatenate([model.means[:, 1:2], model.means[:, :1] * 0, model.means[:, 2:]], 1)
     return replace(model, means=(means * (0.05 + distances)).astype(np.float32))
 

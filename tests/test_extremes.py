@@ -37,7 +37,7 @@ def assert_finite(splats):
 
 
 @st.composite
-def extreme_splats(draw, most=24, more=()):
+def extreme_splats(draw, maximum=24, more=()):
     """Draw a model of ordinary splats with some values at the limits of float32.
 
     Args:
@@ -45,7 +45,7 @@ def extreme_splats(draw, most=24, more=()):
         most: Largest number of splats.
         more: Further values that any column may get.
     """
-    count = draw(st.integers(2, most))
+    count = draw(st.integers(2, maximum))
     splats = random_splats(count, degree=draw(st.integers(0, 1)), seed=draw(st.integers(0, 99)))
     for name in draw(st.lists(st.sampled_from(sorted(COLUMNS)), min_size=1, unique=True)):
         column = getattr(splats, name).reshape(-1)

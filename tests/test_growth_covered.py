@@ -35,15 +35,15 @@ def reference_coverage(means, scales, turns, alphas, k):
     """Compute the coverage (G,) as the kernel does, with NumPy's solver."""
     neighbours = nearest_neighbours(means, k)
     shares = []
-    for own in range(len(means)):
-        by_length = np.argsort(scales[own])
-        thick = (THICK * scales[own][by_length[1]]) ** 2
+    for index in range(len(means)):
+        by_length = np.argsort(scales[index])
+        thick = (THICK * scales[index][by_length[1]]) ** 2
         sums = []
         for axis in by_length[1:]:
             for side in (-1, 1):
-                point = means[own] + side * AWAY * scales[own][axis] * turns[own][:, axis]
+                point = means[index] + side * AWAY * scales[index][axis] * turns[index][:, axis]
                 total = 0.0
-                for other in neighbours[own]:
+                for other in neighbours[index]:
                     matrix = turns[other] @ np.diag(scales[other] ** 2) @ turns[other].T
                     d = point - means[other]
                     squared = d @ np.linalg.solve(matrix + thick * np.eye(3), d)
@@ -162,19 +162,19 @@ def in_blocks(path, **changes):
 
 
 def test_blocks_use_the_delivered_groups_of_neighbouring_blocks(wall, monkeypatch):
-    seen = []
+    calls = []
 
     def noted(cover, *given):
-        seen.append(cover)
+        calls.append(cover)
         return covered_around(cover, *given)
 
     monkeypatch.setattr("nanogs.method.store.covered_around", noted)
     small = in_blocks(wall[1], threads=1)
     delivered, alphas = small.means.astype(np.float64), 1 / (1 + np.exp(-small.opacity_logits))
-    tree, every = cKDTree(delivered), np.concatenate([cover.means for cover in seen])
+    tree, every = cKDTree(delivered), np.concatenate([cover.means for cover in calls])
     shift = delivered[0] - every[np.argmin(np.linalg.norm(every - delivered[0], axis=1))]
     others = 0
-    for cover in seen:
+    for cover in calls:
         assert cover.means.shape == (len(cover.alphas), 3)
         assert cover.covariances.shape == (len(cover.alphas), 6)
         distances, rows = tree.query(cover.means + shift)

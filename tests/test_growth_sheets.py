@@ -47,8 +47,8 @@ def reference_growth(nodes):
     between = (shares[:, None] * offsets).T @ offsets
     values, axes = np.linalg.eigh(between)
     whole = between + reference.unpack(nodes.covariances[0])
-    seen = axes[:, 1:].T @ whole @ axes[:, 1:]
-    layers = 2 * np.pi * np.sqrt(np.linalg.det(seen)) / (12 * np.sqrt(values[1] * values[2]))
+    projected = axes[:, 1:].T @ whole @ axes[:, 1:]
+    layers = 2 * np.pi * np.sqrt(np.linalg.det(projected)) / (12 * np.sqrt(values[1] * values[2]))
     return np.exp(-(values[0] / values[1]) / FLATNESS**2) * np.sqrt(DENSE / layers)
 
 

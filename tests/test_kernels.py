@@ -686,9 +686,9 @@ def test_subtree_sums_and_scores_that_no_child_exceeds():
 @pytest.mark.parametrize("merged", [0, 1, 13, 28])
 def test_root_of_each_is_the_highest_node_reached_by_chosen_merges(merged):
     children = random_forest(30, seed=28)
-    done = np.arange(len(children)) < merged  # children come first, so any prefix is a cut
+    chosen = np.arange(len(children)) < merged  # children come first, so any prefix is a cut
     roots = np.arange(30 + len(children), dtype=np.int32)
-    root_of_each(children, done, roots)
+    root_of_each(children, chosen, roots)
     expected = np.arange(30)
     for merge_number in range(merged):  # later merges overrule those below them
         expected[reference.leaves_below(children, 30 + merge_number, 30)] = 30 + merge_number
@@ -727,9 +727,21 @@ def test_splats_keep_their_cluster_if_others_fit_equally_well():
     origin, grey = np.zeros((3, 3)), np.zeros((3, 1), np.float32)
     labels, moved, least = np.array([2, 0, 1], np.int32), np.empty(3, np.int32), np.empty(3)
     others = np.array([[1, 2], [0, 2], [0, 1]], np.int32)
-    own = np.arange(3, dtype=np.int32)
+    own_clusters = np.arange(3, dtype=np.int32)
     assign_nearest(
-        labels, others, origin, same, grey, own, origin, same, np.zeros(3), grey, 1.0, moved, least
+        labels,
+        others,
+        origin,
+        same,
+        grey,
+        own_clusters,
+        origin,
+        same,
+        np.zeros(3),
+        grey,
+        1.0,
+        moved,
+        least,
     )
     assert moved.tolist() == labels.tolist()
     assert least == pytest.approx([1.5] * 3)  # half the trace of the identity

@@ -187,14 +187,14 @@ def test_modules_do_not_import_each_other_in_a_cycle():
         imported = one.imported.removeprefix("nanogs.")
         if one.when == "first" and imported not in (one.imported, one.module):
             needs.setdefault(one.module, set()).add(imported)
-    done: set[str] = set()
+    visited: set[str] = set()
 
     def visit(module: str, path: tuple[str, ...]) -> None:
         assert module not in path, " imports ".join((*path[path.index(module) :], module))
-        if module not in done:
+        if module not in visited:
             for further in sorted(needs.get(module, ())):
                 visit(further, (*path, module))
-            done.add(module)
+            visited.add(module)
 
     for module in sorted(needs):
         visit(module, ())

@@ -53,7 +53,7 @@ def test_a_splat_made_by_hand_is_read_in_another_frame(tmp_path):
     scales = [low[0], high[1], interpolated((low, high), 2, 777 / 65535)]
     assert sorted(model.scales()[0]) == pytest.approx(sorted(scales))
     # The first coefficient is that of -y, which becomes -z; that of z is the second.
-    shares = [code / most for code, most in zip(codes[0], (2047, 1023, 2047), strict=True)]
+    shares = [code / max_code for code, max_code in zip(codes[0], (2047, 1023, 2047), strict=True)]
     first = [interpolated(lccfiles.SH, channel, share) for channel, share in enumerate(shares)]
     assert -model.sh[0, 2] == pytest.approx(first, abs=1e-6)
     assert model.notes == ()

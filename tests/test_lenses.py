@@ -111,8 +111,8 @@ def test_photographs_are_undistorted(capture):
     assert 1 <= camera.fx / fx < 1.5
     assert (camera.cx, camera.cy) == (cx, cy)
     u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
-    seen = pattern((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
-    error = np.abs(data.load_photo(frame, WHITE) - seen)
+    ideal = pattern((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+    error = np.abs(data.load_photo(frame, WHITE) - ideal)
     assert error.max() < 0.02
     assert error.mean() < 0.004  # rounding to bytes, and interpolation between pixels
 
@@ -162,8 +162,8 @@ def test_lenses_in_transforms_files_are_the_same(tmp_path, model):
     data = open_dataset(tmp_path)
     (frame,) = data.split("test")
     u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
-    seen = pattern((u - cx) / frame.camera.fx, (v - cy) / frame.camera.fy)
-    assert np.abs(data.load_photo(frame, WHITE) - seen).max() < 0.02
+    ideal = pattern((u - cx) / frame.camera.fx, (v - cy) / frame.camera.fy)
+    assert np.abs(data.load_photo(frame, WHITE) - ideal).max() < 0.02
     (camera,) = cameras_from_file(tmp_path / "transforms_test.json")
     x, y = camera.lens.distorted(np.array([0.3]), np.array([-0.2]))
     assert (x[0], y[0]) == pytest.approx(distorted_points(model, lens, 0.3, -0.2))

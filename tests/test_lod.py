@@ -198,7 +198,7 @@ def test_a_level_equal_to_the_model_is_shown_with_infinite_psnr(scene, tmp_path)
 )
 def test_the_same_input_gives_the_same_bytes(scene, tmp_path, out, fitted):
     """Of every file, for any number of threads; the models are the same in any layout."""
-    made = []
+    results = []
     for number in (1, 2):
         (tmp_path / str(number)).mkdir()
         path, *options = out.split(" ")
@@ -206,9 +206,9 @@ def test_the_same_input_gives_the_same_bytes(scene, tmp_path, out, fitted):
         result = run("lod", scene, tmp_path / str(number) / path, *options)
         assert result.returncode == 0, result.stderr
         folder = tmp_path / str(number) / "levels"
-        made.append(contents(folder))
-    assert len(made[0]) > 1
-    assert made[0] == made[1]
+        results.append(contents(folder))
+    assert len(results[0]) > 1
+    assert results[0] == results[1]
 
 
 def test_an_infinite_psnr_is_null_in_the_manifest(splats, tmp_path):

@@ -155,9 +155,9 @@ def counts_by_file(path):
             key = int(level), entry["file"]
             spans.setdefault(key, []).append((entry["offset"], entry["count"]))
     found = {}
-    for (level, file), own in sorted(spans.items()):
-        ends = list(itertools.accumulate(count for _, count in sorted(own)))
-        assert [offset for offset, _ in sorted(own)] == [0, *ends[:-1]]
+    for (level, file), spans_of_file in sorted(spans.items()):
+        ends = list(itertools.accumulate(count for _, count in sorted(spans_of_file)))
+        assert [offset for offset, _ in sorted(spans_of_file)] == [0, *ends[:-1]]
         assert ends[-1] == io.inspect(path.parent / meta["filenames"][file]).splats
         found.setdefault(level, []).append(ends[-1])
     return found
@@ -180,9 +180,9 @@ def test_plain_levels_can_be_written_in_any_format(scene, tmp_path, plain):
     assert [level.file for level in manifest.levels] == [f"level_{n}.spz" for n in range(3)]
     for level, expected in zip(manifest.levels, plain, strict=True):
         nanogs.save(expected, tmp_path / level.file)
-        own = (tmp_path / "levels" / level.file).read_bytes()
-        assert own == (tmp_path / level.file).read_bytes()
-        assert level.sha256 == hashlib.sha256(own).hexdigest()
+        written = (tmp_path / "levels" / level.file).read_bytes()
+        assert written == (tmp_path / level.file).read_bytes()
+        assert level.sha256 == hashlib.sha256(written).hexdigest()
 
 
 def test_the_planner_decides_between_memory_and_blocks(tmp_path):
@@ -235,8 +235,8 @@ def test_geometric_errors_have_one_scale_for_the_whole_scene(levels_by_layout):
         level, block, _ = tile["content"]["uri"].split("_")
         blocks.add(block)
         part = io.load(path.parent / tile["content"]["uri"])
-        own = 4 * float(np.median(part.scales().max(axis=1))) if inner else 0
-        expected = max([own, *(child["geometricError"] for child in inner)])
+        tile_error = 4 * float(np.median(part.scales().max(axis=1))) if inner else 0
+        expected = max([tile_error, *(child["geometricError"] for child in inner)])
         assert tile["geometricError"] == pytest.approx(expected)
         errors[int(level)].append(tile["geometricError"])
         assert all(level_of(c) == int(level) - 1 for c in inner if "content" in c)
@@ -502,9 +502,9 @@ def test_no_gap_opens_between_blocks(tmp_path, rounds):
         coverage(small)
         for small, _ in nanogs.levels(original, ratios, preset="fast", rounds=rounds)
     ]
-    for own, other in zip(levels, whole, strict=True):
-        assert own.min() > other.min() - 0.05
-        assert np.quantile(own, 0.01) > np.quantile(other, 0.01) - 0.02
+    for in_blocks, other in zip(levels, whole, strict=True):
+        assert in_blocks.min() > other.min() - 0.05
+        assert np.quantile(in_blocks, 0.01) > np.quantile(other, 0.01) - 0.02
     for fine in range(blocks):
         mixed = [p for b in range(blocks) for p in parts[int(b != fine), b]]
         shown = coverage(concatenate(mixed))

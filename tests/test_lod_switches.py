@@ -69,8 +69,8 @@ def test_from_nearer_only_the_middle_of_the_picture_is_rendered(splats, camera):
 def test_pictures_are_scaled_by_the_size_of_a_pixel_in_the_scene(splats, camera):
     views = switch_views(splats, [camera])
     depth = render(prepare(splats), camera, depth=True)
-    own = np.median(depth.depth[depth.alpha > 0.5]) / camera.fx
-    assert views.pixels[0] == pytest.approx(own, rel=1e-3)
+    pixel_size = np.median(depth.depth[depth.alpha > 0.5]) / camera.fx
+    assert views.pixels[0] == pytest.approx(pixel_size, rel=1e-3)
     found = views.judge(splats, 2 * views.pixels[0])
     assert astuple(found) == (distance_of(2 * views.pixels[0]), None, pytest.approx(1), 1, 48)
     assert not found.seen
@@ -122,10 +122,10 @@ def test_each_level_reports_its_quality_at_the_switch(scene, tmp_path, name):
     assert all(each["psnr"] > 0 and each["ssim"] <= 1 and each["views"] == 8 for each in others)
     if name.endswith(("lod-meta.json", ".ssog")):
         assert [each["distance"] for each in others] == pytest.approx([5, 15])
-    seen = [SwitchQuality(**each).seen for each in others]
+    visible = [SwitchQuality(**each).seen for each in others]
     notes = [note[:36] for note in report["notes"] if "switch to it" in note]
     assert notes == [
-        f"Level {n}: the switch to it is visible" for n, each in enumerate(seen, 1) if each
+        f"Level {n}: the switch to it is visible" for n, each in enumerate(visible, 1) if each
     ]
 
 

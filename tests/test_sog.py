@@ -254,12 +254,12 @@ def test_large_textures_are_read_without_pillows_warning(tmp_path, monkeypatch, 
 def flip(rng, data):
     out = bytearray(data)
     for _ in range(rng.integers(1, 4)):
-        at = int(rng.integers(len(out)))
+        index = int(rng.integers(len(out)))
         if rng.random() < 0.2:
-            del out[at:]
+            del out[index:]
             out += b"}"
         else:
-            out[at] = rng.integers(256)
+            out[index] = rng.integers(256)
     return bytes(out)
 
 
@@ -272,8 +272,8 @@ def leaf(**lods):
 def streamed(tmp_path):
     """A writer of a manifest for level 0 in two models, level 1 in one, and an environment."""
     for name, colour in (("0_0", 1), ("0_1", 2), ("1_0", 3), ("env", 4)):
-        own = {"sh0.webp": sogfiles.webp([[colour, row, 0, 255] for row in range(3)])}
-        sogfiles.folder(tmp_path / name, sogfiles.files(**own))
+        chunk_files = {"sh0.webp": sogfiles.webp([[colour, row, 0, 255] for row in range(3)])}
+        sogfiles.folder(tmp_path / name, sogfiles.files(**chunk_files))
     manifest = {
         "lodLevels": 2,
         "filenames": ["1_0/meta.json", "0_0/meta.json", "0_1/meta.json"],

@@ -56,10 +56,10 @@ def product(a, b):
 
 def with_axes_of(model, other):
     """Return `other` with each splat written in the one of 24 ways that is nearest to `model`."""
-    own = model.unit_quats().astype(float)
-    between = product(own * [1, -1, -1, -1], other.unit_quats().astype(float))
+    quats = model.unit_quats().astype(float)
+    between = product(quats * [1, -1, -1, -1], other.unit_quats().astype(float))
     turned, scales = minimise_rotation(replace(other, quats=between.astype(np.float32)))
-    return replace(other, quats=product(own, turned).astype(np.float32), log_scales=scales)
+    return replace(other, quats=product(quats, turned).astype(np.float32), log_scales=scales)
 
 
 def angle(a, b):

@@ -356,11 +356,11 @@ def test_save_writes_version_3(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("reach", "bits"), [(1e-9, 20), (0.9, 16), (10, 12), (2047, 12), (2048, 11), (8388607, 0)]
+    ("extent", "bits"), [(1e-9, 20), (0.9, 16), (10, 12), (2047, 12), (2048, 11), (8388607, 0)]
 )
-def test_fraction_bits_depend_on_the_extent_of_the_scene(tmp_path, reach, bits):
+def test_fraction_bits_depend_on_the_extent_of_the_scene(tmp_path, extent, bits):
     model = random_splats(2)
-    model.means[:] = [[reach, 0, 0], [0, -reach, 0]]
+    model.means[:] = [[extent, 0, 0], [0, -extent, 0]]
     model.log_scales[:] = -20
     assert spz_write.fraction_bits(model) == bits
     again = round_trip(model, tmp_path / "a.spz")
@@ -463,7 +463,7 @@ def order_by_y(model, bits):
 @pytest.mark.parametrize("bits", [4, 5, 6, 7])
 def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
     model = random_splats(2000)
-    usual = io.encoded_bytes(model, tmp_path / "a.spz")
+    default_bytes = io.encoded_bytes(model, tmp_path / "a.spz")
     io.save(model, tmp_path / "a.spz", format_options={"bits": bits})
     step, (version, columns) = spz_write.STEPS[bits], columns_of(tmp_path / "a.spz")
     assert version == 2
@@ -490,7 +490,7 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
     dots = np.abs((again.unit_quats() * quats).sum(axis=1))
     turned = 2 * np.arccos(dots.clip(0, 1)).max()
     assert step.rotations / 127.5 < turned < 2.5 * step.rotations / 127.5
-    assert (tmp_path / "a.spz").stat().st_size < (1 - 0.05 * (8 - bits)) * usual
+    assert (tmp_path / "a.spz").stat().st_size < (1 - 0.05 * (8 - bits)) * default_bytes
 
 
 @pytest.mark.parametrize("bits", [4, 5, 6, 7, 8])
@@ -593,22 +593,22 @@ def test_rows_keep_their_order_if_a_record_may_refer_to_them(tmp_path, options):
 def splats_with_shared_harmonics(count: int, sets: int):
     """Splats in random order whose harmonics are one of a few sets, plus a little noise."""
     model, random = random_splats(count, degree=3), np.random.default_rng(5)
-    own = random.uniform(-0.9, 0.9, (sets, 15, 3))
-    rest = own[random.integers(sets, size=count)] + random.normal(0, 0.01, (count, 15, 3))
+    harmonics = random.uniform(-0.9, 0.9, (sets, 15, 3))
+    rest = harmonics[random.integers(sets, size=count)] + random.normal(0, 0.01, (count, 15, 3))
     return replace(model, sh=np.concatenate([model.sh[:, :1], rest.astype(np.float32)], axis=1))
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])
 def test_splats_of_the_same_palette_entry_are_contiguous(tmp_path, version):
     model, options = splats_with_shared_harmonics(3000, 60), {"spz_version": version}
-    usual = io.encoded_bytes(model, tmp_path / "a.spz", options)
+    default_bytes = io.encoded_bytes(model, tmp_path / "a.spz", options)
     io.save(model, tmp_path / "a.spz", format_options=options | {"palette": 100})
     loaded = io.load(tmp_path / "a.spz")
     rows = loaded.sh[:, 1:].reshape(len(loaded), -1)
     changes = 1 + int((rows[1:] != rows[:-1]).any(axis=1).sum())
     # Each set is one run of rows; some sets round to the same values.
     assert 60 <= len(np.unique(rows, axis=0)) <= changes <= 100
-    assert (tmp_path / "a.spz").stat().st_size < 0.75 * usual
+    assert (tmp_path / "a.spz").stat().st_size < 0.75 * default_bytes
     # Apart from the harmonics and the order, these are the splats written without a palette.
     io.save(model, tmp_path / "b.spz", format_options=options)
     plain = io.load(tmp_path / "b.spz")

@@ -60,8 +60,8 @@ def render_whole(splats, cameras, **options):
 def render_streamed(splats, cameras, budget, **options):
     """Return the pictures rendered from a source, and the number of passes over its rows."""
     source = Counted(splats)
-    made = list(renderings(Streamed(source, budget), cameras, depth=True, **options))
-    return made, source.rows / len(splats)
+    rendered = list(renderings(Streamed(source, budget), cameras, depth=True, **options))
+    return rendered, source.rows / len(splats)
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +87,9 @@ def cameras(splats):
 @pytest.mark.parametrize("budget", [120_000, 150_000, 600_000, 10_000_000])
 def test_a_source_renders_like_the_whole_model(splats, cameras, budget, rows, monkeypatch):
     monkeypatch.setattr(streamed, "BLOCK_ROWS", rows)
-    made, passes = render_streamed(splats, cameras, budget, background=(0.2, 0.5, 1.0))
-    assert_same(made, render_whole(splats, cameras, background=(0.2, 0.5, 1.0)))
-    assert any(each.alpha.any() for each in made)
+    rendered, passes = render_streamed(splats, cameras, budget, background=(0.2, 0.5, 1.0))
+    assert_same(rendered, render_whole(splats, cameras, background=(0.2, 0.5, 1.0)))
+    assert any(each.alpha.any() for each in rendered)
     assert (passes == 1) == (budget == 10_000_000)
 
 
@@ -119,24 +119,27 @@ def test_a_real_scene_renders_like_the_whole_model(kind):
     find = automatic_cameras if kind == "auto" else roaming_cameras
     cameras = find(splats, 3, width=320, height=200, split="test")
     with nanogs.open(path) as source:
-        made = list(renderings(Streamed(source, 4_000_000), cameras, depth=True))
-    assert_same(made, render_whole(splats, cameras))
+        rendered = list(renderings(Streamed(source, 4_000_000), cameras, depth=True))
+    assert_same(rendered, render_whole(splats, cameras))
 
 
 def test_views_share_a_pass_as_far_as_memory_allows(splats, cameras):
     every = [camera for camera in cameras for _ in range(4)]
-    made, passes = render_streamed(splats, every, 1_000_000)
+    rendered, passes = render_streamed(splats, every, 1_000_000)
     assert 1 < passes < len(every)
-    assert_same(made, render_whole(splats, every))
+    assert_same(rendered, render_whole(splats, every))
 
 
 def test_progress_never_decreases_and_ends_with_all_views(splats, cameras):
     reported = []
     render_streamed(
-        splats, cameras, 150_000, on_progress=lambda done, parts: reported.append((done, parts))
+        splats,
+        cameras,
+        150_000,
+        on_progress=lambda fractions, parts: reported.append((fractions, parts)),
     )
-    done = [each for each, _ in reported]
-    assert done == sorted(done)
+    fractions = [each for each, _ in reported]
+    assert fractions == sorted(fractions)
     assert reported[-1] == (len(cameras), len(cameras))
 
 
@@ -147,8 +150,8 @@ def test_too_many_splats_in_one_tile_are_refused():
     camera.world_to_camera[:3, 3] = -heap.means[0] + [0, 0, 3.0]
     with pytest.raises(NotEnoughMemoryError, match=r"view 'near' draws 500 splats.*max_memory"):
         render_streamed(heap, [camera], 8_000)
-    made, _ = render_streamed(heap, [camera], 200_000)
-    assert_same(made, render_whole(heap, [camera]))
+    rendered, _ = render_streamed(heap, [camera], 200_000)
+    assert_same(rendered, render_whole(heap, [camera]))
 
 
 def test_without_cameras_or_with_an_invalid_one_nothing_is_read(splats, cameras):
@@ -166,8 +169,8 @@ def test_blocks_outside_a_part_of_the_picture_are_not_read_again(splats, cameras
     across = finite.means @ cameras[0].world_to_camera[0, :3]
     ordered = finite.take(np.argsort(across, kind="stable"))
     wide = replace(cameras[0].resized(400, 100), name="wide")
-    made, once = render_streamed(ordered, [wide], 50_000)
-    assert_same(made, render_whole(ordered, [wide]))
+    rendered, once = render_streamed(ordered, [wide], 50_000)
+    assert_same(rendered, render_whole(ordered, [wide]))
     mixed, often = render_streamed(finite, [wide], 50_000)
     assert_same(mixed, render_whole(finite, [wide]))
     assert 2 < once < 0.8 * often
@@ -253,8 +256,8 @@ def test_a_comparison_has_the_same_numbers_in_little_memory(pair, kind, little):
     options = {"cameras": ["auto", "roam"], "pixels": [96, 128], "views": 3}
     expected = nanogs.compare(*pair, **options)
     assert not little
-    made = {"files": str, "sources": nanogs.open, "models": nanogs.load}[kind]
-    models, names = [made(path) for path in pair], [pair[1].name]
+    open_model = {"files": str, "sources": nanogs.open, "models": nanogs.load}[kind]
+    models, names = [open_model(path) for path in pair], [pair[1].name]
     memory = LIBRARIES + (4_400_000 if kind == "models" else 3_800_000)
     found = nanogs.compare(*models, names=names, max_memory=memory, **options)
     assert len(set(little)) == 1

@@ -133,13 +133,13 @@ def large(tmp_path_factory):
     return path
 
 
-def assert_peaks(runs, folder, most):
+def assert_peaks(runs, folder, limit):
     """Check peak memory; modules are compiled first, which takes memory in a fresh clone."""
     subprocess.run([sys.executable, "-m", "nanogs", "info", *map(str, runs[0][1:2])], cwd=folder)
     for run in runs:
         command = [sys.executable, "-c", PRINT_PEAK, *map(str, run)]
         result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-        assert int(result.stdout.split()[-1]) < most, run
+        assert int(result.stdout.split()[-1]) < limit, run
 
 
 @LINUX

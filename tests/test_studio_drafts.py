@@ -80,12 +80,12 @@ def forest():
 @pytest.fixture
 def answers(forest):
     curve = Curve(400, 1, lambda count: 10 * count, exact=True)
-    held = SimpleNamespace(
+    answer_state = SimpleNamespace(
         settings=SimpleNamespace(render_mode=None), here=lambda choice: forest,
         roughly=lambda choice, progress: forest,
         fully=lambda choice, progress: forest, curve=lambda choice, grown: curve,
     )  # fmt: skip
-    return RequestHandler(held, opening_for(forest.splats))
+    return RequestHandler(answer_state, opening_for(forest.splats))
 
 
 def test_a_newer_request_gets_its_draft_while_an_older_one_is_measured(answers, forest):

@@ -136,9 +136,9 @@ def test_filters_report_the_removed_splats_and_the_scene_lacks_them(page, folder
     assert "--crop box:-1,-1,-1,0.5,1,1 --min-opacity 0.5 --drop-floaters" in command
     page.wait("measured", number=number)
     number, _ = page.ask(wish={"splats": 300}, **FAST)
-    back = page.wait("filtered", number=number)
-    assert (back["took"], back["left"]) == ([], 4000)
-    assert len(loaded(page, back, tmp_path)) == 4000
+    restored = page.wait("filtered", number=number)
+    assert (restored["took"], restored["left"]) == ([], 4000)
+    assert len(loaded(page, restored, tmp_path)) == 4000
     page.wait("measured", number=number)
 
 
@@ -211,8 +211,8 @@ def test_saved_files_equal_those_of_the_shown_command(page, folder, tmp_path, na
     (tmp_path / "scene.ply").symlink_to(folder / "scene.ply")
     again = run(*words[1:], cwd=tmp_path)
     assert again.returncode == 0, again.stderr
-    made = name.partition("/")[0]  # of levels, the whole folder
-    mine, theirs = contents(folder / made), contents(tmp_path / made)
+    output = name.partition("/")[0]  # of levels, the whole folder
+    mine, theirs = contents(folder / output), contents(tmp_path / output)
     assert mine == theirs
     size = len(theirs) if isinstance(theirs, bytes) else sum(map(len, theirs.values()))
     assert saved["bytes"] == size

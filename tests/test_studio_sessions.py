@@ -225,9 +225,9 @@ def test_a_whole_session(open_studio, folder, tmp_path, width, scheme):
     saved = contents(folder / f"levels-{width}")
     assert written == {f"levels-{width}/{path}": data for path, data in saved.items()}
     for path in (f"small-{width}.sog", f"small-{width}.spz"):
-        own = nanogs.load(folder / path)
+        saved_model = nanogs.load(folder / path)
         theirs = read_elsewhere(folder / path, tmp_path / "theirs.ply")
-        assert len(theirs) == len(own) == 400
+        assert len(theirs) == len(saved_model) == 400
     assert len(read_elsewhere(folder / name, tmp_path / "theirs.ply")) > 400
 
 

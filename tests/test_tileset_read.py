@@ -109,8 +109,8 @@ def test_a_level_is_what_a_viewer_draws_down_to_that_depth(tileset):
     replacing = tile(tile(uri="1.glb"), tile(tile(uri="4.glb"), uri="2.glb"), uri="8.glb")
     assert counts(tileset(replacing)) == [5, 3, 8]
     assert counts(tileset(replacing | {"refine": "ADD"})) == [15, 11, 8]
-    own = tile(tile(tile(uri="4.glb"), uri="2.glb", refine="REPLACE"), uri="8.glb", refine="ADD")
-    assert counts(tileset(own)) == [12, 10, 8]
+    nested = tile(tile(tile(uri="4.glb"), uri="2.glb", refine="REPLACE"), uri="8.glb", refine="ADD")
+    assert counts(tileset(nested)) == [12, 10, 8]
 
 
 def test_tiles_without_contents_are_passed_through(tileset):

@@ -154,9 +154,9 @@ def test_commands_give_the_same_bytes_for_urls_and_files(folder, host, temporary
     levels = ("--levels", "1,0.5", "--preset", "fast", "--no-measure")
     ran("lod", url, tmp_path / "lod", *levels)
     ran("lod", folder / "scene.ply", tmp_path / "lod_of_file", *levels)
-    made = launch.contents(tmp_path / "lod")
-    assert len(made) == 3
-    assert made == launch.contents(tmp_path / "lod_of_file")
+    lod_files = launch.contents(tmp_path / "lod")
+    assert len(lod_files) == 3
+    assert lod_files == launch.contents(tmp_path / "lod_of_file")
     for path, data in launch.contents(tmp_path).items():
         assert not any(secret.encode() in data for secret in SECRETS), path
 

@@ -101,13 +101,13 @@ def test_the_ground_around_an_object_is_seen_and_hardly_from_below():
     ground = rng.uniform(-1, 1, (6_000, 3)) * (3.0, 0.01, 3.0)
     thing = ball(4_000, 0.5, 1) + (0, -0.5, 0)
     scene = np.concatenate([ground, thing])
-    seen, beneath = [], 0
+    visible_shares, beneath = [], 0
     for camera in automatic_cameras(cloud(scene), 24):
         uv, z = pixels(camera, ground)
-        seen.append(((z > camera.near) & ((uv > 0) & (uv < 512)).all(axis=1)).mean())
+        visible_shares.append(((z > camera.near) & ((uv > 0) & (uv < 512)).all(axis=1)).mean())
         flat = np.linalg.norm(camera.position[[0, 2]])
         beneath += camera.position[1] > flat * np.tan(np.radians(16))
-    assert np.mean(seen) > 0.5, "tightly framed, less than half of the ground is seen"
+    assert np.mean(visible_shares) > 0.5, "tightly framed, less than half of the ground is seen"
     assert beneath == 0
 
 

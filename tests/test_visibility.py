@@ -33,7 +33,11 @@ def box_with_something_inside():
     """Return a box with opaque walls of splats, and one splat at its centre as the last row."""
     side = np.linspace(-1, 1, 13)
     u, v = (part.ravel() for part in np.meshgrid(side, side))
-    walls = [np.insert(np.c_[u, v], axis, at, axis=1) for axis in range(3) for at in (-1.0, 1.0)]
+    walls = [
+        np.insert(np.c_[u, v], axis, position, axis=1)
+        for axis in range(3)
+        for position in (-1.0, 1.0)
+    ]
     means = np.r_[np.concatenate(walls), np.zeros((1, 3))].astype(np.float32)
     count = len(means)
     return Splats(
@@ -84,8 +88,8 @@ def test_some_cameras_that_see_no_splats_are_noted_in_the_report(tmp_path, block
     nanogs.save(splats, tmp_path / "in.ply")
     cameras = automatic_cameras(splats, 4, width=64, height=64)
     for index in (1, 3):
-        back = np.diag([-1.0, 1, -1, 1]) @ cameras[index].world_to_camera
-        cameras[index] = dataclasses.replace(cameras[index], world_to_camera=back)
+        turned_away = np.diag([-1.0, 1, -1, 1]) @ cameras[index].world_to_camera
+        cameras[index] = dataclasses.replace(cameras[index], world_to_camera=turned_away)
     report = nanogs.simplify_blocks(
         tmp_path / "in.ply", tmp_path / "out.ply", ratio=0.5, cameras=cameras, steps=2, **blocks
     )
@@ -170,16 +174,18 @@ def test_further_views_differ_from_the_other_views():
             assert len(names) == 6 + further
             assert {camera.width for camera in (*cameras_of, *views.views.further)} == {48}
             assert len(views.fit_views(0, 0).fitting) == 5 + further
-    few = scene_with_views(splats, cameras[:7], view_parameters(views=6, view_size=48, further=9))
-    assert len(few.views.further) == 1
+    few_views = scene_with_views(
+        splats, cameras[:7], view_parameters(views=6, view_size=48, further=9)
+    )
+    assert len(few_views.views.further) == 1
 
 
 def test_few_further_views_are_kept_in_halves_and_many_are_not_kept():
     splats = box_with_something_inside()
-    few = scene_with_views(splats, None, view_parameters(views=6, view_size=48, further=4))
-    assert [view.blocks for view in few.fitting[5:]] == [*FIELDS, *FIELDS]
-    names = [view.camera.name for view in few.fitting[5:]]
-    assert names == [camera.name for camera in few.views.further]
+    few_views = scene_with_views(splats, None, view_parameters(views=6, view_size=48, further=4))
+    assert [view.blocks for view in few_views.fitting[5:]] == [*FIELDS, *FIELDS]
+    names = [view.camera.name for view in few_views.fitting[5:]]
+    assert names == [camera.name for camera in few_views.views.further]
     whole = scene_with_views(
         splats, None, view_parameters(views=6, view_size=48, further=4, halves=False)
     )
@@ -275,14 +281,14 @@ def test_too_few_roaming_views_are_noted(monkeypatch):
 def test_views_too_small_to_compare_results_are_refused_before_growing(
     block, tmp_path, monkeypatch
 ):
-    path, stages, done = tmp_path / "a.ply", [], run.do
+    path, stages, original_do = tmp_path / "a.ply", [], run.do
     nanogs.save(random_splats(300), path)
     cameras = automatic_cameras(nanogs.load(path), 3, width=160, height=20)
     options = {"ratio": 0.5, "cameras": cameras, "view_size": 64, "steps": 1}
 
     def noted(scene, task):
         stages.append(task.stage)
-        return done(scene, task)
+        return original_do(scene, task)
 
     def made(name, **more):
         if block is None:
