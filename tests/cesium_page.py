@@ -85,4 +85,4 @@ def render_in_cesium(path, camera, folder, *, error=0.01, still_frames=30):
             page_in_browser.wait_for_function(done, timeout=TIMEOUT)
             state = page_in_browser.evaluate("window.state")
             pixels = pixels_of(page_in_browser.locator("canvas"), f"cesium-{path.parent.name}")
-    return pixels, state | {"asked": [name for name in requests if name.endswith(".glb")]}
+    return pixels, state | {"requests": [name for name in requests if name.endswith(".glb")]}

@@ -95,4 +95,4 @@ def render_in_spark(path, camera, folder, *, mesh=None, still_frames=8, **option
         page.wait_for_function(done, timeout=TIMEOUT)
         state = page.evaluate("window.state")
         pixels = pixels_of(page.locator("canvas"), f"spark-{path.name}")
-    return pixels, state | {"asked": [name for name in requests if name.startswith("scene/")]}
+    return pixels, state | {"requests": [name for name in requests if name.startswith("scene/")]}

@@ -33,8 +33,8 @@ class StudioPage:
         self.errors, self.foreign = [], []
         self.expected = ()  # words of errors that a test causes on purpose
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
-        self.page.on("console", self._said)
-        self.page.on("request", lambda request: self._requested(request.url, url))
+        self.page.on("console", self._log_error)
+        self.page.on("request", lambda request: self._note_request(request.url, url))
         self.page.goto(url)
 
     def _log_error(self, message):

@@ -84,5 +84,5 @@ def test_cesium_draws_3d_tiles(model_and_camera, tmp_path):
     nanogs.write_levels(model, path.parent, LEVELS, layout=Layout.TILES, preset="fast")
     picture, state = render_in_cesium(path, camera, tmp_path)
     assert state["splats"] == SPLATS
-    assert set(state["asked"]) == {"scene/1_0.glb", "scene/0_0.glb"}
+    assert set(state["requests"]) == {"scene/1_0.glb", "scene/0_0.glb"}
     assert_same(picture, model, camera)

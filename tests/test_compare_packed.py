@@ -51,11 +51,11 @@ def test_scores_equal_those_of_files_saved_and_loaded_by_hand(files, tmp_path, t
         unpacked = mean_psnr_ssim(original, whole, cameras)
         assert (unpacked_row.packed, unpacked_row.psnr) == (None, pytest.approx(unpacked[0]))
         for suffix, one in zip(FORMATS, packed, strict=True):
-            nanogs.save(whole, tmp_path / f"twin{suffix}", overwrite=True)
-            loaded = nanogs.load(tmp_path / f"twin{suffix}")
+            nanogs.save(whole, tmp_path / f"saved{suffix}", overwrite=True)
+            loaded = nanogs.load(tmp_path / f"saved{suffix}")
             expected = mean_psnr_ssim(original, loaded, cameras)
             assert [one.psnr, one.ssim] == pytest.approx(expected)
-            assert one.file_bytes == (tmp_path / f"twin{suffix}").stat().st_size
+            assert one.file_bytes == (tmp_path / f"saved{suffix}").stat().st_size
             loss = one.packed
             assert (loss.format, loss.of) == (suffix, path.name)
             assert loss.psnr_cost == pytest.approx(unpacked[0] - expected[0])

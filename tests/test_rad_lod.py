@@ -391,4 +391,4 @@ def test_spark_draws_the_expected_rows_of_a_tree(tmp_path, paged):
     assert psnr(few, expected) > 30
     assert 22 < psnr(few, whole) < psnr(shown, whole)
     if paged:
-        assert state["asked"].count("scene/a.rad") >= 2  # the header, and chunks by byte range
+        assert state["requests"].count("scene/a.rad") >= 2  # the header, and chunks by byte range

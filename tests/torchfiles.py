@@ -47,7 +47,7 @@ class TorchFile:
         return call(name("torch._utils", "_rebuild_tensor_v2"), Raw(identity + b"Q"), *rest)
 
     def bytes(self):
-        return self.one_after_the_other() if self.legacy else self.zipped()
+        return self.legacy_bytes() if self.legacy else self.zip_bytes()
 
     def legacy_bytes(self):
         system_info = {"protocol_version": 1001, "little_endian": self.order == "little"}
