@@ -272,14 +272,14 @@ def test_files_of_a_running_process_are_not_removed(tmp_path, kind):
 
 
 @posix
-@pytest.mark.parametrize("swapped", [True, False])
-def test_a_folder_whose_replacement_was_interrupted_is_restored(tmp_path, swapped):
+@pytest.mark.parametrize("new_folder_exists", [True, False])
+def test_a_folder_whose_replacement_was_interrupted_is_restored(tmp_path, new_folder_exists):
     """The run was killed after the old folder was moved away, before or after the new one came."""
     out = tmp_path / "out"
     old = name_beside(out, ".old")
     old.mkdir()
     (old / "file").write_text("old")
-    if swapped:
+    if new_folder_exists:
         out.mkdir()
         (out / "file").write_text("new")
 
@@ -292,7 +292,7 @@ def test_a_folder_whose_replacement_was_interrupted_is_restored(tmp_path, swappe
     ):
         pass
     assert contents(tmp_path) == ["out", "out/file"]
-    assert (out / "file").read_text() == ("new" if swapped else "old")
+    assert (out / "file").read_text() == ("new" if new_folder_exists else "old")
 
 
 def test_clean_ups_run_in_reverse_order_and_not_after_their_context():

@@ -104,17 +104,17 @@ def test_an_empty_view_is_left_out_of_the_mean_and_named():
     assert with_empty.models == without.models
 
 
-@pytest.mark.parametrize("empty", [3, 4, 9])
-def test_many_empty_views_share_one_note(tmp_path, empty):
+@pytest.mark.parametrize("empty_views", [3, 4, 9])
+def test_many_empty_views_share_one_note(tmp_path, empty_views):
     splats = random_splats(300)
-    away = [camera(f"back{number}", away=True) for number in range(empty)]
+    away = [camera(f"back{number}", away=True) for number in range(empty_views)]
     comparison, _ = compare_models(
         NamedModel("r", splats), [NamedModel("s", splats)], [camera(), *away]
     )
-    assert len(comparison.skipped_views) == empty
+    assert len(comparison.skipped_views) == empty_views
     _, render_notes = render_images(splats, [camera(), *away], tmp_path / "pictures")
-    assert len(comparison.notes) == len(render_notes) == (3 if empty == 3 else 1)
-    more = {4: "1 more view: ", 9: "6 more views: "}.get(empty)
+    assert len(comparison.notes) == len(render_notes) == (3 if empty_views == 3 else 1)
+    more = {4: "1 more view: ", 9: "6 more views: "}.get(empty_views)
     for [note, *_], model in (
         (comparison.notes, "of the reference"),
         (render_notes, "of the model"),

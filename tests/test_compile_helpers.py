@@ -10,14 +10,14 @@ from nanogs.kernels import needed
 
 
 @pytest.fixture(autouse=True)
-def forgotten():
+def uncached():
     ahead.compile_ahead.cache_clear()
     yield
     ahead.compile_ahead.cache_clear()
 
 
-@pytest.mark.parametrize(("processors", "others"), [(1, 0), (2, 1), (16, 3)])
-def test_helpers_are_started_once_and_for_spare_processors_only(monkeypatch, processors, others):
+@pytest.mark.parametrize(("processors", "helpers"), [(1, 0), (2, 1), (16, 3)])
+def test_helpers_are_started_once_and_for_spare_processors_only(monkeypatch, processors, helpers):
     started, stopped = [], []
 
     class Process:
@@ -33,14 +33,14 @@ def test_helpers_are_started_once_and_for_spare_processors_only(monkeypatch, pro
     monkeypatch.setattr(ahead, "processors", lambda: processors)
     for _ in range(2):
         ahead.compile_ahead("fast")
-    assert len(started) == len(stopped) == others
+    assert len(started) == len(stopped) == helpers
     assert all(command[1:] == ["-m", "nanogs.ahead", "fast"] for command in started)
 
 
 def test_helpers_compile_from_the_last_kernel_and_skip_failures(monkeypatch):
     compiled = []
 
-    class One:
+    class FakeKernel:
         def __init__(self, name):
             self.name = name
 
@@ -49,7 +49,11 @@ def test_helpers_compile_from_the_last_kernel_and_skip_failures(monkeypatch):
             if self.name == "second":
                 raise TypeError("of a kernel that was changed")
 
-    monkeypatch.setattr(needed, "needed", lambda preset: [One("first"), One("second"), One(preset)])
+    monkeypatch.setattr(
+        needed,
+        "needed",
+        lambda preset: [FakeKernel("first"), FakeKernel("second"), FakeKernel(preset)],
+    )
     ahead.compile_from_the_end("fast")
     assert compiled == [("fast", False), ("second", False), ("first", False)]
 

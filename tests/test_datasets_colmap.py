@@ -64,9 +64,9 @@ def test_a_binary_model_is_preferred_to_a_text_model(tmp_path):
     assert [camera.name for camera in read_model(tmp_path)] == ["new.png"]
 
 
-@pytest.mark.parametrize("inside", ["sparse/0", "sparse", "."])
-def test_a_model_is_found_in_each_usual_folder(tmp_path, inside):
-    folder = write_model(tmp_path / inside)
+@pytest.mark.parametrize("subfolder", ["sparse/0", "sparse", "."])
+def test_a_model_is_found_in_each_usual_folder(tmp_path, subfolder):
+    folder = write_model(tmp_path / subfolder)
     assert find_model(tmp_path) == folder
 
 

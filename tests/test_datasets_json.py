@@ -162,10 +162,10 @@ BAD_FRAMES = [
 ]
 
 
-@pytest.mark.parametrize(("bad", "message"), BAD_FRAMES)
-def test_bad_frames_are_refused_with_file_and_reason(file, bad, message):
+@pytest.mark.parametrize(("bad_frame", "message"), BAD_FRAMES)
+def test_bad_frames_are_refused_with_file_and_reason(file, bad_frame, message):
     write_photo(file.parent / "test" / "r_0.png", (80, 60))
-    write_json(file, transforms([bad]))
+    write_json(file, transforms([bad_frame]))
     with pytest.raises(FormatError, match=message) as caught:
         read_transforms(file)
     assert str(file) in str(caught.value)

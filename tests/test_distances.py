@@ -401,7 +401,7 @@ def test_a_far_copy_of_a_scene_hardly_changes_its_result(options):
     assert psnr_loss < 1
 
 
-def hedge(seed, count=3000):
+def needles(seed, count=3000):
     """Return needles in a ball that are thinner than a pixel and too few to hide each other."""
     rng = np.random.default_rng(seed)
     return Splats(
@@ -419,12 +419,12 @@ def camera_at_distance_four(focal, size=512):
     return Camera(size, size, focal, focal, size / 2, size / 2, pose, near=0.01)
 
 
-@pytest.mark.parametrize(("pixels", "right"), [(512.0, True), (4096.0, False), (64.0, False)])
-def test_needles_keep_their_mean_brightness_over_a_range_of_distances(pixels, right):
+@pytest.mark.parametrize(("pixels", "in_range"), [(512.0, True), (4096.0, False), (64.0, False)])
+def test_needles_keep_their_mean_brightness_over_a_range_of_distances(pixels, in_range):
     """From far they are too faint and from four times as near too bright, each by less than a
     factor of two, and the sum is right. Summed over eight hedges, because single ones vary."""
     before, after = np.zeros((2, 2))
-    for splats in map(hedge, range(8)):
+    for splats in map(needles, range(8)):
         pixel_sizes = estimate_dilation(
             splats.means.astype(float), splats.opacities(), RenderMode.DEFAULT, 512
         )
@@ -434,4 +434,6 @@ def test_needles_keep_their_mean_brightness_over_a_range_of_distances(pixels, ri
         before += [view.mean() for view in pictures_of(splats, cameras)]
         after += [view.mean() for view in pictures_of(small, cameras)]
     far, near = after / before
-    assert (0.5 < far < 1 < near < 2 and sum(after) == pytest.approx(sum(before), rel=0.1)) == right
+    assert (
+        0.5 < far < 1 < near < 2 and sum(after) == pytest.approx(sum(before), rel=0.1)
+    ) == in_range

@@ -196,16 +196,20 @@ def test_the_page_of_formats_lists_all_formats():
 
 
 @pytest.mark.parametrize(
-    "known",
-    [known for known in registry.formats() if known.write and known.readable],
-    ids=lambda known: known.suffix,
+    "file_format",
+    [
+        file_format
+        for file_format in registry.formats()
+        if file_format.write and file_format.readable
+    ],
+    ids=lambda file_format: file_format.suffix,
 )
-def test_formats_keep_what_the_table_of_formats_says(known, hooks, tmp_path):
+def test_formats_keep_what_the_table_of_formats_says(file_format, hooks, tmp_path):
     """The table is computed from reported losses; this test writes and reads files."""
     plain = replace(make_scene(60, sh_degree=4), comments=())
-    kept = hooks["formats"].kept(known, plain)
+    kept = hooks["formats"].kept(file_format, plain)
     for number, (name, model) in enumerate(hooks["formats"].variants(plain).items()):
-        loaded = written_and_read(model, known, tmp_path / str(number))
+        loaded = written_and_read(model, file_format, tmp_path / str(number))
         found = {
             "columns": np.array_equal(
                 loaded.extras.get("label", ()), model.extras.get("label", np.zeros(1))
@@ -216,7 +220,7 @@ def test_formats_keep_what_the_table_of_formats_says(known, hooks, tmp_path):
             "surfel": loaded.render_mode == model.render_mode,
         }
         assert found[name] == getattr(kept, name), name
-    assert written_and_read(plain, known, tmp_path / "plain").sh_degree == kept.sh_degree
+    assert written_and_read(plain, file_format, tmp_path / "plain").sh_degree == kept.sh_degree
 
 
 def written_and_read(splats, known, folder):

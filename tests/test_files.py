@@ -162,15 +162,15 @@ def test_a_large_size_keeps_all_splats_and_a_tiny_size_is_refused(scene, tmp_pat
         nanogs.simplify_blocks(scene, tmp_path / "b.ply", size=100, block=500, **QUICK)
 
 
-@pytest.mark.parametrize("changed", [{}, {"sh_degree": 0, "frame": ("rdf", "rub")}])
-def test_results_made_in_blocks_are_measured_as_those_in_memory(splats, scene, tmp_path, changed):
+@pytest.mark.parametrize("changes", [{}, {"sh_degree": 0, "frame": ("rdf", "rub")}])
+def test_results_made_in_blocks_are_measured_as_those_in_memory(splats, scene, tmp_path, changes):
     out, steps = tmp_path / "a.ply", []
     report = nanogs.simplify_blocks(
-        scene, out, ratio=0.2, block=1000, measured=True, progress=steps.append, **changed, **QUICK
+        scene, out, ratio=0.2, block=1000, measured=True, progress=steps.append, **changes, **QUICK
     )
     assert report.blocks.blocks > 1
-    original = splats.with_sh_degree(0) if changed else splats
-    judge = file_judge(original, ".ply", turn=changed.get("frame"))
+    original = splats.with_sh_degree(0) if changes else splats
+    judge = file_judge(original, ".ply", turn=changes.get("frame"))
     assert report.judged == judge.of(out)
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions)

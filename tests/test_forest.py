@@ -205,8 +205,8 @@ def test_increments_equal_the_reference_for_the_merged_nodes():
         assert np.allclose(increment, expected, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.parametrize(("lambda_app", "together"), [(0.0, {1}), (10.0, {2})])
-def test_a_high_colour_weight_merges_splats_of_equal_colour(lambda_app, together):
+@pytest.mark.parametrize(("lambda_app", "index_distances"), [(0.0, {1}), (10.0, {2})])
+def test_a_high_colour_weight_merges_splats_of_equal_colour(lambda_app, index_distances):
     """Four spheres in a row: neighbours differ in colour, every second one has the same colour."""
     splats = random_splats(1, degree=0).take(np.zeros(4, np.int64))
     splats.means[:] = np.array([[0.0, 0, 0], [1, 0, 0], [2.1, 0, 0], [3.1, 0, 0]])
@@ -215,7 +215,7 @@ def test_a_high_colour_weight_merges_splats_of_equal_colour(lambda_app, together
     nodes, rows = nodes_of(splats)
     forest = grow_forest(nodes, ForestParameters(k=3, lambda_app=lambda_app), 1, ignore_progress)
     pairs = rows[forest.children[forest.levels == 1]]
-    assert set(np.abs(np.diff(pairs, axis=1)).ravel().tolist()) == together
+    assert set(np.abs(np.diff(pairs, axis=1)).ravel().tolist()) == index_distances
     assert forest.levels.tolist() == [1, 1, 2]
 
 

@@ -168,15 +168,15 @@ def test_a_tenth_is_kept_free_unless_max_memory_is_given(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("free", "processes", "each"),
+    ("free", "processes", "expected"),
     [
         (3_456_000_000, 1, 3_660_000_000),
         (7_400_000, 1, 217_000_000),
         (4_000_000_000, 4, 1_050_000_000),
     ],
 )
-def test_each_process_gets_its_share_rounded_to_three_digits(free, processes, each):
-    assert process_memory(Memory(free, ""), processes) == each
+def test_each_process_gets_its_share_rounded_to_three_digits(free, processes, expected):
+    assert process_memory(Memory(free, ""), processes) == expected
 
 
 # ---- models that do not fit -------------------------------------------------------------------

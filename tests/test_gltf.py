@@ -363,16 +363,18 @@ def test_node_scales_may_differ_between_axes(load):
     assert np.allclose(np.linalg.norm(scaled.quats, axis=1), 1, atol=1e-6)
 
 
-@pytest.mark.parametrize("space", ["BT.709-sRGB", "BT.709-linear", None])
-def test_colour_space_names_of_drafts_are_accepted(load, space):
+@pytest.mark.parametrize("colour_space", ["BT.709-sRGB", "BT.709-linear", None])
+def test_colour_space_names_of_drafts_are_accepted(load, colour_space):
     model = random_splats(4, seed=7)
     content, body = document(columns(model), nodes=[{"mesh": 0, "rotation": [0, 0, 1, 0]}])
-    extension = {"kernel": "ellipse"} | ({"colorSpace": space} if space else {})
+    extension = {"kernel": "ellipse"} | ({"colorSpace": colour_space} if colour_space else {})
     content["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"] = extension
     loaded = load((content, body))
-    assert np.array_equal(loaded.sh, model.sh) == (space != "BT.709-linear")
-    assert any("BT.709-linear" in note for note in loaded.notes) == (space == "BT.709-linear")
-    assert len(loaded.notes) == (space == "BT.709-linear")
+    assert np.array_equal(loaded.sh, model.sh) == (colour_space != "BT.709-linear")
+    assert any("BT.709-linear" in note for note in loaded.notes) == (
+        colour_space == "BT.709-linear"
+    )
+    assert len(loaded.notes) == (colour_space == "BT.709-linear")
 
 
 def test_a_node_transform_may_be_a_matrix(load):

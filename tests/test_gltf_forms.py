@@ -60,14 +60,14 @@ def test_a_text_file_may_escape_its_slashes(content_and_buffer, expected, tmp_pa
     assert_same(io.load(tmp_path / "a.gltf"), expected)
 
 
-@pytest.mark.parametrize("piece", [1, 2, 5, 6, 7, 100, 257, 1000])
+@pytest.mark.parametrize("piece_size", [1, 2, 5, 6, 7, 100, 257, 1000])
 def test_a_text_file_is_read_in_pieces_of_any_size(
-    content_and_buffer, expected, tmp_path, monkeypatch, piece
+    content_and_buffer, expected, tmp_path, monkeypatch, piece_size
 ):
     content, body = content_and_buffer
     content["extras"] = ["data:", '"data:a', 'x"data:', "data:" + "y" * 250, "data:" + "z" * 300]
     (tmp_path / "a.gltf").write_text(as_text(content, body))
-    monkeypatch.setattr("nanogs.io.gltf.glb._PIECE", piece)
+    monkeypatch.setattr("nanogs.io.gltf.glb._PIECE", piece_size)
     assert_same(io.load(tmp_path / "a.gltf"), expected)
     with io.open(tmp_path / "a.gltf") as source:
         assert np.array_equal(source.read(7, 200).sh, expected.sh[7:200])
@@ -87,11 +87,11 @@ def test_only_the_requested_part_of_a_data_uri_is_decoded(tmp_path):
     assert peak < 6_000_000
 
 
-@pytest.mark.parametrize("wrong", ["!", "=", "é"])
-def test_a_damaged_data_uri_is_refused(content_and_buffer, tmp_path, wrong):
+@pytest.mark.parametrize("character", ["!", "=", "é"])
+def test_a_damaged_data_uri_is_refused(content_and_buffer, tmp_path, character):
     text = as_text(*content_and_buffer)
     index = text.index("base64,") + 4001
-    (tmp_path / "a.gltf").write_text(text[:index] + wrong + text[index + 1 :], encoding="utf-8")
+    (tmp_path / "a.gltf").write_text(text[:index] + character + text[index + 1 :], encoding="utf-8")
     with pytest.raises(FormatError, match="damaged"):
         io.load(tmp_path / "a.gltf")
 

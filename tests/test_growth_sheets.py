@@ -79,13 +79,13 @@ def test_only_groups_on_sheets_grow():
 
 
 @pytest.mark.parametrize(
-    ("times", "larger"), [(0.5, 1), (2, 2), (3.2, 3.2), (3.3, 1.8**2), (10, 1.8**2)]
+    ("coverage_ratio", "area_ratio"), [(0.5, 1), (2, 2), (3.2, 3.2), (3.3, 1.8**2), (10, 1.8**2)]
 )
-def test_sheets_grow_up_to_their_members_coverage_within_a_limit(times, larger):
+def test_sheets_grow_up_to_their_members_coverage_within_a_limit(coverage_ratio, area_ratio):
     sheet = np.random.default_rng(4).normal(size=(20, 3)) * [1, 1, 0]
     nodes, labels = nodes_at(sheet, 1e-4 * np.eye(3)), np.zeros(20, np.int32)
-    merged, areas = gather(nodes, labels, 1), np.array([nodes.coverages.sum() / times])
-    for sheets, least in ((True, larger), (False, 1)):
+    merged, areas = gather(nodes, labels, 1), np.array([nodes.coverages.sum() / coverage_ratio])
+    for sheets, least in ((True, area_ratio), (False, 1)):
         needs, found = area_needs(merged, nodes, labels, areas, sheets=sheets)
         assert found == pytest.approx(least)
         assert needs == pytest.approx(blocked(nodes.coverages.sum(), areas) / areas)

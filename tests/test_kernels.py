@@ -320,7 +320,7 @@ def test_pairs_between_different_stretches_of_rows(threads):
     assert list(map(tuple, pairs.tolist())) == reference.pairs_of(neighbours)
 
 
-def collected(firsts, seconds, costs, taken, end, keys):
+def collect_keys(firsts, seconds, costs, taken, end, keys):
     """Collect the keys of three stretches of pairs; return the counts of keys and of NaN costs."""
     bounds = np.array([0, len(costs) // 3, len(costs) // 2, len(costs)])
     counts, without = np.zeros((2, 3), np.int64)
@@ -339,7 +339,7 @@ def test_keys_sort_by_cost_and_then_by_pair(spread):
     rows, none_taken = np.arange(6000, dtype=np.int32).reshape(2, 3000), np.zeros(6000, dtype=bool)
     counts, keys = np.zeros(1 << 16, dtype=np.int64), np.empty(3000, dtype=np.uint64)
     tally_free(*rows, costs, none_taken, counts)
-    assert counts.sum() == collected(*rows, costs, none_taken, 1 << 16, keys)[0] == 3000
+    assert counts.sum() == collect_keys(*rows, costs, none_taken, 1 << 16, keys)[0] == 3000
     buffer = np.empty_like(keys)
     found = radix_sort(keys, buffer)
     assert (found & np.uint64(0xFFFFFFFF)).tolist() == np.argsort(costs, kind="stable").tolist()
@@ -359,9 +359,9 @@ def test_keys_are_sorted_by_their_upper_halves_for_any_number_of_threads(count, 
 
 
 @pytest.mark.parametrize(
-    ("end", "bound"), [(0, -math.inf), (0x8000, 0), (0xBF80, 1), (1 << 16, math.inf)]
+    ("key_bound", "bound"), [(0, -math.inf), (0x8000, 0), (0xBF80, 1), (1 << 16, math.inf)]
 )
-def test_only_free_pairs_below_the_cost_bound_are_collected(end, bound):
+def test_only_free_pairs_below_the_cost_bound_are_collected(key_bound, bound):
     rng = np.random.default_rng(29)
     costs = rng.normal(size=500).astype(np.float32)
     costs[::7], costs[1::7] = np.nan, -0.0
@@ -369,12 +369,12 @@ def test_only_free_pairs_below_the_cost_bound_are_collected(end, bound):
     taken = rng.random(60) < 0.3
     expected = np.flatnonzero((costs < bound) & ~taken[firsts] & ~taken[seconds])
     keys = np.empty(500, dtype=np.uint64)
-    count, without_cost = collected(firsts, seconds, costs, taken, end, keys)
+    count, without_cost = collect_keys(firsts, seconds, costs, taken, key_bound, keys)
     assert without_cost == np.isnan(costs).sum()
     assert (keys[:count] & np.uint64(0xFFFFFFFF)).tolist() == expected.tolist()
     counts = np.zeros(1 << 16, dtype=np.int64)
     tally_free(firsts, seconds, costs, taken, counts)
-    assert counts[:end].sum() == count
+    assert counts[:key_bound].sum() == count
 
 
 def test_matching_in_batches_gives_the_same_pairs(monkeypatch):
@@ -397,8 +397,8 @@ def test_matching_in_batches_gives_the_same_pairs(monkeypatch):
     assert len(batches) > 20
 
 
-@pytest.mark.parametrize("stretch", [7, 100, 1 << 16])
-def test_matching_in_rounds_gives_the_same_pairs(monkeypatch, stretch):
+@pytest.mark.parametrize("pairs_per_round", [7, 100, 1 << 16])
+def test_matching_in_rounds_gives_the_same_pairs(monkeypatch, pairs_per_round):
     rng = np.random.default_rng(36)
     pairs = neighbour_pairs(rng.normal(size=(400, 3)), 8, threads=1)
     costs = rng.choice([*rng.normal(size=90), math.nan, 0.0, -0.0], len(pairs)).astype(np.float32)
@@ -409,7 +409,7 @@ def test_matching_in_rounds_gives_the_same_pairs(monkeypatch, stretch):
         "_match_sorted",
         lambda *args: unmatched.append((~args[-1]).sum()) or original(*args),
     )
-    monkeypatch.setattr(matching, "STRETCH", stretch)
+    monkeypatch.setattr(matching, "STRETCH", pairs_per_round)
     for threads in (1, 2):
         with use_threads(threads):
             plan = match(pairs, costs, 400, 195)
@@ -649,12 +649,12 @@ def test_merge_increments_equal_the_reference(own_features):
         assert np.allclose(increment, expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize("apart", [0.0, 0.3, 1.0, 4.0])
-def test_geometry_increment_is_an_upper_bound_of_the_kl_divergence(apart):
+@pytest.mark.parametrize("distance", [0.0, 0.3, 1.0, 4.0])
+def test_geometry_increment_is_an_upper_bound_of_the_kl_divergence(distance):
     """Runnalls' bound times the weights: above the true KL divergence, and 0 for equal nodes."""
     weights = np.array([2.0, 0.5])
-    means = np.array([[0, 0, 0], [apart, 0, 0]])
-    covariances = random_covariances(1, seed=26)[[0, 0]] * np.array([[1.0], [1 + apart]])
+    means = np.array([[0, 0, 0], [distance, 0, 0]])
+    covariances = random_covariances(1, seed=26)[[0, 0]] * np.array([[1.0], [1 + distance]])
     sigmas = np.array([reference.unpack(six) for six in covariances])
     found = increments_of(
         np.array([[0, 1]], np.int32),
@@ -666,7 +666,7 @@ def test_geometry_increment_is_an_upper_bound_of_the_kl_divergence(apart):
     divergence = reference.divergence_from_merged(weights, means, sigmas, 20_000, seed=26)
     assert found[0, 1] / weights.sum() >= divergence - 0.02
     assert found[0, 0] == 0
-    assert (abs(found[0, 1]) < 1e-6) == (apart == 0)
+    assert (abs(found[0, 1]) < 1e-6) == (distance == 0)
 
 
 def test_subtree_sums_and_scores_that_no_child_exceeds():

@@ -17,13 +17,13 @@ PAGES = (
 READABLE = [known.suffix for known in formats() if known.readable]
 
 
-@pytest.mark.parametrize("use", [io.load, io.inspect])
+@pytest.mark.parametrize("read", [io.load, io.inspect])
 @pytest.mark.parametrize("suffix", READABLE)
-def test_a_git_lfs_pointer_says_how_to_get_the_file(tmp_path, suffix, use):
+def test_a_git_lfs_pointer_says_how_to_get_the_file(tmp_path, suffix, read):
     path = tmp_path / (suffix if suffix.endswith("json") else f"a{suffix}")
     path.write_bytes(POINTER)
     with pytest.raises(FormatError, match="is a Git LFS pointer, not the file itself: run git lfs"):
-        use(path)
+        read(path)
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -186,15 +186,15 @@ def test_the_gain_of_more_splats_is_measured_near_the_requested_size():
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
 
 
-@pytest.mark.parametrize("edge", [*range(5000, 8200, 200)])
-def test_a_result_is_packed_with_the_options_that_were_measured(edge):
+@pytest.mark.parametrize("edge_count", [*range(5000, 8200, 200)])
+def test_a_result_is_packed_with_the_options_that_were_measured(edge_count):
     """An option derived from the splats keeps its measured value, or file sizes would jump."""
 
     class Leaping(SyntheticModel):
         """From a certain count on, centres take one byte more."""
 
         def seen(self, packing, count):
-            spare_bits = packing.options(count).get("spare_bits", 6 if count < edge else 4)
+            spare_bits = packing.options(count).get("spare_bits", 6 if count < edge_count else 4)
             found = super().seen(packing, count)
             options = {**found.options, "spare_bits": spare_bits}
             return replace(

@@ -26,8 +26,8 @@ def closest_compiled(factors, columns, squares, tiles, least, second, entries):
     closest(factors, columns, squares, tiles, least, second, entries)
 
 
-@pytest.mark.parametrize("find", [closest, closest_compiled])
-def test_the_two_smallest_sums_of_each_lane_are_found(find):
+@pytest.mark.parametrize("find_closest", [closest, closest_compiled])
+def test_the_two_smallest_sums_of_each_lane_are_found(find_closest):
     rng = np.random.default_rng(1)
     factors = rng.normal(size=(TOGETHER, 9)).astype(np.float32)
     columns = rng.normal(size=(9, 5 * LANES)).astype(np.float32)
@@ -35,7 +35,7 @@ def test_the_two_smallest_sums_of_each_lane_are_found(find):
     for tiles in (1, 2, 5):
         least, second = np.empty((2, TOGETHER, LANES), np.float32)
         entries = np.zeros((TOGETHER, LANES), np.int32)
-        find(factors, columns, squares, tiles, least, second, entries)
+        find_closest(factors, columns, squares, tiles, least, second, entries)
         sums = (squares + factors.astype(float) @ columns).reshape(TOGETHER, 5, LANES)[:, :tiles]
         assert np.array_equal(entries, sums.argmin(axis=1))
         sums.sort(axis=1)

@@ -22,29 +22,31 @@ def bench(benchmarks, tmp_path, monkeypatch):
     nanogs.save(make_scene(300), tmp_path / "scenes" / "a.ply")
     made = []
 
-    def job(asked):
-        made.append(asked.method)
-        splats = nanogs.load(asked.model)
-        nanogs.save(splats[: round(asked.ratio * len(splats))], asked.output)
+    def job(bench_job):
+        made.append(bench_job.method)
+        splats = nanogs.load(bench_job.model)
+        nanogs.save(splats[: round(bench_job.ratio * len(splats))], bench_job.output)
         return Outcome(splats=30, asked=30, seconds=1.0)
 
     monkeypatch.setattr(benchmarks.measured, "SCENES", {"a": "a.ply"})
     monkeypatch.setattr(benchmarks.measured, "run_job", job)
     found = benchmarks.measured.Bench(tmp_path, tmp_path / "peers", tmp_path)
-    return SimpleNamespace(found=found, made=made, told=[])
+    return SimpleNamespace(found=found, made=made, messages=[])
 
 
 def measure(benchmarks, bench, *keys):
-    bench.told.clear()
-    return bench.found.measure([benchmarks.measured.Key(*key) for key in keys], bench.told.append)
+    bench.messages.clear()
+    return bench.found.measure(
+        [benchmarks.measured.Key(*key) for key in keys], bench.messages.append
+    )
 
 
 def test_kept_measurements_are_reused_and_others_are_made(benchmarks, bench):
     first = measure(benchmarks, bench, ("a", 0.1, "fast", "32"))
-    assert (bench.made, len(bench.told)) == (["fast"], 1)
+    assert (bench.made, len(bench.messages)) == (["fast"], 1)
     both = measure(benchmarks, bench, ("a", 0.1, "fast", "32"), ("a", 0.1, "fast", "roam@32"))
     assert both[0] == first[0]
-    assert (bench.made, len(bench.told)) == (["fast"], 1), "the result is there, one row is not"
+    assert (bench.made, len(bench.messages)) == (["fast"], 1), "the result is there, one row is not"
     assert (both[0]["views"], both[1]["views"]) == (8, 24)
     assert both[1]["least_psnr"] < both[1]["psnr"]
 

@@ -17,7 +17,7 @@ from views_and_scores import opening_camera
 pytestmark = pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 
 
-def lopsided(count=400):
+def three_clusters(count=400):
     """Three clusters of different colours and sizes, with view-dependent colours."""
     model = random_splats(count, degree=2, seed=8, spread=0.3)
     cluster = np.arange(count) % 3
@@ -34,7 +34,7 @@ def lopsided(count=400):
 
 
 def test_spark_draws_what_nanogs_renders(tmp_path):
-    model = lopsided()
+    model = three_clusters()
     camera = opening_camera(model)
     nanogs.save(model, tmp_path / "a.rad")
     rendered = render(io.load(tmp_path / "a.rad"), camera).shown()

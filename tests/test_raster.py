@@ -162,10 +162,10 @@ def test_transparent_splat_is_not_drawn_nor_counted_as_broken():
     assert not image.alpha.any()
 
 
-@pytest.mark.parametrize(("z", "drawn"), [(0.2, 0), (0.1, 0), (-4, 0), (0.201, 1)])
-def test_splats_up_to_the_near_plane_are_culled(z, drawn):
+@pytest.mark.parametrize(("z", "drawn_count"), [(0.2, 0), (0.1, 0), (-4, 0), (0.201, 1)])
+def test_splats_up_to_the_near_plane_are_culled(z, drawn_count):
     camera = make_camera(near=float(np.float32(0.2)))
-    assert render(one_splat((0, 0, z)), camera).drawn == drawn
+    assert render(one_splat((0, 0, z)), camera).drawn == drawn_count
 
 
 def test_pixel_centres_are_at_half_integers():
@@ -209,11 +209,11 @@ def test_equal_depths_are_blended_by_index():
     assert second.color.max() < 0.1
 
 
-@pytest.mark.parametrize("nearer", [0, 1])
-def test_adjacent_float32_depths_are_sorted_correctly(nearer):
+@pytest.mark.parametrize("nearer_row", [0, 1])
+def test_adjacent_float32_depths_are_sorted_correctly(nearer_row):
     depth = np.float32(3)
     means = np.array([(0, 0, np.nextafter(depth, np.float32(4)))] * 2, np.float32)
-    means[nearer, 2] = depth
+    means[nearer_row, 2] = depth
     splats = make_splats(
         2,
         means=means,
@@ -221,7 +221,7 @@ def test_adjacent_float32_depths_are_sorted_correctly(nearer):
         opacity_logits=np.full(2, 9, np.float32),
         sh=np.array([[[1.7] * 3], [[-1.7] * 3]], np.float32),
     )
-    assert (render(splats, make_camera()).color.mean() > 0.5) == (nearer == 0)
+    assert (render(splats, make_camera()).color.mean() > 0.5) == (nearer_row == 0)
 
 
 def test_nonfinite_rows_are_skipped_and_counted():

@@ -443,11 +443,11 @@ def test_nonfinite_and_transparent_rows_keep_their_bytes():
     assert fitted.take(np.arange(2, len(small))).finite().all()
 
 
-@pytest.mark.parametrize("longest", [20.0, 40.0, 80.0])
-def test_extremely_long_splats_stay_finite(longest):
+@pytest.mark.parametrize("log_scale", [20.0, 40.0, 80.0])
+def test_extremely_long_splats_stay_finite(log_scale):
     """A splat whose step overflows is not drawn any more, which must not count as a gain."""
     original, small = cloud_pair()
-    small.log_scales[::3, 0] = longest
+    small.log_scales[::3, 0] = log_scale
     fitted, _ = refit(original, small, parameters=QUICK)
     assert fitted.finite().all()
 

@@ -55,7 +55,7 @@ def test_given_cameras_set_the_size_of_the_views(files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("small", "arguments", "message"),
+    ("small_name", "arguments", "message"),
     [
         ("small.ply", ["--pixels", "3"], "16 to 8192 pixels"),
         ("small.ply", ["--cameras", "nowhere"], "no camera file"),
@@ -64,7 +64,9 @@ def test_given_cameras_set_the_size_of_the_views(files, tmp_path):
         ("absent.ply", [], "absent.ply"),
     ],
 )
-def test_command_refuses_bad_input_in_one_sentence(files, tmp_path, small, arguments, message):
+def test_command_refuses_bad_input_in_one_sentence(files, tmp_path, small_name, arguments, message):
     out = tmp_path / "out.ply"
-    assert_refused(run("refit", files / "original.ply", files / small, out, *arguments), message)
+    assert_refused(
+        run("refit", files / "original.ply", files / small_name, out, *arguments), message
+    )
     assert not out.exists()

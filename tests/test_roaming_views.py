@@ -116,7 +116,7 @@ def wall(distance, width=3.0, beside=0.0):
     return cloud(np.stack([x + beside, y, np.full(1600, distance)], axis=1), width / 20)
 
 
-def accepted(*parts):
+def view_is_accepted(*parts):
     """Return whether a view from the origin along z is accepted, if its target is at distance 1."""
     lens = replace(roam._test_camera(1, 512, 512, 60), near=0.02)
     splats = prepare(concatenate(parts))
@@ -124,12 +124,12 @@ def accepted(*parts):
 
 
 def test_a_view_is_accepted_if_its_target_is_visible_and_large_enough():
-    assert accepted(wall(1))
-    assert not accepted(wall(1, 0.1)), "less than a third of the picture"
-    assert not accepted(wall(1.3)), "something else in the middle"
-    assert not accepted(wall(1), wall(0.5, 0.1)), "hidden"
-    assert accepted(wall(1), wall(0.5, 0.03, 0.2)), "something stands beside it"
-    assert not accepted(wall(1), wall(0.15, 0.03, 0.06)), "at the lens"
+    assert view_is_accepted(wall(1))
+    assert not view_is_accepted(wall(1, 0.1)), "less than a third of the picture"
+    assert not view_is_accepted(wall(1.3)), "something else in the middle"
+    assert not view_is_accepted(wall(1), wall(0.5, 0.1)), "hidden"
+    assert view_is_accepted(wall(1), wall(0.5, 0.03, 0.2)), "something stands beside it"
+    assert not view_is_accepted(wall(1), wall(0.15, 0.03, 0.06)), "at the lens"
 
 
 def is_free(scene, *positions):

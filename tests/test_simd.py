@@ -122,13 +122,13 @@ vectors.Table.load = vectors.read = changed
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("first", "why"),
+    ("setup", "reason"),
     [(UNTRIED, "0.62 to 0.68, and this is 0.99.0"), (BROKEN, "do not compile with Numba")],
     ids=["untried", "broken"],
 )
-def test_plain_kernels_are_used_with_a_warning_if_simd_is_untried_or_broken(first, why):
+def test_plain_kernels_are_used_with_a_warning_if_simd_is_untried_or_broken(setup, reason):
     code = (
-        f"{first}\n"
+        f"{setup}\n"
         "import numpy as np\n"
         "from nanogs.kernels.simd import choice\n"
         "from nanogs.neighbours import nearest_neighbours\n"
@@ -139,9 +139,9 @@ def test_plain_kernels_are_used_with_a_warning_if_simd_is_untried_or_broken(firs
     printed, warned = python(code)
     chosen, found = printed.strip().split("\n")
     assert chosen.startswith("plain ")
-    assert why in chosen
+    assert reason in chosen
     assert warned.count("Slower kernels are used") == 1
-    assert why in warned
+    assert reason in warned
     assert "NANOGS_SIMD=1 forces the fast ones" in warned
     means = np.random.default_rng(0).normal(size=(500, 3))
     assert json.loads(found) == nearest_neighbours(means, 6, 1).tolist()
@@ -165,12 +165,12 @@ SPANS = """span_tiles(
 )"""
 
 
-@pytest.mark.parametrize(("call", "second"), [(SORTS, "loaded"), (SPANS, "compiled")])
-def test_simd_and_plain_kernels_are_cached_separately(tmp_path, call, second):
+@pytest.mark.parametrize(("call", "second_run"), [(SORTS, "loaded"), (SPANS, "compiled")])
+def test_simd_and_plain_kernels_are_cached_separately(tmp_path, call, second_run):
     """Only kernels that have a SIMD version; the others are cached once."""
     cache, code = {"NUMBA_CACHE_DIR": str(tmp_path)}, LOAD.format(call=call)
     printed = [python(code, NANOGS_SIMD=switch, **cache)[0].strip() for switch in "1001"]
-    assert printed == ["compiled", second, "loaded", "loaded"]
+    assert printed == ["compiled", second_run, "loaded", "loaded"]
 
 
 def test_simd_can_be_forced_with_any_version_of_numba():

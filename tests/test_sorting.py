@@ -13,10 +13,10 @@ from nanogs.threads import use_threads
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("different", [1, 2, 50, 1 << 63])
+@pytest.mark.parametrize("distinct_keys", [1, 2, 50, 1 << 63])
 @pytest.mark.parametrize("count", [0, 1, 2, 1000, 3 << 16])
-def test_the_order_is_that_of_a_stable_sort(count, different, threads):
-    keys = np.random.default_rng(count).integers(0, different, count, dtype=np.uint64)
+def test_the_order_is_that_of_a_stable_sort(count, distinct_keys, threads):
+    keys = np.random.default_rng(count).integers(0, distinct_keys, count, dtype=np.uint64)
     with use_threads(threads):
         assert np.array_equal(stable_order(keys), np.argsort(keys, kind="stable"))
 

@@ -63,10 +63,10 @@ def test_values_computed_by_hand(load, version):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("turn", range(8))
-def test_rotations_are_decoded(load, version, turn):
+@pytest.mark.parametrize("rotation_number", range(8))
+def test_rotations_are_decoded(load, version, rotation_number):
     """For each position and sign of the largest component; -q is the same rotation as q."""
-    quat = np.roll([0.8, -0.4, 0.2, 0.4], turn) * (-1 if turn > 3 else 1)
+    quat = np.roll([0.8, -0.4, 0.2, 0.4], rotation_number) * (-1 if rotation_number > 3 else 1)
     stored = quat if version > 2 or quat[3] > 0 else -quat
     decoded = load(encode([row(xyzw=tuple(stored))], version)).quats[0]
     assert abs(decoded @ np.roll(quat, 1)) == pytest.approx(1, abs=2e-3 if version < 3 else 1e-5)

@@ -29,7 +29,7 @@ from nanogs.views.streamed import Part, Streamed, renderings
 from test_free_memory import command
 
 
-def squeezed(capsys):
+def stderr_line(capsys):
     """Return stderr on one line."""
     return " ".join(capsys.readouterr().err.split())
 
@@ -225,7 +225,7 @@ def test_a_decimated_model_covers_as_much_as_the_model():
 
 
 @pytest.fixture
-def little(monkeypatch):
+def arena_budgets(monkeypatch):
     """Plan with tiny fixed amounts of memory; return the budgets of all arenas made since."""
     monkeypatch.setattr("nanogs.memory_estimates._STREAMED", 10_000)
     monkeypatch.setattr("nanogs.views.plan.LEAST", 100_000)
@@ -252,16 +252,16 @@ def pair(tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", ["files", "sources", "models"])
-def test_a_comparison_has_the_same_numbers_in_little_memory(pair, kind, little):
+def test_a_comparison_has_the_same_numbers_in_little_memory(pair, kind, arena_budgets):
     options = {"cameras": ["auto", "roam"], "pixels": [96, 128], "views": 3}
     expected = nanogs.compare(*pair, **options)
-    assert not little
+    assert not arena_budgets
     open_model = {"files": str, "sources": nanogs.open, "models": nanogs.load}[kind]
     models, names = [open_model(path) for path in pair], [pair[1].name]
     memory = LIBRARIES + (4_400_000 if kind == "models" else 3_800_000)
     found = nanogs.compare(*models, names=names, max_memory=memory, **options)
-    assert len(set(little)) == 1
-    assert 100_000 < little[0] < 1_500_000
+    assert len(set(arena_budgets)) == 1
+    assert 100_000 < arena_budgets[0] < 1_500_000
     found, expected = found.to_dict(), expected.to_dict()
     for each in (found, expected):
         each.pop("reference")
@@ -278,13 +278,13 @@ def test_a_comparison_that_cannot_fit_into_memory_is_refused(pair, monkeypatch):
         nanogs.compare(*pair, pixels=32, max_memory="211MB")
 
 
-def test_the_command_compares_in_little_memory(pair, tmp_path, little, capsys):
+def test_the_command_compares_in_little_memory(pair, tmp_path, arena_budgets, capsys):
     arguments = ["compare", *pair, "--sizes", "48", "--views", "3", "--json"]
     assert command(*arguments) == 0
     expected = json.loads(capsys.readouterr().out)
-    assert not little
+    assert not arena_budgets
     assert command(*arguments, "--max-memory", f"{LIBRARIES + 1_500_000}") == 0
-    assert little
+    assert arena_budgets
     assert json.loads(capsys.readouterr().out) == expected
     page = tmp_path / "page.html"
     arguments = ["compare", *pair, "--max-memory", f"{LIBRARIES + 1_300_000}", "--views", "2"]
@@ -292,12 +292,12 @@ def test_the_command_compares_in_little_memory(pair, tmp_path, little, capsys):
     assert page.read_text().count("data:image/") == 6
     interactive = [*arguments, "--sizes", "48", "--report", tmp_path / "b.html"]
     assert command(*interactive) == 2
-    assert "or leave the models out of the page (--no-interactive)" in squeezed(capsys)
+    assert "or leave the models out of the page (--no-interactive)" in stderr_line(capsys)
     assert not (tmp_path / "b.html").exists()
 
 
 @pytest.mark.parametrize("open_model", [nanogs.open, InMemory])
-def test_held_out_views_score_sources_like_models(pair, open_model, little):
+def test_held_out_views_score_sources_like_models(pair, open_model, arena_budgets):
     splats, small = map(nanogs.load, pair)
     expected = held_out(splats)
     opened = [open_model(path if open_model is nanogs.open else nanogs.load(path)) for path in pair]
@@ -317,16 +317,16 @@ def test_held_out_views_score_sources_like_models(pair, open_model, little):
 
 @pytest.mark.parametrize("open_model", [str, nanogs.open, nanogs.load])
 @pytest.mark.parametrize("cameras", ["auto", "roam"])
-def test_pictures_are_the_same_in_little_memory(pair, open_model, cameras, little):
+def test_pictures_are_the_same_in_little_memory(pair, open_model, cameras, arena_budgets):
     options = {"views": 2, "pixels": (100, 80), "transparent": cameras == "roam"}
     expected = nanogs.render(pair[0], cameras, **options)
-    assert not little
+    assert not arena_budgets
     limit = LIBRARIES + (2_100_000 if open_model is nanogs.load else 1_500_000)
     steps = []
     found = nanogs.render(
         open_model(pair[0]), cameras, max_memory=limit, progress=steps.append, **options
     )
-    assert 100_000 < little[0] < 1_000_000
+    assert 100_000 < arena_budgets[0] < 1_000_000
     assert steps[-1].fraction == 1
     for one, other in zip(found, expected, strict=True):
         assert one.tobytes() == other.tobytes()
@@ -334,19 +334,19 @@ def test_pictures_are_the_same_in_little_memory(pair, open_model, cameras, littl
         nanogs.render(open_model(pair[0]), cameras, max_memory="210MB", **options)
 
 
-def test_the_command_renders_in_little_memory(pair, tmp_path, little, capsys):
+def test_the_command_renders_in_little_memory(pair, tmp_path, arena_budgets, capsys):
     arguments = ["--views", "2", "--pixels", "100x80", "--depth"]
     assert command("render", pair[0], tmp_path / "a", *arguments) == 0
-    assert not little
-    assert "1 splat with a NaN" in squeezed(capsys)
+    assert not arena_budgets
+    assert "1 splat with a NaN" in stderr_line(capsys)
     limit = LIBRARIES + 1_300_000
     assert command("render", pair[0], tmp_path / "b", *arguments, "--max-memory", str(limit)) == 0
-    assert little
-    assert "1 splat with a NaN" in squeezed(capsys)
+    assert arena_budgets
+    assert "1 splat with a NaN" in stderr_line(capsys)
     files = sorted(path.name for path in (tmp_path / "a").iterdir())
     assert len(files) == 4
     for name in files:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert command("render", pair[0], tmp_path / "c", *arguments, "--max-memory", "210MB") == 2
-    assert "smaller pictures (--pixels)" in squeezed(capsys)
+    assert "smaller pictures (--pixels)" in stderr_line(capsys)
     assert not (tmp_path / "c").exists()

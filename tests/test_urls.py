@@ -78,13 +78,13 @@ def memory():
     files.store.clear()
 
 
-def ran(*arguments, **kwargs):
+def run_checked(*arguments, **kwargs):
     result = launch.run(*arguments, **kwargs)
     assert result.returncode == 0, result.stderr
     return result
 
 
-def refused(result, *words):
+def assert_refused(result, *words):
     """Check for exit code 2 and a one-sentence error without secrets or temporary paths."""
     text = result.stderr
     assert (result.returncode, result.stdout) == (2, ""), text
@@ -98,26 +98,26 @@ def refused(result, *words):
 
 
 def test_info_of_a_url_equals_info_of_the_file(folder, host, temporary):
-    by_url = json.loads(ran("info", f"{host}/scene.ply{QUERY}", "--json").stdout)
-    by_path = json.loads(ran("info", folder / "scene.ply", "--json").stdout)
+    by_url = json.loads(run_checked("info", f"{host}/scene.ply{QUERY}", "--json").stdout)
+    by_path = json.loads(run_checked("info", folder / "scene.ply", "--json").stdout)
     assert by_url.pop("path") == f"{host}/scene.ply"
     assert by_path.pop("path") == str(folder / "scene.ply")
     assert by_url == by_path
-    text = ran("info", f"{host}/scene.ply").stdout
+    text = run_checked("info", f"{host}/scene.ply").stdout
     assert f"{host}/scene.ply (ply" in text
 
 
 def test_the_format_of_a_url_without_suffix_comes_from_content_or_option(host, temporary):
     """The first bytes of the file decide, or --from."""
-    assert "(ply" in ran("info", f"{host}/download?id=7").stdout
-    refused(launch.run("info", f"{host}/blob{QUERY}"), f"{host}/blob", "--from splat")
-    assert "(splat" in ran("info", f"{host}/blob", "--from", "splat").stdout
-    refused(launch.run("render", f"{host}/blob", "a.png"), f"{host}/blob", "download it")
-    refused(launch.run("info", f"{host}/page"), f"{host}/page is a web page")
+    assert "(ply" in run_checked("info", f"{host}/download?id=7").stdout
+    assert_refused(launch.run("info", f"{host}/blob{QUERY}"), f"{host}/blob", "--from splat")
+    assert "(splat" in run_checked("info", f"{host}/blob", "--from", "splat").stdout
+    assert_refused(launch.run("render", f"{host}/blob", "a.png"), f"{host}/blob", "download it")
+    assert_refused(launch.run("info", f"{host}/page"), f"{host}/page is a web page")
 
 
 def test_file_names_from_urls_are_unquoted(host, temporary, tmp_path):
-    result = ran(
+    result = run_checked(
         "convert", f"{host}/my%20scene.spz", "--out-dir", tmp_path / "o", "--format", "ply"
     )
     assert f"{host}/my%20scene.spz" in result.stderr
@@ -125,35 +125,37 @@ def test_file_names_from_urls_are_unquoted(host, temporary, tmp_path):
 
 
 def test_a_sog_folder_is_downloaded_through_its_meta_json(folder, host, temporary):
-    info = json.loads(ran("info", f"{host}/sog/meta.json{QUERY}", "--json").stdout)
+    info = json.loads(run_checked("info", f"{host}/sog/meta.json{QUERY}", "--json").stdout)
     assert info["file_bytes"] == sum(each.stat().st_size for each in (folder / "sog").iterdir())
     for name in ("lod-meta.json", "tileset.json", "levels.json", "scan.lcc"):
-        refused(launch.run("info", f"{host}/{name}"), f"{host}/{name}", "download the whole folder")
+        assert_refused(
+            launch.run("info", f"{host}/{name}"), f"{host}/{name}", "download the whole folder"
+        )
 
 
 def test_levels_in_one_file_are_downloaded(folder, host, temporary, tmp_path):
     for name in ("levels.ssog", "tree.rad"):
         levels = ("--levels", "1,0.5", "--preset", "fast")
-        ran("lod", folder / "scene.ply", folder / name, *levels)
-        ran("convert", f"{host}/{name}{QUERY}", tmp_path / "url.ply", "--level", "1", "-w")
-        ran("convert", folder / name, tmp_path / "file.ply", "--level", "1", "-w")
+        run_checked("lod", folder / "scene.ply", folder / name, *levels)
+        run_checked("convert", f"{host}/{name}{QUERY}", tmp_path / "url.ply", "--level", "1", "-w")
+        run_checked("convert", folder / name, tmp_path / "file.ply", "--level", "1", "-w")
         assert len(nanogs.load(tmp_path / "url.ply")) == 150
         assert (tmp_path / "url.ply").read_bytes() == (tmp_path / "file.ply").read_bytes()
 
 
 def test_commands_give_the_same_bytes_for_urls_and_files(folder, host, temporary, tmp_path):
     url, options = f"{host}/scene.ply{QUERY}", ("--ratio", "0.1", "--preset", "fast")
-    first = ran("simplify", url, tmp_path / "a.ply", *options, "-v", "--json")
-    ran("simplify", folder / "scene.ply", tmp_path / "b.ply", *options)
+    first = run_checked("simplify", url, tmp_path / "a.ply", *options, "-v", "--json")
+    run_checked("simplify", folder / "scene.ply", tmp_path / "b.ply", *options)
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     report = json.loads(first.stdout)
     assert (report["input"], report["output"]) == (f"{host}/scene.ply", str(tmp_path / "a.ply"))
-    ran("convert", url, tmp_path / "a.spz")
-    ran("convert", folder / "scene.ply", tmp_path / "b.spz")
+    run_checked("convert", url, tmp_path / "a.spz")
+    run_checked("convert", folder / "scene.ply", tmp_path / "b.spz")
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
     levels = ("--levels", "1,0.5", "--preset", "fast", "--no-measure")
-    ran("lod", url, tmp_path / "lod", *levels)
-    ran("lod", folder / "scene.ply", tmp_path / "lod_of_file", *levels)
+    run_checked("lod", url, tmp_path / "lod", *levels)
+    run_checked("lod", folder / "scene.ply", tmp_path / "lod_of_file", *levels)
     lod_files = launch.contents(tmp_path / "lod")
     assert len(lod_files) == 3
     assert lod_files == launch.contents(tmp_path / "lod_of_file")
@@ -166,7 +168,9 @@ def test_a_url_is_simplified_in_blocks_like_the_file(folder, host, temporary, tm
     options = ("--ratio", "0.1", "--preset", "fast", "--max-memory", f"{int(1.075 * LIBRARIES)}B")
     paths = {"a.ply": f"{host}/large.ply{QUERY}", "b.ply": folder / "large.ply"}
     for name, path in paths.items():
-        report = json.loads(ran("simplify", path, tmp_path / name, *options, "--json").stdout)
+        report = json.loads(
+            run_checked("simplify", path, tmp_path / name, *options, "--json").stdout
+        )
         assert report["blocks"]["blocks"] > 1
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     assert not any(secret.encode() in (tmp_path / "a.ply").read_bytes() for secret in SECRETS)
@@ -175,18 +179,22 @@ def test_a_url_is_simplified_in_blocks_like_the_file(folder, host, temporary, tm
 
 def test_commands_that_render_take_urls(folder, host, temporary, tmp_path):
     url, views = f"{host}/scene.ply{QUERY}", ("--views", "1", "--pixels", "32")
-    result = ran("compare", url, f"half={url}", *views, "--report", tmp_path / "r.html", "--json")
+    result = run_checked(
+        "compare", url, f"half={url}", *views, "--report", tmp_path / "r.html", "--json"
+    )
     assert [model["name"] for model in json.loads(result.stdout)["models"]] == ["half"]
-    ran("render", url, tmp_path / "a.png", *views)
-    ran("render", folder / "scene.ply", tmp_path / "b.png", *views)
+    run_checked("render", url, tmp_path / "a.png", *views)
+    run_checked("render", folder / "scene.ply", tmp_path / "b.png", *views)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    ran("refit", url, f"{host}/my%20scene.spz", tmp_path / "fit.ply", *views)
+    run_checked("refit", url, f"{host}/my%20scene.spz", tmp_path / "fit.ply", *views)
     assert not any(word in (tmp_path / "r.html").read_text() for word in SECRETS)
-    refused(launch.run("render", url, f"{host}/pictures"), "is a URL")
-    refused(launch.run("lod", url, "s3://bucket/lod"), "is a URL")
+    assert_refused(launch.run("render", url, f"{host}/pictures"), "is a URL")
+    assert_refused(launch.run("lod", url, "s3://bucket/lod"), "is a URL")
     for words in ((url,), ("--scene", f"a={url}"), ("--scene", f"a={url}:{folder}")):
         result = launch.run("bench", *words, "--out", tmp_path / "bench")
-        refused(result, f"{host}/scene.ply is a URL; every method reads a file", "download it")
+        assert_refused(
+            result, f"{host}/scene.ply is a URL; every method reads a file", "download it"
+        )
     assert not (tmp_path / "bench").exists()
 
 
@@ -195,33 +203,33 @@ def test_view_takes_a_url(host, temporary, tmp_path):
 
     if not is_built():
         pytest.skip("the viewer was not built")
-    ran("view", f"{host}/scene.ply{QUERY}", "--no-open", cwd=tmp_path)
+    run_checked("view", f"{host}/scene.ply{QUERY}", "--no-open", cwd=tmp_path)
     assert not any(word in (tmp_path / "scene.html").read_text() for word in SECRETS)
 
 
 def test_urls_that_cannot_be_read_or_written_are_refused(host, temporary, tmp_path):
-    refused(launch.run("info", f"{host}/none.ply{QUERY}"), f"{host}/none.ply", "404")
-    refused(launch.run("info", "http://host.invalid/a.ply"), "there is no host host.invalid")
-    refused(launch.run("info", "http://127.0.0.1:1/a.ply"), "127.0.0.1:1 cannot be reached")
-    refused(launch.run("info", "http://[bad/a.ply"), "http://[bad/a.ply")
-    refused(launch.run("info", "http://127.0.0.1:port/a.ply"), "http://127.0.0.1:port/a.ply")
-    refused(launch.run("info", f"{host}/cut.ply{QUERY}"), f"{host}/cut.ply", "cut short")
-    refused(
+    assert_refused(launch.run("info", f"{host}/none.ply{QUERY}"), f"{host}/none.ply", "404")
+    assert_refused(launch.run("info", "http://host.invalid/a.ply"), "there is no host host.invalid")
+    assert_refused(launch.run("info", "http://127.0.0.1:1/a.ply"), "127.0.0.1:1 cannot be reached")
+    assert_refused(launch.run("info", "http://[bad/a.ply"), "http://[bad/a.ply")
+    assert_refused(launch.run("info", "http://127.0.0.1:port/a.ply"), "http://127.0.0.1:port/a.ply")
+    assert_refused(launch.run("info", f"{host}/cut.ply{QUERY}"), f"{host}/cut.ply", "cut short")
+    assert_refused(
         launch.run("convert", f"{host}/scene.ply", f"gs://b/b.ply{QUERY}"),
         "cannot have a ? or #; leave it out",
     )
-    refused(launch.run("info", "file://elsewhere/a.ply"), "machine elsewhere")
-    refused(
+    assert_refused(launch.run("info", "file://elsewhere/a.ply"), "machine elsewhere")
+    assert_refused(
         launch.run("convert", f"{host}/scene.ply", f"{host}/b.ply"), "cannot write to web servers"
     )
-    refused(
+    assert_refused(
         launch.run("convert", f"{host}/scene.ply", "s3://b/b.obj"), "does not write this format"
     )
     url = f"{host}/scene.ply{QUERY}"
     for option in (("--resume",), ("--job", tmp_path / "job"), ("--join",)):
         result = launch.run("simplify", url, tmp_path / "b.ply", "-r", "0.5", *option)
-        refused(result, f"{host}/scene.ply is a URL", option[0])
-    refused(
+        assert_refused(result, f"{host}/scene.ply is a URL", option[0])
+    assert_refused(
         launch.run("convert", url, tmp_path / "b.ply", "--to", "ply"), "--to works only if OUT is -"
     )
     assert not (tmp_path / "b.ply").exists()
@@ -237,7 +245,7 @@ def test_if_one_of_several_urls_fails_the_others_are_converted(host, temporary, 
     assert [each.name for each in out.iterdir()] == ["scene.spz"]
 
 
-class Odd(BaseHTTPRequestHandler):
+class UnusualServer(BaseHTTPRequestHandler):
     """A server that gives unusual answers, selected by the requested path."""
 
     data = b""
@@ -299,35 +307,39 @@ class Odd(BaseHTTPRequestHandler):
 
 
 @pytest.fixture
-def odd(folder):
-    Odd.data, Odd.seen = (folder / "scene.ply").read_bytes(), []
-    with serving(Odd) as url:
+def unusual_server(folder):
+    UnusualServer.data, UnusualServer.seen = (folder / "scene.ply").read_bytes(), []
+    with serving(UnusualServer) as url:
         yield url
 
 
-def test_unusual_server_answers_are_read_or_refused(odd, temporary):
-    refused(launch.run("info", f"{odd}/broken.ply{QUERY}"), "connection broke after 100 of")
-    refused(launch.run("info", f"{odd}/huge.ply{QUERY}"), "TMPDIR", "free")
-    refused(launch.run("info", f"{odd}/halved.ply"), "the download was cut short")
-    refused(launch.run("info", f"{odd}/busy.ply{QUERY}"), "answers 503")
-    refused(launch.run("info", f"{odd}/locked.ply{QUERY}"), "refuses access (401)")
+def test_unusual_server_answers_are_read_or_refused(unusual_server, temporary):
+    assert_refused(
+        launch.run("info", f"{unusual_server}/broken.ply{QUERY}"), "connection broke after 100 of"
+    )
+    assert_refused(launch.run("info", f"{unusual_server}/huge.ply{QUERY}"), "TMPDIR", "free")
+    assert_refused(launch.run("info", f"{unusual_server}/halved.ply"), "the download was cut short")
+    assert_refused(launch.run("info", f"{unusual_server}/busy.ply{QUERY}"), "answers 503")
+    assert_refused(
+        launch.run("info", f"{unusual_server}/locked.ply{QUERY}"), "refuses access (401)"
+    )
     for name in ("packed", "unmeasured", "gone_on"):
-        assert len(nanogs.load(f"{odd}/{name}.ply")) == 300
+        assert len(nanogs.load(f"{unusual_server}/{name}.ply")) == 300
 
 
-def test_a_password_is_sent_only_to_the_url_it_was_given_for(odd, temporary):
-    url = odd.replace("http://", "http://me:PASSWORD@")
-    result = ran("info", f"{url}/locked.ply", "--json")
-    assert json.loads(result.stdout)["path"] == f"{odd}/locked.ply"
-    ran("info", f"{url}/gone_on.ply")
-    keys = [key for _path, key in Odd.seen]
+def test_a_password_is_sent_only_to_the_url_it_was_given_for(unusual_server, temporary):
+    url = unusual_server.replace("http://", "http://me:PASSWORD@")
+    result = run_checked("info", f"{url}/locked.ply", "--json")
+    assert json.loads(result.stdout)["path"] == f"{unusual_server}/locked.ply"
+    run_checked("info", f"{url}/gone_on.ply")
+    keys = [key for _path, key in UnusualServer.seen]
     assert keys == ["Basic bWU6UEFTU1dPUkQ=", "Basic bWU6UEFTU1dPUkQ=", None]
-    refused(launch.run("info", f"{url}/busy.ply"), f"{odd}/busy.ply")
+    assert_refused(launch.run("info", f"{url}/busy.ply"), f"{unusual_server}/busy.ply")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are otherwise there")
-def test_a_cancelled_download_leaves_no_temporary_file(odd, temporary):
-    command = [sys.executable, "-m", "nanogs", "info", f"{odd}/endless.ply{QUERY}"]
+def test_a_cancelled_download_leaves_no_temporary_file(unusual_server, temporary):
+    command = [sys.executable, "-m", "nanogs", "info", f"{unusual_server}/endless.ply{QUERY}"]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
     deadline = time.monotonic() + 60
     while not list(temporary.rglob("endless.ply")):

@@ -117,12 +117,12 @@ def test_weights_of_hidden_splats_are_a_hundredth():
     assert weights == pytest.approx([2.0, 1.01, 0.02])
 
 
-@pytest.mark.parametrize("whole", [True, False])
-def test_colours_of_hardly_visible_splats_have_a_tenth_of_the_weight(whole):
+@pytest.mark.parametrize("whole_pictures", [True, False])
+def test_colours_of_hardly_visible_splats_have_a_tenth_of_the_weight(whole_pictures):
     """Views are either scaled down, or cropped at full resolution."""
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=300, height=300)
-    if not whole:
+    if not whole_pictures:
         cameras = [camera.cropped(20, 20, 250, 250) for camera in cameras]
     fitting = Fitting([make_target(prepare(splats), camera) for camera in cameras])
     weights = weights_of_colours(splats, fitting) / precision.visibility(splats)
