@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import nanogs
-from measured import SCENES
+from measurements import SCENES
 from nanogs.metrics import psnr
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, prepare, render

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import nanogs
-from measured import SCENES, UP, made_before
+from measurements import SCENES, UP, made_before
 from nanogs._types import F32, F64
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, prepare, render

@@ -109,9 +109,8 @@ def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]
     warnings.simplefilter("error")
     faulthandler.register(signal.SIGPROF, chain=True)
     damaged_format, rng = fuzz_seeds.format_named(name), np.random.default_rng(seed)
-    for (
-        files
-    ) in damaged_format.seeds:  # so that time and memory of imports and tables are not measured
+    # First, so that time and memory of imports and tables are not measured.
+    for files in damaged_format.seeds:
         assert outcome(_placed(folder, files)) == "model"
     found = {"model": 0, "refused": 0}
     slowest, peak, failure = 0.0, 0, ""

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from measured import SCENES
+from measurements import SCENES
 from nanogs import io
 from nanogs.activations import SH_C0
 from nanogs.io.rotations import minimise_rotation

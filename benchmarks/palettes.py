@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import nanogs
-from measured import SCENES
+from measurements import SCENES
 from nanogs.io.palette import palette
 from nanogs.io.precision import visibility
 from nanogs.io.sog.meta import PALETTE_MAX

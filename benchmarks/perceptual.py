@@ -11,7 +11,7 @@ import argparse
 import numpy as np
 
 import nanogs
-from measured import SCENES, UP, made_before, result_file
+from measurements import SCENES, UP, made_before, result_file
 from nanogs.metrics import lpips
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats

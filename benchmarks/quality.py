@@ -28,7 +28,7 @@ import sys
 from pathlib import Path
 
 from leads import report
-from measured import KINDS, PEERS, SCENES, Bench, Key
+from measurements import KINDS, PEERS, SCENES, Bench, Key
 from nanogs.bench.methods import ABLATIONS, all_methods
 from nanogs.defaults import BENCH_RATIOS
 from rivals import BUILD, RIVALS, ROOT, install

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from measured import SCENES, UP, Bench
+from measurements import SCENES, UP, Bench
 from nanogs.bench.rows import size_name
 from nanogs.io import inspect
 from nanogs.quantities import parse_bytes

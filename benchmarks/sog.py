@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from measured import SCENES
+from measurements import SCENES
 from nanogs import io
 from nanogs.splats import Splats
 from rivals import ROOT, install, run_tool, timed

@@ -273,7 +273,7 @@ def near_views(name: str, source: Source) -> tuple[list[Camera], list[Camera]]:
 
 def main() -> None:
     """Print the PSNR of each scene on close views, with and without given cameras."""
-    from measured import Bench  # imported here because it imports this module
+    from measurements import Bench  # imported here because it imports this module
 
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("folder", type=Path, help="where scenes and measurements are kept")

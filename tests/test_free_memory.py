@@ -593,9 +593,8 @@ def test_estimated_memory_is_close_to_the_memory_used(models, arguments, estimat
     run = [sys.executable, "-c", PEAK, "small.ply", *arguments]
     result = subprocess.run(run, cwd=models, capture_output=True, text=True, check=True)
     # The first run may leave memory on the heap that the second run uses again.
-    streamed = any(
-        f"a{end}" in estimate for end in (".ply", ".spz", ".glb")
-    )  # a few blocks at most
+    # A few blocks at most.
+    streamed = any(f"a{end}" in estimate for end in (".ply", ".spz", ".glb"))
     assert (0 if streamed else 0.4) < int(result.stdout.split()[-1]) / planned < 1.1
 
 

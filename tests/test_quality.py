@@ -12,7 +12,9 @@ from nanogs.datasets.synthetic import make_scene
 @pytest.fixture(scope="module")
 def benchmarks(benchmark_module):
     """Two modules of the benchmark."""
-    return SimpleNamespace(leads=benchmark_module("leads"), measured=benchmark_module("measured"))
+    return SimpleNamespace(
+        leads=benchmark_module("leads"), measurements=benchmark_module("measurements")
+    )
 
 
 @pytest.fixture
@@ -28,16 +30,16 @@ def bench(benchmarks, tmp_path, monkeypatch):
         nanogs.save(splats[: round(bench_job.ratio * len(splats))], bench_job.output)
         return Outcome(splats=30, asked=30, seconds=1.0)
 
-    monkeypatch.setattr(benchmarks.measured, "SCENES", {"a": "a.ply"})
-    monkeypatch.setattr(benchmarks.measured, "run_job", job)
-    found = benchmarks.measured.Bench(tmp_path, tmp_path / "peers", tmp_path)
+    monkeypatch.setattr(benchmarks.measurements, "SCENES", {"a": "a.ply"})
+    monkeypatch.setattr(benchmarks.measurements, "run_job", job)
+    found = benchmarks.measurements.Bench(tmp_path, tmp_path / "peers", tmp_path)
     return SimpleNamespace(found=found, made=made, messages=[])
 
 
 def measure(benchmarks, bench, *keys):
     bench.messages.clear()
     return bench.found.measure(
-        [benchmarks.measured.Key(*key) for key in keys], bench.messages.append
+        [benchmarks.measurements.Key(*key) for key in keys], bench.messages.append
     )
 
 
@@ -52,13 +54,15 @@ def test_kept_measurements_are_reused_and_others_are_made(benchmarks, bench):
 
 
 def test_packages_excluded_from_the_digest_exist(benchmarks):
-    assert all((benchmarks.measured.PACKAGE / name).is_dir() for name in benchmarks.measured.APART)
-    assert "studio" in benchmarks.measured.APART
+    assert all(
+        (benchmarks.measurements.PACKAGE / name).is_dir() for name in benchmarks.measurements.APART
+    )
+    assert "studio" in benchmarks.measurements.APART
 
 
 def test_changed_sources_are_run_again_and_kept_files_only_measured(benchmarks, bench, monkeypatch):
     measure(benchmarks, bench, ("a", 0.1, "fast", "32"), ("a", 0.2, "fast", "32"))
-    monkeypatch.setattr(benchmarks.measured, "digest_of_sources", lambda _apart: "other")
+    monkeypatch.setattr(benchmarks.measurements, "digest_of_sources", lambda _apart: "other")
     bench.found.ours = "nanogs other"
     measure(benchmarks, bench, ("a", 0.1, "fast", "32"))
     assert bench.made == ["fast"] * 3
@@ -72,7 +76,7 @@ def test_results_made_beforehand_are_left_out_where_there_are_none(benchmarks, b
     bench.found.peers.mkdir()
     nanogs.save(make_scene(40), bench.found.peers / "a_0.1_nanogs-ref.ply")
     keys = [
-        benchmarks.measured.Key("a", ratio, method, "32")
+        benchmarks.measurements.Key("a", ratio, method, "32")
         for ratio in (0.1, 0.2)
         for method in ("fast", "nanogs-ref")
     ]

@@ -157,9 +157,8 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
     arguments = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, "--resume", "-q"]
     arguments += ["--preset", "fast", "--rounds", "2"]
     start = time.perf_counter()
-    subprocess.run(
-        nanogs_command(*arguments), check=True
-    )  # in the same way as those that are killed
+    # In the same way as those that are killed.
+    subprocess.run(nanogs_command(*arguments), check=True)
     whole, expected = time.perf_counter() - start, out.read_bytes()
     out.unlink()
     rng, kills, jobs = random.Random(5), 0, 0

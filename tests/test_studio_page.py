@@ -204,9 +204,8 @@ def test_the_page_reports_the_models_that_it_has_drawn(studio):
         lambda: [body["model"] for body in studio.fake.drawn_reports][-1:] == ["blue"]
     )
     assert [body["model"] for body in studio.fake.drawn_reports] in (["blue"], ["original", "blue"])
-    assert all(
-        body["pace"] is None for body in studio.fake.drawn_reports
-    )  # too few splats to measure it
+    # Too few splats to measure it.
+    assert all(body["pace"] is None for body in studio.fake.drawn_reports)
     studio.page.get_by_role("button", name="best").click()
     number = studio.fake.wait("ask", 2)["number"]
     studio.fake.send_result("draft", number, "magenta")

@@ -14,7 +14,7 @@ import nanogs
 from nanogs.progress import Step
 
 
-def told(step: Step) -> None:
+def show(step: Step) -> None:
     print(step.stage, step.fraction)
 
 
@@ -31,7 +31,7 @@ cloud = nanogs.Splats(
 moved = nanogs.Splats(
     cloud.means + [0, 0, 1], cloud.log_scales, cloud.quats, cloud.opacity_logits, cloud.sh
 )
-small, report = nanogs.simplify(moved[:100], ratio=0.1, progress=told)
+small, report = nanogs.simplify(moved[:100], ratio=0.1, progress=show)
 count: int = report.achieved_count
 [score] = nanogs.compare(cloud, small, views=4).models
 psnr: float = score.psnr

@@ -66,13 +66,13 @@ import sys
 from numba.core import event
 from nanogs.cli import main
 
-class Told(event.Listener):
-    def on_start(self, told):
-        print("compiled", told.data["dispatcher"])
-    def on_end(self, told):
+class CompileListener(event.Listener):
+    def on_start(self, started):
+        print("compiled", started.data["dispatcher"])
+    def on_end(self, ended):
         pass
 
-event.register("numba:compile", Told())
+event.register("numba:compile", CompileListener())
 sys.argv = ["nanogs", *sys.argv[1:]]
 main()
 """

@@ -2,7 +2,7 @@
 
 mkdir -p build
 python -m pytest benchmarks/bench_stages.py --benchmark-json build/stages.json
-python benchmarks/account.py build/stages.json
+python benchmarks/stage_bandwidth.py build/stages.json
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Make the pictures at the top of the README, and print the numbers below them.
 
-    python benchmarks/front.py
+    python benchmarks/readme_pictures.py
 
 The scene of `nanogs demo` at 100, 10 and 1 %, each saved as .sog and read again. PSNR is that of
 `nanogs compare` at its defaults. The pictures are written to docs/images, all from the same of its
