@@ -42,14 +42,9 @@ def _row(model: Path, target: str, preset: str, out: Path) -> str:
     name = model.parent.name if model.suffix == ".json" else model.name.split(".")[0]
     counts, probe_count = f"{run['achieved_count']:,}", f"{len(run['probes'])}"
     cells = [
-        name,
-        preset,
-        target,
-        f"{reported_psnr:.2f}",
-        f"{float(compared['psnr']):.2f}",
-        counts,
+        name, preset, target, f"{reported_psnr:.2f}", f"{float(compared['psnr']):.2f}", counts,
         probe_count,
-    ]
+    ]  # fmt: skip
     return f"| {' | '.join([*cells, run['stop']])} |"
 
 

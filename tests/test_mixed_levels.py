@@ -329,19 +329,8 @@ def test_the_seam_loss_is_a_ratio_of_errors_in_decibels():
 
 
 def test_the_command_reports_the_levels_of_each_view(scene, stream):
-    arguments = [
-        "compare",
-        scene,
-        stream,
-        "--mixed",
-        "--budget",
-        "500",
-        "--views",
-        3,
-        "--pixels",
-        64,
-    ]
-    result = run(*arguments, "--json")
+    words = ["compare", scene, stream, "--mixed", "--budget", "500", "--views", 3, "--pixels", 64]
+    result = run(*words, "--json")
     assert result.returncode == 0, result.stderr
     report = json.loads(result.stdout)
     [score] = report["scores"]
@@ -354,7 +343,7 @@ def test_the_command_reports_the_levels_of_each_view(scene, stream):
     assert score["seams"] > 0
     errors = [sum(v[name] for v in score["views"]) for name in ("seam_error", "seam_coarse_error")]
     assert score["seam_loss"] == pytest.approx(loss_of(*errors))
-    shown = run(*arguments)
+    shown = run(*words)
     assert shown.returncode == 0, shown.stderr
     assert f"{score['psnr']:.2f}" in shown.stdout + shown.stderr
     assert "at seams" in shown.stdout
