@@ -51,9 +51,9 @@ def drifts(original: PreparedSplats, small: PreparedSplats, cameras: Sequence[Ca
     )
 
 
-def change(wanted: F32, shown: F32) -> float:
+def change(original: F32, result: F32) -> float:
     """Return the change of the mean colour between two images (H, W, 3), in 255ths."""
-    changes = np.abs((shown - wanted).mean(axis=(0, 1), dtype=np.float64))
+    changes = np.abs((result - original).mean(axis=(0, 1), dtype=np.float64))
     return float(changes.max() * 255)
 
 

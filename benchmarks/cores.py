@@ -35,18 +35,18 @@ def main() -> None:
     presets = options.presets.split(",")
     for preset in presets:  # compile what is not in the cache, on a small scene
         run(scene(2000), preset, max(THREADS), options)
-    taken: dict[tuple[str, int], list[Seconds]] = {}
+    seconds_of_runs: dict[tuple[str, int], list[Seconds]] = {}
     ask, query_times = query(model), []
     for _ in range(options.rounds):
         for preset in presets:
             for threads in THREADS:
                 seconds = run(model, preset, threads, options)
-                taken.setdefault((preset, threads), []).append(seconds)
+                seconds_of_runs.setdefault((preset, threads), []).append(seconds)
                 text = f"{preset}, {threads} threads: {seconds[WHOLE]:.2f} s"
                 print(text, file=sys.stderr, flush=True)
         query_times.append(ask()[0])
     for preset in presets:
-        one, two = (middle(taken[preset, threads]) for threads in THREADS)
+        one, two = (middle(seconds_of_runs[preset, threads]) for threads in THREADS)
         show(preset, one, two)
         over = two[WHOLE] / median(query_times)
         query_seconds = median(query_times)

@@ -69,8 +69,8 @@ def _line(result: dict[str, Any]) -> str:
     if result["failure"]:
         return f"| {result['format']} | **{result['failure']}** |"
     files = f"{result['models'] + result['refused']:,} | {result['models']:,}"
-    most = f"{result['seconds'] * 1e3:.0f} ms | {result['bytes'] / 1e6:.0f} MB"
-    return f"| {result['format']} | {files} | {result['refused']:,} | {most} |"
+    peaks = f"{result['seconds'] * 1e3:.0f} ms | {result['bytes'] / 1e6:.0f} MB"
+    return f"| {result['format']} | {files} | {result['refused']:,} | {peaks} |"
 
 
 def _in_a_process(name: str, count: int, seed: int) -> dict[str, Any]:

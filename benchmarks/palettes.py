@@ -35,8 +35,8 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
     print("| scene | sets of harmonics | entries | weighted error | seconds |\n" + "|---" * 5 + "|")
-    for wanted in options.only.split(","):
-        name, _, ratio = wanted.partition(":")
+    for scene_name in options.only.split(","):
+        name, _, ratio = scene_name.partition(":")
         model = nanogs.load(options.scenes / SCENES[name])
         if ratio:
             model, _ = nanogs.simplify(model, ratio=float(ratio), preset="fast")
@@ -52,7 +52,8 @@ def main() -> None:
             error, least = float(np.average(squares, weights=weights)), min(seconds)
             count = len(found.entries)
             print(
-                f"| {wanted} | {len(model):,} | {count:,} | {error:.3g} | {least:.2f} |", flush=True
+                f"| {scene_name} | {len(model):,} | {count:,} | {error:.3g} | {least:.2f} |",
+                flush=True,
             )
 
 

@@ -32,12 +32,12 @@ def main() -> None:
     cameras = automatic_cameras(original, 8, width=SIDE, height=SIDE, split="test")
     TARGET.mkdir(exist_ok=True)
     for ratio in RATIOS:
-        small, taken = _packed(original, ratio)
+        small, file_bytes = _packed(original, ratio)
         path = TARGET / f"plant_{100 * ratio:g}.jpg"
         [picture] = nanogs.render(small, [cameras[VIEW]])
         Image.fromarray(to_bytes(picture)).save(path, quality=90, optimize=True)
         psnr = nanogs.compare(original, small).models[0].psnr
-        print(f"{path.name}: {len(small):,} splats, {taken / 1e6:.2f} MB, {psnr:.1f} dB")
+        print(f"{path.name}: {len(small):,} splats, {file_bytes / 1e6:.2f} MB, {psnr:.1f} dB")
 
 
 def _packed(original: nanogs.Splats, ratio: float) -> tuple[nanogs.Splats, int]:

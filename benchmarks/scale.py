@@ -171,13 +171,13 @@ def kill(args: argparse.Namespace) -> None:
         if args.lod:
             out = Path(folder) / (args.lod if args.lod in FILES else "levels")
         named = out if args.lod in FILES else out / args.lod
-        what = ["lod", str(args.source), str(named)]
+        words = ["lod", str(args.source), str(named)]
         if not args.lod:
-            what = ["simplify", str(args.source), str(out), "--ratio", "0.1"]
+            words = ["simplify", str(args.source), str(out), "--ratio", "0.1"]
         elif args.chunk:
-            what += ["--chunk", str(args.chunk)]
-        what += ["--preset", "fast"]  # the default one renders, in more memory than usual here
-        command = [*NANOGS, *what, "-q", "--max-memory", args.max_memory, "--resume"]
+            words += ["--chunk", str(args.chunk)]
+        words += ["--preset", "fast"]  # the default one renders, in more memory than usual here
+        command = [*NANOGS, *words, "-q", "--max-memory", args.max_memory, "--resume"]
         if args.given:
             call = f"simplify_blocks({str(args.source)!r}, {str(out)!r}, resume=True, {args.given})"
             if args.lod:

@@ -39,14 +39,14 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
         )  # fmt: skip
         settings, _ = plan_job(request, None, size)
         units = survey(settings)
-        done = run_tasks(
+        results = run_tasks(
             folder, settings, InProcess(), 2, StageClock(), Tracker(None, []), resumed=False
         )
         codes = units.codes(splats)
         of_block = np.empty(len(splats), np.int64)
-        parts = [done.work.partition.count(b) for b in range(done.work.partition.blocks)]
+        parts = [results.work.partition.count(b) for b in range(results.work.partition.blocks)]
         of_block[np.argsort(codes, kind="stable")] = np.repeat(np.arange(len(parts)), parts)
-        with result_of(done.work, 0) as result:
+        with result_of(results.work, 0) as result:
             return result.load(), of_block
 
 

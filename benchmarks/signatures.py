@@ -93,7 +93,9 @@ def write_cameras(scene: nanogs.Splats, path: Path) -> None:
     """Write a camera file with a few views of the scene."""
     poses = [camera.world_to_camera for camera in automatic_cameras(scene, 6)]
     ways = [(np.linalg.inv(pose) @ np.diag([1, -1, -1, 1])).tolist() for pose in poses]
-    frames = [{"file_path": f"{n}.png", "transform_matrix": way} for n, way in enumerate(ways)]
+    frames = [
+        {"file_path": f"{n}.png", "transform_matrix": matrix} for n, matrix in enumerate(ways)
+    ]
     data = {"camera_angle_x": 1.0, "w": 256, "h": 256, "frames": frames}
     path.write_text(json.dumps(data), encoding="utf-8")
 

@@ -112,12 +112,12 @@ def query(model: Path) -> Run:
 
 def in_turns(runs: dict[str, Run], rounds: int) -> dict[str, list[tuple[float, int]]]:
     """Run all functions once per round; return their seconds and peak memory."""
-    taken: dict[str, list[tuple[float, int]]] = {name: [] for name in runs}
+    runs_of: dict[str, list[tuple[float, int]]] = {name: [] for name in runs}
     for _ in range(rounds):
         for name, run in runs.items():
-            taken[name].append(run())
-            print(f"{name}: {taken[name][-1][0]:.2f} s", file=sys.stderr, flush=True)
-    return taken
+            runs_of[name].append(run())
+            print(f"{name}: {runs_of[name][-1][0]:.2f} s", file=sys.stderr, flush=True)
+    return runs_of
 
 
 def against_others(model: Path, options: argparse.Namespace) -> None:
@@ -129,8 +129,8 @@ def against_others(model: Path, options: argparse.Namespace) -> None:
         runs |= {name: other(model, flag, options.ratio) for name, flag in MODES.items()}
     runs[f"cKDTree query, k = {K}"] = query(model)
     warm(options)
-    taken = in_turns(runs, options.rounds)
-    first = median(seconds for seconds, _ in taken[presets[0]])
+    runs_of = in_turns(runs, options.rounds)
+    first = median(seconds for seconds, _ in runs_of[presets[0]])
     columns = inspect(model)
     model_size = column_bytes(model)
     print(
@@ -139,7 +139,7 @@ def against_others(model: Path, options: argparse.Namespace) -> None:
     )
     print(f"| | seconds | over {presets[0]} | peak memory | over the columns |")
     print("|---|--:|--:|--:|--:|")
-    for name, turns in taken.items():
+    for name, turns in runs_of.items():
         seconds, peak = (median(values) for values in zip(*turns, strict=True))
         memory = f"{bytes_text(int(peak))} | {peak / model_size:.2f}" if peak else "|"
         print(f"| {name} | {seconds:.2f} | {seconds / first:.2f} | {memory} |")
@@ -155,11 +155,11 @@ def scaling(counts: list[int], options: argparse.Namespace) -> None:
     """Print time and memory of a preset by count, and the slope of log time over log count."""
     warm(options)
     runs = {f"{count:,}": ours(scene(count), options.preset, options) for count in counts}
-    taken = in_turns(runs, options.rounds)
-    middle = [median(seconds for seconds, _ in turns) for turns in taken.values()]
+    runs_of = in_turns(runs, options.rounds)
+    middle = [median(seconds for seconds, _ in turns) for turns in runs_of.values()]
     print("| splats | seconds | microseconds a splat | peak memory | over the columns |")
     print("|--:|--:|--:|--:|--:|")
-    for count, seconds, turns in zip(counts, middle, taken.values(), strict=True):
+    for count, seconds, turns in zip(counts, middle, runs_of.values(), strict=True):
         peak = int(median(peak for _, peak in turns))
         memory = f"{bytes_text(peak)} | {peak / column_bytes(scene(count)):.2f}"
         print(f"| {count:,} | {seconds:.2f} | {1e6 * seconds / count:.2f} | {memory} |")
@@ -182,9 +182,9 @@ def threads(numbers: list[int], model: Path, options: argparse.Namespace) -> Non
         for preset in options.presets.split(",")
         for number in numbers
     }
-    taken = in_turns(runs, options.rounds)
+    runs_of = in_turns(runs, options.rounds)
     print("| preset | threads | seconds |\n|---|--:|--:|")
-    for name, turns in taken.items():
+    for name, turns in runs_of.items():
         print(f"| {name} | {median(seconds for seconds, _ in turns):.2f} |")
 
 

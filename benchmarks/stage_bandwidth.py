@@ -26,8 +26,8 @@ def main() -> None:
     moved, took = rows["copy"]
     print("| stage | ms | MB moved at least | times the streaming of these |\n|---|--:|--:|--:|")
     for name, (size, milliseconds) in rows.items():
-        over = milliseconds / (size * took / moved)
-        print(f"| {name} | {milliseconds:.1f} | {size:.1f} | {over:.1f} |")
+        ratio = milliseconds / (size * took / moved)
+        print(f"| {name} | {milliseconds:.1f} | {size:.1f} | {ratio:.1f} |")
 
 
 if __name__ == "__main__":

@@ -82,11 +82,11 @@ def place_of(number: int) -> list[float]:
 def rooms(source: Source, rng: np.random.Generator) -> list[Splats]:
     """Return four kitchens, two by two."""
     kitchen = load(source("kitchen"))
-    ways = ways_of(kitchen)
-    return [moved(thinned(kitchen, 0.6, rng), way.tolist()) for way in ways]
+    offsets = room_offsets(kitchen)
+    return [moved(thinned(kitchen, 0.6, rng), offset.tolist()) for offset in offsets]
 
 
-def ways_of(kitchen: Splats) -> F64:
+def room_offsets(kitchen: Splats) -> F64:
     """Return the offsets (4, 3) of `rooms`: sums of the edges of the kitchen's bounding box."""
     found = survey(kitchen)
     box = inside.fit_box(found.sampled, found.core, np.array([0.0, 0.0, 1.0]))
@@ -133,21 +133,23 @@ def thinned(model: Splats, share: float, rng: np.random.Generator) -> Splats:
     return model.take(np.flatnonzero(rng.random(len(model)) < share))
 
 
-def moved(model: Splats, way: Sequence[float]) -> Splats:
+def moved(model: Splats, offset: Sequence[float]) -> Splats:
     """Translate the model in place, and return it."""
-    model.means[:] += np.array(way, model.means.dtype)
+    model.means[:] += np.array(offset, model.means.dtype)
     return model
 
 
 def ground(count: int, least: float, colour: Sequence[float], rng: np.random.Generator) -> Splats:
     """Return a plane around the origin, from `least` to 60 radii, coarser with the distance."""
-    far = np.exp(rng.uniform(np.log(least), np.log(60), count))
-    turn = rng.uniform(0, 2 * np.pi, count)
-    points = np.stack([far * np.cos(turn), np.full(count, 0.05), far * np.sin(turn)], axis=1)
+    distance = np.exp(rng.uniform(np.log(least), np.log(60), count))
+    angle = rng.uniform(0, 2 * np.pi, count)
+    points = np.stack(
+        [distance * np.cos(angle), np.full(count, 0.05), distance * np.sin(angle)], axis=1
+    )
     points[:, 1] += 0.01 * waves(points, [(3, 1.0)], 1)
     tones = 0.12 * waves(points, [(2, 0.3), (9, 0.2), (0.3, 0.4)], 2)
     shades = np.array(colour) + (tones + rng.normal(0, 0.05, count))[:, None]
-    return surface(points, np.tile(UP, (count, 1)), 0.016 * far, shades, 0.06, rng)
+    return surface(points, np.tile(UP, (count, 1)), 0.016 * distance, shades, 0.06, rng)
 
 
 def hills(count: int, far: float, colour: Sequence[float], rng: np.random.Generator) -> Splats:
@@ -217,46 +219,50 @@ def waves(points: F64, sizes: Sequence[tuple[float, float]], seed: int) -> F64:
     """Compute noise (N,) as a sum of sines; `sizes` are pairs of frequency and amplitude."""
     rng, found = np.random.default_rng(seed), np.zeros(len(points))
     for frequency, height in sizes:
-        for way in rng.normal(size=(6, 3)):
+        for direction in rng.normal(size=(6, 3)):
             phase = rng.uniform(0, 2 * np.pi)
-            found += height * np.sin(points @ way * (frequency / np.linalg.norm(way)) + phase)
+            found += height * np.sin(
+                points @ direction * (frequency / np.linalg.norm(direction)) + phase
+            )
     return found
 
 
-def seen_from(place: F64, target: F64, name: str) -> Camera:
+def camera_at(position: F64, target: F64, name: str) -> Camera:
     """Return a camera of 400 x 400 pixels with a field of view of 60 degrees."""
     focal = 200 / np.tan(np.pi / 6)
-    return Camera(400, 400, focal, focal, 200, 200, look_at(place, target, UP), name, near=0.02)
+    return Camera(400, 400, focal, focal, 200, 200, look_at(position, target, UP), name, near=0.02)
 
 
 def ring(name: str, count: int, start: float) -> list[Camera]:
     """Return cameras in a ring around the centre of a scene."""
-    far, height, target = RINGS[name]
+    distance, height, target = RINGS[name]
     found = []
-    for turn in start + np.arange(count) * 2 * np.pi / count:
-        place = np.array([far * np.cos(turn), -height, far * np.sin(turn)])
-        found.append(seen_from(place, target * UP, f"{turn:.2f}"))
+    for angle in start + np.arange(count) * 2 * np.pi / count:
+        position = np.array([distance * np.cos(angle), -height, distance * np.sin(angle)])
+        found.append(camera_at(position, target * UP, f"{angle:.2f}"))
     return found
 
 
-def walk(count: int, start: float) -> list[Camera]:
+def cameras_along_street(count: int, start: float) -> list[Camera]:
     """Return `count` cameras near each object of `street`, on the side of the road."""
     found = []
     for number in range(len(THINGS)):
         thing = np.array(place_of(number)) + 0.5 * UP
-        for turn in start + np.arange(count) * np.pi / count:
-            way = np.array([np.cos(turn), 0.0, -np.sign(thing[2]) * np.sin(turn)])
-            found.append(seen_from(thing + 2.4 * way + 0.6 * UP, thing, f"{number}_{turn:.2f}"))
+        for angle in start + np.arange(count) * np.pi / count:
+            direction = np.array([np.cos(angle), 0.0, -np.sign(thing[2]) * np.sin(angle)])
+            found.append(
+                camera_at(thing + 2.4 * direction + 0.6 * UP, thing, f"{number}_{angle:.2f}")
+            )
     return found
 
 
-def within(kitchen: Splats, count: int, split: Split) -> list[Camera]:
+def cameras_in_rooms(kitchen: Splats, count: int, split: Split) -> list[Camera]:
     """Return automatic cameras of 400 x 400 pixels in each of `rooms`."""
     found = []
-    for number, way in enumerate(ways_of(kitchen)):
+    for number, offset in enumerate(room_offsets(kitchen)):
         for camera in automatic_cameras(kitchen, count, width=400, height=400, split=split):
             pose = camera.world_to_camera.copy()
-            pose[:3, 3] -= pose[:3, :3] @ way
+            pose[:3, 3] -= pose[:3, :3] @ offset
             found.append(replace(camera, world_to_camera=pose, name=f"{number}_{camera.name}"))
     return found
 
@@ -264,10 +270,10 @@ def within(kitchen: Splats, count: int, split: Split) -> list[Camera]:
 def near_views(name: str, source: Source) -> tuple[list[Camera], list[Camera]]:
     """Return close views of a scene: those that methods may learn from, and those to test on."""
     if name == "street":
-        return walk(5, 0.3), walk(2, 0.6)
+        return cameras_along_street(5, 0.3), cameras_along_street(2, 0.6)
     if name == "rooms":
         kitchen = load(source("kitchen"))
-        return within(kitchen, 10, "fit"), within(kitchen, 4, "test")
+        return cameras_in_rooms(kitchen, 10, "fit"), cameras_in_rooms(kitchen, 4, "test")
     return ring(name, 40, 0.0), ring(name, 8, 0.3)
 
 

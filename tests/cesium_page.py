@@ -81,8 +81,8 @@ def render_in_cesium(path, camera, folder, *, error=0.01, still_frames=30):
     with serve_folders(cesium=cesium_files, scene=path.parent, own=folder) as (address, requests):
         size = camera.width, camera.height
         with page_at(f"{address}/own/cesium.html", *size) as page_in_browser:
-            done = f"window.state && (window.state.error || window.state.still > {still_frames})"
-            page_in_browser.wait_for_function(done, timeout=TIMEOUT)
+            is_done = f"window.state && (window.state.error || window.state.still > {still_frames})"
+            page_in_browser.wait_for_function(is_done, timeout=TIMEOUT)
             state = page_in_browser.evaluate("window.state")
             pixels = pixels_of(page_in_browser.locator("canvas"), f"cesium-{path.parent.name}")
     return pixels, state | {"requests": [name for name in requests if name.endswith(".glb")]}

@@ -320,18 +320,18 @@ def _run_command(request: Request, source: Path, out: Path) -> dict[str, Any]:
 
 def _faults(request: Request, folder: Path, out: Path, report: dict[str, Any]) -> list[str]:
     """Return the faults of a result, a few words each."""
-    faults, taken = [], out.stat().st_size
+    faults, file_bytes = [], out.stat().st_size
     left = {path.name for path in folder.iterdir()} - {"in.ply", out.name}
     if left:
         faults.append(f"left behind: {sorted(left)}")
     size = request.goal.get("size")
     if size is not None:
-        if taken > size:
-            faults.append(f"larger than asked: {taken:,} B of {size:,}")
-        if report["achieved_size"] != taken:
-            faults.append(f"achieved_size {report['achieved_size']} is not {taken}")
+        if file_bytes > size:
+            faults.append(f"larger than asked: {file_bytes:,} B of {size:,}")
+        if report["achieved_size"] != file_bytes:
+            faults.append(f"achieved_size {report['achieved_size']} is not {file_bytes}")
         explained = any(end in note for note in report["notes"] for end in SMALL_FILE_NOTES)
-        if taken < ENOUGH * size and not explained:
+        if file_bytes < ENOUGH * size and not explained:
             faults.append("not said why it is small")
     elif report["stop"] == "target" and not report["judged"]["psnr"] >= request.goal["psnr"]:
         faults.append("misses the PSNR")

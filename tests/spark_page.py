@@ -91,8 +91,8 @@ def render_in_spark(path, camera, folder, *, mesh=None, still_frames=8, **option
         serve_folders(packages=PACKAGES, scene=path.parent, own=folder) as (address, requests),
         page_at(f"{address}/own/spark.html", camera.width, camera.height) as page,
     ):
-        done = f"window.state && (window.state.error || window.state.still > {still_frames})"
-        page.wait_for_function(done, timeout=TIMEOUT)
+        is_done = f"window.state && (window.state.error || window.state.still > {still_frames})"
+        page.wait_for_function(is_done, timeout=TIMEOUT)
         state = page.evaluate("window.state")
         pixels = pixels_of(page.locator("canvas"), f"spark-{path.name}")
     return pixels, state | {"requests": [name for name in requests if name.startswith("scene/")]}

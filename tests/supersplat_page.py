@@ -43,8 +43,8 @@ def render_in_supersplat(path, folder, count, width=320, height=240, **camera):
         options = "webgl&noanim&nofx&noui&settings=/own/settings.json"
         options += f"&content=/scene/{path.name}"
         with page_at(f"{address}/viewer/index.html?{options}", width, height) as page:
-            drawn = "window.app?.stats?.frame?.gsplats"
-            page.wait_for_function(f"{drawn} === {count}", timeout=TIMEOUT)
+            splats_drawn = "window.app?.stats?.frame?.gsplats"
+            page.wait_for_function(f"{splats_drawn} === {count}", timeout=TIMEOUT)
             page.wait_for_timeout(500)  # a few frames
             pixels = pixels_of(page, f"{path.parent.name}-{path.name}")
     return pixels, [name for name in requests if name.endswith(("meta.json", "sog"))]

@@ -336,8 +336,8 @@ def test_parameters_may_be_numpy_numbers(pair, files, tmp_path):
     out, blocks = tmp_path / "out.ply", {"block": 300, "sh_degree": np.int64(0)}
     report = nanogs.simplify_blocks(files[0], out, count=9, **blocks, **quick)
     assert json.loads(json.dumps(report.to_dict()))["parameters"]["steps"] == 1
-    few = nanogs.RefitParameters(rounds=np.int64(1), steps=np.int64(2), rate=np.float32(0.5))
-    _, report = nanogs.refit(*pair, parameters=few)
+    parameters = nanogs.RefitParameters(rounds=np.int64(1), steps=np.int64(2), rate=np.float32(0.5))
+    _, report = nanogs.refit(*pair, parameters=parameters)
     assert json.loads(json.dumps(report.to_dict()))["parameters"]["rounds"] == 1
     _, report = nanogs.simplify(pair[0], count=9, preset="paper", k=np.int64(4))
     assert json.loads(json.dumps(report.to_dict()))["parameters"]["k"] == 4
@@ -415,16 +415,16 @@ def test_compare_takes_arrays_for_up_and_pixels(pair):
 
 def test_cameras_of_a_refit_may_be_an_iterator(pair):
     views = automatic_cameras(pair[0], count=4, width=32, height=32)
-    few = nanogs.RefitParameters(rounds=1, steps=2)
-    _, report = nanogs.refit(*pair, cameras=iter(views), parameters=few)
+    parameters = nanogs.RefitParameters(rounds=1, steps=2)
+    _, report = nanogs.refit(*pair, cameras=iter(views), parameters=parameters)
     assert len(report.fit_views) + len(report.validation_views) == 4
     for wrong in ("auto", 5, [*views, "roam"]):
         with pytest.raises(OptionError, match="must be a list of at least two nanogs"):
-            nanogs.refit(*pair, cameras=wrong, parameters=few)
+            nanogs.refit(*pair, cameras=wrong, parameters=parameters)
     with pytest.raises(
         OptionError, match="needs at least two cameras, one of them for validation, not 1"
     ):
-        nanogs.refit(*pair, cameras=views[0], parameters=few)
+        nanogs.refit(*pair, cameras=views[0], parameters=parameters)
 
 
 def test_a_background_may_be_an_array_of_three_numbers(pair):

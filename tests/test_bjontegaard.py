@@ -9,8 +9,8 @@ from nanogs.bench.bjontegaard import bd_quality, bd_rate, rises
 CURVE = [(250e3, 24.0), (500e3, 27.5), (1e6, 30.2), (2e6, 32.0), (4e6, 33.1)]
 
 
-def shifted(by=0.0, times=1.0, curve=CURVE):
-    return [(times * size, quality + by) for size, quality in curve]
+def shifted(shift=0.0, times=1.0, curve=CURVE):
+    return [(times * size, quality + shift) for size, quality in curve]
 
 
 @pytest.mark.parametrize("shift", [2.0, -0.5, 0.0])

@@ -49,8 +49,10 @@ def total_compiled(sums, p, j):
 
 
 @kernel
-def gradient_compiled(mark, j, shapes, values, left, behind, wanted, trust, partial, e):
-    gradients.gradient_blocks(mark, j, shapes, values, left, behind, wanted, trust, partial, e)
+def gradient_compiled(mark, j, shapes, values, left, behind, blocks_to_compute, trust, partial, e):
+    gradients.gradient_blocks(
+        mark, j, shapes, values, left, behind, blocks_to_compute, trust, partial, e
+    )
 
 
 def shape_of(u, v, inv_w, slope, inv_yy, opacity):

@@ -235,8 +235,8 @@ def start_holding(out, kind):
 
 def write(out, kind):
     if kind == "folder":
-        with atomic_folder(out, lambda _: None) as made:
-            (made / "file").write_bytes(b"whole")
+        with atomic_folder(out, lambda _: None) as new_folder:
+            (new_folder / "file").write_bytes(b"whole")
     else:
         with atomic_write(out) as file:
             file.write(b"whole")

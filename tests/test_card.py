@@ -192,7 +192,7 @@ def test_the_command_reports_the_device_that_it_used(tmp_path):
     nanogs.save(make_splats(60), tmp_path / "a.ply")
     arguments = (tmp_path / "a.ply", "--device", "warp-cpu", "--json")
     result = run("render", *arguments[:1], tmp_path / "out", "--views", 1, "--pixels", 32,
-               *arguments[1:])  # fmt: skip
+                 *arguments[1:])  # fmt: skip
     report = json.loads(result.stdout)
     assert report["device"] == "warp-cpu"
     assert "pictures were made on warp-cpu" in report["notes"]

@@ -194,12 +194,12 @@ def test_the_command_compare_shows_the_numbers_of_the_library(files, temporary):
     assert shown.returncode == 0, shown.stderr
     rows = shown.stdout.splitlines()
     for model in found.models[1:]:
-        main, own = (row for row in rows if row.startswith(model.name))
+        main, packed_row = (row for row in rows if row.startswith(model.name))
         assert f"{model.psnr:.2f}" in main.split()
         cells = [model.file_bytes / model.splats, model.packed.psnr_cost, model.packed.ssim_cost]
         cells += [model.packed.psnr, model.packed.ssim]
         texts = [number_text(cell, digits) for cell, digits in zip(cells, (1, 2, 4, 2, 4))]  # noqa: B905
-        assert own.removeprefix(model.name).split() == texts
+        assert packed_row.removeprefix(model.name).split() == texts
     assert "which is what packing alone costs; to model: PSNR of the file against" in shown.stderr
     assert "packing" not in run("compare", *pair, *WORDS).stderr
 

@@ -107,7 +107,7 @@ def test_far_outliers_do_not_change_the_rest(preset, distance):
     assert np.count_nonzero(~near) <= 8
     without_outliers, _ = nanogs.simplify(splats, count=int(np.count_nonzero(near)), preset=preset)
     areas = [np.sum(m.opacities() * np.exp(2 * m.log_scales.mean(axis=1))) for m in
-               (small.take(near), without_outliers)]  # fmt: skip
+             (small.take(near), without_outliers)]  # fmt: skip
     assert areas[0] == pytest.approx(areas[1], rel=0.1)
 
 

@@ -61,7 +61,7 @@ def test_a_model_that_does_not_fit_is_divided_into_blocks(scene, tmp_path):
 @pytest.mark.parametrize("options", [{"block": 500}, {"job": "kept"}, {"scratch": "files"}])
 def test_options_of_jobs_make_blocks_of_a_small_model_too(scene, tmp_path, options):
     options = {name: tmp_path / value if isinstance(value, str) else value
-             for name, value in options.items()}  # fmt: skip
+               for name, value in options.items()}  # fmt: skip
     options = {name: str(value) if name == "scratch" else value for name, value in options.items()}
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, **options, **QUICK)
     assert (report.blocks.blocks > 1) == ("block" in options)

@@ -254,10 +254,10 @@ def test_compare_refuses_models_that_do_not_fit_before_reading_them(tmp_path, mo
         with pytest.raises(NotEnoughMemoryError, match="fewer or smaller views"):
             nanogs.compare(*models)
     view = {"views": 1, "pixels": 16}
-    held, from_file = (
+    in_memory, from_file = (
         needed_bytes(models, 256, 1, all_of_it=False) for models in ((splats,), (path,))
     )
-    assert from_file - held == 2000 * splat_bytes(3)  # the file must be read first
+    assert from_file - in_memory == 2000 * splat_bytes(3)  # the file must be read first
     monkeypatch.undo()
     with pytest.raises(NotEnoughMemoryError):
         nanogs.compare(splats, splats, **view, max_memory=LIBRARIES + 1000)
@@ -639,9 +639,9 @@ def test_the_preset_that_renders_nothing_has_no_fitting_steps(capsys):
     ],
 )
 def test_parameters_without_effect_are_not_reported(options, reported, unreported):
-    shown = effective(parameters("fast", options)).keys()
-    assert reported <= shown
-    assert not unreported & shown
+    names = effective(parameters("fast", options)).keys()
+    assert reported <= names
+    assert not unreported & names
 
 
 @pytest.mark.parametrize("options", [[], ["--dry-run"]])

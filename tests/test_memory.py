@@ -60,7 +60,7 @@ def test_the_planned_memory_is_within_the_limits(preset, count):
     planned = plan_memory(count, 3, 0, parameters(preset, {}), count // 10, judged=False)
     assert planned.peak <= MOST[preset] * count * COLUMNS + VIEWS[preset]
     assert planned.peak == max(planned.stages.values())
-    assert all(held > planned.input_columns for held in planned.stages.values())
+    assert all(stage_bytes > planned.input_columns for stage_bytes in planned.stages.values())
 
 
 def test_for_five_million_splats_the_limits_include_the_libraries():

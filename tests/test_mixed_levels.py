@@ -364,8 +364,8 @@ def test_the_command_explains_why_no_levels_are_mixed(scene, stream):
         stream, 360
     )
     whole = scene.with_name("whole.ssog")
-    made = run("lod", scene, whole, "--preset", "fast", "--levels", "0.5,0.2", "-q")
-    assert made.returncode == 0, made.stderr
+    lod_result = run("lod", scene, whole, "--preset", "fast", "--levels", "0.5,0.2", "-q")
+    assert lod_result.returncode == 0, lod_result.stderr
     assert "the stream is a single chunk, make it with smaller ones (--chunk)" in stderr_of(
         whole, 600
     )

@@ -81,19 +81,19 @@ def test_shares_of_thin_and_faded_splats_match_a_plain_loop():
     found = evidence_on(
         model, cameras, views_of(cameras, "given"), [], None, lambda _done, _parts: None
     )
-    seen = thin = faded = 0
+    visible = thin = faded = 0
     for camera in cameras:
         for i in range(len(model)):
             if not is_visible(model, camera, i):
                 continue
             z, _, after, _, _ = splat_on_screen(model, camera, i)
             before = after - 0.3 * np.eye(2)
-            seen += 1
+            visible += 1
             thin += np.exp(model.log_scales[i].min()) * camera.fx / z < math.sqrt(0.3)
             faded += math.sqrt(np.linalg.det(before) / np.linalg.det(after)) < 0.1
-    assert seen > 30
-    assert found.thin == pytest.approx(thin / seen, abs=1e-9)
-    assert found.faded == pytest.approx(faded / seen, abs=1e-9)
+    assert visible > 30
+    assert found.thin == pytest.approx(thin / visible, abs=1e-9)
+    assert found.faded == pytest.approx(faded / visible, abs=1e-9)
     assert 0 < found.faded < found.thin <= 1
 
 
@@ -108,21 +108,21 @@ def test_a_model_that_is_read_in_parts_has_the_same_evidence(tmp_path, monkeypat
     model = random_splats(500, seed=6)
     nanogs.save(model, tmp_path / "a.npz")
     cameras = [make_camera(48, 40, 40.0), make_camera(30, 30, 30.0)]
-    given = (
+    view_options = (
         cameras,
         views_of(cameras, "given"),
         [],
     )
 
     def evidence(source_or_model, max_memory):
-        return evidence_on(source_or_model, *given, max_memory, lambda _done, _parts: None)
+        return evidence_on(source_or_model, *view_options, max_memory, lambda _done, _parts: None)
 
-    held = evidence(model, None)
+    in_memory = evidence(model, None)
     monkeypatch.setattr("nanogs.views.streamed.BLOCK_ROWS", 64)
     with nanogs.open(tmp_path / "a.npz") as source:
-        assert evidence(source, LEAST) == held
+        assert evidence(source, LEAST) == in_memory
     tagged = evidence(replace(model, render_mode=RenderMode.MIP), None)
-    assert tagged == held, "both ways are drawn, whatever the tag is"
+    assert tagged == in_memory, "both ways are drawn, whatever the tag is"
 
 
 def test_a_model_out_of_sight_gives_no_evidence():

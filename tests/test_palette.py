@@ -137,8 +137,8 @@ def plain_ward_error(points, weights, size):
 def squared_error(points, weights, labels):
     error = 0.0
     for label in np.unique(labels):
-        own, w = points[labels == label].astype(float), weights[labels == label].astype(float)
-        error += (w[:, None] * (own - np.average(own, axis=0, weights=w)) ** 2).sum()
+        members, w = points[labels == label].astype(float), weights[labels == label].astype(float)
+        error += (w[:, None] * (members - np.average(members, axis=0, weights=w)) ** 2).sum()
     return error
 
 
@@ -217,8 +217,8 @@ def test_a_table_has_each_point_once():
     rows = np.arange(0, 100, 2)
     lengths = (points**2).sum(axis=1)
     table = _Table(points, lengths, rows, home, 6)
-    held = table.holders[table.holders != NOBODY]
-    assert np.array_equal(np.sort(held), rows)
+    entries = table.holders[table.holders != NOBODY]
+    assert np.array_equal(np.sort(entries), rows)
     assert np.isinf(table.squares[table.holders == NOBODY]).all()
     for row in rows:
         cell = home[row // 2]
@@ -255,8 +255,8 @@ def test_entries_are_the_means_of_their_points():
     found = palette(points, 300, weights)
     assert len(found.entries) == 300
     for label in range(0, 300, 7):
-        own = found.labels == label
-        mean = np.average(points[own].astype(float), axis=0, weights=weights[own])
+        members = found.labels == label
+        mean = np.average(points[members].astype(float), axis=0, weights=weights[members])
         assert found.entries[label] == pytest.approx(mean, abs=1e-6)
 
 
@@ -324,6 +324,6 @@ def test_nearby_cells_are_listed_nearest_first():
     starts, order = by_label(cells[:, 0], 12)
     centres = [points[order[a:b]].mean(axis=0) for a, b in pairwise(starts)]
     distances = np.linalg.norm(points[:, None] - np.array(centres), axis=-1)
-    own = np.take_along_axis(distances, cells.astype(int), axis=1)
-    assert (own[:, 0] < own[:, 1]).mean() > 0.9
-    assert (own[:, 0] <= distances.min(axis=1) + 1e-6).mean() > 0.8
+    listed_distances = np.take_along_axis(distances, cells.astype(int), axis=1)
+    assert (listed_distances[:, 0] < listed_distances[:, 1]).mean() > 0.9
+    assert (listed_distances[:, 0] <= distances.min(axis=1) + 1e-6).mean() > 0.8

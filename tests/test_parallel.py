@@ -51,18 +51,18 @@ def test_ranges_have_the_requested_number_and_similar_sizes():
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
 def test_exactly_the_requested_number_of_threads_takes_part():
     barrier = threading.Barrier(2, timeout=20)
-    seen = []
+    thread_ids = []
 
     def meet(_start, _stop, values):
         assert len(values) == 100
-        seen.append(threading.get_ident())
-        if len(seen) <= 2:
+        thread_ids.append(threading.get_ident())
+        if len(thread_ids) <= 2:
             barrier.wait()
 
     with use_threads(2):
         split(meet)(range(100))
-    assert len(seen) == 16
-    assert len(set(seen)) == 2
+    assert len(thread_ids) == 16
+    assert len(set(thread_ids)) == 2
 
 
 @pytest.mark.parametrize("threads", [1, numba.config.NUMBA_NUM_THREADS])
@@ -131,17 +131,17 @@ def test_a_thread_can_work_after_the_main_thread_has_ended(tmp_path):
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
 def test_each_part_is_done_once_and_all_threads_take_part():
     barrier = threading.Barrier(2, timeout=20)
-    seen = []
+    calls = []
 
     def work(part):
-        seen.append((part, threading.get_ident()))
+        calls.append((part, threading.get_ident()))
         if part < 2:
             barrier.wait()
 
     with use_threads(2):
         for_each(range(50), work)
-    assert sorted(part for part, _ in seen) == list(range(50))
-    assert len({thread for _, thread in seen}) == 2
+    assert sorted(part for part, _ in calls) == list(range(50))
+    assert len({thread for _, thread in calls}) == 2
 
 
 @pytest.mark.parametrize("threads", [1, numba.config.NUMBA_NUM_THREADS])
@@ -158,7 +158,7 @@ def test_an_exception_in_a_part_reaches_the_caller(threads):
 @pytest.mark.parametrize("fails", ["here", "elsewhere"])
 def test_after_a_failure_no_part_begins_or_goes_on(fails):
     barrier = threading.Barrier(2, timeout=20)
-    done = []
+    finished = []
 
     def work(part):
         if part < 2:
@@ -166,13 +166,13 @@ def test_after_a_failure_no_part_begins_or_goes_on(fails):
             if (threading.current_thread() is threading.main_thread()) == (fails == "here"):
                 raise ZeroDivisionError
             time.sleep(0.2)
-        done.append(part)
+        finished.append(part)
 
     with use_threads(2), pytest.raises(ZeroDivisionError):
         for_each(range(50), work)
-    assert len(done) == 1  # the one that had begun
+    assert len(finished) == 1  # the one that had begun
     time.sleep(0.1)
-    assert len(done) == 1
+    assert len(finished) == 1
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")

@@ -48,17 +48,17 @@ def test_piped_results_have_the_bytes_of_files(scene, tmp_path):
     text = piped.stderr.decode()
     assert "stdin: 300 splats" in text
     assert "stdout: 30 splats" in text
-    given = run("simplify", "-", "-", *options, "--from", "ply", "--to", "ply", "-q",
+    quiet = run("simplify", "-", "-", *options, "--from", "ply", "--to", "ply", "-q",
                 data=scene.read_bytes())  # fmt: skip
-    assert (given.stdout, given.stderr) == (piped.stdout, b"")
+    assert (quiet.stdout, quiet.stderr) == (piped.stdout, b"")
 
 
 def test_one_end_of_the_pipe_may_be_a_file(scene, tmp_path):
     out = run("convert", scene, "-", "--to", "splat")
     assert out.returncode == 0
     target = tmp_path / "a.splat"
-    back = run("convert", "-", target, "--from", ".splat", data=out.stdout)
-    assert back.returncode == 0, back.stderr
+    converted = run("convert", "-", target, "--from", ".splat", data=out.stdout)
+    assert converted.returncode == 0, converted.stderr
     assert target.read_bytes() == out.stdout
     assert_refused(run("convert", "-", target, "--from", "splat", data=out.stdout), "a.splat", "-w")
 
@@ -103,8 +103,8 @@ def test_an_archive_of_levels_is_not_taken_for_a_single_model(tmp_path, folder):
     nanogs.write_levels(
         splats, tmp_path / "a.ssog", [1, 0.5], layout="streamed sog archive", preset="fast"
     )
-    with zipfile.ZipFile(tmp_path / "a.ssog") as made:
-        files = {name: made.read(name) for name in reversed(made.namelist())}
+    with zipfile.ZipFile(tmp_path / "a.ssog") as archive:
+        files = {name: archive.read(name) for name in reversed(archive.namelist())}
     with zipfile.ZipFile(tmp_path / "b", "w") as zipped:
         for name, data in files.items():
             zipped.writestr(folder + name, data)

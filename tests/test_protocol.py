@@ -70,8 +70,8 @@ def test_reported_scores_are_those_of_the_written_file(scene, tmp_path):
         expected = held_out(nanogs.load(scene)).judge(loaded)
         assert report["judged"]["psnr"] == pytest.approx(expected.psnr, abs=1e-6)
     folder = tmp_path / "l" / "lod-meta.json"
-    made = report_of("lod", scene, folder, "--levels", "0.5,0.1", *fast)["levels"]
-    for number, level in enumerate(made):
+    levels = report_of("lod", scene, folder, "--levels", "0.5,0.1", *fast)["levels"]
+    for number, level in enumerate(levels):
         loaded = nanogs.load(folder, level=number)
         expected = held_out(nanogs.load(scene)).judge(loaded)
         assert level["psnr"] == pytest.approx(expected.psnr, abs=1e-6)
@@ -129,9 +129,9 @@ def test_it_is_noted_why_an_unreadable_file_is_not_measured(tmp_path):
 def test_levels_in_a_format_that_is_only_written_are_not_measured(scene, tmp_path):
     require_bundle()
     options = ("--format", "html", "--levels", "0.1", "--measure", *FEW)
-    made = report_of("lod", scene, tmp_path / "a", *options)
-    assert made["notes"] == ["Nothing was measured: nanogs does not read .html files."]
-    assert made["protocol"] is None
+    report = report_of("lod", scene, tmp_path / "a", *options)
+    assert report["notes"] == ["Nothing was measured: nanogs does not read .html files."]
+    assert report["protocol"] is None
 
 
 def test_held_out_views_are_not_used_for_fitting():

@@ -22,10 +22,10 @@ def bench(benchmarks, tmp_path, monkeypatch):
     """A bench of one small scene, whose methods take the first rows; `made` lists the ones run."""
     (tmp_path / "scenes").mkdir()
     nanogs.save(make_scene(300), tmp_path / "scenes" / "a.ply")
-    made = []
+    methods_run = []
 
     def job(bench_job):
-        made.append(bench_job.method)
+        methods_run.append(bench_job.method)
         splats = nanogs.load(bench_job.model)
         nanogs.save(splats[: round(bench_job.ratio * len(splats))], bench_job.output)
         return Outcome(splats=30, asked=30, seconds=1.0)
@@ -33,7 +33,7 @@ def bench(benchmarks, tmp_path, monkeypatch):
     monkeypatch.setattr(benchmarks.measurements, "SCENES", {"a": "a.ply"})
     monkeypatch.setattr(benchmarks.measurements, "run_job", job)
     found = benchmarks.measurements.Bench(tmp_path, tmp_path / "peers", tmp_path)
-    return SimpleNamespace(found=found, made=made, messages=[])
+    return SimpleNamespace(found=found, made=methods_run, messages=[])
 
 
 def measure(benchmarks, bench, *keys):

@@ -30,8 +30,14 @@ def read(folder, data, name="a.rad"):
 
 def replaced(count, *columns, seed=0):
     """Return the usual columns with some of them replaced."""
-    own = {entry["property"]: (entry, data) for entry, data in typical_columns(count, seed)[0]}
-    return list((own | {entry["property"]: (entry, data) for entry, data in columns}).values())
+    column_of_property = {
+        entry["property"]: (entry, data) for entry, data in typical_columns(count, seed)[0]
+    }
+    return list(
+        (
+            column_of_property | {entry["property"]: (entry, data) for entry, data in columns}
+        ).values()
+    )
 
 
 def covariances(model):
@@ -131,7 +137,7 @@ def test_uncompressed_columns_and_gaps_between_chunks_are_read(tmp_path):
     parts = [chunk(first, 3), b"\0" * 16, chunk(plain, 2, base=3)]
     sizes = [len(part) for part in parts]
     entries = [{"offset": 0, "bytes": sizes[0]},
-              {"offset": sizes[0] + 16, "bytes": sizes[2]}]  # fmt: skip
+               {"offset": sizes[0] + 16, "bytes": sizes[2]}]  # fmt: skip
     model = read(tmp_path, rad(parts, 5, chunks=entries))
     np.testing.assert_array_equal(model.means[3:], expected["center"])
 

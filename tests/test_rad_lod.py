@@ -121,7 +121,7 @@ def test_coarser_levels_look_like_the_model(tmp_path):
     camera = opening_camera(model)
     whole = render(model, camera).shown()
     scores = [psnr(render(nanogs.load(tmp_path / "a.rad", level=n), camera).shown(), whole)
-             for n in range(4)]  # fmt: skip
+              for n in range(4)]  # fmt: skip
     assert scores[0] > 40
     assert scores == sorted(scores, reverse=True)
     assert scores[1] > 25

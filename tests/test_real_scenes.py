@@ -24,8 +24,8 @@ SCENES = {
 def tenth(name):
     """Return a scene, its tenth and the report; with few steps if its quality is not tested."""
     splats = nanogs.load(scene_path(SCENES[name][0]))
-    few = {} if name in ("biker", "plant") else {"steps": 4}
-    return splats, *nanogs.simplify(splats, ratio=0.1, **few)
+    few_steps = {} if name in ("biker", "plant") else {"steps": 4}
+    return splats, *nanogs.simplify(splats, ratio=0.1, **few_steps)
 
 
 @pytest.mark.parametrize("name", SCENES)

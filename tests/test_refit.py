@@ -68,14 +68,14 @@ def make_splats(n=12, seed=0, degree=0, size=-1.2, mode=RenderMode.DEFAULT):
     return Splats(**arrays, render_mode=mode)
 
 
-def gradient_sums(splats, camera, residual, precision, wanted=ALL_BLOCKS):
+def gradient_sums(splats, camera, residual, precision, blocks=ALL_BLOCKS):
     """Return the features that the kernels are given, and the gradient sums that they compute."""
     view = project(prepare(splats), camera)
     features = np.zeros_like(view.features)
     features[view.order, :3] = view.features[view.order, :3] - np.float32(0.5)
     features[:, 3] = 0.7
     image = blend_reference(splats, camera, features).astype(np.float32)
-    totals = sum_gradients(view, features, image, residual, precision, wanted)
+    totals = sum_gradients(view, features, image, residual, precision, blocks)
     return features.astype(np.float64), totals
 
 
@@ -127,7 +127,7 @@ def test_gradients_of_the_two_checkerboard_halves_add_up_to_the_whole():
     splats, camera = make_splats(20, 3), make_camera()
     residual, precision = random_pixels(camera)
     _, whole = gradient_sums(splats, camera, residual, precision)
-    parts = [gradient_sums(splats, camera, residual, precision, wanted)[1] for wanted in FIELDS]
+    parts = [gradient_sums(splats, camera, residual, precision, blocks)[1] for blocks in FIELDS]
     assert all(np.abs(part[:, 3]).sum() > 0.2 * whole[:, 3].sum() for part in parts)
     scale = np.abs(whole).max(axis=0)
     assert (np.abs(parts[0] + parts[1] - whole).max(axis=0) < 1e-5 * scale).all()
@@ -137,7 +137,7 @@ def test_the_error_of_a_checkerboard_half_is_that_of_its_pixels():
     splats, camera = make_splats(20, 3), make_camera()
     target = make_target(prepare(make_splats(20, 4)), camera)
     whole = compute_gradients(prepare(splats), target)
-    halves = [compute_gradients(prepare(splats), target, wanted) for wanted in FIELDS]
+    halves = [compute_gradients(prepare(splats), target, blocks) for blocks in FIELDS]
     rows, columns = np.indices((camera.height, camera.width)) // 4
     shares = [((rows + columns) % 2 == field).mean() for field in (0, 1)]
     mean = sum(share * half.error for share, half in zip(shares, halves, strict=True))
@@ -150,7 +150,7 @@ def test_a_view_uses_its_other_checkerboard_half_at_its_next_turn():
     targets = [make_target(prepare(original), camera) for camera in cameras]
     descent = Descent(small, Fitting(targets), dataclasses.replace(QUICK, halves=True))
     turns = [[descent._next() for _ in range(3)] for _ in range(2)]
-    first, second = ({id(target): wanted for target, wanted in turn} for turn in turns)
+    first, second = ({id(target): blocks for target, blocks in turn} for turn in turns)
     assert first.keys() == second.keys()
     assert all({first[view], second[view]} == set(FIELDS) for view in first)
 
@@ -162,13 +162,13 @@ def test_a_view_rendered_in_one_half_is_fitted_on_that_half():
     rows, columns = np.indices((40, 40)) // 4
     for number, field in enumerate(FIELDS):
         half = make_target(prepared, camera, wanted=field)
-        drawn = (rows + columns) % 2 == number
-        assert np.array_equal(half.image[drawn], whole.image[drawn])
-        assert not half.image[~drawn].any()
+        rendered = (rows + columns) % 2 == number
+        assert np.array_equal(half.image[rendered], whole.image[rendered])
+        assert not half.image[~rendered].any()
         descent = Descent(small, Fitting([half]), dataclasses.replace(QUICK, halves=True))
         assert [descent._next()[1] for _ in range(3)] == [field] * 3
-        taken = Fitting([], prepared, [camera]).take(0, field)
-        assert np.array_equal(taken.image, half.image)
+        target = Fitting([], prepared, [camera]).take(0, field)
+        assert np.array_equal(target.image, half.image)
 
 
 def test_colour_gradients_are_the_adjoint_of_blending():
@@ -205,9 +205,9 @@ def shape_sums(splats, camera, residual, precision):
 def test_shape_gradients_match_finite_differences(mode, parameter):
     splats, camera = make_splats(8, 2, size=-1.5, mode=mode), make_camera()
     residual, precision = random_pixels(camera)
-    drawn, gradients, _ = shape_sums(splats, camera, residual, precision)
+    visible, gradients, _ = shape_sums(splats, camera, residual, precision)
     features, step = random_features(splats), 1e-4
-    for i in drawn:
+    for i in visible:
         ends = [
             blend_reference(
                 perturbed(splats, i, parameter, sign * step), camera, features, cutoff=0.0
@@ -223,15 +223,15 @@ def test_hessian_blocks_bound_the_curvature_from_above():
     splats, camera = make_splats(8, 4), make_camera()
     _, weights, after = pixel_weights(splats, camera, 0.0)
     precision = 1 - after[-1]
-    drawn, _, blocks = shape_sums(splats, camera, np.zeros((21, 37, 4)), precision)
-    assert len(weights) == len(drawn)
+    visible, _, blocks = shape_sums(splats, camera, np.zeros((21, 37, 4)), precision)
+    assert len(weights) == len(visible)
     rng, features, step = np.random.default_rng(0), random_features(splats), 1e-4
     for _ in range(3):
         direction = np.zeros((8, 10))
-        direction[drawn] = rng.normal(size=(len(drawn), 10))
+        direction[visible] = rng.normal(size=(len(visible), 10))
         bound = sum(d @ block @ d for d, block in zip(direction, unpack(blocks), strict=True))
         change = 0.0
-        for i, parameter in itertools.product(drawn, range(10)):
+        for i, parameter in itertools.product(visible, range(10)):
             ends = [
                 blend_reference(
                     perturbed(splats, i, parameter, sign * step), camera, features, cutoff=0.0
@@ -514,8 +514,8 @@ def test_given_cameras_are_reduced_and_split_for_validation():
 def test_views_that_see_no_splats_are_left_out_and_noted():
     original, small = cloud_pair()
     cameras = automatic_cameras(original, 5, width=64, height=64)
-    back = np.diag([-1.0, 1, -1, 1]) @ cameras[2].world_to_camera
-    cameras[2] = dataclasses.replace(cameras[2], world_to_camera=back)
+    turned_away = np.diag([-1.0, 1, -1, 1]) @ cameras[2].world_to_camera
+    cameras[2] = dataclasses.replace(cameras[2], world_to_camera=turned_away)
     _, report = refit(original, small, cameras=cameras, parameters=QUICK)
     assert cameras[2].name not in report.fit_views + report.validation_views
     [note] = report.notes
@@ -546,9 +546,11 @@ def test_each_view_is_used_either_for_validation_or_for_fitting():
     cameras = automatic_cameras(original, 12, width=40, height=40)
     targets = [make_target(prepared, camera) for camera in cameras]
     fitting, deciding = split(targets, 2)
-    held = [target for group in deciding for target in group.targets]
-    assert len(held) == 2
-    assert list(fitting) == [target for target in targets if target not in held], "in their order"
+    validation_views = [target for group in deciding for target in group.targets]
+    assert len(validation_views) == 2
+    assert list(fitting) == [target for target in targets if target not in validation_views], (
+        "in their order"
+    )
     assert len(fitting) == 10
     alone, deciding = split(targets[:1], 1)
     assert (alone, deciding[0].targets) == ((), tuple(targets[:1]))
@@ -606,9 +608,9 @@ def test_a_rare_view_does_not_overshoot_its_own_optimum():
     targets = [make_target(prepared, camera) for camera in [shown] + [away] * 15]
     descent = Descent(small, Fitting(targets), QUICK)
     errors = [descent.step(1.0, 0.0) for _ in range(64)]
-    seen = [error for error in errors if error > 0]
-    assert len(seen) == 4
-    assert seen == sorted(seen, reverse=True)
+    view_errors = [error for error in errors if error > 0]
+    assert len(view_errors) == 4
+    assert view_errors == sorted(view_errors, reverse=True)
 
 
 def test_mean_state_is_the_mean_of_each_parameter():

@@ -416,13 +416,13 @@ def test_the_scratch_can_be_a_url(scene, tmp_path, expected):
 def test_a_job_interrupted_at_many_tasks_gives_the_same_bytes(
     scene, tmp_path, expected, monkeypatch
 ):
-    out, folder, do, done = tmp_path / "small.ply", tmp_path / "small.ply.job", stages.do, []
+    out, folder, do, events = tmp_path / "small.ply", tmp_path / "small.ply.job", stages.do, []
 
     def crash(*given):
-        if len(done) in (0, 1, 3, 6, 9, 12, 17, 20):
-            done.append("crash")
+        if len(events) in (0, 1, 3, 6, 9, 12, 17, 20):
+            events.append("crash")
             raise CrashError
-        done.append("task")
+        events.append("task")
         return do(*given)
 
     monkeypatch.setattr(run, "do", crash)
@@ -433,7 +433,7 @@ def test_a_job_interrupted_at_many_tasks_gives_the_same_bytes(
         except CrashError:
             assert (folder / MANIFEST).exists()
             assert not out.exists()
-    assert done.count("crash") == 8
+    assert events.count("crash") == 8
     assert report.blocks.resumed > 10
     assert out.read_bytes() == expected
     assert not folder.exists()
@@ -492,19 +492,21 @@ def leave_interrupted_job(scene, out, monkeypatch, **given):
 
 
 def test_a_different_or_damaged_job_is_not_resumed(scene, tmp_path, monkeypatch):
-    own, out = tmp_path / "scene.ply", tmp_path / "small.ply"
-    own.write_bytes(scene.read_bytes())
-    leave_interrupted_job(own, out, monkeypatch)
+    scene_copy, out = tmp_path / "scene.ply", tmp_path / "small.ply"
+    scene_copy.write_bytes(scene.read_bytes())
+    leave_interrupted_job(scene_copy, out, monkeypatch)
     with pytest.raises(OutputError, match="`resume=True` continues it"):
-        nanogs.simplify_blocks(own, out, ratio=0.3, **REASSIGNED)
+        nanogs.simplify_blocks(scene_copy, out, ratio=0.3, **REASSIGNED)
     with pytest.raises(OutputError, match=r"differs: the request \(ratio[^)]*\)\);"):
-        nanogs.simplify_blocks(own, out, ratio=0.2, resume=True, **(REASSIGNED | {"block": 900}))
-    os.utime(own, (1, 1))
+        nanogs.simplify_blocks(
+            scene_copy, out, ratio=0.2, resume=True, **(REASSIGNED | {"block": 900})
+        )
+    os.utime(scene_copy, (1, 1))
     with pytest.raises(OutputError, match=r"differs: the input files\)"):
-        nanogs.simplify_blocks(own, out, ratio=0.3, resume=True, **REASSIGNED)
+        nanogs.simplify_blocks(scene_copy, out, ratio=0.3, resume=True, **REASSIGNED)
     (tmp_path / "small.ply.job" / MANIFEST).write_text("{")
     with pytest.raises(FormatError, match="cannot be read"):
-        nanogs.simplify_blocks(own, out, ratio=0.3, resume=True, **REASSIGNED)
+        nanogs.simplify_blocks(scene_copy, out, ratio=0.3, resume=True, **REASSIGNED)
 
 
 def test_a_second_run_on_a_locked_folder_is_refused(scene, tmp_path):

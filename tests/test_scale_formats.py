@@ -263,11 +263,11 @@ def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, splats, name):
 def test_the_command_reports_a_damaged_file(tmp_path):
     splats = random_splats(60_000, degree=0)
     path = damaged(".spz v3", tmp_path, splats)
-    done = run_command("simplify", path, tmp_path / "b.ply", "-r", "0.1", "--preset", "fast",
-                       "--max-memory", "260MB")  # fmt: skip
-    assert done.returncode == 2
-    assert "the columns end before 60,000 splats" in " ".join(done.stderr.split())
-    assert "Traceback" not in done.stderr
+    result = run_command("simplify", path, tmp_path / "b.ply", "-r", "0.1", "--preset", "fast",
+                         "--max-memory", "260MB")  # fmt: skip
+    assert result.returncode == 2
+    assert "the columns end before 60,000 splats" in " ".join(result.stderr.split())
+    assert "Traceback" not in result.stderr
 
 
 # ---- planned memory and disk space ----------------------------------------------------------

@@ -381,13 +381,13 @@ def test_errors_name_the_url_if_a_file_disappears_meanwhile(name, monkeypatch):
 
 
 def test_other_files_in_the_scratch_folder_are_kept(tmp_path):
-    source, own = tmp_path / "in.ply", tmp_path / "scratch" / "mine.json"
+    source, users_file = tmp_path / "in.ply", tmp_path / "scratch" / "mine.json"
     nanogs.save(random_splats(1200), source)
-    own.parent.mkdir()
-    own.write_text("{}")
+    users_file.parent.mkdir()
+    users_file.write_text("{}")
     options = {"ratio": 0.5, "preset": "fast", "block": 700, "threads": 1}
-    nanogs.simplify_blocks(source, tmp_path / "a.ply", scratch=str(own.parent), **options)
-    assert list(own.parent.iterdir()) == [own]
+    nanogs.simplify_blocks(source, tmp_path / "a.ply", scratch=str(users_file.parent), **options)
+    assert list(users_file.parent.iterdir()) == [users_file]
 
 
 # ---- --resume and existing files ------------------------------------------------------------

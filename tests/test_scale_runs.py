@@ -46,8 +46,8 @@ def splats():
 def memory():
     """Memory that blocks of a sixth of the scene need, in the syntax of `--max-memory`."""
     layout = Layout(0, False, (), "default", (), ())
-    held = held_bytes(COUNT // 6, COUNT, layout, PRESETS["fast"], 0.1)
-    return f"{int((LIBRARIES + held) / 0.95)}B"
+    needed = held_bytes(COUNT // 6, COUNT, layout, PRESETS["fast"], 0.1)
+    return f"{int((LIBRARIES + needed) / 0.95)}B"
 
 
 def nanogs_command(*arguments):
@@ -56,9 +56,9 @@ def nanogs_command(*arguments):
 
 def run(*arguments, code=0):
     """Run the command and return its stdout and stderr."""
-    done = launch.run(*arguments, timeout=300)
-    assert done.returncode == code, done.stderr
-    return done.stdout, done.stderr
+    result = launch.run(*arguments, timeout=300)
+    assert result.returncode == code, result.stderr
+    return result.stdout, result.stderr
 
 
 @pytest.mark.slow
@@ -258,16 +258,16 @@ def test_a_wrong_type_of_executor_is_refused(scene, tmp_path):
 
 @pytest.mark.filterwarnings("ignore")
 def test_an_error_on_a_worker_is_raised_in_the_caller(scene, tmp_path, client):
-    own = tmp_path / "own.ply"
-    own.write_bytes(scene.read_bytes())
+    scene_copy = tmp_path / "own.ply"
+    scene_copy.write_bytes(scene.read_bytes())
 
     def progress(step):
         if step.stage == "segment" and step.done == 0:
-            os.utime(own, (1, 1))
+            os.utime(scene_copy, (1, 1))
 
     with pytest.raises(nanogs.NanogsError, match="has changed since the job began"):
         nanogs.simplify_blocks(
-            own, tmp_path / "a.ply", ratio=0.1, executor=client, progress=progress, **BLOCK
+            scene_copy, tmp_path / "a.ply", ratio=0.1, executor=client, progress=progress, **BLOCK
         )
 
 
@@ -298,13 +298,13 @@ def in_blocks(splats, folder, ratio, rounds):
     settings, _ = plan_job(request, None, 2600)
     scratch, clock = FolderScratch(folder / "scratch"), StageClock()
     scratch.prepare()
-    done = run_tasks(scratch, settings, InProcess(), 1, clock, Tracker(None, []), resumed=False)
-    partition = done.work.partition
+    results = run_tasks(scratch, settings, InProcess(), 1, clock, Tracker(None, []), resumed=False)
+    partition = results.work.partition
     sizes = [partition.count(block) for block in range(partition.blocks)]
     order = np.argsort(survey(settings).codes(splats), kind="stable")
     of_block = np.empty(len(splats), np.int64)
     of_block[order] = np.repeat(np.arange(partition.blocks), sizes)
-    with result_of(done.work, 0) as result:
+    with result_of(results.work, 0) as result:
         return result.load(), of_block
 
 

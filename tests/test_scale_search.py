@@ -155,15 +155,15 @@ def levels_in(job):
 
 @pytest.mark.parametrize("goal", [{"psnr": 26.0}, {"size": 40_000}], ids=str)
 def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, monkeypatch, goal):
-    make_and_measure, seen = JobResults.make_and_measure, []
+    make_and_measure, measured_results = JobResults.make_and_measure, []
     with monkeypatch.context() as patch:
         patch.setattr(
             JobResults,
             "make_and_measure",
-            lambda *given: seen.append(1) or make_and_measure(*given),
+            lambda *given: measured_results.append(1) or make_and_measure(*given),
         )
         whole = nanogs.simplify_blocks(scene, tmp_path / "a.spz", **goal, **LOOKS)
-    probe_count = len(seen)
+    probe_count = len(measured_results)
     assert probe_count >= 2
     assert whole.packings
     out, job = tmp_path / "b.spz", tmp_path / "b.spz.job"
@@ -187,12 +187,12 @@ def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, mo
 
 def test_discarded_results_are_removed_from_a_remote_scratch(scene, tmp_path, monkeypatch):
     fsspec = pytest.importorskip("fsspec")
-    make_and_measure, seen = JobResults.make_and_measure, []
+    make_and_measure, measured_results = JobResults.make_and_measure, []
 
     def counted(results, *options):
         found = make_and_measure(results, *options)
         names = fsspec.filesystem("memory").find("/search")
-        seen.append(
+        measured_results.append(
             {name.rpartition("/part-")[2].split("-")[0] for name in names if "/part-" in name}
         )
         return found
@@ -200,8 +200,8 @@ def test_discarded_results_are_removed_from_a_remote_scratch(scene, tmp_path, mo
     monkeypatch.setattr(JobResults, "make_and_measure", counted)
     options = {"scratch": "memory://search", **LOOKS}
     nanogs.simplify_blocks(scene, tmp_path / "a.spz", psnr=26.0, **options)
-    assert len(seen) >= 3
-    assert all(len(levels) in (1, 2) for levels in seen)
+    assert len(measured_results) >= 3
+    assert all(len(levels) in (1, 2) for levels in measured_results)
     assert fsspec.filesystem("memory").find("/search") == []
 
 

@@ -236,16 +236,16 @@ def test_the_crop_of_a_view_has_nearly_all_of_a_block(splats):
     near = np.argsort(np.linalg.norm(splats.means - splats.means[0], axis=1))[:30]
     some = splats.take(near)
     small = some.log_scales - np.float32(2)
-    own = prepare(dataclasses.replace(some, log_scales=small))
-    part = parts_of(own, np.ones(len(some), bool), [camera])[0]
+    block_splats = prepare(dataclasses.replace(some, log_scales=small))
+    part = parts_of(block_splats, np.ones(len(some), bool), [camera])[0]
     assert part.width < camera.width
     assert min(part.width, part.height) >= LEAST
-    whole, cut = render(own, camera).alpha, render(own, part).alpha
+    whole, cut = render(block_splats, camera).alpha, render(block_splats, part).alpha
     assert cut.sum() > 0.99 * whole.sum()
     left, top = round(camera.cx - part.cx), round(camera.cy - part.cy)
     assert left % 16 == top % 16 == 0
     np.testing.assert_array_equal(cut, whole[top : top + part.height, left : left + part.width])
-    assert parts_of(own, np.zeros(len(some), bool), [camera]) == [None]
+    assert parts_of(block_splats, np.zeros(len(some), bool), [camera]) == [None]
 
 
 def fit_among(small, original, around, cameras):
@@ -292,8 +292,8 @@ def test_splats_hidden_by_surroundings_are_not_changed(splats):
 
 def test_block_memory_grows_with_its_size_and_coarse_levels_are_bounded():
     layout, chosen = Layout(3, False, (), "default", (), ()), nanogs.presets["best"]
-    held = [max(block_stages(n, 10**8, layout, chosen, 0.1).values()) for n in (10**4, 10**6)]
-    assert held[0] < held[1] < 100 * held[0]
+    peaks = [max(block_stages(n, 10**8, layout, chosen, 0.1).values()) for n in (10**4, 10**6)]
+    assert peaks[0] < peaks[1] < 100 * peaks[0]
     assert most_coarse(FINE, 10**6, 10**8) == 10**6
     assert most_coarse(FINE, 10**3, 10**8) == 1 << 18
     assert most_coarse(ROUGH, 10**6, 10**8) == 10**6 // 2

@@ -92,7 +92,7 @@ def test_sizes_are_met_where_the_header_grows_by_a_digit():
     sizes = {count: ply_write.file_bytes(model, count) for count in range(1, 122)}
     for count in (9, 10, 99, 100):
         for size in range(sizes[count] - 1, sizes[count] + 2):
-            expected = max(n for n, held in sizes.items() if held <= size)
+            expected = max(n for n, file_bytes in sizes.items() if file_bytes <= size)
             assert count_for_size(120, size, lambda n: ply_write.file_bytes(model, n)) == expected
 
 
@@ -202,9 +202,9 @@ def test_the_search_for_a_size_never_exceeds_it(seed):
     assert [probe.count for probe in found.probes] == counts
     assert all(1 <= count <= available for count in counts)
     assert len(counts) <= 2 * FIT_PROBES
-    over = [probe.count for probe in found.probes if probe.bytes > size]
+    too_large = [probe.count for probe in found.probes if probe.bytes > size]
     best = found.bytes >= ENOUGH * size or found.count == available
-    close = over and min(over) <= max((1 + CLOSE) * found.count, found.count + 1)
+    close = too_large and min(too_large) <= max((1 + CLOSE) * found.count, found.count + 1)
     assert best or close or len(counts) >= FIT_PROBES
     assert bool(found.leap(size, available)) is not best
 
@@ -231,10 +231,10 @@ def test_the_result_reaches_the_psnr_and_equals_that_of_its_count(splats, preset
     assert psnrs[len(small)] == pytest.approx(report.judged.psnr, abs=1e-9)
     by_count, _ = nanogs.simplify(splats, count=len(small), preset=preset, **overrides)
     assert model_bytes(small) == model_bytes(by_count)
-    [seen] = compare_models(
+    [compared] = compare_models(
         NamedModel("a", splats), [NamedModel("b", small)], automatic_cameras(splats, split="test")
     )[0].models
-    assert seen.psnr == report.judged.psnr
+    assert compared.psnr == report.judged.psnr
 
 
 @pytest.mark.parametrize("suffix", [".spz", ".sog", ".compressed.ply"])

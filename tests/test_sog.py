@@ -213,8 +213,8 @@ def test_damage_is_reported_in_a_short_message(tmp_path, name):
     """Python's own message quotes a name of the length that a damaged entry states."""
     io.save(random_splats(2_000), tmp_path / name)
     data = bytearray((tmp_path / name).read_bytes())
-    for at in (m.start() for m in re.finditer(rb"PK\x03\x04", bytes(data))):
-        data[at + 26 : at + 28] = b"\xff\x3f"
+    for offset in (m.start() for m in re.finditer(rb"PK\x03\x04", bytes(data))):
+        data[offset + 26 : offset + 28] = b"\xff\x3f"
     (tmp_path / name).write_bytes(data)
     with pytest.raises(FormatError, match="is damaged") as caught:
         io.load(tmp_path / name)

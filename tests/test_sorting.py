@@ -50,7 +50,7 @@ def test_ascending_gives_rows_by_value_and_ties_by_row(values, first):
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7])
 def test_for_each_does_each_part_once(count):
-    done = []
+    parts = []
     with use_threads(2):
-        parallel.for_each(range(count), done.append)
-    assert sorted(done) == list(range(count))
+        parallel.for_each(range(count), parts.append)
+    assert sorted(parts) == list(range(count))

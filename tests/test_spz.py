@@ -579,10 +579,10 @@ def test_a_source_gives_the_bytes_of_the_model(tmp_path, version):
 
 @pytest.mark.parametrize("options", [{"bits": 5}, {"palette": 2}])
 def test_rows_keep_their_order_if_a_record_may_refer_to_them(tmp_path, options):
-    given = random_splats(4, degree=1)
+    original = random_splats(4, degree=1)
     for records, moved in ((SHARES, False), (UNKNOWN, True)):
         model = io.load(with_records(tmp_path, records))
-        model = replace(given, elements=model.elements)
+        model = replace(original, elements=model.elements)
         io.save(model, tmp_path / "b.spz", overwrite=True, format_options=options)
         assert records_in(tmp_path / "b.spz") == records
         loaded = io.load(tmp_path / "b.spz")

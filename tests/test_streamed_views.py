@@ -207,11 +207,13 @@ def test_a_decimated_model_covers_as_much_as_the_model():
     cameras = automatic_cameras(splats, 2, width=256, height=256)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(decimation, "LIMIT", 2_300)
-        few = decimated(splats)
-    assert len(few) == -(-20_000 // 9)
-    for whole, some in zip(render_whole(splats, cameras), render_whole(few, cameras), strict=True):
+        decimated_model = decimated(splats)
+    assert len(decimated_model) == -(-20_000 // 9)
+    for whole, some in zip(
+        render_whole(splats, cameras), render_whole(decimated_model, cameras), strict=True
+    ):
         assert some.alpha.mean() == pytest.approx(whole.alpha.mean(), rel=0.1)
-    thin = replace(few, log_scales=splats.log_scales[: len(few)])
+    thin = replace(decimated_model, log_scales=splats.log_scales[: len(decimated_model)])
     assert (
         render_whole(thin, cameras)[0].alpha.mean()
         < 0.5 * render_whole(splats, cameras)[0].alpha.mean()

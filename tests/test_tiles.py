@@ -147,9 +147,9 @@ def test_the_tiles_of_a_level_contain_exactly_its_splats(splats, command_tileset
             assert np.array_equal(means[order], small.means[expected])
             assert np.array_equal(sh[order], small.sh[expected])
         else:
-            away, rows = cKDTree(means).query(small.means)
+            distances, rows = cKDTree(means).query(small.means)
             assert sorted(rows) == list(range(len(means)))
-            assert away.max() < 2e-3  # of coordinates within ±1, of splats of some hundredths
+            assert distances.max() < 2e-3  # of coordinates within ±1, of splats of some hundredths
             assert np.abs(sh[rows, 0] - small.sh[:, 0]).max() < 0.5 / 255 / 0.15 + 1e-6
 
 

@@ -31,10 +31,10 @@ def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, unpacked):
         again, expected = io.load(path, level=level), small
         assert len(again) == len(small)
         # Centres are rounded by the size of their splats, so sorting does not match the rows.
-        apart = np.linalg.norm(again.means[:, None] - expected.means, axis=2)
-        nearest = apart.argmin(axis=0)
+        distances = np.linalg.norm(again.means[:, None] - expected.means, axis=2)
+        nearest = distances.argmin(axis=0)
         assert np.array_equal(np.sort(nearest), np.arange(len(small)))
-        assert apart.min(axis=0).max() < (1e-9 if unpacked else 2e-3)
+        assert distances.min(axis=0).max() < (1e-9 if unpacked else 2e-3)
         again = again.take(nearest)
         step = 0.5 / 255 / 0.15 + 1e-6
         assert np.abs(again.sh[:, 0] - expected.sh[:, 0]).max() < (1e-9 if unpacked else step)
@@ -52,7 +52,7 @@ def test_commands_read_what_lod_packs_as_spz(splats, tmp_path):
     """The tileset, a level of it and a single tile: the same splats as SPZ files of them."""
     nanogs.save(splats, tmp_path / "a.ply")
     result = run("lod", tmp_path / "a.ply", tmp_path / "t" / "tileset.json", "--levels", "1,0.5",
-               "--preset", "fast", "--chunk", "100")  # fmt: skip
+                 "--preset", "fast", "--chunk", "100")  # fmt: skip
     assert result.returncode == 0, result.stderr
     one = min((tmp_path / "t").glob("0_*.glb"))
     for model, count, more in (

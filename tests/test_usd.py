@@ -136,15 +136,15 @@ def test_usd_itself_reads_the_file(tmp_path):
 # Reading
 
 
-def assert_same_splats(back, model):
+def assert_same_splats(loaded, model):
     """Compare bit for bit what the file stores as it is, within float32 what is converted."""
-    assert np.array_equal(back.means, model.means.astype(np.float32))
-    assert np.array_equal(back.quats, model.unit_quats())
-    assert np.array_equal(back.sh, model.sh)
-    assert np.array_equal(np.isneginf(back.log_scales), np.isneginf(model.log_scales))
+    assert np.array_equal(loaded.means, model.means.astype(np.float32))
+    assert np.array_equal(loaded.quats, model.unit_quats())
+    assert np.array_equal(loaded.sh, model.sh)
+    assert np.array_equal(np.isneginf(loaded.log_scales), np.isneginf(model.log_scales))
     finite = np.isfinite(model.log_scales)
-    assert back.log_scales[finite] == pytest.approx(model.log_scales[finite], abs=2e-6)
-    assert back.opacities() == pytest.approx(model.opacities(), abs=1e-7)
+    assert loaded.log_scales[finite] == pytest.approx(model.log_scales[finite], abs=2e-6)
+    assert loaded.opacities() == pytest.approx(model.opacities(), abs=1e-7)
 
 
 @SHARED

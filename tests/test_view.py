@@ -384,8 +384,8 @@ def test_without_the_viewer_an_error_says_how_to_install_it(files, tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="the browser is a shell script")
 def test_a_browser_is_opened_on_request_only(files, tmp_path):
     require_bundle()
-    browser, seen = tmp_path / "browser", tmp_path / "seen"
-    browser.write_text(f'#!/bin/sh\necho "$1" >> {seen}\n')
+    browser, log = tmp_path / "browser", tmp_path / "seen"
+    browser.write_text(f'#!/bin/sh\necho "$1" >> {log}\n')
     browser.chmod(browser.stat().st_mode | stat.S_IXUSR)
     environment = {**os.environ, "BROWSER": str(browser), "DISPLAY": ":0"}
     page_file = tmp_path / "page.html"
@@ -393,9 +393,9 @@ def test_a_browser_is_opened_on_request_only(files, tmp_path):
     assert (
         run(*arguments, env=environment).returncode == 0
     )  # not opened, because this is no terminal
-    assert not seen.exists()
+    assert not log.exists()
     assert run(*arguments, "--open", env=environment).returncode == 0
-    assert seen.read_text().strip() == page_file.as_uri()
+    assert log.read_text().strip() == page_file.as_uri()
 
 
 def test_view_files_reports_its_stages_and_times(files, tmp_path):
