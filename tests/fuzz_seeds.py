@@ -1,7 +1,7 @@
 """Small complete files of every format that is read, and functions that damage them.
 
-A seed is the files of a folder by name, the first of them the model's. A way is a function that
-damages a seed: either the bytes on the disk or the content packed in them. In the second case
+A seed is the files of a folder by name, the first of them the model's. A mutation is a function
+that damages a seed: either the bytes on the disk or the content packed in them. In the second case
 checksums and lengths around the content are corrected, so that the damage reaches the code that
 comes after their checks.
 """
@@ -41,7 +41,7 @@ Mutation = Callable[[np.random.Generator, Files], Files]
 
 @dataclass(frozen=True)
 class Format:
-    """A format to damage: its seeds, and its ways; one that is listed twice is twice as likely."""
+    """A format to damage: its seeds, and its mutations; one listed twice is twice as likely."""
 
     seeds: list[Files]
     mutations: list[Mutation]
@@ -52,7 +52,7 @@ class Format:
         return self.mutations[rng.integers(len(self.mutations))](rng, files)
 
 
-# --- ways
+# --- mutations
 
 
 def damage_any_file(rng, files):
@@ -241,12 +241,9 @@ def inside_rad(rng, files):
     return files | {name: radfiles.rad(parts, head["count"], **others)}
 
 
-def glb(damage_first_file, body):
-    damage_first_file, body = (
-        damage_first_file + b" " * (-len(damage_first_file) % 4),
-        body + b"\0" * (-len(body) % 4),
-    )
-    chunks = struct.pack("<I", len(damage_first_file)) + b"JSON" + damage_first_file
+def glb(text, body):
+    text, body = text + b" " * (-len(text) % 4), body + b"\0" * (-len(body) % 4)
+    chunks = struct.pack("<I", len(text)) + b"JSON" + text
     chunks += struct.pack("<I", len(body)) + b"BIN\0" + body
     return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
 
