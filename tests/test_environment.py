@@ -27,7 +27,7 @@ from nanogs.views.poses import look_at
 from npm_packages import package
 from supersplat_page import camera_options, render_in_supersplat
 from test_lod_stream import leaves
-from test_rad_spark import lopsided
+from test_rad_spark import three_clusters
 
 SCENE, SKY = 2400, 700
 FAST = ("--preset", "fast", "--chunk", "500", "--levels", "1,0.5,0.1")
@@ -462,7 +462,7 @@ def test_an_environment_written_by_splat_transform_is_read(tmp_path, benchmark_m
 @pytest.mark.filterwarnings("default")  # the browser driver emits warnings of its own
 def test_supersplat_fetches_the_environment_once_and_renders_it_in_place(tmp_path):
     """It is fetched first, and the picture of scene and sky equals the one that nanogs renders."""
-    scene, sky = lopsided(900), shell(700, 30, half=False, degree=2)
+    scene, sky = three_clusters(900), shell(700, 30, half=False, degree=2)
     sh, above = np.zeros_like(sky.sh), sky.means[:, 1:2] < 0
     sh[:, 0] = np.where(above, [-1, 0, 1.2], [0.2, 0.6, -1.2]) + 0.5 * (sky.means[:, :1] > 0)
     nanogs.save(concatenate([scene, replace(sky, sh=sh)]), tmp_path / "a.ply")

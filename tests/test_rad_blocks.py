@@ -24,7 +24,7 @@ from nanogs.raster.rendering import render
 from nanogs.source import Layout as Columns
 from spark_page import render_in_spark
 from test_rad_lod import rows_sorted, tree_of
-from test_rad_spark import lopsided
+from test_rad_spark import three_clusters
 from views_and_scores import opening_camera
 
 RATIOS = (1, 0.5, 0.25, 0.1)
@@ -33,7 +33,7 @@ TREE = "spark tree"
 
 @pytest.fixture(scope="module")
 def model():
-    return lopsided(3000)
+    return three_clusters(3000)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from nanogs.raster.rendering import render
 from nanogs.source import InMemory
 from radfiles import chunk, rad, tree_columns, typical_columns
 from spark_page import render_in_spark
-from test_rad_spark import lopsided
+from test_rad_spark import three_clusters
 from views_and_scores import opening_camera
 
 RATIOS = (1, 0.5, 0.25, 0.1)
@@ -116,7 +116,7 @@ def test_each_level_can_be_read(model, tree_path):
 
 def test_coarser_levels_look_like_the_model(tmp_path):
     """Each node covers what its leaves cover, so a coarser level changes the picture little."""
-    model = lopsided(2000)
+    model = three_clusters(2000)
     nanogs.write_levels(model, tmp_path / "a.rad", RATIOS, layout="spark tree", preset="fast")
     camera = opening_camera(model)
     whole = render(model, camera).shown()
@@ -154,7 +154,7 @@ def test_the_reported_size_is_that_of_the_file(model, tmp_path):
 
 def test_trees_made_in_blocks_look_like_the_model(tmp_path):
     """The leaves are the model, and the next level looks like it, as if made in memory."""
-    model = lopsided(3000)
+    model = three_clusters(3000)
     io.save(model, tmp_path / "a.ply")
     nanogs.write_levels(
         tmp_path / "a.ply",
@@ -374,7 +374,7 @@ def frontier(rows, counts, starts, camera, most):
 @pytest.mark.parametrize("paged", [False, True])
 def test_spark_draws_the_expected_rows_of_a_tree(tmp_path, paged):
     """All splats if the limit allows it, else the expected rows of several levels."""
-    model = lopsided(3000)
+    model = three_clusters(3000)
     camera = opening_camera(model)
     path, mesh = tmp_path / "a.rad", {"paged": paged}
     nanogs.write_levels(model, path, RATIOS, layout="spark tree", preset="fast")
