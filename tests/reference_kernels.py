@@ -214,3 +214,24 @@ def misfit(mean, sigma, features, centre, cluster_sigma, colour, lambda_app):
     fit = offset @ inverse @ offset + np.trace(inverse @ sigma)
     geometry = 0.5 * (fit + np.linalg.slogdet(cluster_sigma)[1])
     return geometry + lambda_app * np.sum((features.astype(np.float64) - colour) ** 2)
+
+
+def projected_area(covariance, direction):
+    """Standard deviations' product of a Gaussian seen along a unit vector: that of its shadow."""
+    first = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    plane = np.stack([first / np.linalg.norm(first), np.cross(direction, first)])
+    plane[1] /= np.linalg.norm(plane[1])
+    return math.sqrt(np.linalg.det(plane @ covariance @ plane.T))
+
+
+def directional_colours(weights, covariances, features, colour, directions, basis, fitted, steps):
+    """Fit a group's coefficients, (C, 3), to its members', (M, C, 3), in each direction."""
+    areas = np.array([[projected_area(s, d) for d in directions] for s in covariances])
+    areas *= (weights / weights.sum() / areas.mean(axis=1))[:, None]
+    shown = np.maximum(0, 0.5 + np.einsum("dc,mcr->mdr", basis, features))
+    light, colour = np.einsum("md,mdr->dr", areas, shown), colour.copy()
+    for step in steps:
+        residual = light - areas.sum(axis=0)[:, None] * np.maximum(0, 0.5 + basis @ colour)
+        gradient = basis[:, :fitted].T @ residual * 4 * math.pi / len(directions)
+        colour[:fitted] += step * gradient
+    return colour

@@ -71,15 +71,21 @@ def determinant(s: Symmetric3) -> float:
 
 
 @inline
+def adjugate(s: Symmetric3) -> Symmetric3:
+    """The adjugate: the matrix of cofactors, also symmetric."""
+    xx, xy, xz, yy, yz, zz = s
+    return (
+        yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy,
+        xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy,
+    )  # fmt: skip
+
+
+@inline
 def adjugate_product(s: Symmetric3, d: Row3) -> float:
     """d^T adj(S) d: for a unit vector, the determinant of a covariance as seen along it."""
-    xx, xy, xz, yy, yz, zz = s
+    xx, xy, xz, yy, yz, zz = adjugate(s)
     x, y, z = d
-    return (
-        x * x * (yy * zz - yz * yz) + y * y * (xx * zz - xz * xz) + z * z * (xx * yy - xy * xy)
-        + 2.0 * (x * y * (xz * yz - xy * zz) + x * z * (xy * yz - xz * yy)
-                 + y * z * (xy * xz - xx * yz))
-    )  # fmt: skip
+    return x * x * xx + y * y * yy + z * z * zz + 2.0 * (x * y * xy + x * z * xz + y * z * yz)
 
 
 @inline

@@ -8,6 +8,7 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Array, Bool
 from nanogs.kernels.nodes import principal_axes
+from nanogs.method.directional import fit_colours
 from nanogs.method.extent import Dilation
 from nanogs.method.gaussians import LEAST_ALPHA, LEAST_SCALE
 from nanogs.method.growth import (
@@ -18,7 +19,14 @@ from nanogs.method.growth import (
     covered_around,
     widened,
 )
-from nanogs.method.nodes import Nodes, footprints, gather, stored_order
+from nanogs.method.nodes import (
+    Nodes,
+    footprints,
+    gather,
+    gather_groups,
+    member_lists,
+    stored_order,
+)
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 
@@ -83,8 +91,9 @@ def store_groups(
         origin: (3,) the origin that `activate_nodes` subtracted from the centres, scene units.
         dilation: The rasteriser's dilation; see `activate_nodes`.
         growth: Largest growth of most groups, while groups on flat sheets, and those that others
-            cover on all sides, may grow more (`growth.growth_on_sheets`, `growth.covered_around`);
-            None if all may grow alike.
+            cover on all sides, may grow more (`growth.growth_on_sheets`, `growth.covered_around`).
+            None for results that are measured or fitted: all may grow alike, and colours are the
+            weighted means; else they are fitted to directions (`directional.fit_colours`).
         others: Neighbouring groups that are stored elsewhere and may cover these.
     """
     groups = int(labels.max()) + 1
@@ -93,11 +102,15 @@ def store_groups(
     places[order] = np.arange(groups, dtype=np.int32)
     # Groups are renumbered in the order of the output, so that gathered features need no copy.
     labels = places[labels]
-    merged = gather(leaves, labels, groups)
+    starts, members = member_lists(labels, groups)
+    merged = gather_groups(leaves, starts, members)
     scales = np.empty((np.count_nonzero(new), 3), np.float32)
     quats = np.empty((len(scales), 4), np.float32)
     areas = footprints(merged.covariances, dilation.at(merged.means))
     principal_axes(merged.covariances[new], scales, quats)
+    if growth is not None:
+        fit_colours(leaves, starts, members, _frames(quats, new), merged.features)
+    del starts, members  # only to free their memory
     needed, least = area_needs(merged, leaves, labels, areas, sheets=growth is not None)
     alphas, covered = _alphas(merged.coverages[new], areas[new]), np.zeros(len(scales))
     if growth is not None:
@@ -121,6 +134,14 @@ def store_groups(
 
     parallel.for_each(slices(len(alone)), restore)
     return Groups(stored, new, scales, needed[new], least[new], covered)
+
+
+def _frames(quats: F32, new: Bool) -> F32:
+    """Return the (G, 4) rotations of groups: those of new splats, and none for the others."""
+    frames = np.zeros((len(new), 4), np.float32)
+    frames[:, 0] = 1
+    frames[new] = quats
+    return frames
 
 
 def cover_of(leaves: Nodes, labels: I32, groups: int, dilation: Dilation) -> Cover:
