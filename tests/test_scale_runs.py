@@ -167,6 +167,7 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
         try:
             assert child.wait(rng.uniform(0.3, 0.9) * whole) == 0
             assert out.read_bytes() == expected
+            whole *= 0.8  # the machine was busier when the time was measured
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()
