@@ -271,7 +271,8 @@ def test_view_writes_a_page_of_one_model(files):
     result = run("view", "scene.ply", cwd=files)
     assert result.returncode == 0, result.stderr
     assert result.stdout == ""
-    assert re.fullmatch(r"scene\.html: \d\.\d MB\n", result.stderr)
+    # A machine with other work may be slow enough for lines of progress before this one.
+    assert re.fullmatch(r"scene\.html: \d\.\d MB", result.stderr.splitlines()[-1])
     assert '"scene.ply"' in (files / "scene.html").read_text(encoding="utf-8")
     before = (files / "scene.html").read_bytes()
     assert_refused(run("view", "scene.ply", cwd=files), "scene.html", "-w")
