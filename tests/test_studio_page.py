@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from browsers import CHROMIUM, SOFTWARE
+from browsers import CHROMIUM
 from builders import solid
 from fake_studio import running_fake
+from studio_page import browser
 from viewer_bundle import require_bundle
 
 pytestmark = [
@@ -37,12 +38,8 @@ POINTS = [(150, 4000, 40.0), (60, 1600, 34.0), (15, 400, 26.0)]
 @pytest.fixture(scope="module")
 def chromium():
     require_bundle()
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-        yield browser
-        browser.close()
+    with browser() as started:
+        yield started
 
 
 class Studio:
