@@ -24,6 +24,10 @@ def logit(alpha: F64) -> F64:
     return result
 
 
+BYTE_LOGITS: F32 = logit(np.arange(256) / 255).astype(np.float32)
+"""(256,) the opacity logit of each byte of formats in which 255 is alpha 1."""
+
+
 def base_colour(rgb: F64) -> F64:
     """Return the SH coefficient of degree 0 for a colour from 0 to 1."""
     result: F64 = (rgb - 0.5) / SH_C0

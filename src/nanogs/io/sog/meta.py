@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, F64, I64
-from nanogs.activations import logit
+from nanogs.activations import BYTE_LOGITS
 from nanogs.io.json_fields import integer, numbers, plain_name, refused, rows, table
 from nanogs.io.sog.texture import MAX_SIDE
 from nanogs.splats import RenderMode
@@ -41,8 +41,6 @@ MODELS = {
     "antialiased": RenderMode.MIP,
     "2dgs": RenderMode.SURFEL,
 }
-ALPHA_LOGITS: F32 = logit(np.arange(CODES) / 255).astype(np.float32)
-"""(256,) the opacity logit of each byte, version 2."""
 MAX_COUNT = MAX_SIDE**2
 
 
@@ -194,7 +192,7 @@ class _Fields:
     def logits(self) -> F32:
         if self._version == 1:
             return self._between("sh0", 4)[:, 3]
-        return ALPHA_LOGITS
+        return BYTE_LOGITS
 
     def sh_rest(self) -> F32:
         if self._version == 2:

@@ -20,6 +20,7 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, F64, I64, U8, U16
 from nanogs._version import __version__
+from nanogs.activations import BYTE_LOGITS
 from nanogs.errors import UnstorableError
 from nanogs.formatting import counted
 from nanogs.io import limits
@@ -245,7 +246,7 @@ def _encode(
     """Compute and submit every texture, and return the contents of `meta.json`."""
     fine = packing.precision
     scales, colours = _codebooks((splats.log_scales, fine.scales), (splats.sh[:, 0], fine.colours))
-    codes, bounds = _codes(_sizes_as_decoded(splats, scales, fine), fine)
+    codes, bounds = _codes(splats, scales, fine)
     rows = _morton_order(codes, groups)
     codes = codes[rows]
     submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
@@ -283,7 +284,7 @@ def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
     precision = Precision(bits)
     scales = codebook(splats.log_scales, precision.scales)
     low, _, range_ = _bounds(_logarithms(splats))
-    return _spare(_sizes_as_decoded(splats, scales, precision), precision, low, range_)
+    return _spare(splats, scales, precision, low, range_)
 
 
 def _sizes_as_decoded(splats: Splats, scales: F32, precision: Precision) -> Splats:
@@ -299,7 +300,7 @@ def _sizes_as_decoded(splats: Splats, scales: F32, precision: Precision) -> Spla
     return replace(
         splats,
         log_scales=scales[nearest(splats.log_scales, scales)],
-        opacity_logits=sog_meta.ALPHA_LOGITS[_alphas(splats, precision.alphas)],
+        opacity_logits=BYTE_LOGITS[_alphas(splats, precision.alphas)],
     )
 
 
@@ -321,8 +322,15 @@ def _bounds(logarithms: F64) -> tuple[F64, F64, F64]:
     return low, high, np.where(high > low, high - low, 1)
 
 
-def _spare(splats: Splats, precision: Precision, low: F64, range_: F64) -> int:
+def _spare(splats: Splats, scales: F32, precision: Precision, low: F64, range_: F64) -> int:
     """Compute the bits to drop from centres; signed logarithms begin at `low` and span `range_`.
+
+    Args:
+        splats: N splats.
+        scales: (256,) codebook of the log-scales.
+        precision: Precision of the file; if it states the bits, nothing is decoded.
+        low: (3,) least signed logarithm of each axis.
+        range_: (3,) range of these.
 
     Raises:
         UnstorableError: The bits that were asked for do not leave a file that can be read.
@@ -333,7 +341,8 @@ def _spare(splats: Splats, precision: Precision, low: F64, range_: F64) -> int:
         """Return the steps of x, (R, 3): a step d of log(1 + |x|) is a step (1 + |x|) d of x."""
         return (1 + np.abs(block.means, dtype=np.float64)) * apart
 
-    found = precision.spare_bits([splats], steps)
+    decoded = (_sizes_as_decoded(model, scales, precision) for model in (splats,))
+    found = precision.spare_bits(decoded, steps)
     if not found or (low + _stretched(range_, 1 << found)).max() <= _LARGEST_LOGARITHM:
         return found
     if precision.spare is None:
@@ -349,11 +358,11 @@ def _stretched(range_: F64, step: int) -> F64:
     return range_ * (LAST_CODE / (LAST_CODE // step * step))
 
 
-def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
+def _codes(splats: Splats, scales: F32, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
     """Quantise the coordinates' signed logarithms to (N, 3) codes; return these and the bounds."""
     logarithms = _logarithms(splats)
     low, high, range_ = _bounds(logarithms)
-    step = 1 << _spare(splats, precision, low, range_)
+    step = 1 << _spare(splats, scales, precision, low, range_)
     steps = LAST_CODE // step
     codes = np.empty((len(splats), 3), np.uint16)
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from nanogs._types import F32, F64, I32, U8, Array
-from nanogs.activations import logit
+from nanogs.activations import BYTE_LOGITS
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
@@ -39,7 +39,6 @@ MAGNITUDE = 511
 
 _PIECES = 8 << 20  # memory in bytes for compressed and decompressed pieces, and buffers
 _BYTES = np.arange(256)
-OPACITIES = logit(_BYTES / 255).astype(np.float32)
 _COLOURS = ((_BYTES / 255 - 0.5) / COLOUR_SCALE).astype(np.float32)
 LOG_SCALES = (_BYTES / SCALE_STEPS + SCALE_LOW).astype(np.float32)
 _SH = ((_BYTES - 128) / SH_STEPS).astype(np.float32)
@@ -125,7 +124,7 @@ class SpzSource(Packed):
 def _decoded(header: Header, columns: Mapping[str, U8]) -> Splats:
     n, coefficients = len(columns["alphas"]), (header.degree + 1) ** 2
     out = empty_arrays(n, header.degree)
-    out["opacity_logits"] = OPACITIES[columns["alphas"][:, 0]]
+    out["opacity_logits"] = BYTE_LOGITS[columns["alphas"][:, 0]]
     for start in range(0, n, BLOCK_ROWS):
         span = slice(start, min(start + BLOCK_ROWS, n))
         block = {name: column[span] for name, column in columns.items()}

@@ -24,7 +24,7 @@ from typing import BinaryIO
 import numpy as np
 
 from nanogs._types import F32, F64, I64, U8
-from nanogs.activations import rounded_bytes
+from nanogs.activations import BYTE_LOGITS, rounded_bytes
 from nanogs.errors import OptionError, OutputError, UnstorableError
 from nanogs.findings import Finding
 from nanogs.io import limits
@@ -48,7 +48,6 @@ from nanogs.io.spz.read import (
     COLOUR_SCALE,
     LOG_SCALES,
     MAGNITUDE,
-    OPACITIES,
     SCALE_LOW,
     SCALE_STEPS,
     SH_STEPS,
@@ -299,7 +298,7 @@ def _sizes_as_decoded(block: Splats, steps: Steps) -> Splats:
     return replace(
         block,
         log_scales=LOG_SCALES[_scales(block.log_scales, steps.scales)],
-        opacity_logits=OPACITIES[_alphas(block, steps.alphas)],
+        opacity_logits=BYTE_LOGITS[_alphas(block, steps.alphas)],
     )
 
 
