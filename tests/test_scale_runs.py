@@ -1,5 +1,6 @@
 """Models in blocks: the command, killed runs, workers, and borders between blocks."""
 
+import gc
 import json
 import logging
 import os
@@ -23,6 +24,7 @@ from nanogs.errors import OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.estimates.block_plan import held_bytes
 from nanogs.pipeline.in_blocks import plan_job
+from nanogs.pipeline.job.cluster import connected
 from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.options.target import Goal
@@ -149,6 +151,27 @@ def test_a_scheduler_that_does_not_answer_is_an_error(scene, tmp_path, monkeypat
     printed = capsys.readouterr().err
     assert "error: No Dask scheduler answers at 'tcp://127.0.0.1:9'" in " ".join(printed.split())
     assert [path.name for path in tmp_path.iterdir()] == []
+
+
+def test_a_client_that_did_not_connect_is_not_left_to_the_garbage_collector(monkeypatch):
+    """Its finaliser takes a lock that the next client may hold at that moment, for ever."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("nanogs.pipeline.job.cluster._PATIENCE", 0.4)
+
+    def clients():
+        return {id(each) for each in gc.get_objects() if type(each) is distributed.Client}
+
+    gc.disable()
+    try:
+        before = clients()
+        with pytest.raises(OptionError, match="No Dask scheduler"), connected("tcp://127.0.0.1:9"):
+            pass
+        end = time.monotonic() + 30
+        while clients() - before:
+            assert time.monotonic() < end, "the client was not closed"
+            time.sleep(0.05)
+    finally:
+        gc.enable()
 
 
 @pytest.mark.slow

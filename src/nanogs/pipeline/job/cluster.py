@@ -1,5 +1,6 @@
 """Executors for the command's tasks: local processes, or the workers of a Dask scheduler."""
 
+import gc
 import logging
 import os
 import signal
@@ -115,7 +116,13 @@ def _in_time(connect: Callable[[], "Client"]) -> "Client":
         try:
             answer.set_result(connect())
         except BaseException as error:
-            answer.set_exception(error)
+            # Without the traceback, whose frames hold the client.
+            answer.set_exception(error.with_traceback(None))
+        else:
+            return
+        # Dask's finaliser of a client takes a lock that starting another one holds. Run by the
+        # garbage collector in that moment, it would wait for ever; here nothing is held.
+        gc.collect()
 
     threading.Thread(target=fill, daemon=True).start()
     return answer.result(_PATIENCE)
