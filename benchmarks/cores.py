@@ -1,7 +1,7 @@
 """Measure the speed-up by a second thread, stage by stage, of whole runs from file to file.
 
     python benchmarks/cores.py [MODEL] [--count 1000000] [--rounds 5] [--ratio 0.1] [--presets fast]
-                               [--output out.ply]
+                               [--output out.ply] [--separate]
 
 MODEL is a 3DGS file; without one, a scene of --count splats of SH degree 3 is generated. Each round
 runs each preset once with one thread and once with two, so that other load of the machine disturbs
@@ -9,7 +9,9 @@ both. Rows are medians: the stages of the report, `rest` for the rest of the cal
 rest of the process, and `file to file` for the whole process. The last column is the serial share s
 by Amdahl's law, t2 / t1 = s + (1 - s) / 2; it is above 1 if a second thread makes a stage slower.
 After the table: a query of all centres by scipy's cKDTree with two workers, as in
-`benchmarks/speed.py`, measured in the same rounds.
+`benchmarks/speed.py`, measured in the same rounds. With --separate each round also runs two
+processes at once, of one thread each, which share nothing but the machine: the work that they do in
+the time of one is the most that a second thread can gain there.
 """
 
 import argparse
@@ -36,6 +38,7 @@ def main() -> None:
     for preset in presets:  # compile what is not in the cache, on a small scene
         run(scene(2000), preset, max(THREADS), options)
     seconds_of_runs: dict[tuple[str, int], list[Seconds]] = {}
+    separate_times: dict[str, list[float]] = {preset: [] for preset in presets}
     ask, query_times = query(model), []
     for _ in range(options.rounds):
         for preset in presets:
@@ -44,6 +47,8 @@ def main() -> None:
                 seconds_of_runs.setdefault((preset, threads), []).append(seconds)
                 text = f"{preset}, {threads} threads: {seconds[WHOLE]:.2f} s"
                 print(text, file=sys.stderr, flush=True)
+            if options.separate:
+                separate_times[preset].append(run_separately(model, preset, options))
         query_times.append(ask()[0])
     for preset in presets:
         one, two = (middle(seconds_of_runs[preset, threads]) for threads in THREADS)
@@ -53,6 +58,10 @@ def main() -> None:
         print(
             f"\nOne cKDTree query: {query_seconds:.2f} s; two threads take {over:.2f} times that."
         )
+        if options.separate:
+            seconds = median(separate_times[preset])
+            gain = 2 * one[WHOLE] / seconds
+            print(f"\nTwo processes at once: {seconds:.2f} s, {gain:.2f} times the work of one.")
 
 
 def arguments() -> argparse.Namespace:
@@ -64,6 +73,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--ratio", type=float, default=0.1)
     parser.add_argument("--presets", default="fast", help="with commas between")
     parser.add_argument("--output", default="cores.ply", help="name of the file that is written")
+    parser.add_argument("--separate", action="store_true", help="also run two processes at once")
     return parser.parse_args()
 
 
@@ -76,6 +86,21 @@ def run(model: Path, preset: str, threads: int, options: argparse.Namespace) -> 
     report = json.loads(result.stdout)
     call, stages = report["total_seconds"], report["seconds"]
     return {**stages, "rest": call - sum(stages.values()), "start": whole - call, WHOLE: whole}
+
+
+def run_separately(model: Path, preset: str, options: argparse.Namespace) -> float:
+    """Return the seconds until two runs of one thread each, started together, have ended."""
+    outputs = [WORK / f"{number}_{options.output}" for number in THREADS]
+    start = time.perf_counter()
+    processes = [
+        subprocess.Popen(simplify_command(model, output, preset, options.ratio, 1))
+        for output in outputs
+    ]
+    codes = [process.wait() for process in processes]
+    seconds = time.perf_counter() - start
+    if any(codes):
+        raise SystemExit(f"a run of {preset} ended with exit code {max(codes)}")
+    return seconds
 
 
 def middle(runs: list[Seconds]) -> Seconds:
