@@ -34,6 +34,7 @@ from nanogs.method.store import MOST_OPAQUE, store_groups
 from nanogs.pipeline.one_block import OneBlock, whole_settings
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.run import build, deliver
+from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks import trials
 from nanogs.progress import Tracker, ignore_progress
 from nanogs.report import PassReport, StopReason
@@ -438,7 +439,7 @@ def test_the_candidate_of_highest_quality_is_chosen_and_marked_once(
         return dataclasses.replace(candidate, quality=given_qualities[stage, number])
 
     monkeypatch.setattr(trials, "_report", report)
-    trials.pick_balance(scene, "pick-0-00000", 0)
+    trials.pick_balance(scene, Task("pick"))
     balances = [0.5, 0.8, 1.0]
     leader = int(np.argmax(qualities[:3]))
     assert scene.balance(0) == leader
@@ -446,7 +447,7 @@ def test_the_candidate_of_highest_quality_is_chosen_and_marked_once(
     while trials.grows_on(scene, 0, step):
         trials.candidates(scene, 0, step + 1)
         step += 1
-    trials.choose(scene, "choose-0-00000", 0)
+    trials.choose(scene, Task("choose"))
     reports, count = trials.reports_of(scene, 0), len(growths)
     assert next(remaining_qualities, None) is None
     assert step == count

@@ -172,16 +172,8 @@ def _outline(work: Work, task: Task) -> Record:
     return write_table(work.scratch, task.name, {}, {"groups": groups})
 
 
-def _coarse(work: Work, task: Task) -> Record:
-    return write_coarse(work, task.name, task.number, task.level)
-
-
 def _views(scene: Scene, task: Task) -> Record:
     return scene.keep_views(task.name, choose_views(scene))
-
-
-def _look(scene: Scene, task: Task) -> Record:
-    return look_at_block(scene, task.name, task.number)
 
 
 def _grow(scene: Scene, task: Task) -> Record:
@@ -201,14 +193,6 @@ def _budget(work: Work, task: Task) -> Record:
     return write_table(work.scratch, task.name, {}, {"target": target, "groups": groups})
 
 
-def _trial(scene: Scene, task: Task) -> Record:
-    return try_balances(scene, task.name, task.number, task.level)
-
-
-def _pick(scene: Scene, task: Task) -> Record:
-    return pick_balance(scene, task.name, task.level)
-
-
 def _cut(work: Work, task: Task) -> Record:
     # The centres and reaches of groups need no colours.
     splats, rows = work.block(task.number, work.settings.layout.bare())
@@ -219,18 +203,6 @@ def _cut(work: Work, task: Task) -> Record:
 
 def _settle(scene: Scene, task: Task) -> Record:
     return scene.settle(task.name, task.number, task.level)
-
-
-def _judge(scene: Scene, task: Task) -> Record:
-    return try_reassigned(scene, task.name, task.number, task.level)
-
-
-def _growth(step: int, scene: Scene, task: Task) -> Record:
-    return try_growth(scene, task.name, task.number, task.level, step)
-
-
-def _choose(scene: Scene, task: Task) -> Record:
-    return choose(scene, task.name, task.level)
 
 
 def _part(scene: Scene, task: Task) -> Record:
@@ -245,26 +217,6 @@ def _part(scene: Scene, task: Task) -> Record:
     if (degree := scene.settings.sh_degree) is not None:
         small = small.with_sh_degree(degree)
     return scene.keep_part(task.name, task.level, small)
-
-
-def _fit(scene: Scene, task: Task) -> Record:
-    return fit_part(scene, task.name, task.number, task.level)
-
-
-def _rest(work: Work, task: Task) -> Record:
-    return write_rest(work, task.name, task.level)
-
-
-def _cells(work: Work, task: Task) -> Record:
-    return write_cells(work, task.name, task.number)
-
-
-def _chunk(work: Work, task: Task) -> Record:
-    return write_chunks(work, task.name, task.number, task.level)
-
-
-def _tree(work: Work, task: Task) -> Record:
-    return write_tree(work, task.name, task.number)
 
 
 def _looks(job: Settings | Load) -> bool:
@@ -342,7 +294,7 @@ def _judging(load: Load) -> float:
 def _growing(step: int) -> JobStage:
     """Return the stage that tries a growth; those after the first are seldom needed."""
     return JobStage(
-        growth_stage(step), "block", partial(_growth, step),
+        growth_stage(step), "block", partial(try_growth, step),
         _judging if step == 0 else lambda load: 0.1 * _judging(load), _measures, None,
         partial(_grows, step), held=True,
     )  # fmt: skip
@@ -357,24 +309,24 @@ STAGES = {
         JobStage("partition", "job", _partition, 0.05),
         JobStage("rough", "block", _rough, 3.0, _looks, needed=_divided),
         JobStage("outline", "job", _outline, 0.02, _looks),
-        JobStage("coarse", "block", _coarse, 0.5, _looks, len(COARSE_SHARES), _divided),
+        JobStage("coarse", "block", write_coarse, 0.5, _looks, len(COARSE_SHARES), _divided),
         JobStage("views", "job", _views, roaming_seconds, _looks, held=True),
-        JobStage("look", "block", _look, looking_seconds, _looks, needed=_shows, held=True),
+        JobStage("look", "block", look_at_block, looking_seconds, _looks, needed=_shows, held=True),
         JobStage("grow", "block", _grow, 3.3, held=True),
         JobStage("budget", "job", _budget, 0.02, levels=None),
-        JobStage("trial", "block", _trial, _trying, _measures, None, _tries, held=True),
-        JobStage("pick", "job", _pick, 0.0, _measures, None, _tries, held=True),
+        JobStage("trial", "block", try_balances, _trying, _measures, None, _tries, held=True),
+        JobStage("pick", "job", pick_balance, 0.0, _measures, None, _tries, held=True),
         JobStage("cut", "block", _cut, 0.2, _settles, None, _merges),
         JobStage("settle", "block", _settle, _settling, _settles, None, _merges, held=True),
-        JobStage("judge", "block", _judge, _judging, _judges, None, _tries, held=True),
+        JobStage("judge", "block", try_reassigned, _judging, _judges, None, _tries, held=True),
         *map(_growing, range(len(GROWTHS))),
-        JobStage("choose", "job", _choose, 0.0, _measures, None, _tries, held=True),
+        JobStage("choose", "job", choose, 0.0, _measures, None, _tries, held=True),
         JobStage("part", "block", _part, 0.2, levels=None, held=True),
-        JobStage("fit", "block", _fit, fitting_seconds, _fits, None, _fitted, held=True),
-        JobStage("rest", "job", _rest, 0.2, _in_chunks, levels=None),
-        JobStage("cells", "block", _cells, 0.5, _in_chunks),
-        JobStage("chunk", "block", _chunk, 1.0, _in_chunks, levels=None),
-        JobStage("tree", "block", _tree, 9.0, _in_a_tree, needed=_links),
+        JobStage("fit", "block", fit_part, fitting_seconds, _fits, None, _fitted, held=True),
+        JobStage("rest", "job", write_rest, 0.2, _in_chunks, levels=None),
+        JobStage("cells", "block", write_cells, 0.5, _in_chunks),
+        JobStage("chunk", "block", write_chunks, 1.0, _in_chunks, levels=None),
+        JobStage("tree", "block", write_tree, 9.0, _in_a_tree, needed=_links),
     )
 }
 _AFTER = ("rest", "cells", "chunk", "tree")  # stages that come after all results are made

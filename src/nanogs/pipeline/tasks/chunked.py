@@ -15,6 +15,7 @@ import numpy as np
 from nanogs._types import Array
 from nanogs.block_layouts import BlockChunks
 from nanogs.findings import of_plain, to_plain
+from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks.parts import count_of_block, means_of_block, part_of_block
 from nanogs.progress import PartProgress
 from nanogs.splats import concatenate
@@ -24,30 +25,19 @@ if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
 
-def write_cells(work: "Work", name: str, block: int) -> Record:
-    """Divide a block's finest level into cells and write these to a table.
-
-    Args:
-        work: The job; the parts of all levels are done.
-        name: Name of the table, which is empty if the block holds no splats.
-        block: Number of the block.
-    """
-    means = means_of_block(work, block, 0)
+def write_cells(work: "Work", task: Task) -> Record:
+    """Divide a block's finest level into cells; without splats the table is empty."""
+    means = means_of_block(work, task.number)
     cells = work.settings.chunked.divide(means) if len(means) else {}
-    return write_table(work.scratch, name, cells, {})
+    return write_table(work.scratch, task.name, cells, {})
 
 
-def write_chunks(work: "Work", name: str, block: int, level: int) -> Record:
+def write_chunks(work: "Work", task: Task) -> Record:
     """Write the files of a block at a level into a table, each as a column of bytes.
 
     If blocks share files, all of these are in the table of the first block that has cells.
-
-    Args:
-        work: The job; all cells and the chunks of the finer levels are done.
-        name: Name of the table.
-        block: Number of the block.
-        level: Number of the level.
     """
+    block, level = task.number, task.level
     cells = _cells(work, block)
     made = BlockChunks(cells)
     together = _together(work, block, level) if cells else []
@@ -64,7 +54,7 @@ def write_chunks(work: "Work", name: str, block: int, level: int) -> Record:
     losses = [to_plain(loss) for loss in made.losses]
     facts = {"splats": made.splats, "losses": losses, "chunks": made.chunks}
     columns = ((file, np.frombuffer(data, np.uint8)) for file, data in made.files)
-    return write_table(work.scratch, name, columns, facts)
+    return write_table(work.scratch, task.name, columns, facts)
 
 
 def blocks_of(work: "Work", level: int, on_progress: PartProgress) -> Iterator[BlockChunks]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from nanogs.method.store import store_groups
 from nanogs.pipeline.estimates.memory_blocks import COARSE_SHARES, most_coarse
 from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.cuts import cut_block
 from nanogs.pipeline.tasks.parts import read_part
@@ -29,22 +30,16 @@ def outline_counts(settings: Settings, blocks: int) -> list[int]:
     return [max(most_coarse(n, settings.block, settings.splats), blocks) for n in levels]
 
 
-def write_coarse(work: "Work", name: str, block: int, level: int) -> Record:
-    """Write a block's splats of a coarse level, with harmonics of degree 0.
-
-    Args:
-        work: The job; the rough forests and their budgets are done.
-        name: Name of the table.
-        block: Number of the block.
-        level: `FINE` or `ROUGH`.
-    """
-    splats, rows = work.block(block)
+def write_coarse(work: "Work", task: Task) -> Record:
+    """Write a block's splats of a coarse level, `FINE` or `ROUGH`, with harmonics of degree 0."""
+    splats, rows = work.block(task.number)
     splats = replace(splats.with_sh_degree(0), extras={})
-    units, groups = work.units, int(work.of_job("outline").facts["groups"][level][block])
+    groups = int(work.of_job("outline").facts["groups"][task.level][task.number])
+    units = work.units
     leaves = leaves_of(splats, rows, units)
-    labels = cut_block(work.scratch, work.of_block("rough", block), groups)
+    labels = cut_block(work.scratch, work.of_block("rough", task.number), groups)
     stored = store_groups(leaves, labels, splats, units.centre(), units.dilation(), growth=GROWTH)
-    return write_table(work.scratch, name, columns_of(stored.grown(GROWTH)), {})
+    return write_table(work.scratch, task.name, columns_of(stored.grown(GROWTH)), {})
 
 
 def coarse_scene(work: "Work", level: int, but: int | None = None) -> Splats | None:

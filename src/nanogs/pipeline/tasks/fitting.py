@@ -18,7 +18,7 @@ from nanogs.fit.targets import Fitting, make_target
 from nanogs.io.precision import visibility
 from nanogs.method.visibility import SHOWN, light_in, visibility_of, visible_weights
 from nanogs.pipeline.estimates.stage_weights import fit_parameters
-from nanogs.pipeline.scene import FitViews, Scene
+from nanogs.pipeline.scene import FitViews, Scene, Task
 from nanogs.pipeline.tasks.block_visibility import looks_at
 from nanogs.pipeline.tasks.views import deciding_count, parts_of
 from nanogs.raster.camera import Camera, pick_evenly
@@ -46,18 +46,12 @@ class _BlockViews:
     further: list[Camera]
 
 
-def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
-    """Fit a block's part of a result and keep it; unchanged if too few views show the block.
-
-    Args:
-        scene: The scene, which has that part of the result.
-        name: Name of the record to keep.
-        block: Number of the block.
-        level: Number of the level.
-    """
+def fit_part(scene: Scene, task: Task) -> Record:
+    """Fit a block's part of a result and keep it; unchanged if too few views show the block."""
+    block, level = task.number, task.level
     part, views = scene.part(block, level), scene.fit_views(block, level)
     if views is None:
-        return scene.keep_fit(name, level, part, None)
+        return scene.keep_fit(task.name, level, part, None)
     parameters = replace(
         fit_parameters(scene.settings.parameters),
         views=len(views.fitting),
@@ -69,7 +63,7 @@ def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
         part, views.fitting, views.deciding, parameters, views.count, scene.threads,
         scene.on_progress, palette_size,
     )  # fmt: skip
-    return scene.keep_fit(name, level, fitted, report)
+    return scene.keep_fit(task.name, level, fitted, report)
 
 
 def weights_of_colours(part: Splats, fitting: Fitting) -> F64:

@@ -14,6 +14,7 @@ import numpy as np
 
 from nanogs._types import I64, Array
 from nanogs.block_layouts import BlockTree
+from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks.parts import LevelSource
 from nanogs.source import Layout, Source, Turned
 from nanogs.source.base import joined_rows
@@ -38,14 +39,8 @@ def linked_levels(work: "Work") -> int:
     return sum(_count(work, level) <= work.target(level) for level in levels)
 
 
-def write_tree(work: "Work", name: str, block: int) -> Record:
-    """Link the levels of a block to a tree, and write all its layers to a table.
-
-    Args:
-        work: The job; the parts of all levels are done.
-        name: Name of the table.
-        block: Number of the block.
-    """
+def write_tree(work: "Work", task: Task) -> Record:
+    """Link the levels of a block to a tree, and write all its layers to a table."""
     levels, steps = linked_levels(work), 0
     if levels < work.settings.levels:
         levels += 1  # the coarsest that blocks can be cut to; coarser levels are merged from it
@@ -54,7 +49,8 @@ def write_tree(work: "Work", name: str, block: int) -> Record:
             steps += 1
     some, linked = even_sample(work), work.settings.linked
     with ExitStack() as stack:
-        parts = [stack.enter_context(LevelSource(work, level, block)) for level in range(levels)]
+        sources = (LevelSource(work, level, task.number) for level in range(levels))
+        parts = [stack.enter_context(each) for each in sources]
         tree = linked.link([_turned(work, each) for each in parts], some, work.threads, steps)
     columns: dict[str, Array | Streamed] = {}
     for number, (layer, children) in enumerate(zip(tree.layers, tree.children, strict=True)):
@@ -62,7 +58,7 @@ def write_tree(work: "Work", name: str, block: int) -> Record:
         columns[f"{_SPLATS}{number}"] = Streamed(np.dtype(np.uint8), shape, _packed(layer))
         columns[f"{_CHILDREN}{number}"] = children(0, layer.count).astype("<u2")
     columns |= {_ROOT + key: column for key, column in tree.roots.items()}
-    return write_table(work.scratch, name, columns, {"layers": len(tree.layers)})
+    return write_table(work.scratch, task.name, columns, {"layers": len(tree.layers)})
 
 
 def trees_of(work: "Work") -> list[BlockTree]:

@@ -17,7 +17,7 @@ from nanogs.method.visibility import (
     visibility_of,
 )
 from nanogs.metrics._ssim import LEAST
-from nanogs.pipeline.scene import Scene, ViewLight
+from nanogs.pipeline.scene import Scene, Task, ViewLight
 from nanogs.pipeline.tasks.views import Views
 from nanogs.raster.lens import lens_notes
 from nanogs.raster.rendering import concatenated, prepare
@@ -49,21 +49,16 @@ def choose_views(scene: Scene) -> Views:
     return Views(tuple(kept), tuple(further), tuple(roaming), notes)
 
 
-def look_at_block(scene: Scene, name: str, number: int) -> Record:
+def look_at_block(scene: Scene, task: Task) -> Record:
     """Compute the visibility of each of a block's splats, and how much of the block a view shows.
-
-    Args:
-        scene: The scene, with its views.
-        name: Name of the record to keep.
-        number: Number of the block.
 
     Raises:
         OptionError: A view by which results are to be chosen is too small to compare them.
     """
-    own, views = scene.bare(number), scene.views
+    own, views = scene.bare(task.number), scene.views
     count = len(own.splats)
     cameras = [*views.kept, *scene.closer_views(own)]
-    drawn = concatenated(prepare(own.splats), scene.occluders(number)).with_buffers()
+    drawn = concatenated(prepare(own.splats), scene.occluders(task.number)).with_buffers()
     looked, lights = SplatContributions(len(drawn)), []
     pictured = scene.pictured
     total = len(cameras) + len(pictured) + len(views.roaming)
@@ -84,7 +79,7 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     # Values of the block alone: the rows after `count` belong to its surroundings.
     own = replace(own, visible=visible[:count])
     missed_light = missed_light_of(looked, anywhere, count)
-    record = scene.keep_look(name, own, missed[:count], lights, missed_light)
+    record = scene.keep_look(task.name, own, missed[:count], lights, missed_light)
     if scene.measures:
         _refuse_small(scene.deciding)
     return record

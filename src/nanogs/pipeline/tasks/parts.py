@@ -10,6 +10,7 @@ from nanogs._types import I64, U64, Array, F
 from nanogs.frames import change_between, change_frame
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.scene import Task
 from nanogs.source import Layout, Source
 from nanogs.splats import Splats, concatenate
 from nanogs.store.columns import (
@@ -80,29 +81,25 @@ def simplify_further(small: Splats, target: int, settings: Settings, threads: in
     return simplify(small, count=target, preset="fast", threads=threads, **given)[0]
 
 
-def write_rest(work: "Work", name: str, level: int) -> Record:
+def write_rest(work: "Work", task: Task) -> Record:
     """Simplify a level in memory if blocks could not be cut far enough, and divide the result.
 
     Each splat belongs to the block it lies in; if a finer level left that one empty, to the one
-    before.
-
-    Args:
-        work: The job, all parts of the level done.
-        name: Of the table, which has no columns if nothing was left to do.
-        level: Of the result.
+    before. The table has no columns if nothing was left to do.
     """
-    records, target = work.delivered(level), work.target(level)
+    records, target = work.delivered(task.level), work.target(task.level)
     if sum(map(count_of, records)) <= target:
-        return write_table(work.scratch, name, {}, {BOUNDS: None})
+        return write_table(work.scratch, task.name, {}, {BOUNDS: None})
     parts = [read_part(work.scratch, work.settings.result_layout, record) for record in records]
     small = simplify_further(concatenate(parts), target, work.settings, work.threads)
     codes = work.units.codes(small)
     order = np.argsort(codes, kind="stable")
-    blocks = _filled(work, level)
+    blocks = _filled(work, task.level)
     found = np.searchsorted(_first_codes(work)[blocks], codes[order], side="right") - 1
     places = blocks[np.maximum(found, 0)]
     bounds = np.searchsorted(places, np.arange(len(records) + 1))
-    return write_table(work.scratch, name, sorted_columns(small, order), {BOUNDS: bounds.tolist()})
+    facts = {BOUNDS: bounds.tolist()}
+    return write_table(work.scratch, task.name, sorted_columns(small, order), facts)
 
 
 def part_of_block(work: "Work", block: int, level: int) -> Splats:
@@ -121,9 +118,9 @@ def count_of_block(work: "Work", block: int, level: int) -> int:
     return int(rows.stop - rows.start)
 
 
-def means_of_block(work: "Work", block: int, level: int) -> F:
-    """Read (N, 3) the centres of a block's splats, scene units, in the frame of the results."""
-    record, rows = _place(work, block, level)
+def means_of_block(work: "Work", block: int) -> F:
+    """Read (N, 3) the centres of a block's finest level, scene units, in the results' frame."""
+    record, rows = _place(work, block, 0)
     if rows.start == rows.stop:
         return np.empty((0, 3), np.float32)
     with Table(work.scratch, record) as table:

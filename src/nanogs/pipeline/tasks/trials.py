@@ -14,7 +14,7 @@ from nanogs.fit.targets import Target
 from nanogs.method.choose import GROWTH_MARGIN, further_growths, quality
 from nanogs.method.visibility import LUMA
 from nanogs.metrics import ssim
-from nanogs.pipeline.scene import Members, Scene
+from nanogs.pipeline.scene import Members, Scene, Task
 from nanogs.raster.rendering import PreparedSplats, concatenated, prepare, render
 from nanogs.report import CandidateReport
 from nanogs.splats import Splats
@@ -24,45 +24,37 @@ MOST = 100.0  # dB, of a view without any error
 Errors = list[tuple[float, float]]  # of each view, summed up: squared error a channel, 1 - SSIM
 
 
-def try_balances(scene: Scene, name: str, number: int, level: int) -> Record:
-    """Measure a block's cuts of all balances, and write their errors.
-
-    Args:
-        scene: With its forests, and the count of the result.
-        name: Of the table.
-        number: Of the block.
-        level: Of the result.
-    """
-    block = scene.open(number)
-    wanted, others = scene.pictures(number, block), scene.surroundings(number)
+def try_balances(scene: Scene, task: Task) -> Record:
+    """Measure a block's cuts of all balances, and write their errors."""
+    block = scene.open(task.number)
+    wanted, others = scene.pictures(task.number, block), scene.surroundings(task.number)
     growth = scene.settings.parameters.growth
     errors = []
     for balance in range(len(scene.balances)):
-        labels = scene.cut(number, level, balance)
+        labels = scene.cut(task.number, task.level, balance)
         groups = scene.stored(Members(block.splats, block.rows, block.visible, labels))
         errors.append(_errors(groups.grown(growth), wanted, others))
         scene.on_progress(len(errors), len(scene.balances))
-    return scene.write(name, {}, {"errors": errors})
+    return scene.write(task.name, {}, {"errors": errors})
 
 
-def pick_balance(scene: Scene, name: str, level: int) -> Record:
+def pick_balance(scene: Scene, task: Task) -> Record:
     """Write the index of the best balance for the whole scene, the first of equal ones."""
-    reports = _cuts(scene, level)
+    reports = _cuts(scene, task.level)
     best = max(range(len(reports)), key=lambda number: reports[number].quality)
-    return scene.write(name, {}, {"balance": best})
+    return scene.write(task.name, {}, {"balance": best})
 
 
-def try_reassigned(scene: Scene, name: str, number: int, level: int) -> Record:
+def try_reassigned(scene: Scene, task: Task) -> Record:
     """Measure a block's groups after reassignment, and write their errors."""
-    growth = scene.settings.parameters.growth
-    return _try(scene, name, number, level, growth, reassigned=True)
+    return _try(scene, task, scene.settings.parameters.growth, reassigned=True)
 
 
-def try_growth(scene: Scene, name: str, number: int, level: int, step: int) -> Record:
+def try_growth(step: int, scene: Scene, task: Task) -> Record:
     """Measure the better groups of a block, with a further growth, and write their errors."""
-    best = candidates(scene, level, step)[1]
+    best = candidates(scene, task.level, step)[1]
     growth = further_growths(scene.settings.parameters.growth)[step]
-    return _try(scene, name, number, level, growth, reassigned=best.reassigned)
+    return _try(scene, task, growth, reassigned=best.reassigned)
 
 
 def grows_on(scene: Scene, level: int, step: int) -> bool:
@@ -73,10 +65,10 @@ def grows_on(scene: Scene, level: int, step: int) -> bool:
     return step == 0 or (best is tried[-1] and len(tried) == _before(scene) + step)
 
 
-def choose(scene: Scene, name: str, level: int) -> Record:
+def choose(scene: Scene, task: Task) -> Record:
     """Write the choice: whether reassignment is kept, and how much splats may grow."""
-    best = candidates(scene, level)[1]
-    return scene.write(name, {}, {"reassigned": best.reassigned, "growth": best.growth})
+    best = candidates(scene, task.level)[1]
+    return scene.write(task.name, {}, {"reassigned": best.reassigned, "growth": best.growth})
 
 
 def candidates(
@@ -130,15 +122,13 @@ def _cuts(scene: Scene, level: int) -> list[CandidateReport]:
     ]
 
 
-def _try(
-    scene: Scene, name: str, number: int, level: int, growth: float, *, reassigned: bool
-) -> Record:
+def _try(scene: Scene, task: Task, growth: float, *, reassigned: bool) -> Record:
     """Measure one candidate in a block, and write its errors."""
-    members = scene.members(number, level, reassigned=reassigned)
-    wanted, others = scene.pictures(number, members), scene.surroundings(number)
+    members = scene.members(task.number, task.level, reassigned=reassigned)
+    wanted, others = scene.pictures(task.number, members), scene.surroundings(task.number)
     model = scene.stored(members).grown(growth)
     del members
-    return scene.write(name, {}, {"errors": [_errors(model, wanted, others)]})
+    return scene.write(task.name, {}, {"errors": [_errors(model, wanted, others)]})
 
 
 def _errors(
