@@ -564,7 +564,7 @@ def models(tmp_path_factory):
         ),
         (
             ["compare", "large.ply", "small.ply"],
-            "compare_bytes([large, small], 512**2, 8, paged=0)",
+            "model_bytes(large) + needs.scoring_bytes([300_000, 1000], 512**2, 8)",
         ),
         pytest.param(
             ["convert", "plain.ply", "a.sog", "-w"],

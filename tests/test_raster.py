@@ -15,7 +15,7 @@ from nanogs.errors import OptionError
 from nanogs.kernels import harmonics, listing, raster
 from nanogs.kernels import project as project_kernels
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import SURFEL_NOTE, prepare, probe, project, render
+from nanogs.raster.rendering import SURFEL_NOTE, blend, prepare, project, render
 from nanogs.splats import RenderMode, Splats
 from reference_raster import render_reference, sh_basis
 
@@ -77,7 +77,8 @@ def test_probes_are_summed_with_the_weights_of_each_splat():
     splats, camera = make_splats(seed=3), make_camera()
     planes = np.random.default_rng(4).normal(size=(3, 21, 37)).astype(np.float32)
     *_, sums, sure = render_reference(splats, camera, probes=planes)
-    found = probe(project(prepare(splats), camera), camera, planes)
+    view = project(prepare(splats), camera)
+    found = blend(view, camera, view.features, np.empty(0, np.float32), planes)[2]
     assert found.shape == sums.shape == (40, 3)
     assert np.abs(sums).max() > 1
     slack = 1e-4 * 37 * 21 + 2 * np.abs(planes).max() * np.count_nonzero(~sure)

@@ -263,7 +263,9 @@ def test_ours_lists_no_files_outside_the_folder(tmp_path):
 def test_groups_stay_together_and_in_their_order(tmp_path):
     model = random_model(60, 0)
     groups = np.arange(60) * 7 % 3
-    for name, data in sog_write.contents(model, groups).items():
+    with sog_write.encoders() as pool:
+        files = sog_write.start_encoding(pool, model, groups)()
+    for name, data in files.items():
         (tmp_path / name).write_bytes(data)
     loaded = io.load(tmp_path / "meta.json")
     rows = cKDTree(model.means).query(loaded.means)[1]

@@ -91,18 +91,16 @@ def shown_bytes(pixels: int, views: int) -> int:
     return pixels * (_PICTURE + _SHOWN * views)
 
 
-def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int, *, paged: bool) -> int:
-    """Estimate the bytes for scoring models against the first of them.
+def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int) -> int:
+    """Estimate the bytes for scoring models against the first, and for a page with all of them.
 
     Args:
         infos: The models.
         pixels: Number of pixels of a view.
         views: Number of views.
-        paged: Whether the models are also put into a page.
     """
-    held = sum(map(model_bytes, infos))
     scoring = scoring_bytes([info.splats for info in infos], pixels, views)
-    return max(page_bytes(infos) if paged else held, held + scoring)
+    return max(page_bytes(infos), sum(map(model_bytes, infos)) + scoring)
 
 
 def scoring_bytes(counts: Sequence[int], pixels: int, views: int) -> int:

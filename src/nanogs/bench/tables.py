@@ -15,32 +15,31 @@ from nanogs.formatting import NONE, counted, number_text
 Column = tuple[str, Callable[[BenchRow], str]]
 
 
-def markdown(rows: Sequence[BenchRow], *, heading: str = "#", others: Sequence[str] = ()) -> str:
+def markdown(rows: Sequence[BenchRow], *, others: Sequence[str] = ()) -> str:
     """Return all tables as Markdown: published protocol, means, ablations, then each scene.
 
     With file sizes, gains at equal size come before the means.
 
     Args:
         rows: From `run_bench`.
-        heading: Mark of the highest headings.
         others: Anchors of the gains; see `gains.mean_gains`.
     """
-    parts = [f"{heading} {title}\n\n{text}" for title, text in published_tables(rows)]
+    parts = [f"# {title}\n\n{text}" for title, text in published_tables(rows)]
     if any(row.size is not None for row in rows):
-        parts.append(f"{heading} {TITLE}\n\n{gains_text(mean_gains(rows, others))}")
+        parts.append(f"# {TITLE}\n\n{gains_text(mean_gains(rows, others))}")
     for against in unique(row.against for row in rows):
         group = [row for row in rows if row.against == against]
         means = mean_rows(group)
         if means:
             title = f"Means over scenes, against {against}"
-            parts.append(f"{heading} {title}\n\n{mean_table(means)}")
+            parts.append(f"# {title}\n\n{mean_table(means)}")
         ablations = ablation_table(means)
         if ablations:
             title = f"Ablations of {ABLATED}, against {against}"
-            parts.append(f"{heading} {title}\n\n{ablations}")
+            parts.append(f"# {title}\n\n{ablations}")
     for scene in unique(row.scene for row in rows):
         group = [row for row in rows if row.scene == scene]
-        parts.append(f"{heading} {_escape(scene)}\n\n{scene_table(group)}")
+        parts.append(f"# {_escape(scene)}\n\n{scene_table(group)}")
     return "\n".join(parts)
 
 

@@ -116,7 +116,7 @@ class View:
         self.size = wp.vec2i(int(intrinsics[4]), int(intrinsics[5]))
         self.tiles = -(-int(intrinsics[4]) // TILE) * -(-int(intrinsics[5]) // TILE)
         self.rotation, self.position = wp.mat33d(*rotation.ravel()), wp.vec3d(*position)
-        self.intrinsics, self.degree = engine.put(intrinsics, np.float64), degree
+        self.intrinsics = engine.put(intrinsics, np.float64)
         self.geometry = engine.empty((n, 8), wp.float64)
         self.features = engine.empty((n, CHANNELS), wp.float32)
         boxes, drawn = engine.empty((n,), wp.vec4i), wp.zeros(1, wp.int32, device=engine.device)

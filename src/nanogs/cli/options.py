@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 import typer
 
 from nanogs.errors import OptionError
-from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.quantities import MULTIPLES, multiple, parse_bytes
 from nanogs.ranges import Parameter
 
@@ -284,14 +283,6 @@ class Running(Reporting):
     overwrite: Overwrite = False
     threads: Threads = None
     max_memory: MaxMemory = None
-
-    def refuse_too_large(self, what: str, needed: int, remedy: str) -> None:
-        """Fail if there is not enough memory; see `memory.refuse_too_large`.
-
-        Raises:
-            NotEnoughMemoryError: `needed` is more than is free or allowed.
-        """
-        refuse_too_large(what, needed, allowed_memory(self.max_memory), remedy)
 
 
 def count(about: str) -> Any:  # noqa: ANN401 - as typer has it

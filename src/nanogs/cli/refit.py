@@ -67,6 +67,7 @@ def refit(
     from nanogs.io import check_writable, inspect
     from nanogs.io.collect import model_in
     from nanogs.io.url_files import local_copies
+    from nanogs.memory import allowed_memory, refuse_too_large
     from nanogs.memory_estimates import refit_bytes
 
     chosen = RefitParameters(**given)
@@ -79,9 +80,10 @@ def refit(
     ) as near:
         inputs, made = near
         first, second = (model_in(file) for file in inputs)
-        run.refuse_too_large(
+        refuse_too_large(
             f"Fitting {small}",
             refit_bytes(inspect(first), inspect(second), chosen.size**2, chosen.kept + chosen.held),
+            allowed_memory(run.max_memory),
             "free some, or take fewer or smaller views (--views, --pixels)",
         )
         report = _refit_files(

@@ -437,17 +437,6 @@ def _sums(entries: I32, partial: F32, count: int) -> F64:
     return whole
 
 
-def probe(view: Projection, camera: Camera, probes: F32) -> F64:
-    """Compute (N, P) float64, sums over the pixels of each splat's weight T alpha times the probes.
-
-    Args:
-        view: From `project`, of this camera.
-        camera: The camera.
-        probes: (P, H, W) float32.
-    """
-    return blend(view, camera, view.features, np.empty(0, np.float32), probes)[2]
-
-
 def _buffers(n: int) -> ProjectionBuffers:
     return ProjectionBuffers(
         _rows_of_a_line(n), np.empty((n, 4), np.float32), np.empty(n, np.int64)

@@ -207,7 +207,7 @@ def _room(
     if not page:
         paths = [source.path for source in sources]
         return room_for_comparison(paths, sources, pixels, views, max_memory)
-    needed = compare_bytes([source.info for source in sources], pixels, views, paged=True)
+    needed = compare_bytes([source.info for source in sources], pixels, views)
     remedy = f"{REMEDY}, or leave the models out of the page (`interactive=False`)"
     refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), remedy)
     return None

@@ -125,7 +125,7 @@ def view_files(
         infos = [_shown_info(path, level) for _name, path in inputs]
         needed = page_bytes(infos)
         if measured:
-            needed = compare_bytes(infos, width * height, views, paged=True)
+            needed = compare_bytes(infos, width * height, views)
         allowed = allowed_memory(max_memory, compiled=measured)
         refuse_too_large("Making this page", needed, allowed, "free some, or view smaller models")
         models = _read(inputs, level, render_mode, tracker.part)

@@ -1,7 +1,5 @@
 """Dispatch of each kind of job in the worker."""
 
-from typing import Any
-
 from nanogs.ahead import compile_ahead, nothing_compiled
 from nanogs.kernels.compiling import when_compiling
 from nanogs.pipeline.options.presets import DEFAULT_PRESET
@@ -35,7 +33,7 @@ class JobHandler:
         if job.kind == "open":
             self._open(channel)
         elif job.kind == "save":
-            channel(self._saved(job.work, channel))
+            channel(saving.save(job.work, self._cache, channel.progress("save")))
         elif self._answers is not None and job.kind == "ask":
             self._answers.ask(job.work, channel)
         elif self._answers is not None and job.kind == "filter":
@@ -66,6 +64,3 @@ class JobHandler:
         event, start, shown = opening.opened(cache.scene, cache.settings, whole)
         self._answers = RequestHandler(cache, start)
         channel(event, shown)
-
-    def _saved(self, order: Any, channel: Channel) -> dict[str, Any]:  # noqa: ANN401 - a `SaveRequest`
-        return saving.save(order, self._cache, channel.progress("save"))

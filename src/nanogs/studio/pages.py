@@ -15,6 +15,7 @@ from nanogs.formatting import plain
 KEPT = {"filtered": 2, "draft": 4, "made": 4}  # models kept for a page, by kind of event
 MOST = 16  # most pages at a time
 BEAT = 10.0  # seconds between heartbeats on an idle stream
+LEFT = 10.0  # seconds after which the requests of a closed page are dropped
 _MOST_EVENTS = 2000  # most events queued for a page whose stream is interrupted
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
@@ -130,13 +131,13 @@ class Pages:
         """Whether any page is open."""
         return any(page.left is None for page in self._pages.values())
 
-    def gone(self, seconds: float) -> list[str]:
-        """Return the names of pages that were closed more than `seconds` ago."""
+    def gone(self) -> list[str]:
+        """Return the names of pages that were closed more than `LEFT` seconds ago."""
         now = time.monotonic()
         return [
             name
             for name, page in self._pages.items()
-            if page.left is not None and now - page.left > seconds
+            if page.left is not None and now - page.left > LEFT
         ]
 
 

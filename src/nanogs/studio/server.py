@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.types import ASGIApp
 
-LEFT = 10.0  # seconds after which the requests of a closed page are dropped
 _TICK = 0.5
 _TYPES = {
     ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".png": "image/png",
@@ -137,7 +136,7 @@ class Studio:
         """Drop the requests of closed pages, and stop the server when all pages are closed."""
         while True:
             await asyncio.sleep(_TICK)
-            for name in self._pages.gone(LEFT):
+            for name in self._pages.gone():
                 self._workshop.cancel(name, "ask", "filter", "curve")
             saving = any(job.kind == "save" for job in self._workshop.queue)
             left = self._pages.last_left

@@ -49,7 +49,6 @@ class Meta:
     """A checked `meta.json`, of either version.
 
     Attributes:
-        version: 1 or 2.
         count: Number of splats.
         files: File name of each texture: means_l, means_u, quats, scales, sh0, and shN_centroids
             and shN_labels if there are higher SH coefficients.
@@ -66,7 +65,6 @@ class Meta:
         notes: Notes for the user on values that were not understood.
     """
 
-    version: int
     count: int
     files: Mapping[str, str]
     bounds: tuple[F64, F64]
@@ -111,12 +109,11 @@ def read_meta(data: Mapping[str, Any], where: str) -> Meta:
     rest = degree != 0
     mode, notes = _render_mode(data.get("model", "default"))
     return Meta(
-        version=int(version),
         count=fields.count(),
         files=fields.files(rest),
         bounds=fields.bounds(),
-        scales=fields.values("scales", 3),
-        sh0=fields.values("sh0", 3),
+        scales=fields.values("scales"),
+        sh0=fields.values("sh0"),
         logits=fields.logits(),
         sh_rest=fields.sh_rest() if rest else np.empty(0, np.float32),
         degree=degree,
@@ -183,11 +180,11 @@ class _Fields:
         low = numbers(own.get("mins"), self._at(name, "mins"), length)
         return low, numbers(own.get("maxs"), self._at(name, "maxs"), length)
 
-    def values(self, name: str, channels: int) -> F32:
-        """Return the value of each byte in each channel, (256, channels)."""
+    def values(self, name: str) -> F32:
+        """Return the value of each byte in each channel, (256, 3)."""
         if self._version == 2:
-            return np.repeat(self._codebook(name)[:, None], channels, axis=1)
-        return self._between(name, 4 if name == "sh0" else channels)[:, :channels]
+            return np.repeat(self._codebook(name)[:, None], 3, axis=1)
+        return self._between(name, 4 if name == "sh0" else 3)[:, :3]
 
     def logits(self) -> F32:
         if self._version == 1:

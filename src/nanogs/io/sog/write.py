@@ -99,7 +99,7 @@ def write(
         OutputError: A value is NaN, infinite or too large for a codebook, or there are too many
             splats for a texture; nothing has been written then.
     """
-    files = contents(splats, None, on_progress, Packing(palette_size, Precision(bits, spare)))
+    files = contents(splats, on_progress, Packing(palette_size, Precision(bits, spare)))
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in files.items():
             bundle.writestr(plain_entry(name), data)
@@ -136,7 +136,6 @@ def write_folder(
 
 def contents(
     splats: Splats,
-    groups: I64 | None = None,
     on_progress: PartProgress = ignore_progress,
     packing: Packing = USUAL,
 ) -> dict[str, bytes]:
@@ -144,8 +143,6 @@ def contents(
 
     Args:
         splats: N splats.
-        groups: (N,) group numbers from 0 on. Splats are sorted by group, and in Morton order within
-            a group; by default all are one group.
         on_progress: Progress callback for computing the palette.
         packing: The quantisation.
 
@@ -153,7 +150,7 @@ def contents(
         OutputError: As for `write`.
     """
     with encoders() as pool:
-        return start_encoding(pool, splats, groups, on_progress, packing)()
+        return start_encoding(pool, splats, None, on_progress, packing)()
 
 
 def encoders() -> ThreadPoolExecutor:
@@ -174,8 +171,9 @@ def start_encoding(
 
     Args:
         pool: From `encoders`.
-        splats: As for `contents`.
-        groups: As for `contents`.
+        splats: N splats.
+        groups: (N,) group numbers from 0 on. Splats are sorted by group, and in Morton order within
+            a group; by default all are one group.
         on_progress: As for `contents`.
         packing: As for `contents`.
 

@@ -44,7 +44,11 @@ class FittedSize:
 
     def leap(self, size: int, available: int, around: int = 0) -> tuple[str, ...]:
         """Return a note if much of the size is unused, mostly because the size jumps there."""
-        over = min((probe for probe in self.probes if probe.bytes > size), default=None, key=_count)
+        over = min(
+            (probe for probe in self.probes if probe.bytes > size),
+            default=None,
+            key=lambda probe: probe.count,
+        )
         if not self.probes or self.count == available:
             return ()
         return little_used(size, self.bytes, over, around)
@@ -59,10 +63,6 @@ def target_bytes(size: float, share: float, around: int) -> float:
         around: Fixed overhead in bytes of every file of the format.
     """
     return around + share * (size - around)
-
-
-def _count(probe: SizeProbeReport) -> int:
-    return probe.count
 
 
 def little_used(size: int, taken: int, over: Probe, around: int = 0) -> tuple[str, ...]:
