@@ -25,7 +25,16 @@ from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import DECIDING, MissedLight, shown_share, visible_weights
 from nanogs.pipeline.options.settings import Access, InputFile, Segment, Settings
-from nanogs.pipeline.scene import LIGHT, ROUNDS, Block, FitViews, Members, Scene, Task, ViewLight
+from nanogs.pipeline.scene import (
+    LIGHT,
+    ROUNDS,
+    Block,
+    FitViews,
+    Look,
+    Members,
+    Scene,
+    Task,
+)
 from nanogs.pipeline.tasks.partition import Partition
 from nanogs.pipeline.tasks.units import viewers_of
 from nanogs.pipeline.tasks.views import Views
@@ -224,16 +233,10 @@ class OneBlock(Scene):
         wanted = FIELDS[len(self._pictures) % 2] if halves else ALL_BLOCKS
         self._pictures.append(make_target(drawn, camera, depth=False, wanted=wanted))
 
-    def keep_look(
-        self,
-        name: str,
-        own: Block,
-        missed: Bool,
-        lights: Sequence[ViewLight],
-        missed_light: MissedLight,
-    ) -> Record:
+    def keep_look(self, name: str, look: Look) -> Record:
         """Keep the visibility, and divide the views into fitted and deciding ones."""
-        self.visible, self.missed, self.missed_light = own.visible, missed, missed_light
+        own, self.missed, lights, self.missed_light = look
+        self.visible = own.visible
         looked, self.groups = split(self._shots, max(1, len(self._shots) // DECIDING))
         self.fitting = (*looked, *self._pictures)
         self._shots, self._pictures = [], []

@@ -102,6 +102,22 @@ class ViewLight(NamedTuple):
     light: float
 
 
+class Look(NamedTuple):
+    """The result of rendering a block from the views.
+
+    Attributes:
+        own: The block, with the visibility of its splats.
+        missed: (N,) bool, the splats that lie in no view.
+        lights: The views, and how much of the block each shows.
+        missed_light: Estimate of how much of the block the views leave out.
+    """
+
+    own: Block
+    missed: Bool
+    lights: Sequence[ViewLight]
+    missed_light: MissedLight
+
+
 @dataclass(frozen=True, slots=True)
 class Chosen:
     """The choice for a level: whether reassignment is kept, and how much splats may grow."""
@@ -198,14 +214,7 @@ class Scene(ABC):
         raise NotImplementedError
 
     @abstractmethod
-    def keep_look(
-        self,
-        name: str,
-        own: Block,
-        missed: Bool,
-        lights: Sequence[ViewLight],
-        missed_light: MissedLight,
-    ) -> Record:
+    def keep_look(self, name: str, look: Look) -> Record:
         """Keep a block's visibility, how much of it each view shows, and what the views miss."""
 
     @abstractmethod

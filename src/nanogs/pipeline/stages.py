@@ -146,10 +146,6 @@ def _units(scene: Scene, task: Task) -> Record:
     return scene.survey(task.name)
 
 
-def _segment(work: Work, task: Task) -> Record:
-    return spill(work.scratch, task.name, work.settings, work.units, task.number, work.unpacked())
-
-
 def _partition(work: Work, task: Task) -> Record:
     found = partition(work.scratch, work.settings, work.segments())
     return write_table(work.scratch, task.name, {}, found.to_dict())
@@ -305,7 +301,7 @@ STAGES = {
     for stage in (
         JobStage("unpack", "file", _unpack, 1.0, _unpacks),
         JobStage("frame", "job", _units, 0.3, held=True),
-        JobStage("segment", "segment", _segment, 0.5),
+        JobStage("segment", "segment", spill, 0.5),
         JobStage("partition", "job", _partition, 0.05),
         JobStage("rough", "block", _rough, 3.0, _looks, needed=_divided),
         JobStage("outline", "job", _outline, 0.02, _looks),

@@ -11,18 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from nanogs._types import F64, I32, I64, Array, Bool
+from nanogs._types import F64, I32, I64, Array
 from nanogs.errors import OutputError
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Target, as_target
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
-from nanogs.method.visibility import SHOWN, MissedLight
+from nanogs.method.visibility import SHOWN
 from nanogs.pipeline.estimates.memory_blocks import FINE, ROUGH
 from nanogs.pipeline.job.rows import sample
 from nanogs.pipeline.options.cameras import fit_cameras
 from nanogs.pipeline.options.settings import Settings
-from nanogs.pipeline.scene import Block, FitViews, Members, Scene, Task, ViewLight
+from nanogs.pipeline.scene import Block, FitViews, Look, Members, Scene, Task
 from nanogs.pipeline.tasks.block_visibility import (
     VISIBLE,
     closer_views,
@@ -300,16 +300,9 @@ class Work(Scene):
         """Render a view without its colours; images to compare results with are rendered later."""
         return render(drawn, camera, contributions=True, sh_degree=0)
 
-    def keep_look(
-        self,
-        name: str,
-        own: Block,
-        missed: Bool,
-        lights: Sequence[ViewLight],
-        missed_light: MissedLight,
-    ) -> Record:
+    def keep_look(self, name: str, look: Look) -> Record:
         """Write a block's visibility, how much of it each view shows, and what the views miss."""
-        return write_look(self, name, own, missed, lights, missed_light)
+        return write_look(self, name, look)
 
     def grow(self, name: str, block: int) -> Record:
         """Grow the merge forest of a block, and write it."""

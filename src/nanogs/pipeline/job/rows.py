@@ -161,13 +161,13 @@ def opened(settings: Settings, unpacked: Unpacked | None = None) -> Iterator[Sou
         inputs.check()
 
 
-def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None = None) -> Splats:
+def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked) -> Splats:
     """Read the usable splats of a segment, with the columns of the job.
 
     Args:
         settings: The job.
         segment: The rows to read.
-        unpacked: The files that have been unpacked, if any.
+        unpacked: The files that have been unpacked.
 
     Raises:
         FormatError: The file cannot be read, or has changed since the job began.

@@ -1,15 +1,14 @@
 """Visibility of the splats of each block, for a scene that is kept in files."""
 
-from collections.abc import Sequence
 from dataclasses import astuple
 from typing import TYPE_CHECKING
 
-from nanogs._types import F64, Bool
+from nanogs._types import F64
 from nanogs.fit.views import choose_cameras
 from nanogs.method.nodes import prominence
 from nanogs.method.visibility import MissedLight, shown_prominence
 from nanogs.pipeline.options.views import camera_of, plain_camera
-from nanogs.pipeline.scene import LIGHT, Block, ViewLight
+from nanogs.pipeline.scene import LIGHT, Look, ViewLight
 from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.views import parts_of
 from nanogs.raster.camera import Camera
@@ -24,34 +23,19 @@ VISIBLE = "visible"
 DISTANT = 0.2  # share of a view's pixels: a block smaller than this in every view gets its own
 
 
-def write_look(
-    work: "Work",
-    name: str,
-    own: Block,
-    missed: Bool,
-    lights: Sequence[ViewLight],
-    missed_light: MissedLight,
-) -> Record:
-    """Write the visibility of a block's splats, and how much of the block each view shows.
-
-    Args:
-        work: The job.
-        name: Of the table.
-        own: The block, with the visibility of its splats.
-        missed: (N,) bool, the splats that lie in no view.
-        lights: The views.
-        missed_light: Estimate of how much of the block the views leave out.
-    """
+def write_look(work: "Work", name: str, look: Look) -> Record:
+    """Write the visibility of a block's splats, and how much of the block each view shows."""
+    own = look.own
     assert own.visible is not None  # noqa: S101 - it was computed
     leaves, visible = leaves_of(own.splats, own.rows, work.units), own.visible[own.rows]
     prominences = prominence(leaves.coverages, leaves.means, work.units.viewers())
     facts = {
-        "cameras": [plain_camera(camera) for camera, _ in lights],
-        LIGHT: [light for _, light in lights],
-        "discovery": astuple(missed_light),
+        "cameras": [plain_camera(camera) for camera, _ in look.lights],
+        LIGHT: [light for _, light in look.lights],
+        "discovery": astuple(look.missed_light),
         "prominence": float(prominences.sum()),
         "visible": float((prominences * visible).sum()),
-        "shown": shown_prominence(prominences, visible, missed[own.rows]),
+        "shown": shown_prominence(prominences, visible, look.missed[own.rows]),
     }
     return write_table(work.scratch, name, {VISIBLE: own.visible}, facts)
 

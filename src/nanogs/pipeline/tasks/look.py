@@ -17,7 +17,7 @@ from nanogs.method.visibility import (
     visibility_of,
 )
 from nanogs.metrics._ssim import LEAST
-from nanogs.pipeline.scene import Scene, Task, ViewLight
+from nanogs.pipeline.scene import Look, Scene, Task, ViewLight
 from nanogs.pipeline.tasks.views import Views
 from nanogs.raster.lens import lens_notes
 from nanogs.raster.rendering import concatenated, prepare
@@ -79,7 +79,7 @@ def look_at_block(scene: Scene, task: Task) -> Record:
     # Values of the block alone: the rows after `count` belong to its surroundings.
     own = replace(own, visible=visible[:count])
     missed_light = missed_light_of(looked, anywhere, count)
-    record = scene.keep_look(task.name, own, missed[:count], lights, missed_light)
+    record = scene.keep_look(task.name, Look(own, missed[:count], lights, missed_light))
     if scene.measures:
         _refuse_small(scene.deciding)
     return record
