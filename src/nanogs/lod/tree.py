@@ -178,12 +178,6 @@ class Tree:
 
     counts: I64
 
-    @property
-    def starts(self) -> I64:
-        """(N,) the first child of each row; 0 for leaves."""
-        starts = np.cumsum(self.counts) - self.counts + 1  # children are in the order of parents
-        return np.where(self.counts > 0, starts, 0)
-
     def children(self, start: int, stop: int) -> I64:
         """Return the number of children of rows `start` to `stop`."""
         return self.counts[start:stop]

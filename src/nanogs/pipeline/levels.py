@@ -89,25 +89,9 @@ def judged_levels(
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
-    """Make levels as `levels` does, reserving memory for measuring them if `judged`.
+    """Make levels as `levels` does, with memory for measuring them against the model if `judged`.
 
-    Args:
-        model: The model, which is not changed, or a path.
-        ratios: Compaction ratios in (0, 1], from the finest level to the coarsest.
-        judged: Whether the caller compares each level with views of the original, which take
-            additional memory.
-        preset: Name of a preset.
-        sh_degree: As `simplify` takes it.
-        cameras: Views that matter, for presets that render, as `levels` takes them.
-        nan: As `simplify` takes it.
-        device: As `simplify` takes it.
-        threads: Number of threads; all by default.
-        max_memory: As `simplify` takes it.
-        progress: As `levels` takes it.
-        **overrides: Parameters of the preset to replace.
-
-    Raises:
-        NanogsError: As for `levels`.
+    The other arguments and the errors are those of `levels`.
     """
     ratios = checked_ratios(ratios)
     refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))

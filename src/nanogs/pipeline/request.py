@@ -17,7 +17,7 @@ from nanogs.io.files import splat_bytes
 from nanogs.io.format import Sizer
 from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
-from nanogs.memory import Memory, allowed_memory
+from nanogs.memory import allowed_memory
 from nanogs.pipeline.api import refuse_device, refuse_searches, refuse_small
 from nanogs.pipeline.estimates.memory import MemoryPlan, plan_chunks, plan_memory, plan_writing
 from nanogs.pipeline.in_memory import NanPolicy
@@ -244,15 +244,11 @@ class Plan:
     Attributes:
         splats: Number of splats of the inputs.
         sh_degree: Of their harmonics.
-        memory: Memory that the request takes with the model in memory.
-        allowed: Memory that it may take.
         divided: Whether it is met in blocks.
     """
 
     splats: int
     sh_degree: int
-    memory: MemoryPlan
-    allowed: Memory
     divided: bool
 
 
@@ -267,12 +263,12 @@ def plan_files(request: Request) -> Plan:
     """
     with Joined(open_parts(request.inputs, request.render_mode)) as source:
         splats, layout = source.count, source.columns
-    target, allowed = _most(request.goal, splats), allowed_memory(request.max_memory)
+    target = _most(request.goal, splats)
     extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
     memory = memory_of(request, splats, layout.sh_degree, extra, target)
     asked = request.block or request.job or request.scratch or request.executor or request.resume
-    divided = bool(asked or memory.peak > allowed.bytes)
-    return Plan(splats, layout.sh_degree, memory, allowed, divided)
+    divided = bool(asked or memory.peak > allowed_memory(request.max_memory).bytes)
+    return Plan(splats, layout.sh_degree, divided)
 
 
 def _most(goal: Goal, splats: int) -> int:

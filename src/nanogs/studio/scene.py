@@ -19,7 +19,6 @@ class Scene:
     Attributes:
         path: The file, as the user named it.
         splats: Number of splats.
-        sh_degree: Degree of their harmonics.
         file_bytes: Size of the file.
         render_mode: Render mode that the file states.
         up: Up axis that the file or its format states, such as "-y", or None.
@@ -28,7 +27,6 @@ class Scene:
 
     path: Path
     splats: int
-    sh_degree: int
     file_bytes: int
     render_mode: str
     up: str | None
@@ -82,7 +80,7 @@ def scene_of(path: Path) -> Scene:
         if not info.splats:
             raise OptionError(f"{path} holds no splats; name another model.")
         return Scene(
-            path=path, splats=info.splats, sh_degree=info.sh_degree, file_bytes=info.file_bytes,
+            path=path, splats=info.splats, file_bytes=info.file_bytes,
             render_mode=str(info.render_mode), up=stated_up(source, path),
             states_frame=states_frame(source, path),
         )  # fmt: skip
