@@ -52,6 +52,14 @@ class Format:
         return self.mutations[rng.integers(len(self.mutations))](rng, files)
 
 
+def write_files(folder, files):
+    """Write files into a folder, and return the path of the first."""
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return folder / next(iter(files))
+
+
 # --- mutations
 
 

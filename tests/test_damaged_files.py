@@ -22,20 +22,13 @@ COUNT = 200
 MANY = 3_000_000  # splats of a bomb, 168 MB in memory
 
 
-def write_files(folder, files):
-    for name, data in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(data)
-    return folder / next(iter(files))
-
-
 @pytest.mark.parametrize("name", fuzz_seeds.FORMATS)
 def test_damaged_files_give_an_error_of_nanogs_or_a_model(tmp_path, name):
     damaged_format, rng = fuzz_seeds.format_named(name), np.random.default_rng(7)
     found = {"model": 0, "refused": 0}
     for number in range(COUNT):
         folder = tmp_path / str(number)
-        found[outcome(write_files(folder, damaged_format.damaged(rng)))] += 1
+        found[outcome(fuzz_seeds.write_files(folder, damaged_format.damaged(rng)))] += 1
     assert min(found.values()) > 0, found
 
 
@@ -150,7 +143,7 @@ BOMBS = {
 @pytest.mark.parametrize("name", BOMBS)
 def test_bombs_are_refused_before_they_take_memory(tmp_path, name):
     make, words = BOMBS[name]
-    path = write_files(tmp_path, make())
+    path = fuzz_seeds.write_files(tmp_path, make())
     tracemalloc.start()
     with pytest.raises(FormatError, match=words):
         io.load(path)

@@ -27,13 +27,6 @@ SCENES = ("biker.spz", "biker.compressed.ply", "chair.splat", "skull.sog", "play
 WRITTEN = [".ply", ".compressed.ply", ".splat", ".npz", ".spz", ".rad", ".glb"]
 
 
-def write_files(folder, files):
-    for name, data in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(data)
-    return folder / next(iter(files))
-
-
 def assert_spans(path, spans):
     """Assert that spans of a file read in parts equal the same rows of the whole."""
     expected = load_whole(path)
@@ -107,7 +100,7 @@ def test_empty_buckets_hold_no_row(tmp_path):
 def test_spans_of_small_files_of_every_format_equal_the_whole(tmp_path, name):
     rng = np.random.default_rng(3)
     for number, files in enumerate(fuzz_seeds.format_named(name).seeds):
-        path = write_files(tmp_path / str(number), files)
+        path = fuzz_seeds.write_files(tmp_path / str(number), files)
         if name in WHOLE or path.suffix in WHOLE:
             assert isinstance(io.open(path), Whole)
         else:
@@ -118,7 +111,7 @@ def test_spans_of_small_files_of_every_format_equal_the_whole(tmp_path, name):
 def test_damaged_files_give_the_same_in_parts_and_whole(tmp_path, name):
     damaged_format, rng, read = fuzz_seeds.format_named(name), np.random.default_rng(11), 0
     for number in range(40):
-        path = write_files(tmp_path / str(number), damaged_format.damaged(rng))
+        path = fuzz_seeds.write_files(tmp_path / str(number), damaged_format.damaged(rng))
         try:
             expected = load_whole(path)
         except FormatError:

@@ -14,6 +14,7 @@ import numpy as np
 from nanogs._types import F64, I64, F
 from nanogs.activations import quaternions, rotations
 from nanogs.method.gaussians import Gaussians, activate, scene_origin, store
+from nanogs.method.paper.cost import log_masses
 from nanogs.splats import Splats
 
 _BISECTIONS = 40
@@ -124,7 +125,7 @@ def merge_groups(gaussians: Gaussians, labels: I64) -> Gaussians:
     ordered, groups = gaussians.take(order), labels[order]
     starts = np.flatnonzero(np.diff(groups, prepend=-1))
     sizes = np.diff(starts, append=len(groups))
-    log_weights = _log_masses(ordered)
+    log_weights = log_masses(ordered)
     shares = _shares(log_weights, starts, sizes)
     means = _mean(ordered.means, shares, starts)
     covariances = _covariances(ordered, ordered.means - np.repeat(means, sizes, axis=0))
@@ -142,12 +143,6 @@ def merge_groups(gaussians: Gaussians, labels: I64) -> Gaussians:
         colours[many, column] = _mean(features[:, column], shares, starts)[many]
     result.merged[many] = True
     return replace(result, features=colours, rows=np.arange(len(colours), dtype=np.int32))
-
-
-def _log_masses(gaussians: Gaussians) -> F64:
-    with np.errstate(divide="ignore"):
-        volumes: F64 = np.log(gaussians.scales, dtype=np.float64).sum(axis=1)
-        return volumes + np.log(gaussians.opacities)
 
 
 def _shares(log_weights: F64, starts: I64, sizes: I64) -> F64:

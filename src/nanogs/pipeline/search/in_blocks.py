@@ -231,13 +231,9 @@ class _Files:
         """Write a result to a file and measure it; see `Files.measure`."""
         with self.clock.time("encode"), result_of(result.work, result.level) as source:
             bare = Reduced(source, sh_degree)
-            options = {**options, **self._settled(bare, options)}
+            given = {**(self.search.options or {}), **options}
+            options = {**options, **derived_options(bare, self.search.output, given)}
             with self.search.written(bare, options) as path, open_model(path) as file:
                 psnr, ssim = self.views.judge(turned_back(file, result))
                 size = bytes_on_disk(path)
         return PackingReport(sh_degree, options, self.count(result), size, psnr, ssim)
-
-    def _settled(self, model: Source, options: Mapping[str, Any]) -> Mapping[str, Any]:
-        return derived_options(
-            model, self.search.output, {**(self.search.options or {}), **options}
-        )
