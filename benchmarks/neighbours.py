@@ -22,8 +22,8 @@ import nanogs
 from nanogs._types import F64, I32
 from nanogs.method.order import morton_order
 from nanogs.neighbours import nearest_neighbours
+from rivals import REAL_SCENES
 
-ROOT = Path(__file__).resolve().parent.parent
 SCENES = {
     "biker": "biker.compressed.ply",
     "guitar": "guitar.compressed.ply",
@@ -53,9 +53,8 @@ def main() -> None:
 
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
-    default = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="?", type=Path, default=Path(default))
+    parser.add_argument("scenes", nargs="?", type=Path, default=REAL_SCENES)
     parser.add_argument("--only", help="names of scenes, uniform, flyaways, with commas between")
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--threads", type=int, default=os.cpu_count())

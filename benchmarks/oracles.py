@@ -20,7 +20,6 @@ and higher coefficients of `.ksplat`, which gaussforge writes in an order that i
 import argparse
 import functools
 import json
-import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -36,7 +35,7 @@ from nanogs import io
 from nanogs.activations import SH_C0
 from nanogs.io.rotations import minimise_rotation
 from nanogs.splats import Splats
-from rivals import ROOT, install, run_tool
+from rivals import REAL_SCENES, install, run_tool
 
 FORMATS = (".ply", ".compressed.ply", ".splat", ".spz", ".spz v4", ".sog", ".glb", ".ksplat")
 COLUMNS = ("centre", "scale", "rotation", "alpha", "colour", "harmonics")
@@ -48,8 +47,7 @@ Steps = dict[str, np.ndarray]
 def main() -> None:
     """Run all comparisons and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
-    parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
+    parser.add_argument("scenes", nargs="?", type=Path, default=REAL_SCENES)
     parser.add_argument("--only", default=",".join(SCENES))
     parser.add_argument("--rows", type=int, default=2_000)
     parser.add_argument("--whole", action="store_true", help="take whole scenes too")

@@ -10,7 +10,6 @@ Seconds are the minimum of the repeats.
 """
 
 import argparse
-import os
 import time
 from pathlib import Path
 
@@ -21,15 +20,13 @@ from measurements import SCENES
 from nanogs.io.palette import palette
 from nanogs.io.precision import visibility
 from nanogs.io.sog.meta import PALETTE_MAX
-
-ROOT = Path(__file__).resolve().parents[1]
+from rivals import REAL_SCENES
 
 
 def main() -> None:
     """Print a row for each scene and size of the palette."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
-    parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
+    parser.add_argument("scenes", nargs="?", type=Path, default=REAL_SCENES)
     parser.add_argument("--only", default="skull,flowers:0.1,flowers")
     parser.add_argument("--sets", default="1.5,3,8,32", help="sets of harmonics for an entry")
     parser.add_argument("--repeats", type=int, default=3)

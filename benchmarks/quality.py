@@ -23,7 +23,6 @@ The folder of the scenes is --folder or the environment's NANOGS_SCENES; by defa
 
 import argparse
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -31,7 +30,7 @@ from leads import report
 from measurements import KINDS, PEERS, SCENES, Bench, Key
 from nanogs.bench.methods import ABLATIONS, all_methods
 from nanogs.defaults import BENCH_RATIOS
-from rivals import BUILD, RIVALS, ROOT, install
+from rivals import BUILD, REAL_SCENES, RIVALS, install
 
 
 def main() -> None:
@@ -69,14 +68,13 @@ def chosen_methods(options: argparse.Namespace) -> list[str]:
 
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
-    folder = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", default=",".join(SCENES), help="names of scenes")
     parser.add_argument("--ratios", default=",".join(map(str, BENCH_RATIOS)))
     parser.add_argument("--methods", help="default: all, the other tool too")
     parser.add_argument("--ablations", action="store_true", help="in place of all methods")
     parser.add_argument("--kinds", default=",".join(KINDS), help="of views")
-    parser.add_argument("--folder", type=Path, default=folder, help="of the scenes")
+    parser.add_argument("--folder", type=Path, default=REAL_SCENES, help="of the scenes")
     parser.add_argument("--peers", type=Path, help="default: peers beside the scenes")
     parser.add_argument("--cache", type=Path, default=BUILD)
     parser.add_argument("--rows", type=Path, help="also write the rows into this file")

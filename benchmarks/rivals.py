@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+REAL_SCENES = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
 # Cache of results and measurements, shared by all checkouts of the repository.
 BUILD = Path(os.environ.get("NANOGS_BENCHMARKS", Path.home() / ".cache" / "nanogs-benchmarks"))
 RIVALS = {"st-uniform": "--decimate", "st-adaptive": "--decimate-adaptive"}

@@ -16,7 +16,6 @@ the files to `nanogs bench --sizes-of-files`. Scenes and splat-transform are fou
 
 import argparse
 import json
-import os
 import shlex
 import sys
 import tempfile
@@ -28,7 +27,7 @@ from measurements import SCENES, UP, Bench
 from nanogs.bench.rows import size_name
 from nanogs.io import inspect
 from nanogs.quantities import parse_bytes
-from rivals import BUILD, RIVALS, ROOT, install, run_tool
+from rivals import BUILD, REAL_SCENES, RIVALS, install, run_tool
 
 SIZES = "0.25MB,0.5MB,1MB,2MB,4MB"
 ENOUGH = 0.99  # share of the size from which a file ends the search
@@ -56,8 +55,7 @@ def main() -> None:
     options = parser.parse_args()
     install()
     options.folder.mkdir(parents=True, exist_ok=True)
-    beside = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
-    bench = Bench(beside, beside.parent / "peers", BUILD)
+    bench = Bench(REAL_SCENES, REAL_SCENES.parent / "peers", BUILD)
     for scene in options.scenes.split(","):
         model = bench.model(scene)
         for suffix in options.formats.split(","):

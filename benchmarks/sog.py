@@ -12,7 +12,6 @@ is by default ../shared/scenes beside the repository.
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -24,14 +23,13 @@ import numpy as np
 from measurements import SCENES
 from nanogs import io
 from nanogs.splats import Splats
-from rivals import ROOT, install, run_tool, timed
+from rivals import REAL_SCENES, install, run_tool, timed
 
 
 def main() -> None:
     """Print a row for each scene."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
-    parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
+    parser.add_argument("scenes", nargs="?", type=Path, default=REAL_SCENES)
     parser.add_argument("--only", default=",".join(SCENES))
     parser.add_argument("--views", type=int, default=8)
     parser.add_argument("--rows", type=int, help="splats of each scene at most")

@@ -9,7 +9,6 @@ compared with our renders of the whole model. The page is that of `tests/spark_p
 """
 
 import argparse
-import os
 import sys
 import tempfile
 from pathlib import Path
@@ -18,7 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from rivals import REAL_SCENES, ROOT
+
 SCENES = "biker.spz,plant.splat,kitchen.spz"
 RATIOS = (1, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
 PIXELS = 240
@@ -31,13 +31,16 @@ def main() -> None:
     sys.path.insert(0, str(ROOT / "tests"))
     print("| scene | splats | drawn | nanogs | Spark, quick | Spark, quality |")
     print("|---|---|---|---|---|---|")
-    folder = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
     for scene in options.scenes.split(","):
         shares = [float(share) for share in options.shares.split(",")]
         with tempfile.TemporaryDirectory() as temporary_folder:
             try:
                 _compare(
-                    folder / scene, Path(temporary_folder), shares, options.views, options.preset
+                    REAL_SCENES / scene,
+                    Path(temporary_folder),
+                    shares,
+                    options.views,
+                    options.preset,
                 )
             except pytest.skip.Exception as missing:  # Node, Chromium or the package is absent
                 sys.exit(str(missing))

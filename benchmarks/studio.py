@@ -13,7 +13,6 @@ Without a graphics card, the processor draws (SwiftShader), and competes with th
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -24,8 +23,8 @@ from typing import Any
 
 import nanogs
 from nanogs.datasets.synthetic import make_scene
+from rivals import REAL_SCENES, ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 TIMEOUT = 600_000  # milliseconds
 COLUMNS = {
     "draft": "told", "model": "model there", "decoded": "decoded", "coarse": "coarse picture",
@@ -124,7 +123,7 @@ def _models(options: argparse.Namespace, folder: Path) -> Iterator[Path]:
     if options.models:
         yield from options.models
         return
-    scene = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")) / "biker.spz"
+    scene = REAL_SCENES / "biker.spz"
     if scene.exists():
         yield scene
     for count in map(int, filter(None, options.counts.split(","))):

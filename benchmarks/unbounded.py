@@ -9,7 +9,6 @@ model's centres, y down. `rooms` is four kitchens wall to wall. All are determin
 """
 
 import argparse
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from nanogs.splats import Splats, concatenate
 from nanogs.views import inside
 from nanogs.views.automatic import Split, automatic_cameras, survey
 from nanogs.views.poses import look_at
-from rivals import ROOT, install
+from rivals import REAL_SCENES, install
 
 UP = np.array([0.0, -1.0, 0.0])
 # Rings of cameras around the centre: distance, height, and height of the point they look at.
@@ -286,8 +285,7 @@ def main() -> None:
     parser.add_argument("--scenes", default=",".join(SCENES))
     options = parser.parse_args()
     install()  # splat-transform, which converts scenes to .ply
-    scenes = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
-    bench = Bench(scenes, scenes.parent / "peers", options.folder)
+    bench = Bench(REAL_SCENES, REAL_SCENES.parent / "peers", options.folder)
     known = extent.APART
     for name in options.scenes.split(","):
         model, (cameras, others) = load(bench.model(name)), near_views(name, bench.model)
