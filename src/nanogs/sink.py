@@ -251,8 +251,29 @@ class Sink(Protocol):
         """List all files of the output as paths relative to it, the manifest first."""
 
 
+class InOneFile(ABC):
+    """The base of sinks whose whole output is one file; see `Sink`."""
+
+    __slots__ = ()
+    place: Path
+    overwrite: bool
+
+    @abstractmethod
+    def check(self) -> None:
+        """Check that the file can be written; see `Sink.check`."""
+
+    def move(self, made: Path) -> None:
+        """Move the finished file to its final path; see `Sink.move`."""
+        self.check()
+        move_file(made, self.place, overwrite=self.overwrite)
+
+    def files(self, made: Path) -> Sequence[str]:  # noqa: ARG002 - it is one
+        """Return the output itself as the only file; see `Sink.files`."""
+        return (".",)
+
+
 @dataclass(frozen=True, slots=True)
-class OneFile:
+class OneFile(InOneFile):
     """A sink for a single result in one file.
 
     Attributes:
@@ -284,15 +305,6 @@ class OneFile:
     def open(self, making: Path, options: FormatOptions) -> OpenSink:
         """Open the sink at a temporary path; see `Sink.open`."""
         return _File(making, {**(self.format_options or {}), **options})
-
-    def move(self, made: Path) -> None:
-        """Move the finished file to its final path; see `Sink.move`."""
-        self.check()
-        move_file(made, self.place, overwrite=self.overwrite)
-
-    def files(self, made: Path) -> Sequence[str]:  # noqa: ARG002 - it is one
-        """Return the output itself as the only file; see `Sink.files`."""
-        return (".",)
 
 
 class _File(OpenSink):

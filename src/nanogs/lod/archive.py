@@ -15,13 +15,13 @@ from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import ChunksFilling, LevelsFolder
 from nanogs.lod.manifest import Manifest
 from nanogs.report import SimplifyReport
-from nanogs.sink import Environment, Judge, made_beside, move_file
+from nanogs.sink import Environment, InOneFile, Judge, made_beside
 
 _PIECE = 1 << 22  # bytes
 
 
 @dataclass(frozen=True, slots=True)
-class LevelsArchive(LevelsFolder):
+class LevelsArchive(InOneFile, LevelsFolder):
     """A sink that writes levels in chunks into one archive file, `place`; see `sink.Sink`."""
 
     def check(self) -> None:
@@ -46,15 +46,6 @@ class LevelsArchive(LevelsFolder):
         """
         with made_beside(self, ARCHIVE) as made:
             yield self.open(made, {})
-
-    def move(self, made: Path) -> None:
-        """Move the finished file to `place`; see `Sink`."""
-        self.check()
-        move_file(made, self.place, overwrite=self.overwrite)
-
-    def files(self, made: Path) -> Sequence[str]:  # noqa: ARG002 - it is one
-        """Return the single file, as a path from itself; see `Sink`."""
-        return (".",)
 
 
 class ArchiveFilling(ChunksFilling):

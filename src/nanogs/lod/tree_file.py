@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from nanogs.block_layouts import BlockTree
-from nanogs.io import losses
+from nanogs.io import check_writable, losses
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import as_splats
 from nanogs.io.rad.write import SUFFIX, write
@@ -15,14 +15,14 @@ from nanogs.lod.tree import Linking, as_rows
 from nanogs.lod.tree_blocks import Linked, joined_trees
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.report import SimplifyReport
-from nanogs.sink import Judge, OneFile, OpenSink, Written, made_beside
+from nanogs.sink import InOneFile, Judge, OpenSink, Written, made_beside
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import Splats
 from nanogs.switches import tree_pixel
 
 
 @dataclass(frozen=True, slots=True)
-class LevelsTree:
+class LevelsTree(InOneFile):
     """A sink that writes levels as one tree into a file; see `sink.Sink`.
 
     Attributes:
@@ -39,16 +39,12 @@ class LevelsTree:
     suffix: str = SUFFIX
     environment: None = None
 
-    @property
-    def _file(self) -> OneFile:
-        return OneFile(self.place, self.overwrite)
-
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
         """Refuse nothing: blocks are linked separately and streamed to the file; see `Sink`."""
 
     def check(self) -> None:
         """Check that the file can be written; see `Sink`."""
-        self._file.check()
+        check_writable(self.place, overwrite=self.overwrite)
 
     def open(self, making: Path, options: FormatOptions) -> "TreeFilling":  # noqa: ARG002
         """Start a new file at `making`; see `Sink`."""
@@ -64,14 +60,6 @@ class LevelsTree:
         """
         with made_beside(self, SUFFIX) as made:
             yield self.open(made, {})
-
-    def move(self, made: Path) -> None:
-        """Move the finished file to `place`; see `Sink`."""
-        self._file.move(made)
-
-    def files(self, made: Path) -> Sequence[str]:
-        """Return the single file; see `Sink`."""
-        return self._file.files(made)
 
 
 class TreeFilling(OpenSink):
