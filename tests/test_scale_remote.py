@@ -167,6 +167,25 @@ def test_a_job_can_be_resumed_anywhere_after_its_scheduler_was_killed(scene, tmp
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
+def test_a_scheduler_that_answers_too_late_leaves_no_open_client(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(cluster, "_PATIENCE", 0.1)
+    refused, closed = threading.Event(), threading.Event()
+
+    class Late:
+        def __init__(self, *_address, **_options):
+            assert refused.wait(30)
+
+        def close(self):
+            closed.set()
+
+    monkeypatch.setattr(distributed, "Client", Late)
+    with pytest.raises(OptionError, match="No Dask"), cluster.connected("tcp://late:8786"):
+        pass
+    refused.set()
+    assert closed.wait(30)
+
+
 def test_an_address_without_a_scheduler_is_refused_in_time(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(cluster, "_PATIENCE", 0.3)

@@ -107,6 +107,8 @@ def connected(scheduler: str) -> Iterator["Client"]:
 def _in_time(connect: Callable[[], "Client"]) -> "Client":
     """Connect with a time limit of `_PATIENCE` seconds: with some servers Dask never gives up.
 
+    A client that connects only after that is closed.
+
     Raises:
         TimeoutError: There is no answer.
     """
@@ -114,18 +116,28 @@ def _in_time(connect: Callable[[], "Client"]) -> "Client":
 
     def fill() -> None:
         try:
-            answer.set_result(connect())
+            client = connect()
         except BaseException as error:
-            # Without the traceback, whose frames hold the client.
-            answer.set_exception(error.with_traceback(None))
+            if answer.set_running_or_notify_cancel():
+                # Without the traceback, whose frames hold the client.
+                answer.set_exception(error.with_traceback(None))
         else:
+            if answer.set_running_or_notify_cancel():
+                answer.set_result(client)
+            else:
+                client.close()
             return
         # Dask's finaliser of a client takes a lock that starting another one holds. Run by the
         # garbage collector in that moment, it would wait for ever; here nothing is held.
         gc.collect()
 
     threading.Thread(target=fill, daemon=True).start()
-    return answer.result(_PATIENCE)
+    try:
+        return answer.result(_PATIENCE)
+    except TimeoutError:
+        if answer.cancel():
+            raise
+        return answer.result()  # which came at this very moment
 
 
 @contextmanager
