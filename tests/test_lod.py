@@ -169,6 +169,18 @@ def test_unknown_layouts_and_formats_are_refused_before_any_work(tmp_path, optio
         write_levels(tmp_path / "missing.ply", tmp_path / "l", [0.1], **options)
 
 
+@pytest.mark.parametrize("name", ["chunks", "inputs", "output", "goal", "ratio"])
+def test_options_that_levels_do_not_have_are_refused(splats, tmp_path, name):
+    with pytest.raises(OptionError, match=f"has no parameter '{name}'"):
+        write_levels(splats, tmp_path / "levels", RATIOS, preset="fast", **{name: 3})
+
+
+def test_options_for_files_that_are_not_used_are_no_error(splats, tmp_path):
+    unused = {"block": None, "job": None, "scratch": None, "resume": False, "executor": None}
+    write_levels(splats, tmp_path / "levels", RATIOS, preset="fast", **unused)
+    assert names(tmp_path / "levels") == LEVELS
+
+
 def test_presets_without_rendering_measure_nothing(splats, tmp_path):
     manifest, _ = write_levels(splats, tmp_path / "l", [0.1], source="a.ply", preset="fast")
     assert manifest.levels[0].psnr is manifest.levels[0].ssim is manifest.protocol is None

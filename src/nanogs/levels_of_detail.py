@@ -4,7 +4,7 @@ This is the only module that joins `pipeline`, which makes levels, and `lod`, wh
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
@@ -30,10 +30,11 @@ from nanogs.lod.usual import default_ratios
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.estimates.durations import levels_stages
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
-from nanogs.pipeline.files import cameras_of, limit_degree, options_with_frame
+from nanogs.pipeline.files import limit_degree, options_with_frame
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import import_stages
 from nanogs.pipeline.levels import checked_ratios, judged_levels
+from nanogs.pipeline.options.cameras import asked_cameras
 from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
@@ -48,7 +49,12 @@ from nanogs.source import InMemory, Joined, Source
 from nanogs.splats import Splats
 from nanogs.threads import use_threads
 
-_FIELDS = frozenset(each.name for each in fields(Request))
+# Options for files alone, and all that are handed on to the request.
+_OF_JOBS = ("block", "executor", "job", "resume", "scratch")
+_OPTIONS = frozenset({
+    *_OF_JOBS, "cameras", "device", "filters", "format_options", "max_memory", "nan", "patience",
+    "preset", "render_mode", "sh_degree", "threads", "up",
+})  # fmt: skip
 
 
 def write_levels(
@@ -127,7 +133,7 @@ def write_levels(
         "max_memory": as_bytes, "job": Path, "scratch": fspath,
     }  # fmt: skip
     given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
-    overrides = {key: given.pop(key) for key in given.keys() - _FIELDS}
+    overrides = {key: given.pop(key) for key in given.keys() - _OPTIONS}
     plain = as_switch("`plain`", plain)
     request = Request(
         inputs=files, output=Path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
@@ -140,8 +146,8 @@ def write_levels(
     with show_progress(progress) as on_step:
         if not isinstance(paths, Splats | Source):
             return write_levels_of_files(request, sink, on_step, sky)
-        if for_files := given.keys() & {"block", "job", "scratch", "resume", "executor"}:
-            raise OptionError(f"{min(for_files)} is for files; give the model's path in its place.")
+        if for_files := [name for name in _OF_JOBS if given.get(name)]:
+            raise OptionError(f"{for_files[0]} is for files; give the model's path in its place.")
         return _whole(request, prepare(as_splats(paths), request.edits), sink, on_step, sky)
 
 
@@ -267,7 +273,8 @@ def _whole(
     tracker = Tracker(on_step, _stages(request, len(splats), sink))
     made = judged_levels(
         splats, request.ratios, judged=is_measured(request), preset=request.preset,
-        sh_degree=request.sh_degree, cameras=cameras_of(request, splats), nan=request.nan,
+        sh_degree=request.sh_degree, nan=request.nan,
+        cameras=asked_cameras(splats, request.cameras, request.up, request.parameters),
         device=request.device, threads=request.threads, max_memory=request.max_memory,
         progress=tracker.passing(), **request.overrides,
     )  # fmt: skip

@@ -23,7 +23,7 @@ from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import NanPolicy, import_stages
-from nanogs.pipeline.options.cameras import cameras_asked_for
+from nanogs.pipeline.options.cameras import asked_cameras
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, renders
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.reading import read_changed, reading_stages
@@ -33,7 +33,6 @@ from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import file_costs, file_judge
 from nanogs.sink import OneFile
-from nanogs.splats import Splats
 from nanogs.store.columns import no_splats
 from nanogs.threads import use_threads
 
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
 
     from nanogs.filters import Filter
     from nanogs.io.format import FormatOptions
-    from nanogs.raster.camera import Camera
     from nanogs.views.cameras import Cameras
 
 
@@ -280,8 +278,9 @@ def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -
         draw_cost=goal.draw_cost,
         format=request.suffix, preset=request.preset, sh_degree=request.sh_degree,
         frame=request.frame, nan=request.nan, device=request.device, threads=request.threads,
-        cameras=cameras_of(request, splats), max_memory=request.max_memory,
-        progress=tracker.passing(), format_options=options, **request.overrides,
+        cameras=asked_cameras(splats, request.cameras, request.up, request.parameters),
+        max_memory=request.max_memory, progress=tracker.passing(), format_options=options,
+        **request.overrides,
     )  # fmt: skip
     options = {**(options or {}), **report.format_options}
     tracker.begin("write")
@@ -317,11 +316,6 @@ def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -
         filters=filtered,
         seconds=_around(clock, report.seconds),
     )
-
-
-def cameras_of(request: Request, splats: Splats) -> "Sequence[Camera] | None":
-    """Return the cameras asked for; None if the preset chooses its own or does not render."""
-    return cameras_asked_for(splats, request.cameras, request.up, request.parameters)
 
 
 def _stages(request: Request, plan: Plan) -> list[Stage]:

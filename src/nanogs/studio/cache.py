@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, TypeAlias
 from nanogs._types import Bool
 from nanogs.filters import FilterReport, apply_with_mask
 from nanogs.io import encoded_bytes, load, registry
-from nanogs.pipeline.options.cameras import requested_cameras
-from nanogs.pipeline.options.presets import PRESETS, renders
+from nanogs.pipeline.options.cameras import asked_cameras
+from nanogs.pipeline.options.presets import PRESETS
 from nanogs.progress import Progress
 from nanogs.splats import Splats
 from nanogs.studio.choice import Choice, FilterChoice
@@ -19,7 +19,6 @@ from nanogs.studio.turning import direction_of
 
 if TYPE_CHECKING:
     from nanogs.pipeline.grown import Grown
-    from nanogs.raster.camera import Camera
 
 _SAMPLE = 4096  # splats of the sample file that is written to estimate bytes per splat
 QUICKEST = "fast"  # the preset whose forest is grown the quickest
@@ -133,11 +132,12 @@ class WorkerCache:
 
         key = grown_key(choice)
         if self.grown is None or self.grown[0] != key:
-            splats = self.sifted(choice).splats
+            splats, chosen = self.sifted(choice).splats, PRESETS[choice.preset]
+            up = None if choice.up is None else direction_of(choice.up)
             self.grown = None
             self.grown = key, grow(
                 splats, preset=choice.preset, sh_degree=choice.sh_degree,
-                cameras=_cameras(splats, choice), device=self.settings.device,
+                cameras=asked_cameras(splats, None, up, chosen), device=self.settings.device,
                 threads=self.settings.threads, max_memory=self.settings.max_memory,
                 progress=progress,
             )  # fmt: skip
@@ -171,11 +171,3 @@ class WorkerCache:
     def forget(self) -> None:
         """Free the scene and the forest, which are read and grown again when needed."""
         self._whole = self._sifted = self.grown = None
-
-
-def _cameras(splats: Splats, choice: Choice) -> "list[Camera] | None":
-    """Return the views for the chosen up axis; None if the preset finds its own or renders none."""
-    chosen = PRESETS[choice.preset]
-    if choice.up is None or not renders(chosen):
-        return None
-    return requested_cameras(splats, "auto", direction_of(choice.up), chosen)

@@ -37,7 +37,7 @@ def fit_cameras(
     return cameras_for(splats, source, count=count, width=size, height=size, up=up, split="fit")
 
 
-def cameras_asked_for(
+def asked_cameras(
     splats: "Splats",
     given: "Cameras | None",
     up: Sequence[float] | None,
@@ -49,34 +49,18 @@ def cameras_asked_for(
         splats: The model.
         given: As `nanogs.simplify` takes them.
         up: Up direction of automatic views, or None.
-        chosen: Parameters of the method.
+        chosen: Parameters of the method; if it does not render, no camera is looked for.
 
     Raises:
         NanogsError: They are not cameras, there are none, or they cannot be read.
     """
-    if given is None or isinstance(given, str | PathLike):
-        return requested_cameras(splats, os.fspath(given or "auto"), up, chosen)
-    from nanogs.views.cameras import given_cameras
+    if given is not None and not isinstance(given, str | PathLike):
+        from nanogs.views.cameras import given_cameras
 
-    return given_cameras(given)
-
-
-def requested_cameras(
-    splats: "Splats", source: str, up: Sequence[float] | None, chosen: Parameters
-) -> "list[Camera] | None":
-    """Return the cameras asked for; None if the preset chooses its own or does not render.
-
-    Args:
-        splats: The model.
-        source: As `nanogs.views.cameras.cameras_for` takes it.
-        up: Up direction of automatic views, or None.
-        chosen: Parameters of the method.
-
-    Raises:
-        NanogsError: The source is no camera file, or cannot be read.
-    """
+        return given_cameras(given)
     if not isinstance(chosen, ForestParameters) or not renders(chosen):
         return None
+    source = os.fspath(given or "auto")
     return fit_cameras(splats, source, up, chosen.views, chosen.view_size)
 
 
