@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
@@ -12,7 +13,7 @@ from launch import run_here as command
 from nanogs import memory
 from nanogs.cli.failures import sentence_of
 from nanogs.datasets.synthetic import make_scene
-from nanogs.errors import NotEnoughMemoryError
+from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.io.files import splat_bytes
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
 from nanogs.pipeline.levels import judged_levels
@@ -288,6 +289,32 @@ def test_simplify_and_levels_refuse_models_that_do_not_fit_before_any_work(monke
     assert len(small) == 200
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ([], "The free memory for each process is 223 MB and must be at least"),
+        (["--workers", "2"], "The free memory for each process is 111 MB and must be at least"),
+        (["--max-memory", "211MB"], "error: --max-memory is 211 MB and must be at least"),
+    ],
+)
+@pytest.mark.parametrize("planned", [False, True])
+def test_too_little_memory_for_blocks_names_the_limit(
+    scene, tmp_path, monkeypatch, capsys, options, said, planned
+):
+    limit = Memory(15_000_000, "free on this machine")
+    monkeypatch.setattr(memory, "free_memory", lambda **_: limit)
+    more = ["--dry-run"] if planned else []
+    assert command("simplify", scene, tmp_path / "a.ply", "-r", "0.1", *options, *more) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_too_little_memory_for_blocks_names_the_default_of_workers(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("nanogs.pipeline.in_blocks.DEFAULT_MEMORY", 211_000_000)
+    said = "^`max_memory` is 211 MB by default with workers and must be at least"
+    with ThreadPoolExecutor(1) as pool, pytest.raises(OptionError, match=said):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, executor=pool)
+
+
 def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path, monkeypatch):
     from nanogs.pipeline.in_blocks import block_memory
     from nanogs.pipeline.job.folder import read_manifest
@@ -310,7 +337,7 @@ def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path,
     for free in (20_000_000, 8 * GB):
         limit = Memory(free, "free on this machine")
         monkeypatch.setattr(memory, "free_memory", lambda limit=limit, **_: limit)
-        assert block_memory(None, None, job, elsewhere=False) == (None, block)
+        assert block_memory(None, None, job, elsewhere=False)[:2] == (None, block)
     report = nanogs.simplify_blocks(scene, out, resume=True, **options)
     assert report.blocks.allowed == block
     assert report.blocks.resumed > 0

@@ -295,5 +295,5 @@ def test_textures_too_large_for_the_memory_are_refused(tmp_path, splats, monkeyp
     path = WRITERS[".sog"](tmp_path, splats)
     monkeypatch.setattr(sog, "_TEXEL", 1 << 20)
     assert planned(path)[1].memory > (1 << 20) * COUNT
-    with pytest.raises(OptionError, match=r"at least 643 MB to unpack a\.sog; raise it, or"):
+    with pytest.raises(OptionError, match=r"at least 643 MB to unpack a\.sog; allow more, or"):
         planned(path)[1].unpacking(Cost(0, 400_000_000, "a.sog"), 500_000_000)

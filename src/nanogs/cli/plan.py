@@ -71,6 +71,11 @@ class Plan:
             return blocks.max_memory
         return process_memory(self.free, blocks.workers or 1)
 
+    @property
+    def found_free(self) -> bool:
+        """Whether `process_memory` is what was found free, and nobody asked for it."""
+        return self.method.blocks.max_memory is None
+
     def executor(self) -> AbstractContextManager[Any]:
         """Return the executor of the tasks of a model in blocks."""
         return executor_of(self.method.blocks.workers, self.method.blocks.scheduler)
@@ -112,7 +117,9 @@ class Plan:
     def _divide(self) -> tuple[Settings, ScalePlan]:
         request, elsewhere = self.request, self.method.blocks.scheduler is not None
         folder = request.folder if request.resume else None
-        size = block_memory(self.process_memory, None, folder, elsewhere=elsewhere)
+        size = block_memory(
+            self.process_memory, None, folder, elsewhere=elsewhere, found_free=self.found_free
+        )
         return plan_job(request, *size)
 
     def notes(self) -> list[str]:
@@ -121,7 +128,7 @@ class Plan:
             return self.method.blocks.unused()
         each = self.process_memory
         fits = self.memory().peak <= self.free.bytes
-        if fits or each is None or self.method.blocks.max_memory is not None:
+        if fits or each is None or not self.found_free:
             return []
         how = f"it is simplified in blocks, as with --max-memory {each / 1e6:g}MB."
         return [f"{self._too_large()}: {how}"]
@@ -230,7 +237,8 @@ def execute(plan: Plan, do: Callable[[Request], T]) -> T:
         import_stages(request.parameters)
     if plan.divided:
         with plan.executor() as executor:
-            return do(replace(request, executor=executor, max_memory=plan.process_memory))
+            limited = replace(request, max_memory=plan.process_memory, found_free=plan.found_free)
+            return do(replace(limited, executor=executor))
     return do(request)
 
 

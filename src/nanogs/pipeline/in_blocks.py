@@ -16,7 +16,7 @@ from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.estimates.block_plan import ScalePlan, plan_blocks
+from nanogs.pipeline.estimates.block_plan import MemoryLimit, ScalePlan, plan_blocks
 from nanogs.pipeline.job.folder import read_manifest
 from nanogs.pipeline.job.rows import (
     SPAN,
@@ -63,11 +63,11 @@ def fill_in_blocks(
     """
     start, clock = time.perf_counter(), StageClock()
     folder, goals = request.folder, request.goals
-    max_memory, block = block_memory(
+    max_memory, block, reason = block_memory(
         request.max_memory, request.block, folder if request.resume else None,
-        elsewhere=request.executor is not None,
+        elsewhere=request.executor is not None, found_free=request.found_free,
     )  # fmt: skip
-    settings, divided = plan_job(request, max_memory, block)
+    settings, divided = plan_job(request, max_memory, block, reason)
     # Imported here because these import Numba, which `--help` and `info` do without.
     from nanogs.pipeline.job.report import report_of
     from nanogs.pipeline.job.result_writer import ResultWriter
@@ -109,7 +109,8 @@ def block_memory(
     begun: Path | None,
     *,
     elsewhere: bool,
-) -> tuple[int | None, int | None]:
+    found_free: bool = False,
+) -> tuple[int | None, int | None, MemoryLimit]:
     """Return the limit that determines the block size: memory of a process, or a splat count.
 
     Args:
@@ -117,18 +118,22 @@ def block_memory(
         block: Number of splats of a block, or None.
         begun: Folder of a job to resume, or None.
         elsewhere: Whether an executor does the work, on machines of unknown memory.
+        found_free: Whether `max_memory` is what was found free, and nobody asked for it.
 
     Returns:
-        Bytes that each process may take, and number of splats of a block; one of the two is None.
+        Bytes that each process may take, and number of splats of a block, one of which is None; and
+        the reason for the bytes.
     """
-    if block or max_memory is not None:
-        return (None, block) if block else (max_memory, None)
+    if block:
+        return None, block, MemoryLimit.GIVEN
+    if max_memory is not None:
+        return max_memory, None, MemoryLimit.FREE if found_free else MemoryLimit.GIVEN
     found = read_manifest(begun) if begun else None
     if found is not None:
-        return None, int(found[0]["block"])
+        return None, int(found[0]["block"]), MemoryLimit.GIVEN
     if elsewhere:
-        return DEFAULT_MEMORY, None
-    return process_memory(allowed_memory(None)), None
+        return DEFAULT_MEMORY, None, MemoryLimit.DEFAULT
+    return process_memory(allowed_memory(None)), None, MemoryLimit.FREE
 
 
 def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters:
@@ -147,7 +152,10 @@ def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters
 
 
 def plan_job(
-    request: "Request", max_memory: int | None, block: int | None
+    request: "Request",
+    max_memory: int | None,
+    block: int | None,
+    reason: MemoryLimit = MemoryLimit.GIVEN,
 ) -> tuple[Settings, ScalePlan]:
     """Plan the job and its memory and disk use; only headers are read, with filters all rows.
 
@@ -155,6 +163,7 @@ def plan_job(
         request: All arguments of the call.
         max_memory: Bytes that a process may take; not needed if `block` is given.
         block: Number of splats of a block, instead of as many as the memory allows.
+        reason: The reason for `max_memory`.
 
     Raises:
         NanogsError: An input cannot be read, filters leave nothing or need the whole model, or
@@ -178,7 +187,7 @@ def plan_job(
         # A search may try any count, and keeps the files of two results at a time.
         counts = [count_of(goal, splats, delivered, request.sizer) for goal in goals if not sought]
         shares = tuple(count / splats for count in counts) or (1.0, 1.0)
-        given = max_memory, block, request.chunks, beside
+        given = max_memory, block, request.chunks, beside, reason
         return plan_blocks(splats, layout, chosen, shares, *given)
 
     plan = planned(sum(each.splats for each in inputs))
@@ -205,7 +214,7 @@ def plan_job(
         environment=request.environment,
     )
     _refuse_small(request, settings)
-    return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
+    return settings, plan.unpacking(cost_of(settings), None if block else max_memory, reason)
 
 
 def _refuse_small(request: "Request", settings: Settings) -> None:

@@ -50,6 +50,7 @@ class Request:
         overrides: Parameters of the preset to replace, by name.
         measured: Whether the result is compared with the input as `nanogs compare` does it; None
             to do so if the preset renders anyway and the model is in memory.
+        found_free: Whether `max_memory` is what was found free, and nobody asked for it.
         ratios: Ratios of levels, the finest first, which `goal` has too; empty for one file.
         chunks: How levels are divided or linked, or None.
         environment: Text that identifies the environment written beside levels; empty for none.
@@ -62,6 +63,7 @@ class Request:
     overrides: dict[str, Any] = field(default_factory=dict)
     measured: bool | None = False
     max_memory: int | None = None
+    found_free: bool = False
     block: int | None = None
     job: Path | None = None
     scratch: str | None = None

@@ -4,6 +4,7 @@ No Numba here: `--dry-run` uses it.
 """
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from math import ceil
 
 from nanogs.block_layouts import Chunked, Encoding, Linked
@@ -28,6 +29,14 @@ _SECONDS, _LEVEL_SECONDS, _LOOKED, _STEP = 6.5e-6, 2.5e-6, 1.5e-5, 5e-7
 _VIEW = 0.043
 
 
+class MemoryLimit(StrEnum):
+    """The limit on the memory of a process, as the beginning of a message about its number."""
+
+    GIVEN = "`max_memory` is {}"
+    FREE = "The free memory for each process is {}"
+    DEFAULT = "`max_memory` is {} by default with workers"
+
+
 @dataclass(frozen=True, slots=True)
 class ScalePlan:
     """Blocks, memory, disk and time that a job takes.
@@ -50,20 +59,23 @@ class ScalePlan:
     scratch: int
     seconds: float
 
-    def unpacking(self, cost: Cost, max_memory: int | None) -> "ScalePlan":
+    def unpacking(
+        self, cost: Cost, max_memory: int | None, limit: MemoryLimit = MemoryLimit.GIVEN
+    ) -> "ScalePlan":
         """Return the plan with the cost of unpacking the inputs first.
 
         Args:
             cost: Of unpacking.
             max_memory: Bytes that a process may take; not needed if the block size is given.
+            limit: The reason for this number.
 
         Raises:
-            OptionError: `max_memory` is too little.
+            OptionError: The memory is too little.
         """
         if max_memory is not None and cost.memory > _room(max_memory):
             raise OptionError(
-                f"{_must_be(_least(cost.memory), max_memory)} to unpack {cost.path}; raise it, or"
-                " convert the file to .ply."
+                f"{_must_be(_least(cost.memory), max_memory, limit)} to unpack {cost.path}; allow"
+                " more, or convert the file to .ply."
             )
         memory = max(self.memory, LIBRARIES + cost.memory if cost.memory else 0)
         return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
@@ -78,6 +90,7 @@ def plan_blocks(
     block: int | None = None,
     chunks: Chunked | Linked | None = None,
     beside: int = 0,
+    limit: MemoryLimit = MemoryLimit.GIVEN,
 ) -> ScalePlan:
     """Plan blocks as large as the memory allows.
 
@@ -90,6 +103,7 @@ def plan_blocks(
         block: Splats of a block, in place of what memory allows.
         chunks: How results are divided or linked, or None if each is one file.
         beside: Bytes that the process holds besides its task.
+        limit: The reason for `max_memory`.
 
     Raises:
         OptionError: The memory is too little for any block.
@@ -103,7 +117,7 @@ def plan_blocks(
             tasks = held_bytes(_LEAST, splats, layout, parameters, share)
             least = _least(beside + max(tasks, encoding.held(_LEAST)))
             raise OptionError(
-                f"{_must_be(least, max_memory or 0)} for blocks of this model, of which"
+                f"{_must_be(least, max_memory or 0, limit)} for blocks of this model, of which"
                 f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries{encoding.remedy()}"
             )
     segment = max(min(block, _SEGMENT), 1)
@@ -141,12 +155,10 @@ def _room(max_memory: int) -> float:
     return _SHARE * max_memory - LIBRARIES
 
 
-def _must_be(least: float, allowed: int) -> str:
-    """Return the beginning of a message on a memory limit, set by the user or the system."""
-    return (
-        f"`max_memory`, or without it the free memory, is {allowed / 1e6:,.0f} MB and must be at"
-        f" least {ceil(least / 1e6):,} MB"
-    )
+def _must_be(least: float, allowed: int, limit: MemoryLimit) -> str:
+    """Return the beginning of a message on a memory limit that is too low."""
+    known = limit.format(f"{allowed / 1e6:,.0f} MB")
+    return f"{known} and must be at least {ceil(least / 1e6):,} MB"
 
 
 def _least(held: float) -> float:
