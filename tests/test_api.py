@@ -191,7 +191,9 @@ def test_a_path_where_a_model_is_needed_is_refused(tmp_path):
         nanogs.save(str(path), random_splats(3))
     with pytest.raises(ModelError, match="A model is needed, Splats, not NoneType"):
         nanogs.save(None, path)
+    grown = nanogs.grow(random_splats(9), preset="fast")
     for call in (
+        grown.measure,
         lambda given: nanogs.filters.min_opacity(given, 0.5),
         lambda given: nanogs.frames.change_frame(given, "rdf", "rub"),
         automatic_cameras,
@@ -242,6 +244,118 @@ def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, t
         with pytest.raises(OptionError, match="renders nothing here"):
             nanogs.simplify_blocks(files[0], out, count=9, preset="fast", **views)
     nanogs.simplify_blocks(files[0], out, count=9, preset="fast", cameras="auto")
+    nanogs.simplify(pair[0], count=9, preset="fast", cameras="auto")
+
+
+class Tensor:
+    """A tensor of another library, which NumPy can convert but not index as its own."""
+
+    def __init__(self, values):
+        self.values = np.asarray(values)
+        self.ndim = self.values.ndim
+
+    def detach(self):
+        return self
+
+    def cpu(self):
+        return self
+
+    def item(self):
+        return self.values.item()
+
+    def __array__(self, dtype=None, copy=None):
+        return self.values.astype(dtype or self.values.dtype)
+
+
+POSE = np.eye(4) + np.eye(4, k=3) * [0, 0, 0, 0.5]
+PINHOLE = {"width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 16.0, "cy": 12.0}
+
+
+def test_cameras_may_be_made_of_lists_and_tensors(pair):
+    expected = nanogs.Camera(**PINHOLE, world_to_camera=POSE)
+    tensors = {name: Tensor(value) for name, value in PINHOLE.items()}
+    cameras = [
+        nanogs.Camera(**PINHOLE, world_to_camera=POSE.tolist()),
+        nanogs.Camera(**tensors, world_to_camera=Tensor(POSE.astype(np.float32))),
+    ]
+    for camera in cameras:
+        assert camera.position.tolist() == expected.position.tolist()
+        assert (
+            pickle.loads(pickle.dumps(camera)).intrinsics.tolist() == expected.intrinsics.tolist()
+        )
+        assert (nanogs.render(pair[0], camera)[0] == nanogs.render(pair[0], expected)[0]).all()
+
+
+@pytest.mark.parametrize(
+    ("field", "message"),
+    [
+        ({"width": 32.0}, "width of camera 'a' must be a whole number of pixels, not 32.0"),
+        ({"fx": "30"}, "fx of camera 'a' must be a number, not '30'"),
+        ({"world_to_camera": None}, "must be a .4, 4. array of numbers, not object"),
+        ({"world_to_camera": "pose"}, "world_to_camera is the path 'pose', not an array"),
+        ({"whole": (1.0, 2.0)}, "whole of camera 'a' must be four numbers"),
+        ({"lens": "OPENCV"}, "lens of camera 'a' must be a nanogs.raster.lens.Lens"),
+    ],
+)
+def test_a_camera_of_other_types_is_refused_when_it_is_made(field, message):
+    with pytest.raises(OptionError, match=message):
+        nanogs.Camera(**{**PINHOLE, "world_to_camera": POSE, "name": "a", **field})
+
+
+@pytest.mark.parametrize(
+    ("field", "message"),
+    [
+        ({"world_to_camera": 2 * POSE}, "is not a rotation and a translation"),
+        ({"world_to_camera": POSE.T}, "is not a rotation and a translation"),
+        ({"world_to_camera": POSE[:3]}, "a finite 4 x 4"),
+        ({"world_to_camera": POSE.ravel()}, "a finite 4 x 4"),
+        ({"width": -3}, "1 to 524,272 pixels"),
+    ],
+)
+@pytest.mark.parametrize(
+    "call",
+    [
+        nanogs.render,
+        nanogs.draw_cost,
+        lambda m, cameras: nanogs.compare(m, m, cameras=cameras),
+        lambda m, cameras: nanogs.simplify(m, ratio=0.1, cameras=cameras),
+        lambda m, cameras: nanogs.refit(m, m, cameras=cameras),
+    ],
+)
+def test_an_invalid_camera_is_refused_before_anything_is_computed(pair, call, field, message):
+    camera = nanogs.Camera(**{**PINHOLE, "world_to_camera": POSE, **field})
+    with pytest.raises(OptionError, match=message):
+        call(pair[0], [camera, camera])
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        nanogs.filters.box((-1, -2, -3), (1, 2, 3.5)),
+        nanogs.filters.sphere((0, 0, 1), 2.5),
+        nanogs.filters.within((0, 0, 1), 2.5),
+        nanogs.filters.beyond((0, 0, 1), 2.5),
+        nanogs.filters.opaque_enough(0.1),
+        nanogs.filters.in_company(4, 3.0),
+    ],
+)
+def test_filters_can_be_sent_to_other_processes(pair, made):
+    again = pickle.loads(pickle.dumps(made))
+    assert (again.name, again.argument, again.whole) == (made.name, made.argument, made.whole)
+    assert again.plain == made.plain
+    assert (again.keep(pair[0]) == made.keep(pair[0])).all()
+
+
+def test_a_filter_of_the_callers_own_can_be_copied(pair):
+    own = nanogs.filters.Filter("own", "", nanogs.Splats.finite, whole=True)
+    again = pickle.loads(pickle.dumps(own))
+    assert again == own
+
+
+def test_a_grown_model_shows_its_counts(pair):
+    grown = nanogs.grow(pair[0], preset="fast")
+    text = f"Grown({len(pair[0]):,} splats, which can become {grown.fewest:,} or more; preset fast)"
+    assert repr(grown) == text
 
 
 @pytest.mark.parametrize(
@@ -260,6 +374,17 @@ def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, t
         (lambda m: nanogs.filters.drop_floaters(m, neighbours=8.0), "a whole number, not 8.0"),
         (lambda m: nanogs.filters.drop_floaters(m, deviations="5"), "above 0 and finite, not '5'"),
         (lambda m: m.with_sh_degree("1"), "SH degree must be a whole number, not '1'"),
+        (lambda m: nanogs.filters.apply(m, nanogs.filters.opaque_enough(0.1)), "a list of filters"),
+        (lambda m: nanogs.refit(m, m, parameters={"steps": 3}), "must be nanogs.RefitParameters"),
+        (lambda m: nanogs.compare(m, m, pixels=0), "of 1 pixel or more, not 0 x 0"),
+        (lambda m: nanogs.compare(m, m, pixels=[]), "at least one size, .* not none"),
+        (lambda m: nanogs.simplify_blocks(m, "o.ply", ratio=0.1), "path or URL is needed, not Sp"),
+        (lambda m: nanogs.simplify_blocks([m], "o.ply", ratio=0.1), "path or URL is needed, not S"),
+        (lambda m: nanogs.simplify_blocks(None, "o.ply", ratio=0.1), "is needed, not NoneType"),
+        (lambda m: nanogs.write_levels(m.means, "levels"), "path or URL is needed, not ndarray"),
+        (lambda m: nanogs.write_levels(None, "levels"), "path or URL is needed, not NoneType"),
+        (lambda m: nanogs.convert(m, "o.ply"), "not Splats; nanogs.save writes a model into a"),
+        (nanogs.info, "path or URL is needed, not Splats"),
         (
             lambda m: nanogs.Place("1", 2.0),
             "longitude of a place must be from -180 to 180 degrees, not '1'",

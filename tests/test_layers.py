@@ -53,6 +53,7 @@ ALLOWED = {
     "kernels": {"_types", "errors", "slices", "parallel"},
     "card": {"_types", "errors", "kernels"},
     "raster": {
+        "_arrays",
         "_types",
         "card",
         "errors",
@@ -62,6 +63,7 @@ ALLOWED = {
         "splats",
         "parallel",
         "activations",
+        "ranges",
     },
     "metrics": {"_types", "errors", "kernels"},
 }

@@ -8,6 +8,7 @@ only to find floaters.
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,12 @@ class Filter:
     keep: Callable[[Splats], Bool]
     whole: bool = False
     plain: Plain | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the plain form, since the functions of this module's filters are local."""
+        if self.plain is not None:
+            return filter_of, self.plain
+        return Filter, (self.name, self.argument, self.keep, self.whole)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +94,7 @@ def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[Filt
 
     Raises:
         ModelError: No splat is left, or a further PLY element has one row for each splat.
+        OptionError: They are no filters.
     """
     left, _, reports = apply_with_mask(splats, filters)
     return left, reports
@@ -105,7 +113,7 @@ def apply_with_mask(
     """
     refuse_other(splats)
     reports, stays = [], np.ones(len(splats), np.bool_)
-    for each in filters:
+    for each in checked_filters(filters):
         keep = each.keep(splats)
         left = int(keep.sum())
         refuse_empty(each, len(splats), left)

@@ -63,6 +63,11 @@ def refit(
     """
     begin, clock = time.perf_counter(), StageClock()
     chosen = parameters or RefitParameters()
+    if not isinstance(chosen, RefitParameters):
+        raise OptionError(
+            f"`parameters` must be nanogs.RefitParameters, not {type(chosen).__name__}; a"
+            " dictionary becomes them by RefitParameters(**dictionary)."
+        )
     cameras = None if cameras is None else _listed(cameras)
     # Imported here because these import Numba, which `--help` must not wait for.
     from nanogs.fit.views import view_targets
@@ -151,14 +156,17 @@ def _listed(cameras: "Sequence[Camera] | Camera") -> "list[Camera]":
     """Return the cameras that a caller gives as a list, because they are iterated repeatedly.
 
     Raises:
-        OptionError: They are not cameras.
+        OptionError: They are not cameras, or one is invalid.
     """
-    from nanogs.raster.camera import Camera  # not needed by `--help`
+    # Not needed by `--help`.
+    from nanogs.raster.camera import Camera
+    from nanogs.views.cameras import check_cameras
 
     given = [cameras] if isinstance(cameras, Camera) else cameras
     found = list(given) if isinstance(given, Iterable) else [given]
     if not all(isinstance(each, Camera) for each in found):
         raise OptionError("`cameras` of a refit must be a list of at least two nanogs.Camera.")
+    check_cameras(found)
     return found
 
 

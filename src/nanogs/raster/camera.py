@@ -2,11 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from nanogs._arrays import as_array
 from nanogs._types import F64
+from nanogs.errors import ModelError, OptionError
+from nanogs.ranges import is_number
 from nanogs.raster.lens import Lens
 
 Item = TypeVar("Item")
@@ -20,6 +23,9 @@ class Camera:
 
     A point p in the world lands at u = fx x/z + cx, v = fy y/z + cy with (x, y, z) = R p + t; the
     centre of the pixel in column i and row j is at (i + 0.5, j + 0.5).
+
+    Numbers may be those of NumPy or tensors of one number, and the matrix may be nested lists or a
+    tensor. A float64 array is not copied.
 
     Attributes:
         width: Image width in pixels.
@@ -35,6 +41,9 @@ class Camera:
         whole: Principal point, width and height of the whole picture that this view is a crop of,
             pixels; None if it is not a crop. Projections of splats are approximate near the edges
             of a picture; those in a crop are the same as in the whole picture.
+
+    Raises:
+        OptionError: A field has another type. Values are checked where the camera is used.
     """
 
     width: int
@@ -48,6 +57,40 @@ class Camera:
     near: float = NEAR
     lens: Lens | None = None
     whole: tuple[float, float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Convert numbers to Python's and the matrix to an array, and refuse all else."""
+        for name in ("width", "height", "fx", "fy", "cx", "cy", "near"):
+            object.__setattr__(self, name, self._number(name, getattr(self, name)))
+        object.__setattr__(self, "world_to_camera", self._matrix())
+        if not isinstance(self.lens, Lens | None):
+            raise self._refusal("lens", "a nanogs.raster.lens.Lens or None", repr(self.lens))
+        if self.whole is not None:
+            whole = tuple(self._number("whole", value) for value in self.whole)
+            if len(whole) != 4:
+                raise self._refusal("whole", "four numbers", str(whole))
+            object.__setattr__(self, "whole", whole)
+
+    def _number(self, name: str, value: Any) -> float:  # noqa: ANN401 - whatever a caller gives
+        if getattr(value, "ndim", None) == 0:  # of NumPy, or a tensor
+            value = value.item()
+        whole = name in ("width", "height")
+        if not is_number(value, whole=whole):
+            wanted = "a whole number of pixels" if whole else "a number"
+            raise self._refusal(name, wanted, repr(value))
+        return int(value) if whole else float(value)
+
+    def _matrix(self) -> F64:
+        try:
+            matrix = as_array("world_to_camera", self.world_to_camera)
+        except ModelError as error:
+            raise OptionError(str(error)) from None
+        if matrix.dtype.kind not in "fiu":
+            raise self._refusal("world_to_camera", "a (4, 4) array of numbers", str(matrix.dtype))
+        return matrix.astype(np.float64, copy=False)
+
+    def _refusal(self, name: str, wanted: str, given: str) -> OptionError:
+        return OptionError(f"{name} of camera {self.name!r} must be {wanted}, not {given}.")
 
     @property
     def intrinsics(self) -> F64:

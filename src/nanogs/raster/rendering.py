@@ -27,6 +27,7 @@ from nanogs.splats import RenderMode, Splats, padded, refuse_other
 if TYPE_CHECKING:
     from nanogs.card.engine import Engine, Model, View
 
+_ROUNDING = 0.01  # largest entry of |RRᵀ - I| of a camera; those of files are nearer
 _RUNS = 2  # runs of entries that are summed separately; fixed, so that threads do not matter
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
 
@@ -513,3 +514,9 @@ def check_camera(camera: Camera) -> None:
         )
     if camera.world_to_camera.shape != (4, 4) or not np.isfinite(camera.world_to_camera).all():
         raise OptionError(f"camera {camera.name!r} needs a finite 4 x 4 world_to_camera.")
+    turn, last = camera.world_to_camera[:3, :3], camera.world_to_camera[3]
+    if max(np.abs(turn @ turn.T - np.eye(3)).max(), np.abs(last - (0, 0, 0, 1)).max()) > _ROUNDING:
+        raise OptionError(
+            f"world_to_camera of camera {camera.name!r} is not a rotation and a translation, with"
+            " the translation in the last column; give one without scale or shear."
+        )

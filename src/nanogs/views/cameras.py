@@ -151,7 +151,7 @@ def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
     """Convert one camera or several to a list; `FoundCameras` are returned unchanged.
 
     Raises:
-        OptionError: They are no cameras, or there are none.
+        OptionError: They are no cameras, there are none, or one is invalid.
     """
     if isinstance(cameras, FoundCameras) and cameras:
         return cameras
@@ -162,4 +162,17 @@ def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
             'Cameras must be "auto", "orbit", "inside", "roam", a path, or at least one'
             " nanogs.Camera."
         )
+    check_cameras(given)
     return given
+
+
+def check_cameras(cameras: Iterable[Camera]) -> None:
+    """Refuse cameras that cannot be rendered from, before anything is computed.
+
+    Raises:
+        OptionError: The size or a number of one is invalid.
+    """
+    from nanogs.raster.rendering import check_camera  # imports Numba
+
+    for camera in cameras:
+        check_camera(camera)
