@@ -19,7 +19,7 @@ from nanogs.frames import change_frame
 from nanogs.io import inspect, registry
 from nanogs.io.models import Model, as_splats
 from nanogs.io.url_files import refuse_address
-from nanogs.io.urls import place as place_of
+from nanogs.io.urls import places
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
@@ -123,11 +123,10 @@ def write_levels(
         ModelError: See `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
-    paths = [model] if isinstance(model, str | PathLike) else model
-    files = () if isinstance(paths, Splats | Source) else tuple(map(place_of, paths))
+    files = () if isinstance(model, Splats | Source) else places(model)
     for path in files:
         refuse_address(path, "give the source that nanogs.open returns for it")
-    held = paths if isinstance(paths, Splats | Source) else files
+    held = model if isinstance(model, Splats | Source) else files
     ratios = usual_levels(held, layout) if ratios is None else checked_ratios(ratios)
     read: dict[str, Callable[[Any], Any]] = {
         "max_memory": as_bytes, "job": Path, "scratch": fspath,
@@ -144,11 +143,11 @@ def write_levels(
     sink = sink_of(request, suffix=registry.suffix_of(suffix), source=source, layout=layout)
     sky = surroundings(environment, environment_ratio, layout)
     with show_progress(progress) as on_step:
-        if not isinstance(paths, Splats | Source):
+        if not isinstance(model, Splats | Source):
             return write_levels_of_files(request, sink, on_step, sky)
         if for_files := [name for name in _OF_JOBS if given.get(name)]:
             raise OptionError(f"{for_files[0]} is for files; give the model's path in its place.")
-        return _whole(request, prepare(as_splats(paths), request.edits), sink, on_step, sky)
+        return _whole(request, prepare(as_splats(model), request.edits), sink, on_step, sky)
 
 
 LevelsSink = LevelsFolder | LevelsTree

@@ -7,6 +7,7 @@ and fragment.
 
 import re
 import sys
+from collections.abc import Iterable
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Self
@@ -151,15 +152,31 @@ def is_url(text: object) -> bool:
     return isinstance(text, str) and _URL.match(text) is not None
 
 
-def place(given: str | PathLike[str]) -> Path:
+def places(given: object) -> tuple[Path, ...]:
+    """Convert an argument that is a path or URL, or several of them, as `place` does.
+
+    Raises:
+        OptionError: One is no path.
+    """
+    if isinstance(given, str | bytes | PathLike) or not isinstance(given, Iterable):
+        return (place(given),)
+    return tuple(map(place, given))
+
+
+def place(given: object) -> Path:
     """Convert an argument to a `Path`, or a URL to an `Address`; `file://` URLs become paths.
 
     Args:
         given: A path or a URL.
 
     Raises:
-        OptionError: It is empty, or a `file://` URL of another machine.
+        OptionError: It is no path, empty, or a `file://` URL of another machine.
     """
+    if not isinstance(given, str | PathLike):
+        raise OptionError(
+            f"A path or URL is needed, not {type(given).__name__}; nanogs.save writes a model into"
+            " a file."
+        )
     if given == "":
         raise OptionError("A path is empty; name a file.")
     if isinstance(given, _Called):

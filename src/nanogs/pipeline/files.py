@@ -18,7 +18,7 @@ from nanogs.io import open as open_model
 from nanogs.io.frames import keep_stated_frame
 from nanogs.io.limits import degree_left_out
 from nanogs.io.url_files import local_copies
-from nanogs.io.urls import place
+from nanogs.io.urls import place, places
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -140,10 +140,9 @@ def simplify_blocks(
         NanogsError: The inputs or options are invalid, the output cannot be written, or workers
             were lost. The job folder is then kept for `resume`, unless nothing was begun.
     """
-    paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
     frame = checked_frames(frame)
     request = Request(
-        inputs=tuple(map(place, paths)), output=place(output),
+        inputs=places(inputs), output=place(output),
         goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr, draw_cost),
         preset=preset, overrides=overrides, measured=measured,
         max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
@@ -152,7 +151,7 @@ def simplify_blocks(
         overwrite=overwrite, nan=nan, filters=filters, sh_degree=sh_degree, frame=frame,
         render_mode=render_mode, cameras=cameras, up=up, device=device, threads=threads,
         executor=executor, patience=patience,
-        format_options=registry.add_target_frame(Path(output), format_options, frame),
+        format_options=registry.add_target_frame(place(output), format_options, frame),
     )  # fmt: skip
     request.check_addresses()
     inputs, target = request.inputs, request.output

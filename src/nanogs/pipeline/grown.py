@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs.bar import show_progress
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
+from nanogs.formatting import counted
 from nanogs.io import encoded_bytes, registry, round_trip_with_size
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
@@ -20,7 +21,7 @@ from nanogs.pipeline.outcome import Outcome
 from nanogs.progress import PartProgress, Progress, Stage, Tracker
 from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
-from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
+from nanogs.splats import Splats, check_degree, refuse_misaligned_elements, refuse_other
 
 if TYPE_CHECKING:
     from nanogs.pipeline.one_block import OneBlock
@@ -78,6 +79,12 @@ class Grown:
         self.available = len(checked.rows)
         self.fewest = scene.forest.fewest
         self.seconds = dict(clock.seconds)
+
+    def __repr__(self) -> str:
+        return (
+            f"Grown({counted(self.available, 'splat')}, which can become {self.fewest:,} or more;"
+            f" preset {self._checked.preset})"
+        )
 
     def draft(self, count: int) -> Splats:
         """Make a quick model of a count: one cut of the forest, nothing rendered or fitted.
@@ -150,8 +157,9 @@ class Grown:
 
         Raises:
             OptionError: The format cannot be written, or there is no such option.
-            ModelError: Nothing of the model is visible.
+            ModelError: Nothing of the model is visible, or the result is no `Splats`.
         """
+        refuse_other(splats)
         path = registry.file_of(format)
         stages = [Stage("measure", 1.0), Stage("encode", 0.2), Stage("score", 1.0)]
         with show_progress(progress) as on_step, _on(self._device, self._threads):

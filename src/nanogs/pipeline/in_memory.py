@@ -16,7 +16,7 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.estimates.memory import plan_memory
 from nanogs.pipeline.job.rows import check_nan
-from nanogs.pipeline.options.cameras import asked_cameras, refuse_unused_views
+from nanogs.pipeline.options.cameras import are_automatic, asked_cameras, refuse_unused_views
 from nanogs.pipeline.options.presets import Parameters, parameters, renders
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.outcome import Outcome
@@ -195,7 +195,7 @@ def check_model(
     """
     chosen = parameters(preset, overrides)
     check_nan(nan)
-    refuse_unused_views(preset, chosen, given=cameras is not None)
+    refuse_unused_views(preset, chosen, given=not are_automatic(cameras))
     if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(sh_degree)
     rows, views = usable_rows(splats, nan), asked_cameras(splats, cameras, None, chosen)

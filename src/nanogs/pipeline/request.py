@@ -23,10 +23,10 @@ from nanogs.pipeline.estimates.memory import MemoryPlan, plan_chunks, plan_memor
 from nanogs.pipeline.in_memory import NanPolicy
 from nanogs.pipeline.job.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job.rows import Changes, check_nan, open_parts
-from nanogs.pipeline.options.cameras import refuse_unused_views
+from nanogs.pipeline.options.cameras import are_automatic, refuse_unused_views
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.pipeline.options.target import Goal, is_searched, target_count
-from nanogs.pipeline.options.views import AUTO, requested_views
+from nanogs.pipeline.options.views import requested_views
 from nanogs.ranges import as_switch, is_number
 from nanogs.source import Joined
 from nanogs.splats import Splats, check_degree
@@ -179,7 +179,7 @@ class Request:
         Raises:
             OptionError: One of them is given.
         """
-        given = self.cameras not in (None, AUTO) or self.up is not None
+        given = not are_automatic(self.cameras) or self.up is not None
         refuse_unused_views(self.preset, self.parameters, given=given)
 
     def refuse_small(self, some: Splats) -> None:

@@ -82,6 +82,9 @@ def view_sets(
     for what, values in (("kind of cameras", sources), ("size", sizes)):
         if len(set(values)) < len(values):
             raise OptionError(f"A {what} is given twice; name each once.")
+    if not sizes or min(map(min, sizes)) < 1:
+        shown = " and ".join(f"{width} x {height}" for width, height in sizes) or "none"
+        raise OptionError(f"Views need at least one size, of 1 pixel or more, not {shown}.")
     others = [source for source in sources if source not in FOUND]
     if others and len(sizes) > 1:
         raise OptionError(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from nanogs.errors import OptionError
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.presets import Parameters, renders
+from nanogs.pipeline.options.views import AUTO
 
 if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
@@ -30,7 +31,7 @@ def fit_cameras(
     Raises:
         NanogsError: The source is no camera file, or cannot be read.
     """
-    if source == "auto" and up is None:
+    if source == AUTO and up is None:
         return None
     from nanogs.views.cameras import cameras_for
 
@@ -60,8 +61,13 @@ def asked_cameras(
         return given_cameras(given)
     if not isinstance(chosen, ForestParameters) or not renders(chosen):
         return None
-    source = os.fspath(given or "auto")
+    source = os.fspath(given or AUTO)
     return fit_cameras(splats, source, up, chosen.views, chosen.view_size)
+
+
+def are_automatic(cameras: "Cameras | None") -> bool:
+    """Return whether cameras are the preset's own: None, or "auto"."""
+    return cameras is None or (isinstance(cameras, str) and cameras == AUTO)
 
 
 def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool) -> None:
