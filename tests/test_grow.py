@@ -1,6 +1,9 @@
 """`nanogs.grow`: for any count, one forest gives the results of `simplify`."""
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -36,6 +39,38 @@ def test_results_equal_those_of_simplify_in_any_order_and_after_drafts(model, gr
         assert [candidate.quality for candidate in report.candidates] == [
             candidate.quality for candidate in expected_report.candidates
         ]
+
+
+def test_several_threads_get_the_results_of_one(grown):
+    counts = [40, 7, 250, 90, 120, 60]
+    expected = [(grown.simplify(count)[0], grown.draft(count)) for count in counts]
+    with ThreadPoolExecutor(6) as pool:
+        made = pool.map(lambda count: grown.simplify(count)[0], counts)
+        drafts = pool.map(grown.draft, counts)
+        for pair in zip(made, drafts, strict=True):
+            for given, wanted in zip(pair, expected.pop(0), strict=True):
+                assert_same(given, wanted)
+
+
+def test_a_pickled_grown_model_makes_the_same_results(grown):
+    again = pickle.loads(pickle.dumps(grown))
+    assert_same(again.simplify(40)[0], grown.simplify(40)[0])
+
+
+def test_a_call_that_its_progress_ended_changes_no_later_result(grown):
+    class StoppedError(Exception):
+        pass
+
+    def stop_in(stage, step):
+        if step.stage == stage:
+            raise StoppedError
+
+    expected, seen = grown.simplify(40)[0], []
+    grown.simplify(30, progress=lambda step: seen.append(step.stage))
+    for stage in dict.fromkeys(seen):
+        with pytest.raises(StoppedError):
+            grown.simplify(30, progress=partial(stop_in, stage))
+        assert_same(grown.simplify(40)[0], expected)
 
 
 def test_the_fast_preset_renders_nothing(model):

@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import show_progress
@@ -45,6 +46,8 @@ class Measured:
 class Grown:
     """A model that has been rendered from its views and has its merge forest; see `nanogs.grow`.
 
+    Several threads may use it: their calls are done one after the other.
+
     Attributes:
         available: Number of splats that results are made of: the finite ones.
         fewest: The smallest count that can be delivered.
@@ -73,7 +76,7 @@ class Grown:
         from nanogs.pipeline.search.results import HeldResults
 
         self._original, self._checked, self._scene = original, checked, scene
-        self._device, self._threads = device, threads
+        self._device, self._threads, self._lock = device, threads, RLock()
         self._held_out: HeldOut | None = None
         self._plain = HeldResults(scene, StageClock()).plain(rounds=0)
         self.available = len(checked.rows)
@@ -101,7 +104,7 @@ class Grown:
         self._check(count)
         if count == self.available:
             return self._checked.whole().splats
-        with _on(self._device, self._threads):
+        with self._alone():
             return self._plain.make(count, Tracker(None, ())).splats
 
     def simplify(
@@ -126,10 +129,7 @@ class Grown:
         checked, start, clock = self._checked, time.perf_counter(), StageClock()
         refuse_misaligned_elements(checked.splats, count)
         stages = delivery_stages(checked.parameters, self.available, count)
-        with (
-            show_progress(progress) as on_step,
-            _on(self._device, self._threads) as (device, threads),
-        ):
+        with show_progress(progress) as on_step, self._alone() as (device, threads):
             tracker = Tracker(on_step, stages)
             outcome = self._delivered(count, clock, tracker)
             tracker.finish()
@@ -162,7 +162,7 @@ class Grown:
         refuse_other(splats)
         path = registry.file_of(format)
         stages = [Stage("measure", 1.0), Stage("encode", 0.2), Stage("score", 1.0)]
-        with show_progress(progress) as on_step, _on(self._device, self._threads):
+        with show_progress(progress) as on_step, self._alone():
             tracker = Tracker(on_step, stages)
             tracker.begin("measure")
             views = self._views(tracker.part)
@@ -176,6 +176,18 @@ class Grown:
             judged = views.judge(stored)
             tracker.finish()
         return Measured(size, judged)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=RLock())
+
+    @contextmanager
+    def _alone(self) -> Iterator[tuple[str, int]]:
+        """Wait for other threads, whose results are made in the same scene; then as `_on`."""
+        with self._lock, _on(self._device, self._threads) as used:
+            yield used
 
     def _views(self, on_progress: PartProgress) -> "HeldOut":
         """Render the model on the held-out views of `compare`, on the first call only."""
