@@ -1,5 +1,7 @@
 """`Source`: rows that are read in parts or by number are those of the whole model."""
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +27,61 @@ def small_pages(monkeypatch):
     """Make pages so small that a filtered model has several, some of them empty."""
     monkeypatch.setattr(base, "PAGE_ROWS", 32)
     monkeypatch.setattr(base, "BLOCK_ROWS", 100)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_threads_that_share_a_source_read_their_own_rows(tmp_path, suffix):
+    model = random_splats(3000, degree=1)
+    nanogs.save(model, tmp_path / f"a{suffix}")
+    spans = [(start, start + 7 + start % 60) for start in range(0, 2900, 9)]
+    whole = nanogs.load(tmp_path / f"a{suffix}")
+    with nanogs.open(tmp_path / f"a{suffix}") as source, ThreadPoolExecutor(6) as pool:
+        for span, rows in zip(spans, pool.map(lambda span: source.read(*span), spans), strict=True):
+            assert_same(columns_only(rows), columns_only(whole.span(*span)))
+
+
+def disturbed(source, start, stop):
+    """Read other rows, as another thread may, whenever a source has kept what it read last."""
+    kind = type(source)
+
+    class Disturbed(kind):
+        reading = False
+
+        def __setattr__(self, name, value):
+            kind.__setattr__(self, name, value)
+            if name == "_last" and value is not None and not self.reading:
+                kind.__setattr__(self, "reading", True)
+                self.read(start, stop)
+                kind.__setattr__(self, "reading", False)
+
+    source.__class__ = Disturbed
+    return source
+
+
+@pytest.mark.usefixtures("small_pages")
+def test_a_filtered_source_returns_its_rows_if_a_thread_reads_others_meanwhile():
+    model = random_splats(3000, degree=1)
+    left, _ = filters.apply(model, KEPT)
+    source = disturbed(Filtered(InMemory(model), KEPT), len(left) - 5, len(left))
+    assert_same(columns_only(source.read(0, 20)), columns_only(left.span(0, 20)))
+
+
+def test_a_rad_returns_its_rows_if_a_thread_reads_others_meanwhile(tmp_path, monkeypatch):
+    monkeypatch.setattr("nanogs.io.rad.write.CHUNK_ROWS", 512)
+    nanogs.save(random_splats(3000, degree=1), tmp_path / "a.rad")
+    whole = nanogs.load(tmp_path / "a.rad")
+    with nanogs.open(tmp_path / "a.rad") as source:
+        rows = disturbed(source, 2900, 2950).read(500, 530)
+    assert_same(columns_only(rows), columns_only(whole.span(500, 530)))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_source_that_was_read_can_be_sent_to_another_process(tmp_path, suffix):
+    nanogs.save(random_splats(50), tmp_path / f"a{suffix}")
+    with nanogs.open(tmp_path / f"a{suffix}") as source:
+        rows = source.read(3, 9)
+        with pickle.loads(pickle.dumps(source)) as again:
+            assert_same(again.read(3, 9), rows)
 
 
 def model_of(count=700, **given):

@@ -13,6 +13,7 @@ from itertools import accumulate
 from math import prod
 from pathlib import Path
 from tempfile import TemporaryFile
+from threading import Lock
 from typing import IO, Any, BinaryIO
 from weakref import finalize
 
@@ -123,10 +124,21 @@ class Packed(FileSource):
     """A file that is compressed as a whole, so that rows can only be read from unpacked columns.
 
     When some but not all rows are first read, the columns are unpacked to a temporary file, unless
-    `use` has provided unpacked columns before.
+    `use` has provided unpacked columns before. They stay in this process: a pickled source unpacks
+    them again.
     """
 
     _unpacked: "UnpackedColumns | None" = None
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k not in ("_lock", "_unpacked")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=Lock())
 
     @cached_property
     def stored(self) -> Mapping[str, Column]:
@@ -169,12 +181,14 @@ class Packed(FileSource):
             FormatError: They cannot be read, or are damaged.
             OutputError: The columns cannot be written to a temporary file.
         """
-        if self._unpacked is None:
-            if (start, stop) == (0, self.count):
-                return self.load()
-            self._unpacked = _unpacked(self)
-        splats = self.decode(self._unpacked.columns, start, stop)
-        return replace(splats, notes=[*splats.notes, *self._unpacked.notes])
+        if self._unpacked is None and (start, stop) == (0, self.count):
+            return self.load()
+        with self._lock:
+            if self._unpacked is None:
+                self._unpacked = _unpacked(self)
+            unpacked = self._unpacked
+        splats = self.decode(unpacked.columns, start, stop)
+        return replace(splats, notes=[*splats.notes, *unpacked.notes])
 
     def use(self, unpacked: "UnpackedColumns") -> None:
         """Use columns that were unpacked before; `close` closes them."""
@@ -236,11 +250,14 @@ def _unpacked(packed: Packed) -> UnpackedColumns:
     except OSError as error:
         raise temporary_file_error(f"{packed.path} cannot be unpacked", error) from error
 
+    lock = Lock()  # threads share the position in the file
+
     def column(name: str, start: int, stop: int) -> Array:
         shape = packed.stored[name].shape
         out = np.empty((stop - start, *shape[1:]), packed.stored[name].kind)
-        file.seek(places[name] + start * out.itemsize * prod(shape[1:]))
-        fill(packed.path, file, out)  # type: ignore[arg-type]
+        with lock:
+            file.seek(places[name] + start * out.itemsize * prod(shape[1:]))
+            fill(packed.path, file, out)  # type: ignore[arg-type]
         return out
 
     return UnpackedColumns(column, notes, file.close)

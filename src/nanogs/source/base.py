@@ -55,7 +55,7 @@ class Source(ABC):
     `read(start, stop)` and `take(rows)` return splats with the columns of `columns`, bit for bit as
     in the whole model, with notes about those rows; further PLY elements have no rows there, which
     `read_elements` gives. A source that holds files open or temporary ones is closed by `close`, or
-    at the end of a `with` block.
+    at the end of a `with` block. Threads may read from a source of a file at once.
 
     Attributes:
         name: Its name in messages.

@@ -179,13 +179,14 @@ class Filtered(_Changed):
         return rows.take(slice(start - skipped, stop - skipped))
 
     def _page(self, number: int) -> Splats:
-        if self._last is None or self._last[0] != number:
+        last = self._last  # once, because another thread may read another page
+        if last is None or last[0] != number:
             at = number * base.PAGE_ROWS
             rows = self._source.read(at, min(at + base.PAGE_ROWS, self._source.count))
             for each in self._filters:
                 rows = rows.take(each.keep(rows))
-            self._last = number, rows
-        return self._last[1]
+            last = self._last = number, rows
+        return last[1]
 
     def close(self) -> None:
         """Free the cached page, and close the source."""

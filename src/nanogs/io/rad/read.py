@@ -133,13 +133,14 @@ class RadFile(FileSource):
 
     def _chunk(self, number: int) -> Splats:
         """Decode a chunk, of a tree only the rows of the level; the last one is cached."""
-        if self._last is None or self._last[0] != number:
-            self._last = None  # freed before the next one is decoded
+        last = self._last  # once, because another thread may read another chunk
+        if last is None or last[0] != number:
+            last = self._last = None  # freed before the next one is decoded
             chunk = self._header.chunks[number]
             rows = np.flatnonzero(self._rows(number)) if self._header.tree else None
             with np.errstate(all="ignore"):  # the file may hold NaN, infinity, zero scales
-                self._last = number, self._unpacked(chunk, rows)
-        return self._last[1]
+                last = self._last = number, self._unpacked(chunk, rows)
+        return last[1]
 
     def _unpacked(self, chunk: Chunk, rows: I64 | None) -> Splats:
         """Decode the given rows of a chunk, or all."""
