@@ -669,6 +669,8 @@ def test_progress_that_is_no_function_or_switch_is_refused(pair, tmp_path):
     for call in (nanogs.render, nanogs.draw_cost):
         with pytest.raises(OptionError, match="function or None, must be True or False"):
             call(pair[0], progress="yes")
+    with pytest.raises(OptionError, match="function or None, must be True or False"):
+        nanogs.levels(pair[0], [0.5], progress="yes")  # before a level is asked for
     assert not list(tmp_path.iterdir())
     assert nanogs.render(pair[0], views=1, pixels=16, progress=np.bool_(False))
 

@@ -8,6 +8,17 @@ from nanogs.progress import Progress, Step
 from nanogs.ranges import as_switch
 
 
+def wants_bar(progress: Progress | bool | None) -> bool:
+    """Return whether the `progress` argument of the library's functions asks for a bar.
+
+    Raises:
+        OptionError: It is neither True, False nor None, and no function.
+    """
+    if progress is None or callable(progress):
+        return False
+    return as_switch("`progress`, unless it is a function or None,", progress)
+
+
 @contextmanager
 def show_progress(progress: Progress | bool | None) -> Iterator[Progress | None]:
     """Provide the progress callback of a call while it runs.
@@ -19,11 +30,8 @@ def show_progress(progress: Progress | bool | None) -> Iterator[Progress | None]
     Raises:
         OptionError: It is none of these.
     """
-    if progress is None or callable(progress):
-        yield progress
-        return
-    if not as_switch("`progress`, unless it is a function or None,", progress):
-        yield None
+    if not wants_bar(progress):
+        yield progress if callable(progress) else None
         return
     with _bar() as on_step:
         yield on_step

@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from nanogs.bar import show_progress
+from nanogs.bar import show_progress, wants_bar
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
@@ -94,6 +94,7 @@ def judged_levels(
     The other arguments and the errors are those of `levels`.
     """
     ratios = checked_ratios(ratios)
+    wants_bar(progress)  # refuses what is no progress: the bar itself begins with the first level
     refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))
     check_degree(sh_degree)
     from nanogs.threads import use_threads  # imported here because it imports Numba
