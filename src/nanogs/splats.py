@@ -66,7 +66,8 @@ class Splats:
     """N splats, one array for each stored quantity.
 
     Every argument that NumPy can convert to an array is accepted: lists, tensors, other number
-    types. Columns become float32; only `means` keeps float64, and `extras` keep their dtypes.
+    types. Columns become float32; only `means` keeps float64, and `extras` keep their dtypes. What
+    needs no conversion is not copied: such an array or tensor and the model share memory.
     `splats[rows]` selects splats by a number, a slice, a mask or an array of row numbers. Notebooks
     show a small picture.
 
