@@ -23,7 +23,7 @@ from nanogs.bench.baselines import MethodContext
 from nanogs.bench.gsplat import gsplat_fps
 from nanogs.bench.methods import ABLATIONS, find_method
 from nanogs.bench.output import ResultFolder, run_of
-from nanogs.bench.protocol import row_count, run_bench
+from nanogs.bench.protocol import row_count, row_keys, run_bench
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status
 from nanogs.bench.scenes import (
     BenchScene,
@@ -108,6 +108,14 @@ def test_unknown_placeholders_are_refused():
         ({"methods": ("paper:graph=tree",)}, "knn or random"),
         ({"methods": ("random",), "externals": {"random": "a"}}, "The method .* occurs twice"),
         ({"externals": {ORIGINAL: "a"}}, "The method .* occurs twice"),
+        (
+            {"methods": ("them",), "externals": {"them": "a"}},
+            "'them' .* out of the methods",
+        ),
+        (
+            {"methods": ("them",), "externals": {"them": "a"}, "file_sizes": (1000,)},
+            "leave it out of the methods",
+        ),
         ({"views": 0}, "views"),
         ({"sizes": (2,)}, "16 pixels"),
         ({"sizes": (64, 64)}, "The size .* occurs twice"),
@@ -165,6 +173,103 @@ def test_an_unfinished_run_continues_where_it_ended(tmp_path):
     with pytest.raises(OutputError, match=r"other models or settings; .* to begin anew"):
         ResultFolder(tmp_path, run="that")
     assert ResultFolder(tmp_path, run="that", overwrite=True).done == []
+
+
+def external(folder, name):
+    """Return a pattern of files of another tool, and the path of the file for the ratio 0.5."""
+    return str(folder / f"{{scene}}_{{ratio}}_{name}.ply"), folder / f"a_0.5_{name}.ply"
+
+
+def finished_run(folder, model, settings):
+    """Finish a run, without measuring anything, whose rows have 1 dB, 2 dB and so on."""
+    scene = BenchScene("a", model)
+    results = ResultFolder(folder, run=run_of([scene], settings))
+    rows = [
+        BenchRow("a", name, target.ratio, psnr=float(number))
+        for number, (name, target) in enumerate(row_keys(settings))
+    ]
+    for row in rows:
+        results.add(row)
+    results.finish(rows)
+    return [scene], rows
+
+
+def test_a_finished_run_can_be_added_to(model, tmp_path):
+    """Results of another tool that come later are scored alone; ours take hours."""
+    first = BenchSettings(ratios=(0.5,), methods=("random",))
+    scenes, rows = finished_run(tmp_path, model, first)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    pattern, _ = external(tmp_path, "them")
+    more = replace(
+        first, ratios=(0.5, 0.1), methods=("opacity", "random"), externals={"them": pattern}
+    )
+    scenes.append(BenchScene("b", model))
+    results = ResultFolder(tmp_path, run=run_of(scenes, more))
+    assert results.done == rows
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    results.add(BenchRow("a", "opacity", 0.5, psnr=7.0))  # then the run is interrupted
+    again = ResultFolder(tmp_path, run=run_of(scenes, more))
+    assert [row.psnr for row in again.done] == [0.0, 1.0, 7.0]
+    again.finish(again.done)
+    assert not (tmp_path / "unfinished.jsonl").exists()
+    assert [row.psnr for row in ResultFolder(tmp_path, run=run_of(scenes, more)).done] == [0, 1, 7]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},  # the same run, which would add nothing
+        {"methods": ("random",)},  # fewer rows, the others of which would be lost
+        {"methods": ("random", "opacity", "voxel"), "sizes": (32,)},
+        {"methods": ("random", "opacity", "voxel"), "views": 3},
+        {"methods": ("random", "opacity", "voxel"), "seed": 1},
+    ],
+)
+def test_a_finished_run_of_other_settings_or_methods_is_refused(change, model, tmp_path):
+    first = BenchSettings(ratios=(0.5,), methods=("random", "opacity"))
+    scenes, _ = finished_run(tmp_path, model, first)
+    other = run_of(scenes, replace(first, **change))
+    with pytest.raises(OutputError, match=r"results\.md exists already.* to replace it\.$"):
+        ResultFolder(tmp_path, run=other)
+    assert ResultFolder(tmp_path, run=other, overwrite=True).done == []
+
+
+def test_a_finished_run_of_another_model_or_without_its_record_is_refused(model, tmp_path):
+    first = BenchSettings(ratios=(0.5,), methods=("random",))
+    copy, out = tmp_path / "copy.ply", tmp_path / "out"
+    shutil.copy(model, copy)
+    scenes, _ = finished_run(out, copy, first)
+    more = replace(first, methods=("random", "opacity"))
+    assert ResultFolder(out, run=run_of(scenes, more)).done
+    os.utime(copy, (1, 1))
+    with pytest.raises(OutputError, match="other models"):
+        ResultFolder(out, run=run_of(scenes, more))
+    for damage in ("{}", "[]", "run", '{"rows": 1}'):
+        (out / "run.json").write_text(damage)
+        with pytest.raises(OutputError, match="exists already"):
+            ResultFolder(out, run=run_of(scenes, more))
+    (out / "run.json").unlink()
+    with pytest.raises(OutputError, match="exists already"):
+        ResultFolder(out, run=run_of(scenes, more))
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_files_of_other_tools_that_changed_are_scored_again(finished, model, tmp_path):
+    files = {name: external(tmp_path, name) for name in ("old", "new")}
+    files["old"][1].write_text("as before")
+    settings = BenchSettings(
+        ratios=(0.5,), methods=("random",), externals={name: files[name][0] for name in files}
+    )
+    out = tmp_path / "out"
+    scenes, rows = finished_run(out, model, settings)
+    if not finished:
+        shutil.rmtree(out)
+        results = ResultFolder(out, run=run_of(scenes, settings))
+        for row in rows:
+            results.add(row)
+    files["new"][1].write_text("now there is one")
+    kept = ResultFolder(out, run=run_of(scenes, settings)).done
+    assert [row.method for row in kept] == [ORIGINAL, "random", "old"]
 
 
 def test_finished_rows_are_not_measured_again(model, monkeypatch):
@@ -551,6 +656,13 @@ def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     again = run("bench", model, *options, "--out", out)
     assert (again.returncode, again.stdout) == (2, "")
     assert "add -w to replace it" in again.stderr
+    nanogs.save(nanogs.load(model).take(np.arange(40)), tmp_path / "ball_0.1.ply")
+    added = run("bench", model, *options, "--external", missing, "--out", out)
+    assert added.returncode == 0, added.stderr
+    assert "3 rows are taken from an earlier run" in added.stderr
+    both = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    assert both[:3] == lines[:3]
+    assert both[3]["status"] == "ok"
 
 
 def test_a_given_up_direction_is_used_for_all_views(model):
@@ -588,6 +700,7 @@ def test_json_prints_the_rows_and_nothing_else(model):
         (("--methods", "magic"), "magic"),
         (("--external", "x"), "NAME=PATTERN"),
         (("--external", "x={nope}"), "nope"),
+        (("--external", "x=a", "--external", "x=b"), "'x' occurs twice"),
         (("--metrics", "mse"), "mse"),
         (("--dataset", "mine=x"), "nerf-synthetic"),
     ],

@@ -390,7 +390,7 @@ def test_files_of_another_tool_are_compared_with_ours(measured):
 def test_the_folder_has_a_page_and_charts_with_all_points(measured):
     _, out = measured
     assert {path.name for path in out.iterdir()} == {
-        "results.md", "results.jsonl", "results.html", "plot.svg", "plot.png",
+        "results.md", "results.jsonl", "results.html", "plot.svg", "plot.png", "run.json",
     }  # fmt: skip
     drawing = ET.parse(out / "plot.svg").getroot()
     texts = {element.text for element in drawing.iter(f"{SVG}text")}

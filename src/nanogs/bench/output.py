@@ -1,14 +1,17 @@
 """The output folder of a run: rows as they are measured, then tables and plots."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from nanogs._version import __version__
+from nanogs.bench.measuring import external_path
 from nanogs.bench.plot import plot
-from nanogs.bench.rows import BenchRow, Status
+from nanogs.bench.protocol import row_keys
+from nanogs.bench.rows import BenchRow, BenchTarget, RowKey, Status
 from nanogs.bench.scenes import BenchScene
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.size_charts import SizeCharts
@@ -20,27 +23,49 @@ from nanogs.io.folder import make_folders, remove_empty
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
 PAGE, PICTURE = "results.html", "plot.png"  # only with file sizes
+RUN = "run.json"  # `run_of` of the finished run
 UNFINISHED = "unfinished.jsonl"  # first line: `run_of` of the run; then its rows so far
+# Settings that say which rows there are, and nothing of how each is measured.
+_ASKED = ("ratios", "methods", "externals", "file_sizes", "formats")
 
 
 def run_of(scenes: Sequence[BenchScene], settings: BenchSettings) -> str:
-    """Return all inputs of a run as one line of JSON, with size and mtime of the model files."""
-    files = {str(scene.model): _stamp(scene.model) for scene in scenes}
+    """Return all inputs of a run as one line of JSON, with size and mtime of the files it reads.
+
+    These are the models, and the files of other tools, each beside the row that it is scored for.
+    """
+    measured = {name: value for name, value in asdict(settings).items() if name not in _ASKED}
     about = {
         "version": __version__,
-        "files": files,
-        "scenes": [asdict(scene) for scene in scenes],
-        "settings": asdict(settings),
+        "settings": measured,
+        "scenes": [asdict(scene) | {"stamp": _stamp(scene.model)} for scene in scenes],
+        "rows": [
+            [scene.name, name, target, _file_of(scene, name, target, settings)]
+            for scene in scenes
+            for name, target in row_keys(settings)
+        ],
     }
     return json.dumps(about, default=str, sort_keys=True)
+
+
+def _file_of(
+    scene: BenchScene, name: str, target: BenchTarget, settings: BenchSettings
+) -> list[Any] | None:
+    """Return path and stamp of the file that another tool made for a row; None for our rows."""
+    if name not in settings.externals:
+        return None
+    path = external_path(settings.externals[name], scene, target)
+    return [str(path), *_stamp(path)]
 
 
 class ResultFolder:
     """A folder that saves rows as they are measured, so that an interrupted run can be resumed.
 
+    A finished run can be added to in the same way, as by a further method.
+
     Attributes:
         path: The folder.
-        done: Rows measured by an unfinished run of the same scenes and settings.
+        done: Rows that an earlier run measured and that this one needs not measure again.
     """
 
     def __init__(
@@ -50,21 +75,19 @@ class ResultFolder:
 
         Args:
             folder: The folder; it is created if it is missing.
-            run: From `run_of`; None for a run that is never resumed.
+            run: From `run_of`; None for a run that is never resumed or added to.
             overwrite: Replace existing results, also those of an unfinished run.
 
         Raises:
-            OutputError: It holds results, also of an unfinished run of other scenes or settings, or
-                cannot be created.
+            OutputError: It holds results that this run adds nothing to, or of other models or
+                settings, also of an unfinished run; or it cannot be created.
         """
         self.path, self.done = Path(folder), list[BenchRow]()
         self._run, self._begun = run, False
-        for name in (TABLE, LINES, PLOT, PAGE, PICTURE):
-            if (self.path / name).exists() and not overwrite:
-                raise ExistsError(f"{self.path / name} exists already")
         with _writing(self.path):
             if not overwrite:
-                self.done = self._rows_so_far()
+                rows = {row.key: row for row in (*self._finished_rows(), *self._rows_so_far())}
+                self.done = list(rows.values())
             self._made = make_folders(self.path)
 
     def add(self, row: BenchRow) -> None:
@@ -96,6 +119,8 @@ class ResultFolder:
         Raises:
             OutputError: They cannot be written.
         """
+        with _writing(self.path / RUN):  # no run stands beside rows of another, even if killed
+            (self.path / RUN).unlink(missing_ok=True)
         texts = {
             LINES: "".join(map(json_line, rows)),
             TABLE: preamble + markdown(rows, others=others),
@@ -106,6 +131,8 @@ class ResultFolder:
             charts = SizeCharts(rows)
             contents[PLOT], contents[PICTURE] = utf8(charts.svg()), charts.png()
             contents[PAGE] = utf8(size_page(rows, others, preamble))
+        if self._run is not None:
+            contents[RUN] = utf8(f"{self._run}\n")
         for name, content in contents.items():
             with _writing(self.path / name):
                 (self.path / name).write_bytes(content)
@@ -123,17 +150,75 @@ class ResultFolder:
                 (self.path / UNFINISHED).unlink(missing_ok=True)
         remove_empty(self._made)
 
+    def _finished_rows(self) -> list[BenchRow]:
+        """Read the rows of a finished run to which this one adds."""
+        there = [self.path / name for name in (TABLE, LINES, PLOT, PAGE, PICTURE)]
+        there = [path for path in there if path.exists()]
+        if not there:
+            return []
+        run, lines = self.path / RUN, self.path / LINES
+        if run.exists() and lines.exists():
+            rows = self._fitting(_text(run).rstrip("\n"), _text(lines).split("\n")[:-1])
+            if rows is None:
+                fact = "with rows of other models, settings or methods than these"
+                raise ExistsError(f"{there[0]} exists already, {fact}")
+            asked = _files_by_key(json.loads(self._run or ""))
+            if {row.key for row in rows} < asked.keys():
+                return rows
+        raise ExistsError(f"{there[0]} exists already")
+
     def _rows_so_far(self) -> list[BenchRow]:
         """Read the rows of an unfinished run; a last line that was cut off is dropped."""
         unfinished = self.path / UNFINISHED
         if not unfinished.exists():
             return []
-        run, *lines = unfinished.read_text(encoding="utf-8").split("\n")
-        if run != self._run:
+        run, *lines = _text(unfinished).split("\n")
+        rows = self._fitting(run, lines[:-1])
+        if rows is None:
             fact = f"{unfinished} belongs to an unfinished run of other models or settings"
             raise ExistsError(fact, "begin anew, or name another folder to keep it")
-        rows = [BenchRow.from_dict(json.loads(line)) for line in lines[:-1]]
-        return [row for row in rows if row.status is Status.OK]
+        return rows
+
+    def _fitting(self, run: str, lines: Sequence[str]) -> list[BenchRow] | None:
+        """Return the rows of an earlier run that need not be measured again.
+
+        Args:
+            run: The earlier run, from `run_of`.
+            lines: Its rows, from `json_line`.
+
+        Returns:
+            All but skipped and failed ones, and those of files that have changed since; None if
+            this run measures in another way, or lacks a row of the earlier one, which would be
+            lost.
+        """
+        try:
+            rows = [BenchRow.from_dict(json.loads(line)) for line in lines]
+            rows = [row for row in rows if row.status is Status.OK]
+            if run == self._run:
+                return rows
+            before, now = json.loads(run), json.loads(self._run or "")
+            files, known = _files_by_key(now), _files_by_key(before)
+            alike = all(before[part] == now[part] for part in ("version", "settings"))
+            alike = alike and all(scene in now["scenes"] for scene in before["scenes"])
+        except (ValueError, KeyError, TypeError):  # written by another version, or by hand
+            return None
+        if not alike or not known.keys() <= files.keys():
+            return None
+        return [row for row in rows if row.key in known and known[row.key] == files[row.key]]
+
+
+def _files_by_key(inputs: Mapping[str, Any]) -> dict[RowKey, list[Any] | None]:
+    """Return the file of another tool that each row is for; None for our rows.
+
+    Args:
+        inputs: From `run_of`, parsed.
+    """
+    rows = inputs["rows"]
+    return {(scene, name, BenchTarget(*target)): file for scene, name, target, file in rows}
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace")  # bytes of ours are all ASCII
 
 
 def _stamp(path: Path) -> list[int]:

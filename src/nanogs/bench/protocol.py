@@ -75,13 +75,21 @@ def _try_metrics(metrics: Sequence[str]) -> None:
 
 def row_count(scenes: Sequence[BenchScene], settings: BenchSettings) -> int:
     """Return the number of rows that `run_bench` will return."""
-    return len(scenes) * len(_all_runs(settings))
+    return len(scenes) * len(row_keys(settings))
+
+
+def row_keys(settings: BenchSettings) -> list[tuple[str, BenchTarget]]:
+    """Return method and request of each row of a scene, in order; the same for all scenes."""
+    names = [*settings.methods, *settings.externals]
+    formats = settings.formats if settings.file_sizes else ()
+    wholes = [(ORIGINAL, BenchTarget(1.0, suffix)) for suffix in ("", *formats)]
+    return [*wholes, *((name, target) for target in settings.targets for name in names)]
 
 
 def _scene_rows(
     scene: BenchScene, settings: BenchSettings, known: Mapping[RowKey, BenchRow], progress: Progress
 ) -> Iterator[BenchRow]:
-    keys = [(scene.name, *run) for run in _all_runs(settings)]
+    keys = [(scene.name, *run) for run in row_keys(settings)]
     if all(key in known for key in keys):
         yield from (known[key] for key in keys)
         return
@@ -119,15 +127,7 @@ def _scene_rows(
 
 
 def _skipped_rows(scene: BenchScene, settings: BenchSettings, reason: str) -> Iterator[BenchRow]:
-    for name, target in _all_runs(settings):
+    for name, target in row_keys(settings):
         yield replace(
             measuring.empty_row(scene, name, target), status=Status.SKIPPED, reason=reason
         )
-
-
-def _all_runs(settings: BenchSettings) -> list[tuple[str, BenchTarget]]:
-    """Return method and request of each row of a scene, in order."""
-    names = [*settings.methods, *settings.externals]
-    formats = settings.formats if settings.file_sizes else ()
-    wholes = [(ORIGINAL, BenchTarget(1.0, suffix)) for suffix in ("", *formats)]
-    return [*wholes, *((name, target) for target in settings.targets for name in names)]

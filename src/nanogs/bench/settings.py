@@ -70,6 +70,7 @@ class BenchSettings:
 
     def __post_init__(self) -> None:
         """Refuse invalid values."""
+        self._check_names()
         self._check_files()
         checked_mode(self.render_mode)
         for ratio in self.ratios:
@@ -94,6 +95,15 @@ class BenchSettings:
         refuse_duplicates("method", [ORIGINAL, *self.methods, *self.externals])
         for method in self.methods:
             find_method(method)
+
+    def _check_names(self) -> None:
+        """Refuse other tools that are named among the methods too."""
+        for method in self.methods:
+            if method in self.externals and method.partition(":")[0] not in all_methods():
+                raise OptionError(
+                    f"{method!r} is measured as the result of another tool already; leave it out of"
+                    " the methods, which are those that nanogs runs."
+                )
 
     def _check_files(self) -> None:
         """Refuse file sizes and formats that are invalid, and methods that cannot meet a size."""

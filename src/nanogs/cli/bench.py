@@ -126,7 +126,8 @@ def bench(
             "--out",
             "-o",
             help="Folder for results.md, results.jsonl and plot.svg, with --sizes-of-files also"
-            " results.html and plot.png; an unfinished run in it is continued.",
+            " results.html and plot.png; an unfinished run in it is continued, and further methods"
+            " are added to a finished one.",
         ),
     ] = None,
     overwrite: options.Overwrite = False,
@@ -149,7 +150,7 @@ def bench(
     settings = BenchSettings(
         **targets,
         methods=tuple(chosen),
-        externals=dict(_external(text) for text in external or []),
+        externals=_externals(external or []),
         views=views,
         sizes=tuple(map(_square, options.parse_sizes(sizes or str(PIXELS)))),
         kinds=tuple(_list(kinds)),
@@ -197,7 +198,7 @@ def _run(
     done = folder.done if folder else []
     if done and not reporting.hushed:
         taken = counted(len(done), "row is", "rows are")
-        warn(f"{taken} taken from an unfinished run in {out}; -w starts from the beginning.")
+        warn(f"{taken} taken from an earlier run in {out}; -w starts from the beginning.")
     total, made = row_count(scenes, settings), 0
     with shown(quiet=reporting.hushed) as watch:
 
@@ -258,6 +259,14 @@ def _square(size: tuple[int, int]) -> int:
             f"The views to measure on are square: give one number, not {width}x{height}."
         )
     return width
+
+
+def _externals(texts: list[str]) -> dict[str, str]:
+    from nanogs.bench.settings import refuse_duplicates
+
+    pairs = [_external(text) for text in texts]
+    refuse_duplicates("external result", [name for name, _ in pairs])
+    return dict(pairs)
 
 
 def _external(text: str) -> tuple[str, str]:
