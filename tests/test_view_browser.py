@@ -276,6 +276,16 @@ def test_labels_and_help_fit_any_screen(helping, width, height):
         page.screenshot(path=f"{folder}/view_{width}.png")
 
 
+def test_a_model_written_as_a_page_is_named_after_its_file(chromium, files, tmp_path):
+    nanogs.save(nanogs.load(files / "red.ply"), tmp_path / "first.html")
+    page = (tmp_path / "first.html").rename(tmp_path / "a b\u00fc%.html")
+    opened = OpenedPage(chromium, page)
+    opened.settle()
+    assert opened.page.title() == "a b\u00fc%"
+    assert "a b\u00fc%" in opened.page.inner_text(VIEW)
+    opened.close()
+
+
 def test_a_page_of_one_model_has_no_divider(chromium, files):
     opened = OpenedPage(chromium, files / "one.html")
     opened.settle()

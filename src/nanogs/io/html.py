@@ -41,7 +41,8 @@ def write(splats: Splats, file: BinaryIO) -> None:
     limits.refuse_unstorable(splats, SUFFIX)
     start = opening_for(splats)
     packed = pack(splats, start)
-    shown = Shown("Model", facts_of(len(splats), len(packed.data)), packed)
+    # Neither a stream nor a file that is renamed has a name to write here: the page finds its own.
+    shown = Shown("", facts_of(len(splats), len(packed.data)), packed)
     file.write(render_page([shown], start, (0.0, 0.0, 0.0)).encode("utf-8"))
 
 

@@ -30,7 +30,7 @@ class Shown:
     """A model of a page, with the lines of text that the page shows for it.
 
     Attributes:
-        name: Its name.
+        name: Its name; if empty, the page's file gives it.
         facts: Lines of text: number of splats, file size, quality.
         packed: The model.
     """
@@ -109,7 +109,7 @@ def render_page(models: Sequence[Shown], start: Opening, background: Background)
         _environment()
         .from_string(_template("page.html.j2"))
         .render(
-            title=" and ".join(model.name for model in models),
+            title=" and ".join(model.name for model in models) or "Model",
             background=hex_text(background),
             policy=POLICY,
             version=__version__,
