@@ -43,6 +43,15 @@ def test_an_archive_holds_the_files_of_the_folder(archive_folder):
     assert sorted(path.name for path in archive_folder.iterdir()) == ["a.ply", "a.ssog", "web"]
 
 
+@pytest.mark.parametrize("name", ["a.ssog", "a.rad"])
+def test_the_table_counts_no_files_of_levels_in_one_file(archive_folder, tmp_path, name):
+    options = ("--preset", "fast", "--levels", "1,0.5")
+    table = run("lod", archive_folder / "a.ply", tmp_path / name, *options).stderr
+    rows = [line.split() for line in table.splitlines()]
+    assert ["0", "1", "3,000"] in [row[:3] for row in rows]
+    assert ["1", "0.5", "1,500"] in [row[:3] for row in rows]
+
+
 @pytest.mark.parametrize("level", [0, 3])
 def test_a_level_is_the_same_as_from_the_folder(archive_folder, level):
     folder = io.open(archive_folder / "web" / LEVELS, level=level)

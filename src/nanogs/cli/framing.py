@@ -10,8 +10,15 @@ from nanogs.io import registry
 from nanogs.io.collect import Pair
 
 
-def frames_of(pair: Pair, given: Frames | None) -> tuple[str, str] | None:
+def frames_of(
+    pair: Pair, given: Frames | None, called: Path | None = None
+) -> tuple[str, str] | None:
     """Return the frames (from, to) of a file, from the option and the formats; None without one.
+
+    Args:
+        pair: The file and its output.
+        given: The option.
+        called: Name of the output in messages, if it is not one file.
 
     Raises:
         OptionError: A frame is missing or contradicts the format or the file.
@@ -19,7 +26,9 @@ def frames_of(pair: Pair, given: Frames | None) -> tuple[str, str] | None:
     if given is None:
         return None
     before, after = given
-    return _frame_read(pair.source, before, after), _frame_written(pair.target, before, after)
+    return _frame_read(pair.source, before, after), _frame_written(
+        pair.target, before, after, called or pair.target
+    )
 
 
 def _frame_read(path: Path, before: str, after: str) -> str:
@@ -50,17 +59,17 @@ def _stated(path: Path) -> str:
         return source.frame
 
 
-def _frame_written(path: Path, before: str, after: str) -> str:
+def _frame_written(path: Path, before: str, after: str, called: Path) -> str:
     known = registry.writable(path)
     if known.turns:
         if after:
             raise OptionError(
-                f"The frame of {path} cannot be chosen, because all {known.suffix} files use the"
+                f"The frame of {called} cannot be chosen, because all {known.suffix} files use the"
                 f" same one; give only the frame of IN, as in --frame {before or 'rub'}:"
             )
         return TRAINED
     if not after:
         raise OptionError(
-            f"The frame of {path} is missing; give it too, as in --frame {before}:rdf."
+            f"The frame of {called} is missing; give it too, as in --frame {before}:rdf."
         )
     return after

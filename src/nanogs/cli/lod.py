@@ -130,7 +130,7 @@ def lod(
     output = output_of(target, level_format)
     # Default levels follow from the model's count, which for stdin is known only once it is read.
     ratios = (1.0,) if levels is None else checked_ratios(options.parse_ratios(levels))
-    turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
+    turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame, output.path)
     arguments = lod_run.Arguments(
         request=plan.request_of(
             method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder, frame=turn,

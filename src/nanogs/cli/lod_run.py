@@ -26,6 +26,8 @@ from nanogs.pipeline.request import Request
 from nanogs.progress import Progress
 from nanogs.switches import SCREEN, SwitchQuality
 
+_ONE_FILE = (Layout.TREE, Layout.ARCHIVE)  # layouts with one file for all levels
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arguments:
@@ -115,7 +117,8 @@ def print_levels(run: Run, *, verbose: bool) -> None:
     for number, (level, report) in enumerate(zip(levels, reports, strict=True)):
         draws = [NONE if level.draws is None else f"{level.draws:.1%}"] * drawn
         there = _switch_cells(_switch(level)) if switched else ()
-        table.add_row(*_cells(number, level), *draws, *there, f"{report.total_seconds:.2f}")
+        first = _heading(number, level, files["layout"])
+        table.add_row(first, *_cells(level), *draws, *there, f"{report.total_seconds:.2f}")
     show(err, table)
     if manifest.protocol:
         text = f"PSNR in dB; means over {manifest.protocol.text}"
@@ -136,7 +139,7 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         say(f"{text}, {bytes_text(sky.bytes)}, drawn with every level")
     beside, further = (sky.bytes, sky.requests) if sky else (0, 0)
     taken = sum(level.bytes for level in levels) + beside
-    if files["layout"] in (Layout.TREE, Layout.ARCHIVE):  # one file, which holds more than levels
+    if files["layout"] in _ONE_FILE:  # which holds more than levels
         taken = bytes_on_disk(files["output"])
     made = f"{counted(len(levels), 'level')} in {files['output']}, {bytes_text(taken)}"
     whole = counted(manifest.source_count, "splat")
@@ -164,12 +167,15 @@ def _environment(count: int, source: str) -> str:
     return f"an environment of {counted(count, 'splat')}, {found}"
 
 
-def _cells(number: int, level: Level | ChunkedLevel) -> Iterator[str]:
-    """Yield a level's cells: its file, or index and number of files; then counts and scores."""
+def _heading(number: int, level: Level | ChunkedLevel, layout: Layout) -> str:
+    """Return a level's file, or its index, with its number of files unless one file has all."""
     if isinstance(level, Level):
-        yield level.file
-    else:
-        yield f"{number}, {counted(len(level.files), 'file')}"
+        return level.file
+    return str(number) if layout in _ONE_FILE else f"{number}, {counted(len(level.files), 'file')}"
+
+
+def _cells(level: Level | ChunkedLevel) -> Iterator[str]:
+    """Yield the cells of a level's counts and scores."""
     yield from (f"{level.ratio:g}", f"{level.count:,}", bytes_text(level.bytes))
     equal = level.psnr is None and level.ssim is not None  # the manifest stores infinity as None
     yield from (number_text(math.inf if equal else level.psnr), number_text(level.ssim, 4))
