@@ -150,6 +150,7 @@ def test_quiet_prints_nothing_and_verbose_prints_the_candidates(scene, tmp_path)
     verbose = run("simplify", scene, tmp_path / "b.ply", "-r", "0.1", "-v", *QUICK)
     assert (quiet.stdout, quiet.stderr) == ("", "")
     assert "candidates" in verbose.stderr
+    assert "balance 0.5 or 1, " in verbose.stderr  # as tried, and no longer 0.8, which was not
 
 
 def test_dry_run_prints_a_plan_and_writes_nothing(scene, tmp_path):

@@ -425,6 +425,8 @@ def test_verbose_prints_a_report_of_each_level(folder, tmp_path):
     assert "level 1" not in plain
     assert "level 1" in verbose
     assert verbose.count("achieved count") == 2
+    assert verbose.count("balance 0.8, ") == 2
+    assert "view size" not in verbose  # nothing is rendered
 
 
 @pytest.mark.parametrize(

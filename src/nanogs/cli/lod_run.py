@@ -13,7 +13,7 @@ from nanogs.cli.filtering import report_filters
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
 from nanogs.cli.plan import execute, plan_run, show_plan
-from nanogs.cli.simplify_report import warn_of_input
+from nanogs.cli.simplify_report import as_tried, warn_of_input
 from nanogs.environments import AUTO, NOTHING, EnvironmentRequest
 from nanogs.formatting import NONE, bytes_text, counted, number_text, time_text
 from nanogs.io import bytes_on_disk
@@ -132,7 +132,7 @@ def print_levels(run: Run, *, verbose: bool) -> None:
             )  # fmt: skip
     for number, report in enumerate(reports if verbose else []):
         err.print(f"level {number}")
-        show_report(report)
+        show_report(as_tried(report))
     sky = manifest.environment
     if sky:
         text = _environment(sky.count, sky.source)

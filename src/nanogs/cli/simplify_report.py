@@ -1,6 +1,7 @@
 """Printing of the report of `nanogs simplify`."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from nanogs.cli.console import arrow, say, show_report, warn
@@ -8,6 +9,7 @@ from nanogs.cli.filtering import report_filters
 from nanogs.cli.many import Run
 from nanogs.formatting import bytes_text, counted, sizes_text, time_text
 from nanogs.io import registry
+from nanogs.pipeline.options.presets import effective, parameters
 from nanogs.report import SimplifyReport, measures
 
 
@@ -33,8 +35,15 @@ def print_report(run: Run, *, verbose: bool) -> None:
         )
     if verbose:
         counts = {"input": run.report.read_count, "output": report.achieved_count}
-        show_report(report, {end: _file_text(run, end, count) for end, count in counts.items()})
+        show_report(
+            as_tried(report), {end: _file_text(run, end, count) for end, count in counts.items()}
+        )
     say(summary(run))
+
+
+def as_tried(report: SimplifyReport) -> SimplifyReport:
+    """Return the report with the parameters that had an effect, and every balance tried."""
+    return replace(report, parameters=effective(parameters(report.preset, report.parameters)))
 
 
 def _file_text(run: Run, end: str, splats: int) -> str:
