@@ -24,9 +24,10 @@ _SHARE = 0.95  # of the allowed memory that is planned with
 # Seconds of one processor for each splat (`docs/scale.md`): for the first level; for each further
 # one; and for each level, for rendering and choosing, and for each step of a fit.
 _SECONDS, _LEVEL_SECONDS, _LOOKED, _STEP = 6.5e-6, 2.5e-6, 1.5e-5, 5e-7
-# And for each view of each block, however few splats it has: 500,000 splats took 26 s in 3 blocks
-# and 54 s in 21 (`default`, 30 views of 896 pixels), a fifth of both because the machine was busy.
-_VIEW = 0.043
+# And for each view of each block, however few splats it has, and for each of its pixels: 500,000
+# splats took 26 s in 3 blocks and 54 s in 21 (`default`, 30 views of 896 pixels), a fifth of both
+# because the machine was busy; six blocks of 38,000 splats took 9.9 s, and 3.4 s with 128 pixels.
+_VIEW, _PIXEL = 0.005, 4.7e-8
 
 
 class MemoryLimit(StrEnum):
@@ -147,7 +148,8 @@ def _seconds(parameters: ForestParameters, levels: int) -> float:
 
 def _block_seconds(parameters: ForestParameters) -> float:
     """Return the seconds of one processor for each block, beside those of its splats."""
-    return _VIEW * (parameters.views + parameters.further) * renders(parameters)
+    view = _VIEW + _PIXEL * parameters.view_size**2
+    return view * (parameters.views + parameters.further) * renders(parameters)
 
 
 def _room(max_memory: int) -> float:
