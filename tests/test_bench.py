@@ -703,6 +703,8 @@ def test_json_prints_the_rows_and_nothing_else(model):
         (("--external", "x=a", "--external", "x=b"), "'x' occurs twice"),
         (("--metrics", "mse"), "mse"),
         (("--quiet",), "nothing would be left of this run; add --json or --out"),
+        (("--background", "white"), "--background has no effect, because no scene has photographs"),
+        (("--model-pattern", "{scene}.ply"), "--model-pattern works only with --dataset"),
         (("--dataset", "mine=x"), "nerf-synthetic"),
     ],
 )
@@ -713,6 +715,16 @@ def test_bad_options_are_refused_in_one_sentence(model, options, message):
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1, result.stderr
     assert message in result.stderr
+
+
+def test_a_number_of_views_is_refused_if_all_scenes_have_photographs(model, tmp_path):
+    write_photographs(tmp_path, model)
+    options = ("--scene", f"ball={model}:{tmp_path}", "--views", "2", "--methods", "random")
+    result = run("bench", *options)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert "--views has no effect, because all scenes have photographs" in result.stderr
+    mixed = run("bench", *options, "--scene", f"other={model}", "--ratios", "0.5", "--json")
+    assert (mixed.returncode, len(json.loads(mixed.stdout)["rows"])) == (0, 4)
 
 
 def test_help_of_bench_imports_no_numba():

@@ -166,6 +166,7 @@ def bench(
     for text in dataset or []:
         scenes += known.parse_dataset(text, model_pattern or known.TRAINED_MODEL)
     scenes = [replace(one, up=up) for one in scenes]
+    _refuse_unused(scenes, dataset, model_pattern, views, background)
     above = preamble(settings, shlex.join(["nanogs", *sys.argv[1:]]))
     rows = _run(scenes, settings, out, overwrite, above, reporting)
     data: dict[str, Any] = {"rows": [row.to_dict() for row in rows]}
@@ -241,6 +242,28 @@ def _targets(ratios: str | None, sizes: str | None, formats: str | None) -> dict
         raise OptionError("--sizes-of-files needs at least one size, like 0.5MB,1MB.")
     chosen = tuple(suffix_of(name) for name in _list("sog" if formats is None else formats))
     return {"file_sizes": tuple(map(parse_bytes, _list(sizes))), "formats": chosen}
+
+
+def _refuse_unused(
+    scenes: "list[BenchScene]",
+    dataset: list[str] | None,
+    model_pattern: str | None,
+    views: int | None,
+    background: str | None,
+) -> None:
+    """Refuse options that no scene uses; those of views also serve methods that learn from some."""
+    if model_pattern is not None and not dataset:
+        raise OptionError("--model-pattern works only with --dataset; give both, or leave it out.")
+    if background is not None and not any(scene.photos for scene in scenes):
+        raise OptionError(
+            "--background has no effect, because no scene has photographs; name their folder, as in"
+            " --scene NAME=MODEL:FOLDER, or leave it out."
+        )
+    if views is not None and scenes and all(scene.photos for scene in scenes):
+        raise OptionError(
+            "--views has no effect, because all scenes have photographs, each of which is a view;"
+            " leave it out."
+        )
 
 
 def _usual_methods(targets: dict[str, Any]) -> list[str]:
