@@ -22,6 +22,11 @@ def random_splats(count, *, degree=1, seed=0, spread=1.0, extras=None):
     )
 
 
+def linear_scales(splats):
+    """Return the standard deviations, computed in double precision and rounded once."""
+    return np.exp(splats.log_scales.astype(np.float64)).astype(np.float32)
+
+
 def solid(color, *, count=300):
     """Make an ellipsoid of one colour with three different axes, so that rotations are visible."""
     splats = random_splats(count, degree=0)

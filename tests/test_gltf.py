@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import nanogs
-from builders import random_splats
+from builders import linear_scales, random_splats
 from damage import outcome
 from launch import run
 from nanogs import io
@@ -51,7 +51,7 @@ def columns(model):
     out = {
         "POSITION": model.means,
         PREFIX + "ROTATION": model.unit_quats()[:, [1, 2, 3, 0]],
-        PREFIX + "SCALE": model.scales(),
+        PREFIX + "SCALE": linear_scales(model),
         PREFIX + "OPACITY": model.opacities()[:, None],
     }
     index = 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from builders import random_splats
+from builders import linear_scales, random_splats
 from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
@@ -41,7 +41,7 @@ def test_every_number_is_written_exactly(tmp_path, monkeypatch, model):
     coefficients = "float3[] radiance:sphericalHarmonicsCoefficients"
     assert np.array_equal(array(text, "point3f[] positions", 3), model.means.astype(np.float32))
     assert np.array_equal(array(text, "quatf[] orientations", 4), model.unit_quats())
-    assert np.array_equal(array(text, "float3[] scales", 3), model.scales())
+    assert np.array_equal(array(text, "float3[] scales", 3), linear_scales(model))
     alphas = array(text, "float[] opacities", 1)[:, 0]
     assert np.array_equal(alphas, model.opacities().astype(np.float32))
     assert np.array_equal(array(text, coefficients, 3).reshape(model.sh.shape), model.sh)
@@ -128,7 +128,7 @@ def test_usd_itself_reads_the_file(tmp_path):
     assert np.array_equal(loaded.quats, model.unit_quats())
     assert np.array_equal(loaded.sh, model.sh)
     assert np.array_equal(value("opacities"), model.opacities().astype(np.float32))
-    assert np.array_equal(value("scales"), model.scales())
+    assert np.array_equal(value("scales"), linear_scales(model))
     up = geom.Xformable(prim).GetLocalTransformation().Transform((0, -1, 0))
     assert np.allclose(up, (0, 1, 0))
 

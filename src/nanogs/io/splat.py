@@ -14,7 +14,7 @@ from nanogs.activations import SH_C0, alphas, base_colour, logit, rounded_bytes
 from nanogs.errors import FormatError
 from nanogs.findings import negative_scales
 from nanogs.formatting import counted
-from nanogs.io import limits
+from nanogs.io import activated, limits
 from nanogs.io.files import input_size
 from nanogs.io.format import Format
 from nanogs.io.info import FileInfo
@@ -116,7 +116,7 @@ def _encode(splats: Splats) -> Array:
     """Encode splats as (R,) packed rows."""
     out = np.empty(len(splats), _ROW)
     out["mean"] = splats.means
-    out["scale"] = np.exp(splats.log_scales.astype(np.float64))
+    out["scale"] = activated.scales(splats)
     out["rgba"][:, :3] = rounded_bytes((splats.sh[:, 0] * np.float64(SH_C0) + 0.5) * 255)
     out["rgba"][:, 3] = rounded_bytes(alphas(splats.opacity_logits) * 255)
     out["quat"] = _rotation_bytes(splats.quats)

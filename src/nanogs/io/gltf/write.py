@@ -18,11 +18,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from nanogs._types import Array
+from nanogs._types import F32, Array
 from nanogs._version import __version__
 from nanogs.activations import SH_C0
 from nanogs.errors import OutputError
-from nanogs.io import limits
+from nanogs.io import activated, limits
 from nanogs.io.by_column import Encoder, encoded_columns
 from nanogs.io.gltf.document import MAX_JSON_BYTES
 from nanogs.io.gltf.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
@@ -181,8 +181,8 @@ def _attributes(splats: Splats) -> Iterator[tuple[str, Encoder, int, str, int]]:
     yield "POSITION", lambda part: part.means, _FLOAT, "VEC3", 12
     yield "COLOR_0", _fallback, _BYTE, "VEC4", 4
     yield attribute("ROTATION"), _xyzw, _FLOAT, "VEC4", 16
-    yield attribute("SCALE"), Splats.scales, _FLOAT, "VEC3", 12
-    yield attribute("OPACITY"), Splats.opacities, _FLOAT, "SCALAR", 4
+    yield attribute("SCALE"), activated.scales, _FLOAT, "VEC3", 12
+    yield attribute("OPACITY"), _opacities, _FLOAT, "SCALAR", 4
     for index, name in enumerate(coefficients(min(splats.sh_degree, MAX_DEGREE))):
         yield name, partial(_coefficient, index), _FLOAT, "VEC3", 12
 
@@ -196,14 +196,18 @@ def _coefficient(index: int, part: Splats) -> Array:
 
 
 def _xyzw(part: Splats) -> Array:
-    return part.unit_quats()[:, [1, 2, 3, 0]]
+    return activated.unit_quats(part)[:, [1, 2, 3, 0]]
+
+
+def _opacities(part: Splats) -> F32:
+    return part.opacities().astype(np.float32)
 
 
 def _fallback(part: Splats) -> Array:
     """Return (R, 4) uint8 RGBA for `COLOR_0`, which is linear: decoded base colour, and alpha."""
     srgb = np.clip(part.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0, 1)
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    rgba = np.column_stack([linear, part.opacities()])
+    rgba = np.column_stack([linear, _opacities(part)])
     return np.floor(rgba * 255 + 0.5).astype(np.uint8)
 
 

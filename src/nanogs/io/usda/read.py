@@ -134,8 +134,12 @@ def _decoded(layer: Layer, given: _Field) -> Splats:
 
 
 def _column(layer: Layer, given: _Field, name: str) -> Array:
-    """Parse an array of a prim to (N, width), or (N, K, 3) for the SH coefficients."""
-    numbers = _parsed(layer, given.spans[name], name)
+    """Parse an array of a prim to (N, width), or (N, K, 3) for the SH coefficients.
+
+    The arrays are of floats, so each number is the nearest one in single precision.
+    """
+    with np.errstate(over="ignore"):
+        numbers = _parsed(layer, given.spans[name], name).astype(np.float32).astype(np.float64)
     each = _WIDTHS[name] * ((given.degree + 1) ** 2 if name == COEFFICIENTS else 1)
     if len(numbers) != given.count * each:
         raise layer.error(

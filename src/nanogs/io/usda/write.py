@@ -14,7 +14,7 @@ import numpy as np
 
 from nanogs._types import F32, Array
 from nanogs._version import __version__
-from nanogs.io import limits
+from nanogs.io import activated, limits
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.source import InMemory
 from nanogs.splats import Splats
@@ -24,8 +24,8 @@ _REACH = 3.0  # standard deviations around each centre that the extent includes
 # Type and name of each array, and the function that encodes a block of splats as (R, width).
 _ATTRIBUTES: dict[str, Callable[[Splats], Array]] = {
     "point3f[] positions": lambda block: block.means,
-    "quatf[] orientations": Splats.unit_quats,
-    "float3[] scales": Splats.scales,
+    "quatf[] orientations": activated.unit_quats,
+    "float3[] scales": activated.scales,
     "float[] opacities": lambda block: block.opacities()[:, None],
     "float3[] radiance:sphericalHarmonicsCoefficients": lambda block: block.sh.reshape(-1, 3),
 }
@@ -81,10 +81,10 @@ def losses(splats: Splats) -> tuple[str, ...]:
 
 def _extent(splats: Splats) -> tuple[F32, F32]:
     """Return the lowest and the highest corner of a box around all splats."""
-    reach = _REACH * splats.scales().max(axis=1, keepdims=True)
+    reach = _REACH * activated.scales(splats).max(axis=1, keepdims=True)
     with np.errstate(over="ignore"):
-        low = (splats.means - reach).min(axis=0).astype(np.float32)
-        high = (splats.means + reach).max(axis=0).astype(np.float32)
+        means = splats.means.astype(np.float32)  # as written
+        low, high = (means - reach).min(axis=0), (means + reach).max(axis=0)
     limit = np.finfo(np.float32).max
     return np.clip(low, -limit, limit), np.clip(high, -limit, limit)
 
