@@ -1,16 +1,20 @@
 """Quaternions in "smallest three" form: the largest component is left out, as in most formats."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from nanogs import parallel
-from nanogs._types import F32, F64, I64, Array
+from nanogs._types import F32, F64, I64, Array, Bool
 from nanogs.activations import unit
 from nanogs.slices import slices
 from nanogs.splats import Splats
 
 _SAME = 1e-6  # difference of components that are the same, in float32
+# Difference of two components, in errors of one that is rounded, that rounding can reverse: the
+# component that is restored has the errors of the three others, at most.
+_RIVAL = 4.5
 
 
 def whole_quats(small: F64, largest: I64) -> F64:
@@ -46,7 +50,25 @@ def split_quats(quats: Array, left_out: I64 | None = None) -> tuple[I64, Array]:
     return left_out, signed[np.arange(4) != left_out[:, None]].reshape(-1, 3)
 
 
-def place_left_out(quats: F64, rounded: Callable[[F64], F64], error: float) -> I64:
+@dataclass(frozen=True, slots=True)
+class Rounding:
+    """How a format rounds the three components of unit quaternions that it stores.
+
+    Attributes:
+        of: Returns (R, 3) float64 components as they are read back.
+        error: The largest error of a component.
+    """
+
+    of: Callable[[F64], F64]
+    error: float
+
+    def keeps(self, small: F64) -> Bool:
+        """Return an (R,) mask of the rows that rounding does not change."""
+        same = np.abs(self.of(small) - small) < _SAME
+        return np.asarray(same.all(axis=1))
+
+
+def place_left_out(quats: F64, rounding: Rounding) -> I64:
     """Return the index, (R,), of the component to leave out: the largest one before rounding.
 
     Rounding can make another one the largest. A quaternion that another choice keeps as it is was
@@ -54,34 +76,44 @@ def place_left_out(quats: F64, rounded: Callable[[F64], F64], error: float) -> I
 
     Args:
         quats: (R, 4) unit quaternions.
-        rounded: Rounds components, (R, 3), as the file does.
-        error: The largest error of a rounded component.
+        rounding: How the file rounds components.
     """
     size = np.abs(quats)
     places: I64 = size.argmax(axis=1)
-    # The component that is restored has the errors of the three others, at most.
-    rivals = size >= size.max(axis=1, keepdims=True) - 4.5 * error
+    rivals = size >= size.max(axis=1, keepdims=True) - _RIVAL * rounding.error
     rows = np.flatnonzero(rivals.sum(axis=1) > 1)
-    unchanged = np.zeros((len(rows), 4), bool)
-    for place in range(4):
-        found = rivals[rows, place]
-        left_out = np.full(found.sum(), place)
-        small = split_quats(quats[rows[found]], left_out)[1]
-        unchanged[found, place] = (np.abs(rounded(small) - small) < _SAME).all(axis=1)
-    read = unchanged.any(axis=1) & ~unchanged[np.arange(len(rows)), places[rows]]
-    places[rows[read]] = unchanged[read].argmax(axis=1)
+
+    def unchanged(some: F64) -> Bool:
+        out = np.zeros((len(rows), 4), bool)
+        for place in range(4):
+            found = rivals[rows, place]
+            left_out = np.full(found.sum(), place)
+            out[found, place] = rounding.keeps(split_quats(some[found], left_out)[1])
+        return out
+
+    kept = unchanged(quats[rows])
+    read = kept.any(axis=1)
+    places[rows[read]] = kept[read].argmax(axis=1)
+    # Rounding may give a quaternion that another choice would keep too: the first is always made.
+    small = split_quats(quats[rows], places[rows])[1]
+    places[rows] = unchanged(whole_quats(rounding.of(small), places[rows])).argmax(axis=1)
     return places
 
 
-def minimise_rotation(splats: Splats) -> tuple[F64, F32]:
+def minimise_rotation(splats: Splats, rounding: Rounding | None = None) -> tuple[F64, F32]:
     """Permute and flip the axes of each splat so that its rotation angle is as small as possible.
 
     An ellipsoid has 24 equivalent descriptions, which differ in the order and the signs of its
     axes. In the one with the largest w, w is always the component that is left out, and the others
     are within ±0.383: they take four and a half bits less.
 
+    Rounding can make another description the one with the largest w. A rotation that rounding keeps
+    as it is was read from a file with almost the largest w; it is kept, so that a file that is read
+    and written again does not change.
+
     Args:
         splats: N splats.
+        rounding: How the file rounds the rotations; by default not at all.
 
     Returns:
         (N, 4) float64 rotations, unit wxyz with positive w, and (N, 3) float32 log-scales.
@@ -90,7 +122,7 @@ def minimise_rotation(splats: Splats) -> tuple[F64, F32]:
 
     def turn(rows: slice) -> None:
         whole = unit(splats.quats[rows]).astype(np.float64)
-        quats[rows], scales[rows] = _turned(whole, splats.log_scales[rows])
+        quats[rows], scales[rows] = _turned(whole, splats.log_scales[rows], rounding)
 
     parallel.for_each(
         slices(len(splats)), turn
@@ -98,9 +130,11 @@ def minimise_rotation(splats: Splats) -> tuple[F64, F32]:
     return quats, scales
 
 
-def _turned(quats: F64, log_scales: F32) -> tuple[F64, F32]:
+def _turned(quats: F64, log_scales: F32, rounding: Rounding | None) -> tuple[F64, F32]:
     """Compute `minimise_rotation` for some rows of unit quaternions and log-scales."""
     nearest = _nearest_symmetry(quats)
+    read = _rows_read(quats, nearest, rounding) if rounding else np.empty(0, np.int64)
+    nearest[read] = 1, 0, 0, 0
     w, x, y, z = (quats * nearest).T  # `turned` is the product of quats and nearest's conjugate
     a, b, c, d = nearest.T
     w0, x0, y0, z0 = quats.T
@@ -113,8 +147,9 @@ def _turned(quats: F64, log_scales: F32) -> tuple[F64, F32]:
         ],
         axis=1,
     )
-    scales = np.take_along_axis(log_scales, _axes_turned(nearest), axis=1)
-    return turned / np.linalg.norm(turned, axis=1, keepdims=True), scales
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    turned[read] = quats[read]  # with the signs of zeros
+    return turned, np.take_along_axis(log_scales, _axes_turned(nearest), axis=1)
 
 
 def _nearest_symmetry(quats: F64) -> F64:
@@ -132,6 +167,14 @@ def _nearest_symmetry(quats: F64) -> F64:
     signs = np.where(quats < 0, -1.0, 1.0)
     result: F64 = np.where(places < kept, signs / np.sqrt(kept), 0.0)
     return result
+
+
+def _rows_read(quats: F64, nearest: F64, rounding: Rounding) -> I64:
+    """Find the rows that were read from such a file: kept by rounding, with about the largest w."""
+    # Rounding moves a unit quaternion, and so its products, by little more than twice the error.
+    least = (quats * nearest).sum(axis=1) - _RIVAL * rounding.error
+    rows = np.flatnonzero(quats[:, 0] >= least)
+    return rows[rounding.keeps(quats[rows, 1:])]
 
 
 def _axes_turned(quats: F64) -> I64:

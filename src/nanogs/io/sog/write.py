@@ -29,7 +29,7 @@ from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
 from nanogs.io.precision import Precision, visibility
-from nanogs.io.rotations import minimise_rotation, split_quats
+from nanogs.io.rotations import Rounding, minimise_rotation, split_quats
 from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.meta import CODES, LAST_CODE
@@ -250,7 +250,7 @@ def _encode(
     submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
     submit("means_u.webp", _picture((codes >> 8).astype(np.uint8)))
     splats = splats.take(rows)
-    quats, log_scales = minimise_rotation(splats)
+    quats, log_scales = minimise_rotation(splats, _rounding(fine.rotation_step))
     submit("quats.webp", _picture(_quats(quats, fine.rotation_step)))
     submit("scales.webp", _picture(nearest(log_scales, scales)))
     rgba = np.column_stack([nearest(splats.sh[:, 0], colours), _alphas(splats, fine.alphas)])
@@ -307,7 +307,7 @@ def _logarithms(splats: Splats) -> F64:
     logarithms = np.empty((len(splats), 3))
 
     def take(rows: slice) -> None:
-        some, means = logarithms[rows], splats.means[rows]
+        some, means = logarithms[rows], splats.means[rows].astype(np.float32)  # as they are read
         np.copysign(np.log1p(np.abs(means, dtype=np.float64), out=some), means, out=some)
 
     parallel.for_each(slices(len(splats)), take)
@@ -389,12 +389,26 @@ def _quats(quats: F64, step: int) -> U8:
 
     def pack(rows: slice) -> None:
         largest, small = split_quats(quats[rows])
-        codes = 255 * np.clip(small / math.sqrt(2) + 0.5, 0, 1)
-        out[rows, :3] = np.minimum(np.rint(codes / step), 255 // step) * step
+        out[rows, :3] = _components(small, step)
         out[rows, 3] = 252 + largest
 
     parallel.for_each(slices(len(quats)), pack)
     return out
+
+
+def _components(small: F64, step: int) -> F64:
+    """Return the codes, multiples of the step, of components from -√½ to √½."""
+    codes = 255 * np.clip(small / math.sqrt(2) + 0.5, 0, 1)
+    whole: F64 = np.minimum(np.rint(codes / step), 255 // step) * step
+    return whole
+
+
+def _rounding(step: int) -> Rounding:
+    """Return how components of rotations are rounded to codes that are multiples of the step."""
+    return Rounding(
+        lambda small: (_components(small, step) / 255 - 0.5) * math.sqrt(2),
+        step / 255 * math.sqrt(0.5),
+    )
 
 
 def _alphas(splats: Splats, steps: int) -> U8:
@@ -414,12 +428,14 @@ def _higher(
     found = palette(points, size, visibility(splats), on_progress)
     kept = found.exact and (len(found.entries) == len(splats) or _few_values(found.entries))
     book = codebook(found.entries, _EXACT if kept else _ROUNDED)
-    count = len(found.entries)
+    rounded = book[nearest(found.entries, book)]
+    distinct = palette(rounded, len(rounded))  # entries that have become equal are written once
+    count = len(distinct.entries)
     height = -(-count // sog_meta.PALETTE_COLUMNS)
     texels = np.zeros((height * sog_meta.PALETTE_COLUMNS, coefficients, 3), np.uint8)
-    texels[:count] = nearest(found.entries, book).reshape(count, coefficients, 3)
+    texels[:count] = nearest(distinct.entries, book).reshape(count, coefficients, 3)
     submit("shN_centroids.webp", texels.reshape(height, -1, 3))
-    labels = found.labels.astype(np.uint16)
+    labels = distinct.labels[found.labels].astype(np.uint16)
     nothing = np.zeros(len(labels), np.uint8)
     submit(
         "shN_labels.webp",

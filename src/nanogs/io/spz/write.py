@@ -16,7 +16,7 @@ that each entry is packed once.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import BinaryIO
@@ -31,7 +31,7 @@ from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
 from nanogs.io.palette import palette
 from nanogs.io.precision import FINEST, MOST_BITS, Precision, visibility
-from nanogs.io.rotations import minimise_rotation, place_left_out, split_quats
+from nanogs.io.rotations import Rounding, minimise_rotation, place_left_out, split_quats
 from nanogs.io.spz.body import frame_record
 from nanogs.io.spz.header import (
     ANTIALIASED,
@@ -66,6 +66,7 @@ USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
 _SIGNIFICANT_BITS = 16
 _BYTE, _ZERO = 255, 128  # the codes of 1 (opaque) and of 0 in a component of a rotation
+_END = 1e-3  # distance, in codes, of values from an end that were read from its code
 _BLACK = 60  # the code of a base colour that is almost black
 _ZSTD_LEVEL = 12  # the reference writer's
 
@@ -153,12 +154,14 @@ def write(
     degree, count = source.columns.sh_degree, source.count
     fraction = fraction_bits(source, Precision(bits, spare))
     movable, groups = not has_per_splat_record(elements, count), None
+    buckets = _buckets(degree, sh_bits)[:, None]
     if palette_size is not None and degree and count:
-        source, groups = _with_palette(source.load(), palette_size, on_progress, movable=movable)
+        source, groups = _with_palette(
+            source.load(), palette_size, on_progress, buckets if movable else None
+        )
     flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
     flags |= EXTENSIONS if records else 0
     start = (MAGIC, version, count, degree, fraction, flags)
-    buckets = _buckets(degree, sh_bits)[:, None]
     columns: Iterator[Iterable[bytes]] = encoded_columns(
         source, _encoders(fraction, version, bits, buckets)
     )
@@ -318,33 +321,48 @@ def _bits(reach: float) -> int:
 
 
 def _with_palette(
-    splats: Splats, size: int, on_progress: PartProgress, *, movable: bool
+    splats: Splats, size: int, on_progress: PartProgress, buckets: F64 | None
 ) -> tuple[InMemory, I64 | None]:
     """Replace the higher SH coefficients by at most `size` palette entries.
 
+    Args:
+        splats: N splats.
+        size: Largest number of entries.
+        on_progress: Progress callback.
+        buckets: (K - 1, 1) steps of the coefficients; None if splats may not be moved.
+
     Returns:
-        The splats, sorted by palette entry, and the (N,) entry of each, ascending. Where they may
-        not be moved, the splats in their order, and None.
+        The splats, sorted by palette entry, and the (N,) entry of each, ascending; entries that the
+        steps make equal are one. Where splats may not be moved, they in their order, and None.
     """
     points = splats.sh[:, 1:].reshape(len(splats), -1)
     found = palette(points, size, visibility(splats), on_progress)
     sh = splats.sh.copy()
     sh[:, 1:] = found.entries[found.labels].reshape(len(splats), -1, 3)
     sharing = replace(splats, sh=sh)
-    if not movable:
+    if buckets is None:
         return InMemory(sharing), None
-    rows = np.argsort(found.labels, kind="stable")
-    return InMemory(sharing.take(rows)), found.labels[rows].astype(np.int64)
+    codes = _coefficients(found.entries.reshape(len(found.entries), -1, 3), buckets)
+    distinct = palette(codes.astype(np.float32), len(codes))
+    labels = distinct.labels[found.labels]
+    rows = np.argsort(labels, kind="stable")
+    return InMemory(sharing.take(rows)), labels[rows].astype(np.int64)
 
 
 def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Encoder]:
     """Return the functions that encode a block of rows, one for each column of the file."""
     steps = STEPS[bits]
+    pack: Callable[[F32], U8]
+    turned: Callable[[Splats], tuple[F32, F32]] = _as_they_are
     if version == VERSION_SHORT_ROTATIONS:
+        rounding = _xyz_rounding(steps.rotations)
         pack = partial(_xyz_rotations, step=steps.rotations)
+        turned = partial(_unit_or_read, rounding=rounding)
     else:
-        pack = partial(_rotations, step=steps.magnitudes)
-    turned = _smallest_rotations if bits < MOST_BITS else _as_they_are
+        rounding = _rounding(steps.magnitudes)
+        pack = partial(_rotations, rounding=rounding, step=steps.magnitudes)
+    if bits < MOST_BITS:
+        turned = partial(_smallest_rotations, rounding=rounding)
     encoders: list[Encoder] = [
         lambda block: _positions(block.means, fraction),
         lambda block: _alphas(block, steps.alphas),
@@ -381,9 +399,23 @@ def _as_they_are(block: Splats) -> tuple[F32, F32]:
     return block.unit_quats(), block.log_scales
 
 
-def _smallest_rotations(block: Splats) -> tuple[F32, F32]:
+def _unit_or_read(block: Splats, rounding: Rounding) -> tuple[F32, F32]:
+    """Do as `_as_they_are`, but do not normalise rotations that were read with w = 0.
+
+    Their three bytes may stand for a length a little above 1, and are written again like this.
+    """
+    quats = block.unit_quats()
+    rows = np.flatnonzero(block.quats[:, 0] == 0)
+    stored = block.quats[rows]
+    near = np.abs(np.linalg.norm(stored.astype(np.float64), axis=1) - 1) < 2 * rounding.error
+    read = near & rounding.keeps(stored[:, 1:].astype(np.float64))
+    quats[rows[read]] = stored[read]
+    return quats, block.log_scales
+
+
+def _smallest_rotations(block: Splats, rounding: Rounding) -> tuple[F32, F32]:
     """Return rotations and log-scales with the axes reordered so that rotations are small."""
-    quats, log_scales = minimise_rotation(block)
+    quats, log_scales = minimise_rotation(block, rounding)
     return quats.astype(np.float32), log_scales
 
 
@@ -391,7 +423,11 @@ def _stepped(values: F32 | F64, step: int, start: int = 0) -> U8:
     """Round values to the nearest code of the grid that contains `start` and has this step."""
     if step == 1:
         return rounded_bytes(values)
-    return rounded_bytes(start + step * np.rint((values - start) / step))
+    nearest = start + step * np.rint((values - start) / step)
+    # Both ends are codes of every grid: values beyond them are clamped to them, and stay there when
+    # a file is read and written again.
+    nearest = np.where(values < _END, 0, np.where(values > _BYTE - _END, _BYTE, nearest))
+    return rounded_bytes(nearest)
 
 
 def _compressed(column: Iterable[bytes]) -> bytes:
@@ -411,30 +447,43 @@ def _positions(means: F32 | F64, bits: int) -> U8:
 
 def _xyz_rotations(quats: F32, step: int) -> U8:
     """Encode (R, 4) unit wxyz as (R, 3) codes of xyz, with the sign for which w is positive."""
-    xyz = np.where(quats[:, :1] < 0, -quats[:, 1:], quats[:, 1:]).astype(np.float64)
-    return _stepped((xyz + 1) * 127.5, step, _ZERO)
+    return _xyz_codes(np.where(quats[:, :1] < 0, -quats[:, 1:], quats[:, 1:]), step)
 
 
-def _rotations(quats: F32, step: int) -> U8:
+def _xyz_codes(xyz: F32 | F64, step: int) -> U8:
+    return _stepped((xyz.astype(np.float64) + 1) * 127.5, step, _ZERO)
+
+
+def _xyz_rounding(step: int) -> Rounding:
+    """Return how the rotations of version 2 are rounded."""
+    return Rounding(lambda xyz: _xyz_codes(xyz, step) / 127.5 - 1, step / 255)
+
+
+def _rotations(quats: F32, rounding: Rounding, step: int) -> U8:
     """Encode (R, 4) unit wxyz as (R, 4) bytes, the layout of versions 3 and 4.
 
     It is the index of the largest component, then sign and magnitude of each other one; magnitudes
     are multiples of the step.
     """
-    xyzw, one = quats[:, [1, 2, 3, 0]].astype(np.float64), np.sqrt(0.5) / MAGNITUDE
-
-    def magnitudes(small: F64) -> F64:
-        exact = np.minimum(np.abs(small) / np.sqrt(0.5), 1) * (MAGNITUDE / step)
-        whole: F64 = np.minimum(np.rint(exact), MAGNITUDE // step) * step
-        return whole
-
-    largest = place_left_out(xyzw, lambda v: np.copysign(magnitudes(v) * one, v), step / 2 * one)
-    _, small = split_quats(xyzw, largest)
+    xyzw = quats[:, [1, 2, 3, 0]].astype(np.float64)
+    largest, small = split_quats(xyzw, place_left_out(xyzw, rounding))
     # A magnitude of 0 has a sign too, which is read as that of a zero.
-    parts = magnitudes(small).astype(np.uint32) | np.signbit(small).astype(np.uint32) << 9
+    parts = _magnitudes(small, step).astype(np.uint32) | np.signbit(small).astype(np.uint32) << 9
     packed = largest.astype(np.uint32) << 30 | parts[:, 0] << 20 | parts[:, 1] << 10 | parts[:, 2]
     result: U8 = packed.astype("<u4")[:, None].view(np.uint8)
     return result
+
+
+def _magnitudes(small: F64, step: int) -> F64:
+    exact = np.minimum(np.abs(small) / np.sqrt(0.5), 1) * (MAGNITUDE / step)
+    whole: F64 = np.minimum(np.rint(exact), MAGNITUDE // step) * step
+    return whole
+
+
+def _rounding(step: int) -> Rounding:
+    """Return how the rotations of versions 3 and 4 are rounded."""
+    one = np.sqrt(0.5) / MAGNITUDE
+    return Rounding(lambda v: np.copysign(_magnitudes(v, step) * one, v), step / 2 * one)
 
 
 def _buckets(degree: int, sh_bits: int) -> F64:
