@@ -42,15 +42,20 @@ def refuse_empty(source: Source, suffix: str) -> None:
         )
 
 
-def storable(source: Source, suffix: str) -> Iterator[Splats]:
+def storable(source: Source, suffix: str, rows: int | None = None) -> Iterator[Splats]:
     """Yield all blocks of a model and raise, after the last, if some value cannot be stored.
+
+    Args:
+        source: The model.
+        suffix: Name of the format in the message.
+        rows: Rows of a block; by default those of `Source.blocks`.
 
     Raises:
         OutputError: As for `refuse_unstorable`.
     """
     refuse_empty(source, suffix)
     first, wrong, at = 0, 0, 0
-    for block in source.blocks():
+    for block in source.blocks(rows):
         with np.errstate(over="ignore", invalid="ignore"):
             good = block.finite() & np.isfinite(block.means.astype(np.float32)).all(axis=1)
         if not good.all():

@@ -18,8 +18,10 @@ from nanogs._types import F32, F64, U8, Array
 from nanogs.errors import FormatError
 from nanogs.io.files import reading
 from nanogs.io.rad.header import Property
+from nanogs.io.rotations import Rounding
 
 MOST_STEPS = 254  # steps of a logarithm in a byte, because byte 0 is a scale of zero
+_RIM = 1e-6  # distance from the rim of the unfolded octahedron that is due to rounding
 _BYTE_SLACK = 1.5 / 255  # rounding of an alpha of 1 that is stored as a byte over 0 to 2
 _PLANES = ("f32_lebytes", "f16_lebytes")
 _DTYPES = {
@@ -184,7 +186,12 @@ def rotations(column: Property, count: int) -> F64:
     if column.encoding != "oct88r8":
         w = np.sqrt(np.maximum(0, 1 - (parts**2).sum(axis=1)))
         return np.column_stack([w, parts])
-    axis, half = octahedral_axes(parts[:, :2] / 127.5 - 1), parts[:, 2] / 255 * (np.pi / 2)
+    return decode_oct88r8(parts)
+
+
+def decode_oct88r8(codes: Array) -> F64:
+    """Decode (R, 3) bytes of `oct88r8` to (R, 4) wxyz."""
+    axis, half = octahedral_axes(codes[:, :2] / 127.5 - 1), codes[:, 2] / 255 * (np.pi / 2)
     return np.column_stack([np.cos(half), axis * np.sin(half)[:, None]])
 
 
@@ -198,15 +205,27 @@ def octahedral_axes(points: F64) -> F64:
 
 
 def octahedral_points(axes: F64) -> F64:
-    """Map (R, 3) non-zero vectors to (R, 2) points of the unfolded octahedron."""
+    """Map (R, 3) non-zero vectors to (R, 2) points of the unfolded octahedron.
+
+    On the lower half, two points of the rim stand for the same vector of x or y zero; of these the
+    positive one is taken, also where rounding has left something of that zero.
+    """
     points = axes[:, :2] / np.abs(axes).sum(axis=1, keepdims=True)
-    outer = (1 - np.abs(points[:, ::-1])) * np.where(points >= 0, 1, -1)
+    outer = (1 - np.abs(points[:, ::-1])) * np.where(points > -_RIM, 1, -1)
     unfolded: F64 = np.where(axes[:, 2:] < 0, outer, points)
     return unfolded
 
 
 def encode_oct88r8(quats: F64) -> U8:
-    """Encode (R, 4) unit wxyz with w of 0 or more as `oct88r8`, (R, 3) bytes."""
+    """Encode (R, 4) unit wxyz with w of 0 or more as `oct88r8`, (R, 3) bytes.
+
+    Several codes may stand for one rotation: those of a null rotation, or on the rim of the
+    unfolded octahedron. The bytes are those that the decoded rotation gives.
+    """
+    return _nearest_oct88r8(decode_oct88r8(_nearest_oct88r8(quats)))
+
+
+def _nearest_oct88r8(quats: F64) -> U8:
     sine = np.linalg.norm(quats[:, 1:], axis=1)
     angle = 2 * np.arctan2(sine, quats[:, 0])
     # The axis of a null rotation is arbitrary; others need no unit length here.
@@ -215,6 +234,15 @@ def encode_oct88r8(quats: F64) -> U8:
     out[:, :2] = np.rint((octahedral_points(axes) + 1) * 127.5)
     out[:, 2] = np.rint(angle / np.pi * 255)
     return out
+
+
+OCT88R8 = Rounding(
+    lambda xyz: decode_oct88r8(
+        encode_oct88r8(np.column_stack([np.sqrt(1 - (xyz**2).sum(axis=1)), xyz]))
+    )[:, 1:],
+    error=0.0081,
+)
+"""How `oct88r8` rounds rotations of less than a right angle."""
 
 
 def by_component(values: Array) -> bytes:

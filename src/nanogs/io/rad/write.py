@@ -9,17 +9,17 @@ rotations best.
 import json
 import shutil
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from tempfile import TemporaryFile
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO, NamedTuple, Protocol
 
 import numpy as np
 
 from nanogs import parallel
-from nanogs._types import F64, I64, Array
-from nanogs.activations import SH_C0, alphas, rounded_bytes
-from nanogs.io import limits, render_tag
+from nanogs._types import F32, F64, I64, Array
+from nanogs.activations import SH_C0, alphas, base_colour, rounded_bytes
+from nanogs.io import activated, limits, render_tag
 from nanogs.io.rad.header import (
     BANDS,
     CHILD_COUNT,
@@ -33,9 +33,10 @@ from nanogs.io.rad.header import (
     VERSION,
     padded,
 )
-from nanogs.io.rad.values import by_byte, by_component, differences, encode_oct88r8
+from nanogs.io.rad.values import OCT88R8, by_byte, by_component, differences, encode_oct88r8
 from nanogs.io.rotations import minimise_rotation
 from nanogs.io.texts import as_utf8
+from nanogs.slices import slices
 from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
 
@@ -44,6 +45,7 @@ _DEFLATE_LEVEL = 10  # of libdeflate: as fast as the default of zlib, and 2 to 3
 # Limits up to which bytes are used. Range of base colours: bytes then have the steps of .spz.
 _WIDEST_COLOURS = 1.9
 _LARGEST_COEFFICIENT = 4.0  # of an SH coefficient: bytes then have half the steps of .spz
+_LEAST_COLOURS = 2.0**-8  # least width of a range of base colours
 _LARGEST_HALF = 65504.0  # the largest finite float16
 _USUAL = (0.5, 99.5)  # percentiles of values that the ranges of a viewer's textures cover
 _LEAST_WIDTH = 1e-3  # least width of a range for a viewer
@@ -73,7 +75,13 @@ class _Ranges:
     sh3Max: float = 0.0  # noqa: N815
     lodOpacity: bool = False  # noqa: N815
 
-    def add(self, block: Splats, degree: int) -> None:
+    def add(self, chunk: Splats, degree: int) -> None:
+        """Extend the ranges by a chunk as it is read back, so that its values give them again."""
+        read = _as_read(chunk, degree)
+        for rows in slices(len(read)):
+            self._add_rows(read.span(rows.start, rows.stop), degree)
+
+    def _add_rows(self, block: Splats, degree: int) -> None:
         low, high = np.percentile(_colours(block), _USUAL)
         self.rgbMin, self.rgbMax = min(self.rgbMin, low), max(self.rgbMax, high)
         logs = block.log_scales[np.isfinite(block.log_scales)]
@@ -110,7 +118,7 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
     source = source_of(model)
     degree = min(source.columns.sh_degree, MAX_DEGREE)
     ranges = _Ranges()
-    for block in limits.storable(source, SUFFIX):
+    for block in limits.storable(source, SUFFIX, CHUNK_ROWS):
         if block.finite().all():  # otherwise `storable` raises at the end
             ranges.add(block, degree)
     encoding = ranges.encoding(tree=tree is not None)
@@ -203,14 +211,14 @@ def _columns(block: Splats, degree: int) -> Iterator[tuple[dict[str, Any], bytes
     yield _entry("center", "f32_lebytes"), by_byte(block.means.astype(np.float32))
     opacities = rounded_bytes(alphas(block.opacity_logits) * 255)[:, None]
     yield _entry("alpha", "r8", 0.0, 1.0), by_component(opacities)
-    yield _coloured(_colours(block))
-    quats, logs = minimise_rotation(block)
-    finite = np.clip(logs, -_LARGEST_HALF, _LARGEST_HALF)
-    logs = np.where(np.isneginf(logs), logs, finite)
-    yield _entry("scales", "ln_f16"), by_component(logs.astype("<f2"))
+    colours = _coloured(_colours(block))
+    yield colours.entry, by_component(colours.stored)
+    quats, logs = minimise_rotation(block, OCT88R8)
+    yield _entry("scales", "ln_f16"), by_component(_halves(logs))
     yield _entry("orientation", "oct88r8"), encode_oct88r8(quats).tobytes()
     for name, (first, last) in zip(BANDS, _bands(degree), strict=False):
-        yield _band(name, block.sh[:, first:last].reshape(len(block), -1))
+        band = _band(name, block.sh[:, first:last])
+        yield band.entry, by_component(band.stored)
 
 
 def _links(counts: I64, below: int) -> Iterator[tuple[dict[str, Any], bytes]]:
@@ -232,34 +240,67 @@ def _entry(
     return {"property": name, "encoding": encoding, **ranged}
 
 
+class _Coded(NamedTuple):
+    """A column: its entry, the (R, C) stored numbers, and the float64 values they are read as."""
+
+    entry: dict[str, Any]
+    stored: Array
+    values: F64
+
+
+def _as_read(chunk: Splats, degree: int) -> Splats:
+    """Return a chunk with the log-scales and SH coefficients that reading it again gives."""
+    sh = np.empty((len(chunk), (degree + 1) ** 2, 3), np.float32)
+    sh[:, 0] = base_colour(_coloured(_colours(chunk)).values)
+    for name, (first, last) in zip(BANDS, _bands(degree), strict=False):
+        band = _band(name, chunk.sh[:, first:last])
+        sh[:, first:last] = band.values.reshape(len(chunk), -1, 3)
+    return replace(chunk, log_scales=_halves(chunk.log_scales), sh=sh)
+
+
 def _colours(block: Splats) -> F64:
     """Return (R, 3) base colours: 0.5 plus the contribution of the SH coefficient of degree 0."""
     colours: F64 = block.sh[:, 0] * np.float64(SH_C0) + 0.5
     return colours
 
 
-def _coloured(colours: F64) -> tuple[dict[str, Any], bytes]:
-    low, high = float(np.float32(colours.min())), float(np.float32(colours.max()))
-    if high - low > _WIDEST_COLOURS:
+def _halves(logs: F32) -> Array:
+    """Return log-scales as float16, clamped; -inf, a scale of zero, stays."""
+    finite = np.clip(logs, -_LARGEST_HALF, _LARGEST_HALF)
+    return np.where(np.isneginf(logs), logs, finite).astype("<f2")
+
+
+def _half(value: float) -> float:
+    """Round to float16, so that a choice by this value is the same for values read from float16."""
+    return float(np.float16(np.clip(value, -_LARGEST_HALF, _LARGEST_HALF)))
+
+
+def _coloured(colours: F64) -> _Coded:
+    """Encode base colours; their range is rounded so that the values read back give it again."""
+    ends = activated.rounded_colours(np.array([colours.min(), colours.max()]))
+    low, high = ends.tolist()
+    if _half(high) - _half(low) > _WIDEST_COLOURS:
         return _floats("rgb", colours)
-    width = (high - low) or 1.0
+    width = max(high - low, _LEAST_COLOURS)
     steps = rounded_bytes((colours - low) / width * 255)
-    return _entry("rgb", "r8_delta", low, low + width), by_component(differences(steps))
+    entry = _entry("rgb", "r8_delta", low, low + width)
+    return _Coded(entry, differences(steps), steps / 255 * width + low)
 
 
-def _band(name: str, values: Array) -> tuple[dict[str, Any], bytes]:
+def _band(name: str, coefficients: F32) -> _Coded:
+    values = coefficients.reshape(len(coefficients), -1)
     most = float(np.abs(values).max()) or 1.0
-    if most > _LARGEST_COEFFICIENT:
+    if _half(most) > _LARGEST_COEFFICIENT:
         return _floats(name, values)
     steps = np.rint(values * (127 / most)).astype(np.int8)
-    return _entry(name, "s8", -most, most), by_component(steps)
+    return _Coded(_entry(name, "s8", -most, most), steps, steps / 127.0 * most)
 
 
-def _floats(name: str, values: Array) -> tuple[dict[str, Any], bytes]:
+def _floats(name: str, values: Array) -> _Coded:
     """Encode values as float16, or as float32 if they are too large for it."""
-    if np.abs(values).max() > _LARGEST_HALF:
-        return _entry(name, "f32"), by_component(values.astype("<f4"))
-    return _entry(name, "f16"), by_component(values.astype("<f2"))
+    wide = np.abs(values).max() > _LARGEST_HALF
+    stored = values.astype("<f4" if wide else "<f2")
+    return _Coded(_entry(name, "f32" if wide else "f16"), stored, stored.astype(np.float64))
 
 
 def _bands(degree: int) -> Iterable[tuple[int, int]]:
