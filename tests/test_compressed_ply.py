@@ -114,7 +114,7 @@ def test_extra_columns_and_elements_are_kept(load):
 def test_extra_elements_are_read_without_decoding_the_splats(load, tmp_path, monkeypatch):
     extra = ("tag", [("id", "int", np.array([4, 5]))])
     load(("chunk", chunk()), ("vertex", packed()), extra)
-    monkeypatch.setattr(compressed_read, "_decoded", None)
+    monkeypatch.setattr(compressed_read, "decoded", None)
     with io.open(tmp_path / "a.compressed.ply") as source:
         [tag] = source.read_elements()
     assert (tag.name, tag.rows["id"].tolist()) == ("tag", [4, 5])
@@ -233,7 +233,7 @@ def test_writing_in_smaller_blocks_gives_the_same_bytes(tmp_path, monkeypatch):
     loaded, rows = rewritten(model, tmp_path)
     assert_close(model, loaded, rows)
     before = (tmp_path / "a.compressed.ply").read_bytes()
-    monkeypatch.setattr(compressed_ply_write, "BLOCK_ROWS", 300)  # one chunk at a time
+    monkeypatch.setattr(compressed_ply_write, "_ROWS", 256)  # one chunk at a time
     rewritten(model, tmp_path)
     assert (tmp_path / "a.compressed.ply").read_bytes() == before
 

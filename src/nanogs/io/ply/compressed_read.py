@@ -118,7 +118,7 @@ def _splats(header: Header, rows: dict[str, Array], degree: int, skipped: int = 
     comments = header.all_comments
     vertex = rows["vertex"]
     return Splats(
-        **_decoded(rows, degree, skipped),
+        **decoded(rows, degree, skipped),
         extras={
             name: vertex[name].copy()
             for name in _element(header, "vertex").names
@@ -176,8 +176,14 @@ def _error(header: Header, what: str) -> FormatError:
     return FormatError(f"{header.path} (compressed PLY): {what}; export the file again.")
 
 
-def _decoded(rows: dict[str, Array], degree: int, skipped: int) -> dict[str, Any]:
-    """Decode the arrays of `Splats`, computed in float64 block by block and rounded once."""
+def decoded(rows: dict[str, Array], degree: int, skipped: int) -> dict[str, Any]:
+    """Decode the arrays of `Splats`, computed in float64 block by block and rounded once.
+
+    Args:
+        rows: The rows of each element, by its name.
+        degree: SH degree.
+        skipped: Number of rows of their first chunk before these.
+    """
     n = len(rows["vertex"])
     out = empty_arrays(n, degree)
     for start in range(0, n, BLOCK_ROWS):

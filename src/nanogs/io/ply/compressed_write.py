@@ -2,22 +2,24 @@
 
 Layout: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply/; the rounding
 and the order of the splats are those of https://github.com/playcanvas/splat-transform (MIT), so
-that both write the same numbers. Rows are in Morton order (Morton 1966), for narrow bounds.
+that both write the same numbers. Rows are in Morton order (Morton 1966), for narrow bounds; but
+those of a model that was read from such a file keep their order, so that the file does not change.
 """
 
 from typing import BinaryIO
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64, U32, Array
+from nanogs._types import F32, F64, I32, I64, U8, U32, Array
 from nanogs.activations import SH_C0
 from nanogs.findings import Finding
 from nanogs.io import columns, limits, render_tag
+from nanogs.io.activated import rounded_colours
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.in_order import in_order
-from nanogs.io.ply.compressed_read import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED
+from nanogs.io.ply.compressed_read import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED, decoded
 from nanogs.io.ply.write import header
-from nanogs.io.rotations import split_quats
+from nanogs.io.rotations import Rounding, place_left_out, split_quats
 from nanogs.morton import interleaved_bits
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
@@ -26,12 +28,14 @@ MAX_DEGREE = 3
 _LOG_SCALES = 20.0  # log-scales are clamped to ±20: -inf would make its chunk's bounds useless
 _SH_RANGE = 4.0
 _CELLS = 1024  # grid cells per axis in one pass of the ordering
+_ROWS = max(BLOCK_ROWS // CHUNK_ROWS, 1) * CHUNK_ROWS  # of a block of whole chunks
+_LEAST_COLOURS = 2.0**-8  # least width of the bounds of colours
 _CHUNK = np.dtype([(name, "<f4") for name in (*BOUNDS, *COLOUR_BOUNDS)])
 _VERTEX = np.dtype([(name, "<u4") for name in PACKED])
 
 
 def write(model: Splats | Source, file: BinaryIO) -> None:
-    """Write a model, its rows in Morton order; only the centres of a source are held in memory.
+    """Write a model; only the centres of a source are held in memory.
 
     Raises:
         OutputError: A splat holds a value that the format cannot, or a comment is too long.
@@ -40,13 +44,20 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
     source = source_of(model)
     order = _order(source)
     file.write(_header(source.read(0, 1), source.count))
+    if order is None:
+        _write_rows(source, file)
+        return
     with in_order(source, order) as rows:
         del order  # large, and not needed any more
         _write_rows(rows, file)
 
 
-def _order(source: Source) -> I64 | I32:
-    """Compute the Morton order of the rows, and refuse a model that cannot be stored."""
+def _order(source: Source) -> I64 | I32 | None:
+    """Compute the order of the rows, and refuse a model that cannot be stored.
+
+    Returns:
+        The Morton order; None if the rows keep their order.
+    """
     means = np.empty((source.count, 3), np.float32)
     at = 0
     for block in limits.storable(source, ".compressed.ply"):
@@ -54,21 +65,34 @@ def _order(source: Source) -> I64 | I32:
         with np.errstate(over="ignore", invalid="ignore"):
             means[at : at + len(block)] = block.means
         at += len(block)
-    return morton_order(means)
+    return None if all(map(_was_read, source.blocks(_ROWS))) else morton_order(means)
+
+
+def _was_read(block: Splats) -> bool:
+    """Return whether encoding the rows in their order changes nothing, so they were read so."""
+    degree = block.sh_degree
+    if degree > MAX_DEGREE:
+        return False
+    chunks = _bounds(block)
+    rows = {"chunk": chunks, "vertex": _packed(block, chunks)}
+    if degree:
+        sh = np.dtype([(name, "u1") for name in columns.rest_names(degree)])
+        rows["sh"] = _sh_bytes(block.sh).reshape(len(block), -1).view(sh)[:, 0]
+    read = decoded(rows, degree, 0)
+    return all(np.array_equal(getattr(block, name), column) for name, column in read.items())
 
 
 def _write_rows(rows: Source, file: BinaryIO) -> None:
     """Write splats in their order, in blocks of whole chunks."""
-    size = max(BLOCK_ROWS // CHUNK_ROWS, 1) * CHUNK_ROWS
-    chunks = np.concatenate([_bounds(block) for block in rows.blocks(size)])
+    chunks = np.concatenate([_bounds(block) for block in rows.blocks(_ROWS)])
     file.write(chunks.data)
     at = 0
-    for block in rows.blocks(size):
-        file.write(_packed(block, chunks[np.arange(at, at + len(block)) // CHUNK_ROWS]))
-        at += len(block)
+    for block in rows.blocks(_ROWS):
+        file.write(_packed(block, chunks[at : at + _chunks(len(block))]).data)
+        at += _chunks(len(block))
     if rows.columns.sh_degree:
-        for block in rows.blocks(size):
-            file.write(_sh_bytes(block.sh))
+        for block in rows.blocks(_ROWS):
+            file.write(_sh_bytes(block.sh).data)
 
 
 def file_bytes(splats: Splats, count: int) -> int:
@@ -174,21 +198,29 @@ def _values(splats: Splats) -> tuple[F32, F32, F32]:
 
 
 def _bounds(splats: Splats) -> Array:
-    """Compute the chunk rows, (C,): the lowest and highest value in every 256 rows."""
+    """Compute the chunk rows, (C,): the lowest and highest value in every 256 rows.
+
+    The bounds of colours are rounded so that the colours that are read give them again.
+    """
     chunks = np.empty(_chunks(len(splats)), _CHUNK)
     starts = np.arange(0, len(splats), CHUNK_ROWS)
     for values, names in zip(_values(splats), _NAMES, strict=True):
         low, high = (edge.reduceat(values, starts) for edge in (np.minimum, np.maximum))
         for axis in range(3):
             chunks[names[axis]], chunks[names[axis + 3]] = low[:, axis], high[:, axis]
+    for start, end in zip(COLOUR_BOUNDS[:3], COLOUR_BOUNDS[3:], strict=True):
+        low, high = (rounded_colours(chunks[name].astype(np.float64)) for name in (start, end))
+        chunks[start] = low
+        chunks[end] = np.maximum(high, rounded_colours(low + _LEAST_COLOURS))
     return chunks
 
 
 _NAMES = (BOUNDS[:6], BOUNDS[6:], COLOUR_BOUNDS)
 
 
-def _packed(splats: Splats, chunk: Array) -> memoryview:
-    """Encode the vertex rows; `chunk` holds the bounds for each row."""
+def _packed(splats: Splats, chunks: Array) -> Array:
+    """Encode the vertex rows, (R,), which begin with the first of these chunks."""
+    chunk = chunks[np.arange(len(splats)) // CHUNK_ROWS]
     units = [
         _unit(values, chunk, names) for values, names in zip(_values(splats), _NAMES, strict=True)
     ]
@@ -198,7 +230,7 @@ def _packed(splats: Splats, chunk: Array) -> memoryview:
     vertex["packed_rotation"] = _rotations(splats.quats.astype(np.float64))
     vertex["packed_scale"] = _words(units[1], (11, 10, 11))
     vertex["packed_color"] = _words(rgba, (8, 8, 8, 8))
-    return vertex.data
+    return vertex
 
 
 def _unit(values: F32, chunk: Array, names: list[str]) -> F64:
@@ -224,15 +256,26 @@ def _rotations(quats: F64) -> U32:
     """Encode quaternions, (R,) uint32: index of the largest component in 2 bits, others in 10."""
     norms = np.sqrt((quats * quats).sum(axis=1, keepdims=True))  # no overflow: values are float32
     quats = np.where(norms > 0, quats * (1 / np.where(norms > 0, norms, 1)), (1, 0, 0, 0))
-    largest, small = split_quats(quats)
-    units = np.clip(small * np.sqrt(0.5) + 0.5, 0, 1)
-    words: U32 = largest.astype(np.uint32) << np.uint32(30) | _words(units, (10, 10, 10))
+    largest, small = split_quats(quats, place_left_out(quats, _ROUNDING))
+    words: U32 = largest.astype(np.uint32) << np.uint32(30) | _words(_units(small), (10, 10, 10))
     return words
 
 
-def _sh_bytes(sh: F32) -> memoryview:
+def _units(small: F64) -> F64:
+    """Scale components from -√½ to √½ to 0 to 1."""
+    units: F64 = np.clip(small * np.sqrt(0.5) + 0.5, 0, 1)
+    return units
+
+
+_ROUNDING = Rounding(
+    lambda small: (np.floor(_units(small) * 1023 + 0.5) / 1023 - 0.5) * np.sqrt(2),
+    np.sqrt(0.5) / 1023,
+)
+
+
+def _sh_bytes(sh: F32) -> U8:
     """Encode the higher coefficients as a byte each, red first: 256 steps over [-4, 4]."""
     kept = min(sh.shape[1], (MAX_DEGREE + 1) ** 2)
     rest = sh[:, 1:kept].astype(np.float64).transpose(0, 2, 1)
     steps = np.clip((rest / (2 * _SH_RANGE) + 0.5) * 256, 0, 255)
-    return np.ascontiguousarray(steps.astype(np.uint8)).data
+    return np.ascontiguousarray(steps.astype(np.uint8))
