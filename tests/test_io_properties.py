@@ -1,12 +1,17 @@
 """Random round trips and randomly damaged files."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 
+from builders import random_splats
 from damage import TEXT, mutate, outcome
 from nanogs import io
+from nanogs.errors import OptionError
+from nanogs.io import registry
 from plyfiles import BASE, ENCODINGS, ply, vertex
 from strategies import assert_same, splats
 
@@ -26,6 +31,82 @@ def test_saving_and_loading_keeps_every_bit(tmp_path, model):
     assert_same(model, loaded)
     io.save(loaded, second, overwrite=True)
     assert first.read_bytes() == second.read_bytes()
+
+
+# Every format that is both read and written.
+BOTH_WAYS = [known for known in registry.formats() if known.readable and known.writable]
+
+
+def written(model, folder, known, options):
+    """Write a model to a new folder; return the bytes of each file, and the model that is read."""
+    folder.mkdir(exist_ok=True)
+    path = folder / (known.suffix if known.write_folder else f"a{known.suffix}")
+    io.save(model, path, overwrite=True, format_options=options)
+    files = folder.iterdir() if known.write_folder else [path]
+    return {file.name: file.read_bytes() for file in files}, io.load(path)
+
+
+def assert_stable(model, folder, known, options):
+    """Check that a file which is read and written again does not change."""
+    first, loaded = written(model, folder / "first", known, options)
+    second, again = written(loaded, folder / "second", known, options)
+    assert_same(loaded, again)
+    assert first == second
+
+
+def format_options(known):
+    """Draw some options of a format."""
+    values = {name: st.sampled_from(option.values) for name, option in known.options.items()}
+    return st.fixed_dictionaries({}, optional=values)
+
+
+@st.composite
+def hard_to_round(draw):
+    """Draw a model; often, rotations have several equally good codes, or colours hardly differ."""
+    model = draw(splats(max_n=30))
+    rng = np.random.default_rng(len(model))
+    if draw(st.booleans()):
+        noise = rng.normal(0, draw(st.sampled_from([0, 2e-3])), (len(model), 4))
+        quats = rng.choice([-1, 0, 0.3, 1], (len(model), 4)) + noise
+        model = replace(model, quats=quats.astype(np.float32))
+    if draw(st.booleans()):
+        near = model.sh[:1] + rng.normal(0, 1e-6, (len(model), 1, 1))
+        model = replace(model, sh=near.astype(np.float32))
+    return model
+
+
+@pytest.mark.parametrize("known", BOTH_WAYS, ids=lambda known: known.suffix)
+@settings(SHARED, max_examples=30)
+@given(data=st.data(), model=hard_to_round())
+def test_a_file_that_is_read_and_written_again_does_not_change(tmp_path, known, data, model):
+    try:
+        assert_stable(model, tmp_path, known, data.draw(format_options(known)))
+    except OptionError:  # options that exclude each other
+        reject()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "options"),
+    [
+        *((known.suffix, {}) for known in BOTH_WAYS),
+        *((".spz", {"spz_version": version}) for version in (2, 4)),
+        *((".spz", {"bits": bits}) for bits in (4, 5, 6, 7)),
+        *((".spz", {"bits": bits, "spz_version": 3}) for bits in (4, 7)),
+        (".spz", {"bits": 5, "palette": 50, "sh_bits": 2}),
+        *((".sog", {"bits": bits}) for bits in (4, 5, 6, 8)),
+        (".sog", {"palette": 50}),
+    ],
+    ids=str,
+)
+def test_a_larger_file_does_not_change_either(tmp_path, suffix, options):
+    [known] = [each for each in BOTH_WAYS if each.suffix == suffix]
+    model = random_splats(2500, degree=2)
+    model.quats[1200:] = np.round(model.quats[1200:] / 0.7) * 0.7
+    model.log_scales[:9, 1] = -np.inf
+    model.opacity_logits[:20] = np.repeat([np.inf, -np.inf], 10)
+    model.sh[100:300] *= 3
+    model.means[300:310] *= 1000
+    assert_stable(model, tmp_path, known, options)
 
 
 @SHARED
