@@ -609,7 +609,7 @@ def test_a_missing_or_damaged_model_is_refused_before_anything_is_written(conten
 
 
 def test_the_command_fails_with_the_reason_if_nothing_was_measured(tmp_path):
-    result = run("bench", "--scene", f"a={tmp_path}/gone.ply", "--methods", "opacity", "--json")
+    result = run("bench", "--scene", f"a={tmp_path}/gone.ply", "--methods", "opacity", "--quiet")
     assert result.returncode == 2
     assert "Nothing was measured; a: " in result.stderr
     assert "gone.ply" in result.stderr.split("measured")[1]
@@ -702,7 +702,6 @@ def test_json_prints_the_rows_and_nothing_else(model):
         (("--external", "x={nope}"), "nope"),
         (("--external", "x=a", "--external", "x=b"), "'x' occurs twice"),
         (("--metrics", "mse"), "mse"),
-        (("--quiet",), "nothing would be left of this run; add --json or --out"),
         (("--background", "white"), "--background has no effect, because no scene has photographs"),
         (("--model-pattern", "{scene}.ply"), "--model-pattern works only with --dataset"),
         (("--dataset", "mine=x"), "nerf-synthetic"),

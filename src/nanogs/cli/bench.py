@@ -143,7 +143,6 @@ def bench(
     from nanogs.cli.console import fail
     from nanogs.formatting import plain
 
-    reporting.refuse_unseen(out, "--json or --out")
     targets = _targets(ratios, sizes_of_files, formats)
     chosen = _usual_methods(targets) if methods is None else _list(methods)
     chosen += [name for name in ABLATIONS if ablations and name not in chosen]

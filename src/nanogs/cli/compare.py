@@ -127,7 +127,6 @@ def compare(
         of_photos: Given = {"--images": images, "--split": split}
         refuse_beside_photos(photos, of_photos, {"--cameras": kinds, **found})
     refuse_beside_file(cameras, found)
-    run.refuse_unseen(report, "--json" if mixed else "--json or --report")
     if report:
         check_writable(report, overwrite=run.overwrite)
     if report and interactive and not is_built():

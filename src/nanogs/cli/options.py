@@ -262,22 +262,6 @@ class Reporting:
         """Whether no progress and notes are printed during the run."""
         return self.json or self.quiet
 
-    def refuse_unseen(self, kept: Path | None, instead: str) -> None:
-        """Fail if a run prints nothing with --quiet and keeps its results nowhere.
-
-        Args:
-            kept: The file or folder that keeps the results, if there is one.
-            instead: Options, as text, of which one makes the results appear.
-
-        Raises:
-            OptionError: It is such a run.
-        """
-        if self.quiet and not self.json and kept is None:
-            raise OptionError(
-                "--quiet prints no scores, so nothing would be left of this run; add"
-                f" {instead}, or leave it out."
-            )
-
     def report(
         self, run: dict[str, Any], show: Callable[[], object], notes: Sequence[str] = ()
     ) -> None:
