@@ -59,9 +59,9 @@ def main() -> None:
             f"\nOne cKDTree query: {query_seconds:.2f} s; two threads take {over:.2f} times that."
         )
         if options.separate:
-            seconds = median(separate_times[preset])
-            gain = 2 * one[WHOLE] / seconds
-            print(f"\nTwo processes at once: {seconds:.2f} s, {gain:.2f} times the work of one.")
+            separate = median(separate_times[preset])
+            gain = 2 * one[WHOLE] / separate
+            print(f"\nTwo processes at once: {separate:.2f} s, {gain:.2f} times the work of one.")
 
 
 def arguments() -> argparse.Namespace:
