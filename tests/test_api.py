@@ -271,6 +271,15 @@ POSE = np.eye(4) + np.eye(4, k=3) * [0, 0, 0, 0.5]
 PINHOLE = {"width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 16.0, "cy": 12.0}
 
 
+def test_cameras_of_a_loop_can_share_one_array():
+    pose = POSE.copy()
+    cameras = []
+    for step in range(2):
+        pose[2, 3] = step
+        cameras.append(nanogs.Camera(**PINHOLE, world_to_camera=pose))
+    assert [camera.world_to_camera[2, 3] for camera in cameras] == [0, 1]
+
+
 def test_cameras_may_be_made_of_lists_and_tensors(pair):
     expected = nanogs.Camera(**PINHOLE, world_to_camera=POSE)
     tensors = {name: Tensor(value) for name, value in PINHOLE.items()}

@@ -277,7 +277,7 @@ def test_scaling_the_intrinsics_keeps_the_view(tmp_path, size):
     before = np.array([camera.fx, camera.fy]) * point[:2] / 5 + (camera.cx, camera.cy)
     after = np.array([small.fx, small.fy]) * point[:2] / 5 + (small.cx, small.cy)
     np.testing.assert_allclose(after / size, before / (80, 60), rtol=1e-12)
-    assert small.world_to_camera is camera.world_to_camera
+    np.testing.assert_array_equal(small.world_to_camera, camera.world_to_camera)
 
 
 def test_scaled_intrinsics_have_the_values_computed_by_hand(tmp_path):

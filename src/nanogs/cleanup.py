@@ -7,13 +7,15 @@ actions are also registered here, and the command runs them before it ends (`nan
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from threading import RLock
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 _pending: dict[object, Callable[[], None]] = {}
-_undisturbed = 0  # number of nested blocks during which the process must not end
+_undisturbed = 0  # number of blocks, nested or in several threads, in which it must not end
+_counting = RLock()  # held by threads that change it; the handler of a signal only reads it
 _postponed: Callable[[], None] | None = None
 
 
@@ -67,11 +69,13 @@ def clean_all() -> None:
 def defer_exit() -> Iterator[None]:
     """Postpone the end of the process by a signal until the block, which must be short, is done."""
     global _undisturbed  # noqa: PLW0603
-    _undisturbed += 1
+    with _counting:
+        _undisturbed += 1
     try:
         yield
     finally:
-        _undisturbed -= 1
+        with _counting:
+            _undisturbed -= 1
         if _postponed and not _undisturbed:
             _postponed()
 

@@ -8,11 +8,15 @@ from nanogs.bench.settings import BenchSettings
 from nanogs.protocol import usual_views
 
 _COLUMNS = """\
-Every method runs in a process of its own. *seconds*: time of the method alone, with
-compiled kernels, without reading and writing; for external files the time that their producer
-noted, which may include both. *peak MB*: largest resident memory of that process, including Python
-and its libraries. *bytes*: size as .ply for methods that ran here at a ratio, otherwise size of the
-file. *worst*: PSNR of the worst view. *frames/s*: speed of the renderer of nanogs on the CPU.
+Every method runs in a process of its own. The columns:
+
+- seconds: time of the method alone, with compiled kernels, without reading and writing; for files
+  of other tools the time that their producer noted, which may include both. Rows that were kept
+  from an earlier run have the seconds and frames/s of that run.
+- peak MB: largest resident memory of that process, including Python and its libraries.
+- bytes: size as .ply for methods that ran here at a ratio, otherwise size of the file.
+- worst: PSNR of the worst view.
+- frames/s: speed of the renderer of nanogs on the CPU.
 """
 
 

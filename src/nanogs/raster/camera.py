@@ -25,7 +25,7 @@ class Camera:
     centre of the pixel in column i and row j is at (i + 0.5, j + 0.5).
 
     Numbers may be those of NumPy or tensors of one number, and the matrix may be nested lists or a
-    tensor. A float64 array is not copied.
+    tensor; it is copied.
 
     Attributes:
         width: Image width in pixels.
@@ -87,7 +87,7 @@ class Camera:
             raise OptionError(str(error)) from None
         if matrix.dtype.kind not in "fiu":
             raise self._refusal("world_to_camera", "a (4, 4) array of numbers", str(matrix.dtype))
-        return matrix.astype(np.float64, copy=False)
+        return matrix.astype(np.float64)
 
     def _refusal(self, name: str, wanted: str, given: str) -> OptionError:
         return OptionError(f"{name} of camera {self.name!r} must be {wanted}, not {given}.")
