@@ -1,5 +1,6 @@
 """Settings and helpers shared by all tests."""
 
+import gc
 import importlib
 import os
 import signal
@@ -29,6 +30,12 @@ def pytest_collection_modifyitems(items):
     """Run files with slow tests first, so that at the end no worker waits long for another."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_collection_finish():
+    """Let garbage collections pass over the tests and their modules, which stay until the end."""
+    gc.collect()
+    gc.freeze()
 
 
 def scene_path(name: str) -> Path:
