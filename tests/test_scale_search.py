@@ -1,6 +1,8 @@
 """Searches in blocks: for the count of a PSNR, and for that of a compressed file's size."""
 
 import json
+from functools import cache
+from types import SimpleNamespace
 
 import pytest
 
@@ -29,15 +31,56 @@ def scene(tmp_path_factory):
     return path
 
 
-def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
-    out = tmp_path / "a.spz"
-    stages = []
-    report = nanogs.simplify_blocks(
-        scene, out, psnr=26.0, progress=lambda step: stages.append(step.stage), **LOOKS
-    )
+@pytest.fixture(scope="module")
+def search(scene, tmp_path_factory):
+    """A function that searches with `LOOKS` for a goal, once for all tests.
+
+    It returns the file, which is alone in its folder, the report, the reported stages in order, and
+    the number of results that were measured.
+    """
+
+    @cache
+    def search_once(goal, value):
+        out, stages, measured = tmp_path_factory.mktemp(goal) / "a.spz", [], []
+        make_and_measure = JobResults.make_and_measure
+
+        def count_and_measure(*given):
+            measured.append(given)
+            return make_and_measure(*given)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(JobResults, "make_and_measure", count_and_measure)
+            report = nanogs.simplify_blocks(
+                scene, out, progress=lambda step: stages.append(step.stage),
+                **LOOKS | {goal: value},
+            )  # fmt: skip
+        order = [*dict.fromkeys(stages)]
+        return SimpleNamespace(out=out, report=report, stages=order, measured=len(measured))
+
+    return search_once
+
+
+@pytest.fixture(scope="module")
+def plain_seconds(scene, tmp_path_factory):
+    """A function that returns the names of the stages that a run without a search is timed by."""
+
+    @cache
+    def run_once(preset):
+        out = tmp_path_factory.mktemp("plain") / "a.spz"
+        report = nanogs.simplify_blocks(
+            scene, out, ratio=0.5, **{"fast": QUICK, "default": LOOKS}[preset]
+        )
+        return {*report.seconds}
+
+    return run_once
+
+
+def test_a_psnr_is_reached_and_is_that_of_the_file(scene, search):
+    found = search("psnr", 26.0)
+    out, report = found.out, found.report
     assert report.stop is StopReason.TARGET
     last = ["measure", "search", "guess", "pack", "deliver", "write"]
-    assert [*dict.fromkeys(stages)][-6:] == last
+    assert found.stages[-6:] == last
     assert 26.0 <= report.judged.psnr <= 26.0 + SPAN
     assert report.judged == file_judge(nanogs.load(scene), ".spz").of(out)
     assert report.blocks.blocks > 2
@@ -46,7 +89,7 @@ def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
     quick, complete = ([p for p in report.probes if p.quick is q] for q in (True, False))
     assert quick
     assert (report.achieved_count, report.judged.psnr) in [(p.count, p.psnr) for p in complete]
-    assert [*tmp_path.iterdir()] == [out]
+    assert [*out.parent.iterdir()] == [out]
 
 
 @pytest.mark.parametrize(
@@ -59,16 +102,22 @@ def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
         (LOOKS, {"size": 40_000}, ["guess", "pack", "deliver"], {"encode", "measure"}),
     ],
 )
-def test_stages_of_a_search_are_reported_and_timed(scene, tmp_path, preset, goal, stages, timed):
-    reported, out = [], tmp_path / "a.spz"
-    report = nanogs.simplify_blocks(
-        scene, out, progress=lambda step: reported.append(step.stage), **goal, **preset
-    )
+def test_stages_of_a_search_are_reported_and_timed(
+    scene, tmp_path, search, plain_seconds, preset, goal, stages, timed
+):
+    if preset is LOOKS and "size" in goal:
+        found = search("size", goal["size"])
+        reported, report = found.stages, found.report
+    else:
+        reported = []
+        report = nanogs.simplify_blocks(
+            scene, tmp_path / "a.spz", progress=lambda step: reported.append(step.stage),
+            **goal, **preset,
+        )  # fmt: skip
     first = ["segment", "partition", "rough", "outline", "coarse", "views", "look", "grow"]
     first = ["frame", *(first if preset is LOOKS else ["segment", "partition", "grow"])]
     assert [*dict.fromkeys(reported)] == [*first, *stages, "write"]
-    plain = nanogs.simplify_blocks(scene, out, overwrite=True, ratio=0.5, **preset)
-    assert {*report.seconds} - {*plain.seconds} == timed
+    assert {*report.seconds} - plain_seconds(preset["preset"]) == timed
 
 
 def test_the_psnr_is_measured_in_the_frame_of_the_input(scene, tmp_path):
@@ -154,16 +203,12 @@ def levels_in(job):
 
 
 @pytest.mark.parametrize("goal", [{"psnr": 26.0}, {"size": 40_000}], ids=str)
-def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, monkeypatch, goal):
-    make_and_measure, measured_results = JobResults.make_and_measure, []
-    with monkeypatch.context() as patch:
-        patch.setattr(
-            JobResults,
-            "make_and_measure",
-            lambda *given: measured_results.append(1) or make_and_measure(*given),
-        )
-        whole = nanogs.simplify_blocks(scene, tmp_path / "a.spz", **goal, **LOOKS)
-    probe_count = len(measured_results)
+def test_a_killed_search_can_be_resumed_with_the_same_result(
+    scene, tmp_path, monkeypatch, search, goal
+):
+    [(name, value)] = goal.items()
+    found = search(name, value)
+    whole, probe_count = found.report, found.measured
     assert probe_count >= 2
     assert whole.packings
     out, job = tmp_path / "b.spz", tmp_path / "b.spz.job"
@@ -178,7 +223,7 @@ def test_a_killed_search_can_be_resumed_with_the_same_result(scene, tmp_path, mo
     (job / "scratch" / f"{TRIED}.spz").touch()  # a kill while a result is measured may leave these
     (job / f"{TRIED}.spz").touch()
     resumed = nanogs.simplify_blocks(scene, out, resume=True, **goal, **LOOKS)
-    assert out.read_bytes() == (tmp_path / "a.spz").read_bytes()
+    assert out.read_bytes() == found.out.read_bytes()
     assert (resumed.probes, resumed.size_probes) == (whole.probes, whole.size_probes)
     assert resumed.packings == whole.packings
     assert (resumed.judged, resumed.achieved_size) == (whole.judged, whole.achieved_size)
