@@ -34,6 +34,7 @@ def python(code, **variables):
 
 SIMPLIFY = """
 import sys
+import numpy as np
 import nanogs
 from nanogs.datasets.synthetic import make_scene
 from nanogs.kernels.simd import choice
@@ -43,6 +44,8 @@ nanogs.save(small, sys.argv[1] + "/fast.ply", overwrite=True)
 if len(sys.argv) > 2:
     small, _ = nanogs.simplify(scene, count=300, steps=0, views=4, view_size=64)
     nanogs.save(small, sys.argv[1] + "/default.ply", overwrite=True)
+    images = nanogs.render(make_scene(2000, seed=3), views=2, pixels=96)
+    np.save(sys.argv[1] + "/images.npy", images)
 print(choice.chosen().value, choice.reason())
 """
 
@@ -56,37 +59,35 @@ def simplified(folder, *arguments, first="", **variables):
 
 @pytest.fixture(scope="module")
 def simd_results(tmp_path_factory):
-    """A folder with the results of the SIMD kernels."""
+    """A folder with models and images by the SIMD kernels."""
     folder = tmp_path_factory.mktemp("simd") / "simd"
     assert simplified(folder, "default", NANOGS_SIMD="1")[0] == "simd None"
     return folder
 
 
-@pytest.mark.slow
-def test_simd_and_plain_kernels_give_the_same_result(simd_results, tmp_path):
-    printed, warned = simplified(tmp_path / "plain", "default", NANOGS_SIMD="0")
+@pytest.fixture(scope="module")
+def plain_results(tmp_path_factory):
+    """A folder with the same by the plain kernels."""
+    folder = tmp_path_factory.mktemp("simd") / "plain"
+    printed, warned = simplified(folder, "default", NANOGS_SIMD="0")
     assert printed == "plain None"
     assert "lower" not in warned  # no warning about plain kernels that were asked for
-    same = [(one / "fast.ply").read_bytes() for one in (simd_results, tmp_path / "plain")]
+    return folder
+
+
+@pytest.mark.slow
+def test_simd_and_plain_kernels_give_the_same_result(simd_results, plain_results):
+    same = [(one / "fast.ply").read_bytes() for one in (simd_results, plain_results)]
     assert same[0] == same[1]
     scene = make_scene(3000, seed=2)
-    models = [one / "default.ply" for one in (simd_results, tmp_path / "plain")]
+    models = [one / "default.ply" for one in (simd_results, plain_results)]
     one, other = nanogs.compare(scene, *models, views=3, pixels=96).models
     assert one.psnr == pytest.approx(other.psnr, abs=0.05)
 
 
-def test_simd_and_plain_kernels_render_nearly_the_same_images(tmp_path):
+def test_simd_and_plain_kernels_render_nearly_the_same_images(simd_results, plain_results):
     """Bit for bit if both use fused operations; otherwise their rounding differs."""
-    code = (
-        "import sys, numpy as np, nanogs\n"
-        "from nanogs.datasets.synthetic import make_scene\n"
-        "np.save(sys.argv[1], nanogs.render(make_scene(2000, seed=3), views=2, pixels=96))\n"
-    )
-    for switch in "01":
-        python(
-            f"import sys; sys.argv[1:] = [{str(tmp_path / switch)!r}]\n{code}", NANOGS_SIMD=switch
-        )
-    plain, simd = (np.load(tmp_path / f"{switch}.npy") for switch in "01")
+    plain, simd = (np.load(folder / "images.npy") for folder in (plain_results, simd_results))
     assert plain.std() > 0.05
     far = abs(plain - simd) > 1e-5  # where alpha is at the threshold of 1/255
     assert far.mean() < 1e-4
@@ -152,25 +153,28 @@ import numpy as np
 from nanogs.kernels.compiling import when_compiling
 from nanogs.kernels.radix import radix_sort
 from nanogs.kernels.listing import span_tiles
-told = []
-when_compiling(lambda: told.append(1))
-{call}
-print("compiled" if told else "loaded")
-"""
-SORTS = "radix_sort(np.arange(4, dtype=np.uint64), np.empty(4, np.uint64))"
+def report(call):
+    told = []
+    when_compiling(lambda: told.append(1))
+    call()
+    print("compiled" if told else "loaded")
+
+report(lambda: radix_sort(np.arange(4, dtype=np.uint64), np.empty(4, np.uint64)))
 # The kernel with a SIMD version that compiles fastest.
-SPANS = """span_tiles(
+report(lambda: span_tiles(
     np.empty((0, 8)), np.empty(0, np.int64), np.empty(0, np.int64), 16, 16, np.empty(0, np.uint64),
     np.empty((16, 1), np.int64),
-)"""
+))
+"""
 
 
-@pytest.mark.parametrize(("call", "second_run"), [(SORTS, "loaded"), (SPANS, "compiled")])
-def test_simd_and_plain_kernels_are_cached_separately(tmp_path, call, second_run):
+def test_simd_and_plain_kernels_are_cached_separately(tmp_path):
     """Only kernels that have a SIMD version; the others are cached once."""
-    cache, code = {"NUMBA_CACHE_DIR": str(tmp_path)}, LOAD.format(call=call)
-    printed = [python(code, NANOGS_SIMD=switch, **cache)[0].strip() for switch in "1001"]
-    assert printed == ["compiled", second_run, "loaded", "loaded"]
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    printed = [python(LOAD, NANOGS_SIMD=switch, **cache)[0].split() for switch in "1001"]
+    without_version, with_version = map(list, zip(*printed, strict=True))
+    assert without_version == ["compiled", "loaded", "loaded", "loaded"]
+    assert with_version == ["compiled", "compiled", "loaded", "loaded"]
 
 
 def test_simd_can_be_forced_with_any_version_of_numba():
