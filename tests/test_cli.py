@@ -32,7 +32,7 @@ def assert_refused(result, *words):
         assert word in message
 
 
-QUICK = ("--views", "2", "--steps", "1", "--no-measure")
+QUICK = ("--views", "2", "--view-size", "64", "--steps", "1", "--no-measure")
 
 
 @pytest.fixture(scope="module")
@@ -73,9 +73,10 @@ def test_json_prints_the_report_and_nothing_else(scene, tmp_path):
 def test_the_command_and_the_library_give_the_same_bytes(scene, tmp_path):
     splats = nanogs.load(scene)
     common = {"preset": "paper", "k": 8, "lambda_app": 0.5}
+    small_fit = common | {"views": 4, "view_size": 64, "steps": 3}
     for options in (
         common | {"seed": 3, "tau": 0, "samples": 2, "lambda_geo": 2, "merge_cap": 0.3},
-        common | {"preset": "default", "balance": 0.3, "rounds": 1, "views": 4, "steps": 3},
+        small_fit | {"preset": "default", "balance": 0.3, "rounds": 1},
     ):
         flags = [(f"--{name.replace('_', '-')}", value) for name, value in options.items()]
         arguments = [part for flag in flags for part in flag]
@@ -128,7 +129,7 @@ def test_a_psnr_is_reached_or_the_run_ends_with_code_3(scene, tmp_path):
 
 
 def test_the_option_steps_is_passed_to_the_method(scene, tmp_path):
-    options = ("-r", "0.1", "--preset", "fast", "--steps", "6", "--json")
+    options = ("-r", "0.1", "--preset", "fast", "--steps", "6", "--view-size", "64", "--json")
     report = json.loads(run("simplify", scene, tmp_path / "a.ply", *options).stdout)
     assert report["parameters"]["steps"] == 6
     assert report["refit"]["psnr_after"] >= report["refit"]["psnr_before"]

@@ -174,7 +174,7 @@ def test_the_summary_is_one_line(tmp_path):
     assert ", 33.10 dB on 12 held-out views of 512 pixels, 6 s" in summary_of(files, judged=judged)
     nanogs.save(random_splats(100), tmp_path / "in.ply")
     for verbose, least_lines in (((), 1), (("-v",), 10)):
-        options = ("-r", "0.1", "-w", "--views", "4", "--steps", "2", *verbose)
+        options = ("-r", "0.1", "-w", "--views", "4", "--view-size", "64", "--steps", "2", *verbose)
         shown = command("simplify", "in.ply", "out.ply", *options, cwd=tmp_path)
         summary_lines = [line for line in shown.splitlines() if not re.match(r"\d+/\d+ ", line)]
         assert len(summary_lines) >= least_lines
