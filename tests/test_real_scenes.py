@@ -22,10 +22,10 @@ SCENES = {
 
 @cache
 def tenth(name):
-    """Return a scene, its tenth and the report; with few steps if its quality is not tested."""
+    """Return a scene, its tenth and the report; with a small fit if its quality is not tested."""
     splats = nanogs.load(scene_path(SCENES[name][0]))
-    few_steps = {} if name in ("biker", "plant") else {"steps": 4}
-    return splats, *nanogs.simplify(splats, ratio=0.1, **few_steps)
+    small_fit = {} if name in ("biker", "plant") else {"steps": 4, "view_size": 256}
+    return splats, *nanogs.simplify(splats, ratio=0.1, **small_fit)
 
 
 @pytest.mark.parametrize("name", SCENES)
