@@ -576,7 +576,7 @@ print("took", status("VmHWM") - before)
 def models(tmp_path_factory):
     """A folder with two models that take much memory and one that takes very little."""
     folder = tmp_path_factory.mktemp("models")
-    for name, count, degree in (("large", 300_000, 3), ("plain", 300_000, 1), ("small", 1000, 3)):
+    for name, count, degree in (("large", 300_000, 3), ("plain", 200_000, 1), ("small", 1000, 3)):
         nanogs.save(make_scene(count, sh_degree=degree), folder / f"{name}.ply")
     return folder
 

@@ -90,7 +90,8 @@ def large_scene(tmp_path_factory):
     from nanogs.datasets.synthetic import make_scene
 
     for preset in MOST:  # compiles kernels that are not cached, which also takes memory
-        nanogs.simplify(make_scene(500), ratio=0.1, preset=preset)
+        few = {"steps": 2, "views": 2, "view_size": 64} if preset == "default" else {}
+        nanogs.simplify(make_scene(500), ratio=0.1, preset=preset, **few)
     path = tmp_path_factory.mktemp("memory") / "scene.ply"
     nanogs.save(make_scene(COUNT), path)
     return path
