@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 from nanogs.errors import OptionError
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.presets import Parameters, renders
-from nanogs.pipeline.options.views import AUTO
 
 if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
     from nanogs.splats import Splats
     from nanogs.views.cameras import Cameras
+
+AUTO = "auto"  # the source that is used unless another is asked for
 
 
 def fit_cameras(

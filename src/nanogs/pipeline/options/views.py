@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nanogs.pipeline.options.cameras import AUTO
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens
 
 if TYPE_CHECKING:
     from nanogs.views.cameras import Cameras
-
-AUTO = "auto"
 
 
 @dataclass(frozen=True, slots=True)
