@@ -237,8 +237,11 @@ def execute(plan: Plan, do: Callable[[Request], T]) -> T:
         import_stages(request.parameters)
     if plan.divided:
         with plan.executor() as executor:
-            limited = replace(request, max_memory=plan.process_memory, found_free=plan.found_free)
-            return do(replace(limited, executor=executor))
+            request = replace(
+                request, executor=executor, max_memory=plan.process_memory,
+                found_free=plan.found_free,
+            )  # fmt: skip
+            return do(request)
     return do(request)
 
 

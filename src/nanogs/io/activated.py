@@ -11,6 +11,7 @@ from nanogs.activations import unit
 from nanogs.splats import Splats
 
 _GRID = 2.0**-20  # finest step of `rounded_colours`
+LEAST_COLOUR_RANGE = 2.0**-8  # least width of a range of base colours that is divided into bytes
 _UNIT_SLACK = 2e-7  # `unit` returns lengths within 1.4e-7 of 1
 
 

@@ -14,7 +14,7 @@ from nanogs._types import F32, F64, I32, I64, U8, U32, Array
 from nanogs.activations import SH_C0
 from nanogs.findings import Finding
 from nanogs.io import columns, limits, render_tag
-from nanogs.io.activated import rounded_colours
+from nanogs.io.activated import LEAST_COLOUR_RANGE, rounded_colours
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.in_order import in_order
 from nanogs.io.ply.compressed_read import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED, decoded
@@ -29,7 +29,6 @@ _LOG_SCALES = 20.0  # log-scales are clamped to ±20: -inf would make its chunk'
 _SH_RANGE = 4.0
 _CELLS = 1024  # grid cells per axis in one pass of the ordering
 _ROWS = max(BLOCK_ROWS // CHUNK_ROWS, 1) * CHUNK_ROWS  # of a block of whole chunks
-_LEAST_COLOURS = 2.0**-8  # least width of the bounds of colours
 _CHUNK = np.dtype([(name, "<f4") for name in (*BOUNDS, *COLOUR_BOUNDS)])
 _VERTEX = np.dtype([(name, "<u4") for name in PACKED])
 
@@ -211,7 +210,7 @@ def _bounds(splats: Splats) -> Array:
     for start, end in zip(COLOUR_BOUNDS[:3], COLOUR_BOUNDS[3:], strict=True):
         low, high = (rounded_colours(chunks[name].astype(np.float64)) for name in (start, end))
         chunks[start] = low
-        chunks[end] = np.maximum(high, rounded_colours(low + _LEAST_COLOURS))
+        chunks[end] = np.maximum(high, rounded_colours(low + LEAST_COLOUR_RANGE))
     return chunks
 
 

@@ -45,7 +45,6 @@ _DEFLATE_LEVEL = 10  # of libdeflate: as fast as the default of zlib, and 2 to 3
 # Limits up to which bytes are used. Range of base colours: bytes then have the steps of .spz.
 _WIDEST_COLOURS = 1.9
 _LARGEST_COEFFICIENT = 4.0  # of an SH coefficient: bytes then have half the steps of .spz
-_LEAST_COLOURS = 2.0**-8  # least width of a range of base colours
 _LARGEST_HALF = 65504.0  # the largest finite float16
 _USUAL = (0.5, 99.5)  # percentiles of values that the ranges of a viewer's textures cover
 _LEAST_WIDTH = 1e-3  # least width of a range for a viewer
@@ -281,7 +280,7 @@ def _coloured(colours: F64) -> _Coded:
     low, high = ends.tolist()
     if _half(high) - _half(low) > _WIDEST_COLOURS:
         return _floats("rgb", colours)
-    width = max(high - low, _LEAST_COLOURS)
+    width = max(high - low, activated.LEAST_COLOUR_RANGE)
     steps = rounded_bytes((colours - low) / width * 255)
     entry = _entry("rgb", "r8_delta", low, low + width)
     return _Coded(entry, differences(steps), steps / 255 * width + low)

@@ -339,11 +339,12 @@ def _spare(splats: Splats, scales: F32, precision: Precision, low: F64, range_: 
         """Return the steps of x, (R, 3): a step d of log(1 + |x|) is a step (1 + |x|) d of x."""
         return (1 + np.abs(block.means, dtype=np.float64)) * apart
 
-    decoded = (_sizes_as_decoded(model, scales, precision) for model in (splats,))
+    stated = precision.spare is not None
+    decoded = [] if stated else [_sizes_as_decoded(splats, scales, precision)]
     found = precision.spare_bits(decoded, steps)
     if not found or (low + _stretched(range_, 1 << found)).max() <= _LARGEST_LOGARITHM:
         return found
-    if precision.spare is None:
+    if not stated:
         return 0
     raise UnstorableError(
         f"Centres are so near to the end of single precision that `spare_bits={found}` leaves no"
