@@ -13,6 +13,7 @@ from damage import mutate, outcome
 from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
+from nanogs.io.checkpoint import torch_file
 from nanogs.io.registry import sniff
 from strategies import assert_same, splats
 from torchfiles import Raw, TorchFile, call, gsplat, name, nerfstudio, pickled, reference_trainer
@@ -187,6 +188,20 @@ def test_tensors_that_do_not_fit_their_storage_are_refused(tmp_path, shape, step
         io.load(tmp_path / "a.pt")
     with pytest.raises(FormatError):  # before memory is allocated for the tensor
         io.inspect(tmp_path / "a.pt")
+
+
+@pytest.mark.parametrize(
+    ("shape", "steps"), [((0, 1 << 62), (1, 1)), ((1, 1), (1 << 62, 1)), ((0, 1 << 64), (1, 1))]
+)
+@pytest.mark.parametrize("legacy", [False, True])
+def test_tensors_of_sizes_beyond_any_array_are_refused(tmp_path, shape, steps, legacy):
+    file = TorchFile(gsplat(random_splats(4, degree=0)), legacy=legacy)
+    (tmp_path / "a.pt").write_bytes(file.bytes())
+    read = torch_file.TorchFile(tmp_path / "a.pt")
+    tensor = read.content["splats"]["means"]
+    assert read.array(tensor).shape == (4, 3)
+    with pytest.raises(FormatError, match="is damaged or no file of torch"):
+        read.array(tensor._replace(shape=shape, strides=steps))
 
 
 @pytest.mark.filterwarnings("error")

@@ -133,6 +133,23 @@ def test_gradients_of_the_two_checkerboard_halves_add_up_to_the_whole():
     assert (np.abs(parts[0] + parts[1] - whole).max(axis=0) < 1e-5 * scale).all()
 
 
+@pytest.mark.filterwarnings("error")
+def test_extreme_values_are_fitted_without_warnings():
+    """Colours without a value are black, and depths may be near the limit of float32."""
+    splats, camera = make_splats(20, 4), make_camera()
+    splats.sh[:10] = 3e38
+    splats.sh[10:] = -3e38
+    splats.log_scales[3] = 1e38
+    target = make_target(prepare(splats), camera)
+    assert target.image[..., 3].max() > 0
+    far = make_splats(20, 4)
+    far.means[:] *= np.float32(4e37)
+    far.log_scales[:] += np.float32(np.log(4e37))
+    assert 1e36 < make_target(prepare(far), camera).footprint < math.inf
+    state = start(splats)
+    assert not activate(state, splats, splats.finite()).model.keep[3]
+
+
 def test_the_error_of_a_checkerboard_half_is_that_of_its_pixels():
     splats, camera = make_splats(20, 3), make_camera()
     target = make_target(prepare(make_splats(20, 4)), camera)

@@ -12,7 +12,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.raster.rendering import render
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
-from nanogs.views.poses import look_at, low_discrepancy
+from nanogs.views.poses import look_along, look_at, low_discrepancy
 
 SCENE = make_scene(6_000)
 
@@ -241,6 +241,17 @@ def test_looking_straight_down_has_a_pose():
     pose = look_at(np.array([0.0, -5.0, 0.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
     assert np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3))
     assert np.allclose(pose @ [0, 0, 0, 1], [0, 0, 5, 1])
+
+
+@pytest.mark.filterwarnings("error")
+def test_cameras_have_a_direction_however_far_away_they_are():
+    up = np.array([0.0, 0.0, 1.0])
+    for position in (np.zeros(3), np.full(3, 1e30)):
+        pose = look_at(position, position, up)
+        assert np.isfinite(pose).all()
+        np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+        along = look_along(position, np.array([0.6, 0.8, 0.0]), up)
+        np.testing.assert_allclose(along[2, :3], [0.6, 0.8, 0.0])
 
 
 def test_the_low_discrepancy_sequence_is_even():

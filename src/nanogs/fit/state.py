@@ -146,11 +146,12 @@ def activate(state: State, splats: Splats, finite: Bool) -> Active:
     """Activate a state for the kernels; degree, render mode and dtype are those of `splats`."""
     axes = rotations(state.quats).astype(np.float32)
     opacities = alphas(state.logits).astype(np.float32)
-    with np.errstate(over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):  # rows that are not finite are not drawn
         scales = np.exp(state.log_scales).astype(np.float32)
+        factors = axes * scales[:, None, :]
     model = PreparedSplats(
         means=state.means.astype(splats.means.dtype),  # rounded as in the model to be stored
-        factors=axes * scales[:, None, :],
+        factors=factors,
         opacities=opacities,
         reaches=reaches_of(opacities),
         sh=state.sh,

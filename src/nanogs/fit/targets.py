@@ -129,13 +129,13 @@ def as_target(rendering: Rendering, camera: Camera) -> Target:
     if rendering.depth is None:
         return Target(camera, fixed, math.inf)
     seen = rendering.depth[rendering.alpha > 0.5 * rendering.alpha.max()]
-    depth = float(np.median(seen)) if seen.size else math.inf
+    depth = float(np.median(seen.astype(np.float64))) if seen.size else math.inf
     return Target(camera, fixed, depth / max(camera.fx, camera.fy))
 
 
 def _in_bytes(values: F32) -> F32:
-    """Clip values to [0, 1] and scale them to whole numbers from 0 to 255, still as float32."""
-    scaled = np.clip(values, 0, 1)
+    """Clip values to [0, 1], NaN to 0, and scale them to 0 to 255, rounded, still as float32."""
+    scaled = np.fmin(np.fmax(values, 0), 1)
     scaled *= np.float32(255)
     np.rint(scaled, out=scaled)
     return scaled

@@ -127,8 +127,9 @@ class Rendering:
     notes: tuple[str, ...]
 
     def shown(self) -> F32:
-        """Return (H, W, 3) float32: the colours clipped to [0, 1], as on a screen."""
-        return np.clip(self.color, 0.0, 1.0)
+        """Return (H, W, 3) float32: the colours clipped to [0, 1], as on a screen; NaN is black."""
+        shown: F32 = np.fmin(np.fmax(self.color, 0.0), 1.0)
+        return shown
 
 
 def prepare(splats: Splats) -> PreparedSplats:

@@ -6,7 +6,7 @@ import numpy as np
 
 from nanogs._types import F64, I64, Bool
 from nanogs.views.occupancy import Core, Grid, SplatSample, build_grid, capped, quantiles
-from nanogs.views.poses import level_frame, look_at, low_discrepancy, view_hits
+from nanogs.views.poses import level_frame, look_along, low_discrepancy, view_hits
 
 SLAB = 0.08  # thickness of a wall over the size of the room
 WALL_SHARE = 0.55  # least share of a room's area in its six walls; a sphere has 0.48
@@ -119,7 +119,7 @@ def _candidate(box: Box, draw: F64) -> F64:
     heading, pitch = 2 * np.pi * draw[3], np.radians(-25 + 35 * draw[4])
     level = np.array([np.cos(heading), np.sin(heading)]) * np.cos(pitch)
     direction = np.array([*level, np.sin(pitch)]) @ box.frame
-    return look_at(position, position + direction, box.frame[2])
+    return look_along(position, direction, box.frame[2])
 
 
 def _score(grid: Grid, pose: F64, tangents: F64, radius: float) -> float:

@@ -27,8 +27,17 @@ def low_discrepancy(numbers: F, dimensions: int) -> F64:
 
 def look_at(position: F64, target: F64, up: F64) -> F64:
     """Return the (4, 4) world-to-camera matrix of a camera at `position` that looks at `target`."""
-    forward = target - position
-    forward = forward / np.linalg.norm(forward)
+    return look_along(position, target - position, up)
+
+
+def look_along(position: F64, direction: F64, up: F64) -> F64:
+    """Return the (4, 4) world-to-camera matrix of a camera that looks in a direction.
+
+    If the direction is zero, as between two points that differ by less than their digits show, the
+    camera looks in a level one.
+    """
+    length = np.linalg.norm(direction)
+    forward = direction / length if length > 0 else level_frame(up)[0]
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-6:  # looking straight up or down: any heading is valid
         right = level_frame(up)[0]

@@ -92,13 +92,9 @@ class TorchFile:
         try:
             data = self._file.numbers(tensor.storage, tensor.storage.size * dtype.itemsize)
             numbers = np.frombuffer(data, dtype, tensor.storage.size)[tensor.offset :]
+            numbers = _strided(numbers, tensor.shape, tensor.strides)
         except _DAMAGE as error:
             self._damaged(error)
-        if 0 in tensor.shape:
-            numbers = numbers[:0].reshape(tensor.shape)
-        else:
-            steps = [step * dtype.itemsize for step in tensor.strides]
-            numbers = np.lib.stride_tricks.as_strided(numbers, tensor.shape, steps, writeable=False)
         if kind == "bf":
             return (numbers.astype("<u4") << 16).view("<f4")
         return np.array(numbers, np.dtype(kind))
@@ -126,6 +122,14 @@ class TorchFile:
         raise FormatError(
             f"{self.path} is damaged or no file of torch.save ({reason(error)}); save it again."
         ) from error
+
+
+def _strided(numbers: Array, shape: tuple[int, ...], strides: tuple[int, ...]) -> Array:
+    """View numbers as a tensor, whose strides count numbers; it must fit them."""
+    if 0 in shape:
+        return numbers[:0].reshape(shape)
+    steps = [step * numbers.itemsize for step in strides]
+    return np.lib.stride_tricks.as_strided(numbers, shape, steps, writeable=False)
 
 
 def _dtype(kind: str) -> "np.dtype[Any]":
