@@ -33,7 +33,7 @@ from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.chain import SHAPE, resolved_share
 from nanogs.kernels.damped import LANES
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import prepare, project
+from nanogs.raster.rendering import prepare, project, render
 from nanogs.scoring.scores import reference_views, score
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.automatic import automatic_cameras
@@ -136,15 +136,15 @@ def test_gradients_of_the_two_checkerboard_halves_add_up_to_the_whole():
 @pytest.mark.filterwarnings("error")
 def test_extreme_values_are_fitted_without_warnings():
     """Colours without a value are black, and depths may be near the limit of float32."""
-    splats, camera = make_splats(20, 4), make_camera()
-    splats.sh[:10] = 3e38
-    splats.sh[10:] = -3e38
-    splats.log_scales[3] = 1e38
+    splats, camera = make_splats(20, 4, degree=2), make_camera()
+    splats.sh[:] = np.float32(3e38) * np.sign(splats.sh)
+    splats.log_scales[3], splats.quats[3] = 1e38, (1, 0, 0, 0)
+    assert np.isnan(render(prepare(splats), camera).color).any()
     target = make_target(prepare(splats), camera)
     assert target.image[..., 3].max() > 0
     far = make_splats(20, 4)
-    far.means[:] *= np.float32(4e37)
-    far.log_scales[:] += np.float32(np.log(4e37))
+    far.means[:] *= np.float32(5e37)
+    far.log_scales[:] += np.float32(np.log(5e37))
     assert 1e36 < make_target(prepare(far), camera).footprint < math.inf
     state = start(splats)
     assert not activate(state, splats, splats.finite()).model.keep[3]

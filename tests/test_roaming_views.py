@@ -150,6 +150,11 @@ def test_a_position_is_free_if_a_free_one_sees_it_and_no_splat_covers_it():
     assert not is_free(concatenate([wall(1), cloud(np.zeros((1, 3)), 0.3)]), (0.5, 0.0, 0.5))
 
 
+@pytest.mark.filterwarnings("error")
+def test_free_positions_may_be_farther_away_than_float32_reaches():
+    assert is_free(wall(1), (0.0, 0.0, -1e39))
+
+
 def test_distant_splats_do_not_mislead_the_cameras():
     sky = cloud(ball(3_000, 40.0), 2.5)
     indoors = concatenate([cloud(0.3 * room(), 0.03), sky])

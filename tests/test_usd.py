@@ -70,6 +70,16 @@ def test_the_extent_covers_three_standard_deviations(tmp_path):
     assert high == pytest.approx([2.5, 3.5, 4.5], abs=1e-6)
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_extent_of_very_large_splats_stays_within_float32(tmp_path):
+    model = random_splats(1)
+    model.log_scales[:] = 88.5
+    low, high = array(written(tmp_path / "a.usda", model), "float3[] extent", 3)
+    limit = float(np.finfo(np.float32).max)
+    assert low == pytest.approx([-limit] * 3)
+    assert high == pytest.approx([limit] * 3)
+
+
 def test_losses_name_what_is_left_out():
     model = dataclasses.replace(
         random_splats(3, extras={"label": np.arange(3)}),

@@ -62,7 +62,8 @@ class FreeSpace:
         The direction in which the camera looks does not matter.
         """
         position = camera.position
-        distance = float(np.linalg.norm(place - position))
+        # A float64 of NumPy, since distances may exceed the depths' float32.
+        distance = np.linalg.norm(place - position)
         if distance <= camera.near:
             return True
         pose = look_at(position, place, camera.world_to_camera[1, :3])

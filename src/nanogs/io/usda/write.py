@@ -81,8 +81,8 @@ def losses(splats: Splats) -> tuple[str, ...]:
 
 def _extent(splats: Splats) -> tuple[F32, F32]:
     """Return the lowest and the highest corner of a box around all splats."""
-    reach = _REACH * activated.scales(splats).max(axis=1, keepdims=True)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
+        reach = _REACH * activated.scales(splats).max(axis=1, keepdims=True)
         means = splats.means.astype(np.float32)  # as written
         low, high = (means - reach).min(axis=0), (means + reach).max(axis=0)
     limit = np.finfo(np.float32).max
