@@ -146,7 +146,9 @@ def test_extreme_values_are_fitted_without_warnings():
     far.means[:] *= np.float32(5e37)
     far.log_scales[:] += np.float32(np.log(5e37))
     assert 1e36 < make_target(prepare(far), camera).footprint < math.inf
+    splats.quats[5] = np.inf
     state = start(splats)
+    assert np.isnan(state.quats[5]).any()
     assert not activate(state, splats, splats.finite()).model.keep[3]
 
 

@@ -41,14 +41,15 @@ def rounded_bytes(values: F) -> U8:
 
 
 def unit(quats: F32) -> F32:
-    """Normalise quaternions to (N, 4) float32; a zero one becomes the identity."""
+    """Normalise quaternions to (N, 4) float32; zero becomes the identity, infinite values NaN."""
     # In single precision, but divided by the largest component first, so that tiny and huge
     # quaternions do not under- or overflow. The length is 1 to within 1e-7 either way.
     w, x, y, z = np.abs(quats).T
     largest = np.maximum(np.maximum(w, x), np.maximum(y, z))
     zero = largest == 0
     largest[zero] = 1
-    result: F32 = quats / largest[:, None]
+    with np.errstate(invalid="ignore"):
+        result: F32 = quats / largest[:, None]
     result[zero] = (1, 0, 0, 0)
     result /= np.sqrt(np.einsum("ij,ij->i", result, result))[:, None]
     return result
