@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from nanogs.errors import OutputError
+from nanogs.io.precision import Precision
 from nanogs.method.extent import estimate_dilation
 from nanogs.method.gaussians import scene_origin
 from nanogs.neighbours import nearest_neighbours
@@ -169,6 +170,13 @@ def test_sog_holds_centres_at_the_end_of_single_precision(tmp_path, size):
         nanogs.save(model, tmp_path / "b.sog", format_options={"spare_bits": 6})
     nanogs.save(model, tmp_path / "a.sog", format_options={"spare_bits": 0}, overwrite=True)
     assert [file.name for file in tmp_path.iterdir()] == ["a.sog"]
+
+
+@pytest.mark.filterwarnings("error")
+def test_steps_that_are_far_larger_than_splats_spare_no_bits():
+    model = random_splats(5)
+    model.log_scales[:] = -80
+    assert Precision(7).spare_bits([model], lambda _: np.full((1, 1), 1e200)) == 0
 
 
 def with_bits(model, column, bits):

@@ -67,7 +67,8 @@ class Precision:
         moved = counted = 0.0
         for block in blocks:
             scales = np.sort(block.scales().astype(np.float64), axis=1)[:, 1:] + _LEAST_SIZE
-            shares = np.minimum(((steps(block) / scales[:, :1]) ** 2).mean(axis=1), 1)
+            with np.errstate(over="ignore"):
+                shares = np.minimum(((steps(block) / scales[:, :1]) ** 2).mean(axis=1), 1)
             seen = block.opacities() * scales.prod(axis=1)
             moved += float((seen * shares).sum())
             counted += float(seen.sum())
