@@ -23,7 +23,7 @@ from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline import run, stages
 from nanogs.pipeline.estimates.block_plan import held_bytes, plan_blocks
-from nanogs.pipeline.job import cluster
+from nanogs.pipeline.job import cluster, rows
 from nanogs.pipeline.job.folder import LOCK, MANIFEST, locked, read_manifest, write_manifest
 from nanogs.pipeline.options.settings import (
     Access,
@@ -40,7 +40,7 @@ from nanogs.pipeline.tasks.partition import partition
 from nanogs.pipeline.tasks.settle import keep_every_group
 from nanogs.pipeline.tasks.sorted_segments import DIGEST
 from nanogs.pipeline.tasks.units import Units
-from nanogs.source import Layout
+from nanogs.source import Layout, Source
 from nanogs.store.columns import CODES
 from nanogs.store.scratch import FolderScratch, open_scratch
 from nanogs.store.tables import Table, read_record, verified, write_table
@@ -90,6 +90,28 @@ def settings(block, segments, **changes):
 
 
 # ---- parts ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("span", "wanted", "reads"),
+    [(32, 30_000, 4), (32, 6000, 4), (32, 900, 28), (7, 4000, 4), (9000, 1, 1)],
+)
+def test_samples_are_evenly_spread_runs_of_usable_rows(tmp_path, monkeypatch, span, wanted, reads):
+    model = random_splats(25_000)
+    model.means[::5] = np.nan
+    nanogs.save(model, tmp_path / "scene.ply")
+    with nanogs.open(tmp_path / "scene.ply") as source:
+        inputs = (rows.input_file(source),)
+    done = []
+    monkeypatch.setattr(
+        rows.Joined, "read", lambda self, *ends: done.append(ends) or Source.read(self, *ends)
+    )
+    found = rows.sample(settings(1000, [25_000], inputs=inputs), rows=wanted, span=span)
+    starts = range(0, 25_000, span * -(-25_000 // wanted))
+    runs = [np.arange(start, min(start + span, 25_000)) for start in starts]
+    expected = model.take(np.concatenate(runs))
+    np.testing.assert_array_equal(found.means, expected.means[expected.finite()])
+    assert len(done) == reads
 
 
 def test_tables_return_their_rows_and_detect_a_changed_byte(tmp_path):

@@ -18,9 +18,11 @@ from nanogs.pipeline.options.settings import Access, FilterCounts, InputFile, Se
 from nanogs.pipeline.options.views import AUTOMATIC, RequestedViews
 from nanogs.pipeline.tasks.unpack import Unpacked
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
+from nanogs.source.base import PAGE_ROWS
 from nanogs.splats import RenderMode, Splats, concatenate
 
 SPAN, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # rows of a run; most and fewest runs
+_NEAR = 8  # runs are read together if this many times their rows, or fewer, are read with them
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,8 +222,12 @@ def sample(
     layout = settings.layout.bare() if bare else settings.layout
     rows = rows or min(max(settings.block // SPAN, _LEAST_SPANS), _MOST_SPANS) * SPAN
     every = -(-settings.splats // rows)
+    apart = span * every
+    # A page takes hardly longer to read than a run.
+    runs = max(PAGE_ROWS // apart, 1) if every <= _NEAR else 1
     with opened(settings, unpacked) as source:
-        for start in range(0, source.count, span * every):
-            part = source.read(start, min(start + span, source.count))
-            parts.append(fitted(part.take(part.finite()), layout))
+        for start in range(0, source.count, runs * apart):
+            part = source.read(start, min(start + (runs - 1) * apart + span, source.count))
+            wanted = part.finite() & (np.arange(len(part)) % apart < span)
+            parts.append(fitted(part.take(wanted), layout))
     return concatenate(parts)
