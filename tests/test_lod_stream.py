@@ -262,6 +262,16 @@ def test_chunks_cover_every_file_and_are_bounded(path):
     assert len([name for name in runs if name.startswith("0_")]) == 2
 
 
+@pytest.mark.filterwarnings("error")
+def test_boxes_of_a_scene_at_the_end_of_single_precision_are_finite(tmp_path):
+    model = random_splats(60)
+    model.means[0], model.log_scales[0] = 3.3e38, 87.5
+    write_levels(model, tmp_path / "s", [1, 0.5], layout=Layout.SOG, chunk=20, preset="fast")
+    meta = json.loads((tmp_path / "s" / "lod-meta.json").read_text())
+    assert meta["tree"]["bound"]["max"] == [pytest.approx(float(np.finfo(np.float32).max))] * 3
+    assert len(nanogs.load(tmp_path / "s" / "lod-meta.json")) == 60
+
+
 def test_the_tree_is_binary_and_its_boxes_enclose_the_splats(path):
     meta = json.loads(path.read_text())
     assert_binary(meta["tree"])

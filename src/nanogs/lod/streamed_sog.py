@@ -282,12 +282,14 @@ def _evened(before: I64, first: int, most: int, least: int) -> list[tuple[int, i
 
 
 def _bound(box: F64) -> dict[str, list[float]]:
-    """Return the JSON of a box, in single precision and rounded outwards."""
+    """Return the JSON of a box, in single precision, finite, and rounded outwards."""
     return {"min": _rounded(box[0], -np.inf), "max": _rounded(box[1], np.inf)}
 
 
 def _rounded(corner: F64, towards: float) -> list[float]:
-    single = corner.astype(np.float32)
+    limit = np.finfo(np.float32).max
+    single = np.clip(corner, -limit, limit).astype(np.float32)
     outside = single <= corner if towards < 0 else single >= corner
-    outer = np.where(outside, single, np.nextafter(single, np.float32(towards)))
-    return [float(str(value)) for value in outer]
+    with np.errstate(over="ignore"):
+        outer = np.where(outside, single, np.nextafter(single, np.float32(towards)))
+    return [float(str(value)) for value in np.clip(outer, -limit, limit)]
