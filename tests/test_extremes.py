@@ -1,6 +1,7 @@
 """Values at the limits of float32: finite input gives finite output of the exact count."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from nanogs.method.extent import estimate_dilation
 from nanogs.method.gaussians import scene_origin
 from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.options.presets import PRESETS
+from nanogs.scoring import scores
 from nanogs.splats import RenderMode
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -170,6 +172,25 @@ def test_sog_holds_centres_at_the_end_of_single_precision(tmp_path, size):
         nanogs.save(model, tmp_path / "b.sog", format_options={"spare_bits": 6})
     nanogs.save(model, tmp_path / "a.sog", format_options={"spare_bits": 0}, overwrite=True)
     assert [file.name for file in tmp_path.iterdir()] == ["a.sog"]
+
+
+@pytest.mark.filterwarnings("error")
+def test_scenes_as_large_as_single_precision_allows_are_compared():
+    model = random_splats(60)
+    model.means[:] *= np.float32(1e38)
+    model.log_scales[:] += np.float32(np.log(1e38))
+    [score] = nanogs.compare(model, model, views=2, pixels=64).models
+    assert score.psnr == np.inf
+    assert 0 <= nanogs.mode_evidence(model).faded <= 1
+
+
+def test_a_view_with_an_infinite_depth_has_no_depth_error():
+    rendering = SimpleNamespace(alpha=np.ones((2, 2)), depth=np.ones((2, 2)))
+    beyond = SimpleNamespace(alpha=np.ones((2, 2)), depth=np.array([[1, 1], [1, np.inf]]))
+    assert scores._depth(rendering, rendering) == 0
+    assert scores._depth(rendering, beyond) is None
+    beyond.alpha[1, 1] = 0  # not covered
+    assert scores._depth(beyond, rendering) == 0
 
 
 @pytest.mark.filterwarnings("error")

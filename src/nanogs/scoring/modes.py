@@ -275,7 +275,7 @@ def _splats_in_sight(model: Splats | Source, cameras: "Sequence[Camera]") -> tup
 
     seen = thin = faded = 0
     for rows in source_of(model).blocks(BLOCK_ROWS):
-        least = rows.scales().min(axis=1, initial=np.inf)
+        least = rows.scales().min(axis=1, initial=np.inf).astype(np.float64)
         prepared = prepare(replace(rows, render_mode=RenderMode.DEFAULT))
         for camera in cameras:
             geometry, features, boxes = project_rows(prepared, camera, sh_degree=0)

@@ -222,7 +222,9 @@ def _score_view(view: ReferenceView, rendering: Rendering, extras: Sequence[str]
 def _depth(reference: Rendering | None, rendering: Rendering) -> float | None:
     if reference is None or reference.depth is None or rendering.depth is None:
         return None
-    if not ((reference.alpha > 0.5) & (rendering.alpha > 0.5)).any():
+    covered = (reference.alpha > 0.5) & (rendering.alpha > 0.5)
+    depths = np.stack([reference.depth[covered], rendering.depth[covered]])
+    if not depths.size or not np.isfinite(depths).all():  # infinite beyond float32
         return None
     return depth_error(rendering.depth, rendering.alpha, reference.depth, reference.alpha)
 
