@@ -12,6 +12,7 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import OutputError
 from nanogs.io.precision import Precision
+from nanogs.lod import tiles
 from nanogs.method.extent import estimate_dilation
 from nanogs.method.gaussians import scene_origin
 from nanogs.neighbours import nearest_neighbours
@@ -172,6 +173,22 @@ def test_sog_holds_centres_at_the_end_of_single_precision(tmp_path, size):
         nanogs.save(model, tmp_path / "b.sog", format_options={"spare_bits": 6})
     nanogs.save(model, tmp_path / "a.sog", format_options={"spare_bits": 0}, overwrite=True)
     assert [file.name for file in tmp_path.iterdir()] == ["a.sog"]
+
+
+@pytest.mark.filterwarnings("error")
+def test_harmonics_near_zero_are_written_to_rad(tmp_path):
+    model = random_splats(5, degree=1)
+    model.sh[:, 1:] = 0
+    model.sh[2, 1, 0] = 1e-42
+    nanogs.save(model, tmp_path / "a.rad")
+    assert np.abs(nanogs.load(tmp_path / "a.rad").sh[:, 1:]).max() == pytest.approx(1e-42, rel=1e-2)
+
+
+@pytest.mark.filterwarnings("error")
+def test_levels_of_splats_at_the_end_of_single_precision_have_a_width():
+    model = random_splats(4)
+    model.log_scales[:] = 88.5
+    assert tiles._width(model) > 1e38
 
 
 @pytest.mark.filterwarnings("error")

@@ -173,4 +173,4 @@ def made_files(folder: Path) -> frozenset[str] | None:
 
 def _width(splats: Splats) -> float:
     """Return the visible width of a typical splat along its longest axis, scene units."""
-    return _WIDTH * float(np.median(splats.scales().max(axis=1)))
+    return _WIDTH * float(np.median(splats.scales().max(axis=1).astype(np.float64)))

@@ -291,7 +291,8 @@ def _band(name: str, coefficients: F32) -> _Coded:
     most = float(np.abs(values).max()) or 1.0
     if _half(most) > _LARGEST_COEFFICIENT:
         return _floats(name, values)
-    steps = np.rint(values * (127 / most)).astype(np.int8)
+    # In double precision, because 127 / most may be beyond single precision.
+    steps = np.rint(values * np.float64(127 / most)).astype(np.int8)
     return _Coded(_entry(name, "s8", -most, most), steps, steps / 127.0 * most)
 
 
