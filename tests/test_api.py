@@ -247,6 +247,40 @@ def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, t
     nanogs.simplify(pair[0], count=9, preset="fast", cameras="auto")
 
 
+@pytest.mark.parametrize(
+    ("function", "given", "message"),
+    [
+        ("simplify", {"preset": ["fast"]}, r"no preset \['fast'\] .*; choose one of default, fast"),
+        ("simplify", {"format": 3}, "named by its suffix, as '.sog', not 3"),
+        ("simplify", {"format": None}, "named by its suffix, as '.sog', not None"),
+        ("compare", {"cameras": None}, "or at least one nanogs"),
+        ("compare", {"cameras": 3}, "or at least one nanogs"),
+        ("compare", {"metrics": None}, "no metric None"),
+        ("compare", {"names": 3}, "Give one name for each model, 1 in all, not 3"),
+        ("convert", {"format_options": 3}, "options are a dictionary, as {'bits': 6}, not 3"),
+        ("blocks", {"job": 3}, "`job` is a path, not int"),
+        ("blocks", {"scratch": ["s"]}, "`scratch` is a path, not list"),
+        ("blocks", {"scratch": b"s"}, "`scratch` is a path, not bytes"),
+        ("levels", {"job": 3}, "`job` is a path, not int"),
+        ("levels", {"suffix": None}, "named by its suffix, as '.sog', not None"),
+        ("levels", {"source": b"a"}, "`source` is the name of the model, not b'a'"),
+    ],
+)
+def test_values_of_other_types_are_refused_in_one_sentence(
+    pair, files, tmp_path, function, given, message
+):
+    calls = {
+        "simplify": lambda: nanogs.simplify(pair[0], count=9, **given),
+        "compare": lambda: nanogs.compare(*pair, views=1, pixels=16, **given),
+        "convert": lambda: nanogs.convert(files[0], tmp_path / "a.spz", **given),
+        "blocks": lambda: nanogs.simplify_blocks(files[0], tmp_path / "a.ply", count=9, **given),
+        "levels": lambda: nanogs.write_levels(pair[0], tmp_path / "l", [0.5], **given),
+    }
+    with pytest.raises(OptionError, match=message):
+        calls[function]()
+    assert list(tmp_path.iterdir()) == []
+
+
 class Tensor:
     """A tensor of another library, which NumPy can convert but not index as its own."""
 

@@ -5,7 +5,8 @@ This is the only module that joins `pipeline`, which makes levels, and `lod`, wh
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from os import PathLike, fspath
+from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from nanogs.frames import change_frame
 from nanogs.io import inspect, registry
 from nanogs.io.models import Model, as_splats
 from nanogs.io.url_files import refuse_address
-from nanogs.io.urls import places
+from nanogs.io.urls import path_text, places
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
@@ -129,11 +130,15 @@ def write_levels(
     held = model if isinstance(model, Splats | Source) else files
     ratios = usual_levels(held, layout) if ratios is None else checked_ratios(ratios)
     read: dict[str, Callable[[Any], Any]] = {
-        "max_memory": as_bytes, "job": Path, "scratch": fspath,
+        "max_memory": as_bytes,
+        "job": lambda given: Path(path_text("job", given)),
+        "scratch": partial(path_text, "scratch"),
     }  # fmt: skip
     given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
     overrides = {key: given.pop(key) for key in given.keys() - _OPTIONS}
     plain = as_switch("`plain`", plain)
+    if not isinstance(source, str | None):
+        raise OptionError(f"`source` is the name of the model, not {source!r}.")
     request = Request(
         inputs=files, output=Path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
         chunks=chunks_of(layout, chunk, chunk_min, plain=plain, place=place), frame=frame,

@@ -1,7 +1,7 @@
 """Looking up formats by the suffix of a file name or by the first bytes of a file."""
 
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -66,7 +66,13 @@ def _zipped(path: Path) -> dict[str, int]:
 
 
 def suffix_of(format: str) -> str:  # noqa: A002 - the name in `load`
-    """Convert a format's name, with or without a dot, to its suffix: "PLY" to ".ply"."""
+    """Convert a format's name, with or without a dot, to its suffix: "PLY" to ".ply".
+
+    Raises:
+        OptionError: It is no name.
+    """
+    if not isinstance(format, str):
+        raise OptionError(f"A format is named by its suffix, as '.sog', not {format!r}.")
     return f".{format.lstrip('.').lower()}"
 
 
@@ -153,8 +159,10 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
 
     Raises:
         OptionError: The format has no such option or does not allow that value, or options
-            contradict each other.
+            contradict each other or are no dictionary.
     """
+    if not isinstance(options, Mapping):
+        raise OptionError(f"Format options are a dictionary, as {{'bits': 6}}, not {options!r}.")
     chosen = {}
     for name, value in options.items():
         if value is None:

@@ -163,6 +163,22 @@ def places(given: object) -> tuple[Path, ...]:
     return tuple(map(place, given))
 
 
+def path_text(name: str, given: object) -> str:
+    """Return the text of a path or URL that is an option.
+
+    Args:
+        name: Of the option.
+        given: Its value.
+
+    Raises:
+        OptionError: It is no path.
+    """
+    text = fspath(given) if isinstance(given, str | PathLike) else None
+    if not isinstance(text, str):
+        raise OptionError(f"`{name}` is a path, not {type(given).__name__}.")
+    return text
+
+
 def place(given: object) -> Path:
     """Convert an argument to a `Path`, or a URL to an `Address`; `file://` URLs become paths.
 

@@ -1,11 +1,11 @@
 """`nanogs.compare`: image quality of models, compared with their original or photographs."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from nanogs.bar import show_progress
 from nanogs.errors import OptionError
@@ -117,7 +117,8 @@ def compare(
         )
     largest, most = asked.pictures(views) if photos is None else (PIXELS**2, 0)
     packing = packing_of(packed, format_options) if packed else {}
-    extras = [metrics] if isinstance(metrics, str) else metrics
+    several = isinstance(metrics, Iterable) and not isinstance(metrics, str)
+    extras: list[Any] = list(metrics) if several else [metrics]
     given, limit = (original, *models), None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
         names = [file_name(original) or "original", *called]
@@ -208,7 +209,10 @@ def compared_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> Compared
 
     if isinstance(cameras, Camera):
         return ComparedViews([cameras])
-    names = [cameras] if isinstance(cameras, str | PathLike) else list(cameras)
+    if isinstance(cameras, str | PathLike):
+        names: list[Any] = [cameras]
+    else:
+        names = list(cameras) if isinstance(cameras, Iterable) else []
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     if not sources or len(sources) < len(names):
         given = [camera for camera in names if isinstance(camera, Camera)]
@@ -223,7 +227,7 @@ def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
         raise OptionError("Give at least one model to compare with the original.")
     if names is None:
         return [file_name(model) or f"model {place}" for place, model in enumerate(models, 1)]
-    if isinstance(names, str) or len(names) != len(models):
+    if isinstance(names, str) or not isinstance(names, Sequence) or len(names) != len(models):
         raise OptionError(f"Give one name for each model, {len(models)} in all, not {names!r}.")
     return list(names)
 

@@ -46,7 +46,7 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
     Raises:
         OptionError: No such preset or parameter, or a value out of its range.
     """
-    if preset not in PRESETS:
+    if not isinstance(preset, str) or preset not in PRESETS:
         meant = did_you_mean(str(preset), PRESETS)
         raise OptionError(
             f"There is no preset {preset!r}{meant}; choose one of {', '.join(PRESETS)}."
