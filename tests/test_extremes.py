@@ -17,8 +17,11 @@ from nanogs.method.extent import estimate_dilation
 from nanogs.method.gaussians import scene_origin
 from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.options.presets import PRESETS
+from nanogs.raster.images import color_image
+from nanogs.raster.rendering import render
 from nanogs.scoring import scores
 from nanogs.splats import RenderMode
+from nanogs.views.automatic import automatic_cameras
 
 LARGEST = float(np.finfo(np.float32).max)
 HUGE = [0.0, 1e-38, 1e-30, 1e-10, 1.0, 1e8, 1e15, 1e30, LARGEST]
@@ -173,6 +176,18 @@ def test_sog_holds_centres_at_the_end_of_single_precision(tmp_path, size):
         nanogs.save(model, tmp_path / "b.sog", format_options={"spare_bits": 6})
     nanogs.save(model, tmp_path / "a.sog", format_options={"spare_bits": 0}, overwrite=True)
     assert [file.name for file in tmp_path.iterdir()] == ["a.sog"]
+
+
+@pytest.mark.filterwarnings("error")
+def test_colours_without_a_value_are_black_in_pictures():
+    model = random_splats(60, degree=2)
+    model.sh[:] = np.float32(3e38) * np.sign(model.sh)
+    rendering = render(model, automatic_cameras(model, 1, width=64, height=64)[0])
+    unknown = np.isnan(rendering.color)
+    assert unknown.any()
+    assert (color_image(rendering, transparent=False)[unknown] == 0).all()
+    assert (color_image(rendering, transparent=True)[..., :3][unknown] == 0).all()
+    assert (rendering.shown()[unknown] == 0).all()
 
 
 @pytest.mark.filterwarnings("error")

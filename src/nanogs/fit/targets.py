@@ -17,6 +17,7 @@ from nanogs.raster.rendering import (
     Projection,
     Rendering,
     blend,
+    clipped,
     project,
     render,
     view_on,
@@ -134,8 +135,8 @@ def as_target(rendering: Rendering, camera: Camera) -> Target:
 
 
 def _in_bytes(values: F32) -> F32:
-    """Clip values to [0, 1], NaN to 0, and scale them to 0 to 255, rounded, still as float32."""
-    scaled = np.fmin(np.fmax(values, 0), 1)
+    """Clip values to [0, 1] and scale them to whole numbers from 0 to 255, still as float32."""
+    scaled = clipped(values)
     scaled *= np.float32(255)
     np.rint(scaled, out=scaled)
     return scaled

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nanogs._types import F32, U8, Array
-from nanogs.raster.rendering import Rendering
+from nanogs.raster.rendering import Rendering, clipped
 
 
 def color_image(rendering: Rendering, transparent: bool) -> Array:
@@ -18,8 +18,7 @@ def straight(rendering: Rendering) -> F32:
     """Return (H, W, 4) float32 in [0, 1]: RGBA with straight alpha, of a rendering over black."""
     color, alpha = rendering.color, rendering.alpha[..., None]
     divided = np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0)
-    both: F32 = np.concatenate([divided, alpha], axis=2)
-    return both.clip(0.0, 1.0)
+    return clipped(np.concatenate([divided, alpha], axis=2))
 
 
 def depth_image(rendering: Rendering) -> Array:
@@ -37,4 +36,4 @@ def depth_image(rendering: Rendering) -> Array:
 
 def to_bytes(values: F32) -> U8:
     """Clip values to [0, 1] and convert them to uint8, rounded to nearest."""
-    return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    return (clipped(values) * 255.0 + 0.5).astype(np.uint8)

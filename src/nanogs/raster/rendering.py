@@ -127,9 +127,14 @@ class Rendering:
     notes: tuple[str, ...]
 
     def shown(self) -> F32:
-        """Return (H, W, 3) float32: the colours clipped to [0, 1], as on a screen; NaN is black."""
-        shown: F32 = np.fmin(np.fmax(self.color, 0.0), 1.0)
-        return shown
+        """Return (H, W, 3) float32: the colours as on a screen; see `clipped`."""
+        return clipped(self.color)
+
+
+def clipped(values: F32) -> F32:
+    """Clip to [0, 1]; NaN, as of colours beyond single precision, becomes 0."""
+    inside: F32 = np.fmin(np.fmax(values, 0.0), 1.0)
+    return inside
 
 
 def prepare(splats: Splats) -> PreparedSplats:

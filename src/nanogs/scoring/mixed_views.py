@@ -18,7 +18,7 @@ from nanogs.io.sog.chunks import Chunks, read_chunks
 from nanogs.metrics import psnr, ssim
 from nanogs.protocol import Background
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, background_of, blend, prepare, project
+from nanogs.raster.rendering import PreparedSplats, background_of, blend, clipped, prepare, project
 from nanogs.scoring.scores import ReferenceView
 from nanogs.splats import concatenate
 from nanogs.views.chunk_levels import NOTHING, chosen_levels, chunk_distances
@@ -153,7 +153,7 @@ class StreamLevels:
                 lights[self.levels == level, channel] = 1
             parts.append(blend(view, camera, lights, np.zeros(_CHANNELS, np.float32))[0])
         shares: F32 = np.concatenate(parts, axis=2)[:, :, : len(levels)]
-        return np.clip(image[..., :3], 0.0, 1.0), shares
+        return clipped(image[..., :3]), shares
 
 
 def _at_seams(
