@@ -86,7 +86,7 @@ def calls_of(random: Generator, folder: Path) -> Calls:
     kind = str(random.choice(["auto", "roam", "inside", "orbit"]))
     yield "render", lambda: nanogs.render(splats, kind, views=2, pixels=48)
     yield "mode_evidence", lambda: nanogs.mode_evidence(splats)
-    yield "picture", splats._repr_html_  # noqa: SLF001 - as a notebook calls it
+    yield "picture", splats._repr_html_
     packed = str(random.choice([".spz", ".sog", ".splat", ".compressed.ply"]))
     yield f"packing_cost {packed}", lambda: nanogs.packing_cost(splats, packed)
     layout = str(random.choice(["3d tiles", "streamed sog"]))
