@@ -8,7 +8,6 @@ printed with the number of their case, and make the exit status 1.
 """
 
 import argparse
-import shutil
 import sys
 import tempfile
 import time
@@ -115,7 +114,6 @@ def calls_of(random: Generator, folder: Path) -> Calls:
             written, small, preset=preset, block=block, threads=1, **goal, **given
         ),
     )
-    shutil.rmtree(folder / "levels", ignore_errors=True)
 
 
 def random_model(random: Generator) -> Splats:

@@ -1,9 +1,10 @@
 """Parameters as dataclass fields with a default, a range, and a help text for the command."""
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
+from os import PathLike
 from typing import Any
 
 from nanogs.errors import OptionError
@@ -107,6 +108,12 @@ def as_switch(name: str, value: object) -> bool:
     if not isinstance(value, Hashable) or value not in (True, False):
         raise OptionError(f"{name} must be True or False, not {value_text(value)}.")
     return bool(value)
+
+
+def one_or_several(given: Any) -> list[Any]:  # noqa: ANN401 - whatever a caller gives
+    """Return an argument that may be one value or several as a list; a text or a path is one."""
+    one = isinstance(given, str | bytes | PathLike) or not isinstance(given, Iterable)
+    return [given] if one else list(given)
 
 
 def value_text(value: Any) -> str:  # noqa: ANN401 - whatever a caller gives

@@ -1,7 +1,7 @@
 """`nanogs.refit`: fit a small model to renders of the original, and report on it."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from nanogs.fit.report import RefitReport
 from nanogs.fit.stages import refit_stages
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import PartProgress, Progress, Tracker
+from nanogs.ranges import one_or_several
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -162,8 +163,7 @@ def _listed(cameras: "Sequence[Camera] | Camera") -> "list[Camera]":
     from nanogs.raster.camera import Camera
     from nanogs.views.cameras import check_cameras
 
-    given = [cameras] if isinstance(cameras, Camera) else cameras
-    found = list(given) if isinstance(given, Iterable) else [given]
+    found = one_or_several(cameras)
     if not all(isinstance(each, Camera) for each in found):
         raise OptionError("`cameras` of a refit must be a list of at least two nanogs.Camera.")
     check_cameras(found)

@@ -7,13 +7,13 @@ and fragment.
 
 import re
 import sys
-from collections.abc import Iterable
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import quote, unquote
 
 from nanogs.errors import OptionError
+from nanogs.ranges import one_or_several
 
 if sys.platform == "win32":
     from pathlib import WindowsPath as _Native
@@ -158,9 +158,7 @@ def places(given: object) -> tuple[Path, ...]:
     Raises:
         OptionError: One is no path.
     """
-    if isinstance(given, str | bytes | PathLike) or not isinstance(given, Iterable):
-        return (place(given),)
-    return tuple(map(place, given))
+    return tuple(map(place, one_or_several(given)))
 
 
 def path_text(name: str, given: object) -> str:

@@ -287,9 +287,9 @@ def _bound(box: F64) -> dict[str, list[float]]:
 
 
 def _rounded(corner: F64, towards: float) -> list[float]:
-    limit = np.finfo(np.float32).max
-    single = np.clip(corner, -limit, limit).astype(np.float32)
-    outside = single <= corner if towards < 0 else single >= corner
     with np.errstate(over="ignore"):
+        single = corner.astype(np.float32)
+        outside = single <= corner if towards < 0 else single >= corner
         outer = np.where(outside, single, np.nextafter(single, np.float32(towards)))
+    limit = np.finfo(np.float32).max
     return [float(str(value)) for value in np.clip(outer, -limit, limit)]

@@ -133,8 +133,8 @@ class Rendering:
 
 def clipped(values: F32) -> F32:
     """Clip to [0, 1]; NaN, as of colours beyond single precision, becomes 0."""
-    inside: F32 = np.fmin(np.fmax(values, 0.0), 1.0)
-    return inside
+    inside: F32 = np.fmax(values, 0.0)
+    return np.fmin(inside, 1.0, out=inside)
 
 
 def prepare(splats: Splats) -> PreparedSplats:

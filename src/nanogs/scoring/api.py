@@ -1,11 +1,11 @@
 """`nanogs.compare`: image quality of models, compared with their original or photographs."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from nanogs.bar import show_progress
 from nanogs.errors import OptionError
@@ -14,6 +14,7 @@ from nanogs.io.urls import place
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background, plain_background
 from nanogs.quantities import as_bytes
+from nanogs.ranges import one_or_several
 from nanogs.raster.camera import Camera
 from nanogs.scoring.needed import room_for_comparison
 from nanogs.scoring.packed_models import (
@@ -117,8 +118,7 @@ def compare(
         )
     largest, most = asked.pictures(views) if photos is None else (PIXELS**2, 0)
     packing = packing_of(packed, format_options) if packed else {}
-    several = isinstance(metrics, Iterable) and not isinstance(metrics, str)
-    extras: list[Any] = list(metrics) if several else [metrics]
+    extras = one_or_several(metrics)
     given, limit = (original, *models), None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
         names = [file_name(original) or "original", *called]
@@ -209,14 +209,10 @@ def compared_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> Compared
 
     if isinstance(cameras, Camera):
         return ComparedViews([cameras])
-    if isinstance(cameras, str | PathLike):
-        names: list[Any] = [cameras]
-    else:
-        names = list(cameras) if isinstance(cameras, Iterable) else []
+    names = one_or_several(cameras)
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     if not sources or len(sources) < len(names):
-        given = [camera for camera in names if isinstance(camera, Camera)]
-        return ComparedViews(given_cameras(given if len(given) == len(names) else []))
+        return ComparedViews(given_cameras(names))
     sources = parse_sources(sources[0]) if len(sources) == 1 else sources
     several = pixels if isinstance(pixels, list) else [pixels]
     return ComparedViews([], sources, [picture_size(size) for size in several])

@@ -11,6 +11,7 @@ from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import convert_bytes
 from nanogs.progress import Progress
+from nanogs.ranges import one_or_several
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
@@ -38,8 +39,8 @@ def packing_of(
     if not formats:
         raise OptionError("Name at least one format to pack the model in, such as .sog.")
     given = {name: value for name, value in (format_options or {}).items() if value is not None}
-    names = [formats] if isinstance(formats, str) else formats
-    found = [registry.writable(Path(f"model{registry.suffix_of(name)}")) for name in names]
+    suffixes = map(registry.suffix_of, one_or_several(formats))
+    found = [registry.writable(Path(f"model{suffix}")) for suffix in suffixes]
     for known in found:
         if not known.readable:
             raise OptionError(

@@ -12,6 +12,7 @@ from nanogs.costs import DrawCost
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import undrawn
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
+from nanogs.metrics.depth import COVERED
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import Background, PackingLoss
 from nanogs.raster.camera import Camera
@@ -222,9 +223,9 @@ def _score_view(view: ReferenceView, rendering: Rendering, extras: Sequence[str]
 def _depth(reference: Rendering | None, rendering: Rendering) -> float | None:
     if reference is None or reference.depth is None or rendering.depth is None:
         return None
-    covered = (reference.alpha > 0.5) & (rendering.alpha > 0.5)
-    depths = np.stack([reference.depth[covered], rendering.depth[covered]])
-    if not depths.size or not np.isfinite(depths).all():  # infinite beyond float32
+    covered = (reference.alpha > COVERED) & (rendering.alpha > COVERED)
+    finite = np.isfinite(reference.depth) & np.isfinite(rendering.depth)  # not beyond float32
+    if not covered.any() or not finite[covered].all():
         return None
     return depth_error(rendering.depth, rendering.alpha, reference.depth, reference.alpha)
 

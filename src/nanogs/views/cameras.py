@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from nanogs.errors import OptionError
 from nanogs.protocol import Kind as Origin
-from nanogs.ranges import is_number
+from nanogs.ranges import is_number, one_or_several
 from nanogs.raster.camera import Camera
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -155,8 +155,7 @@ def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
     """
     if isinstance(cameras, FoundCameras) and cameras:
         return cameras
-    several = list(cameras) if isinstance(cameras, Iterable) else []
-    given = [cameras] if isinstance(cameras, Camera) else several
+    given = one_or_several(cameras)
     if not given or not all(isinstance(camera, Camera) for camera in given):
         raise OptionError(
             'Cameras must be "auto", "orbit", "inside", "roam", a path, or at least one'
