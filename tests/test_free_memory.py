@@ -250,13 +250,13 @@ def test_compare_refuses_models_that_do_not_fit_before_reading_them(tmp_path, mo
     splats, path = make_scene(2000), tmp_path / "a.ply"
     nanogs.save(splats, path)
     monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(100_000, "free on this machine"))
-    monkeypatch.setattr("nanogs.scoring.api.named", None)  # nothing is read
+    monkeypatch.setattr("nanogs.scoring.measure.named", None)  # nothing is read
     for models in ((splats, splats), (path, splats), (path, path)):
         with pytest.raises(NotEnoughMemoryError, match="fewer or smaller views"):
             nanogs.compare(*models)
     view = {"views": 1, "pixels": 16}
     in_memory, from_file = (
-        needed_bytes(models, 256, 1, all_of_it=False) for models in ((splats,), (path,))
+        needed_bytes((model,), 256, 1, all_of_it=False) for model in (splats, nanogs.open(path))
     )
     assert from_file - in_memory == 2000 * splat_bytes(3)  # the file must be read first
     monkeypatch.undo()

@@ -56,6 +56,8 @@ def models_bytes(models: Sequence[Model], *, all_of_it: bool) -> int:
     for model in models:
         if isinstance(model, str | PathLike):
             read += _read(inspect(model))
+        elif isinstance(model, FileSource):
+            read += _read(model.info)
         elif isinstance(model, Source):
             read += model.count * splat_bytes(model.columns.sh_degree)
         elif isinstance(model, Splats) and all_of_it:

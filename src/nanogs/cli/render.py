@@ -79,7 +79,7 @@ def render(
         fetched([source], quiet=run.hushed) as [file],
         open_model(file, render_mode=render_mode) as opened,
     ):
-        room = room_for_pictures(file, opened, width * height, 0, run.max_memory)
+        room = room_for_pictures(opened, width * height, 0, run.max_memory)
         with shown(quiet=run.hushed) as watch, use_threads(run.threads):
             progress = Tracker(watch, stages)
             progress.begin("read")

@@ -2,39 +2,26 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from os import PathLike, fspath
+from dataclasses import replace
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from nanogs.bar import show_progress
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, opened
 from nanogs.io.urls import place
-from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, Background, plain_background
+from nanogs.progress import Progress, Tracker
+from nanogs.protocol import PIXELS, Background, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import one_or_several
-from nanogs.raster.camera import Camera
-from nanogs.scoring.needed import room_for_comparison
-from nanogs.scoring.packed_models import (
-    files_of,
-    named,
-    packing_notes,
-    remarks_on,
-    write_packed_files,
-)
 from nanogs.scoring.packing import packing_of
-from nanogs.source import Source
-from nanogs.splats import Splats
-from nanogs.views.cameras import Cameras, given_cameras, picture_size, view_count
+from nanogs.scoring.view_sets import Pixels, requested_views
+from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
     from nanogs.io.format import FormatOptions
     from nanogs.scoring.comparison import Comparison
-    from nanogs.scoring.view_sets import Size, ViewSet
-
-Pixels: TypeAlias = int | tuple[int, int] | list[int] | list[tuple[int, int]]
 
 
 def compare(
@@ -103,11 +90,9 @@ def compare(
         NotEnoughMemoryError: It takes more memory than is free or allowed, even row by row.
         OptionError: An argument is out of range, there is no such device, or no model is given.
     """
-    called, asked = _names(models, names), compared_views(cameras, pixels)
-    views = None if views is None else view_count(views)
+    called, requested = _names(models, names), requested_views(cameras, pixels, views, up)
     background = None if background is None else plain_background(background)
-    chosen = views is not None or up is not None or asked != compared_views("auto", PIXELS)
-    if photos is not None and chosen:
+    if photos is not None and (up is not None or requested != requested_views("auto", PIXELS)):
         raise OptionError(
             "`photos` cannot be combined with options for views, because photographs have views of"
             " their own; leave these options out."
@@ -116,106 +101,27 @@ def compare(
         raise OptionError(
             "`images` and `split` work only with photographs; name their data set with `photos`."
         )
-    largest, most = asked.pictures(views) if photos is None else (PIXELS**2, 0)
     packing = packing_of(packed, format_options) if packed else {}
     extras = one_or_several(metrics)
-    given, limit = (original, *models), None if max_memory is None else as_bytes(max_memory)
+    limit = None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
         names = [file_name(original) or "original", *called]
-        sources = [
-            stack.enter_context(opened(model, name))
-            for name, model in zip(names, given, strict=True)
+        given = [
+            (name, stack.enter_context(opened(model, name)))
+            for name, model in zip(names, (original, *models), strict=True)
         ]
-        looking = largest, most * (2 if packing else 1), limit
-        room = room_for_comparison(given, sources, *looking)
         # Imported here because these import Numba.
         from nanogs.card.device import device_notes, use_device
-        from nanogs.scoring.comparison import compare_with_photographs
-        from nanogs.scoring.on_sets import compare_on_sets
-        from nanogs.scoring.photos import photographs, room_beside_photographs
+        from nanogs.scoring.measure import Measurement, Photographs, measure, measuring_stages
         from nanogs.threads import use_threads
 
+        seen = requested if photos is None else Photographs(Path(photos), images, split)
+        how = Measurement(seen, background, extras, packing, limit)
         with use_device(device) as used, use_threads(threads), show_progress(progress) as on_step:
-            first, *tests = zip(names, sources, strict=True)
-            entries: list[tuple[str, Splats | Source, str]] = [(*test, "") for test in tests]
-            files = files_of(sources[1:], packing)
-            sets_count = asked.sets_count if photos is None else 0
-            tracker = Tracker(on_step, _stages(len(models), files, sets_count))
-            if packing:
-                entries = write_packed_files(tests, packing, stack, limit, tracker)
-                made = [source for _, source, suffix in entries if suffix]
-                room = room_for_comparison([*given, *made], [*sources, *made], *looking)
-            every = [named(*entry, room is None) for entry in [(*first, ""), *entries]]
-            if photos is None:
-                sets = asked.sets(every[0].splats, views, up)
-                comparison, _ = compare_on_sets(
-                    every[0], every[1:], sets, background=background or BLACK, extras=extras,
-                    room=room, progress=tracker,
-                )  # fmt: skip
-            else:
-                tracker.begin("photographs")
-                behind, frames = photographs(Path(photos), images, split, background, limit)
-                comparison, _ = compare_with_photographs(
-                    str(photos), every, frames, split=split, background=behind, extras=extras,
-                    room=room_beside_photographs(room, frames, packed=bool(packing)),
-                    progress=tracker,
-                )  # fmt: skip
+            tracker = Tracker(on_step, measuring_stages([source for _, source in given], how))
+            comparison = measure(given, how, stack, tracker).comparison
             tracker.finish()
-            remarks = remarks_on([*zip(names, sources, strict=True)])
-            notes = (*remarks, *packing_notes(tests, packing), *comparison.notes)
-            notes = (*notes, *device_notes(device, used))
-    return replace(comparison, notes=notes)
-
-
-@dataclass(frozen=True, slots=True)
-class ComparedViews:
-    """The requested views: cameras, or else kinds of automatic views (or a file) and sizes."""
-
-    cameras: "list[Camera]"
-    sources: Sequence[str] = ()
-    sizes: "Sequence[Size]" = ()
-
-    def pictures(self, views: int | None) -> tuple[int, int]:
-        """Return the pixels of the largest view and of the largest set the number of views.
-
-        The number is 0 for the cameras of a file.
-        """
-        from nanogs.scoring.view_sets import found_views
-
-        if self.cameras:
-            return max(camera.width * camera.height for camera in self.cameras), len(self.cameras)
-        largest = max((width * height for width, height in self.sizes), default=0)
-        return largest, max(found_views(self.sources, views), default=0)
-
-    @property
-    def sets_count(self) -> int:
-        """Number of sets of views."""
-        return 1 if self.cameras else len(self.sources) * len(self.sizes)
-
-    def sets(
-        self, model: Splats | Source, views: int | None, up: Sequence[float] | None
-    ) -> "list[ViewSet]":
-        """Return the sets of views; views that are not given are computed from the model."""
-        from nanogs.scoring.view_sets import ViewSet, view_sets
-
-        if self.cameras:
-            return [ViewSet(self.cameras, "given")]
-        return view_sets(model, self.sources, self.sizes, views=views, up=up)
-
-
-def compared_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> ComparedViews:
-    """Parse the requested views; arguments and errors are those of `compare`."""
-    from nanogs.scoring.view_sets import parse_sources
-
-    if isinstance(cameras, Camera):
-        return ComparedViews([cameras])
-    names = one_or_several(cameras)
-    sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
-    if not sources or len(sources) < len(names):
-        return ComparedViews(given_cameras(names))
-    sources = parse_sources(sources[0]) if len(sources) == 1 else sources
-    several = pixels if isinstance(pixels, list) else [pixels]
-    return ComparedViews([], sources, [picture_size(size) for size in several])
+    return replace(comparison, notes=(*comparison.notes, *device_notes(device, used)))
 
 
 def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
@@ -231,14 +137,3 @@ def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
 def file_name(model: Model) -> str | None:
     """Return the name of a model's file, or None if the model is not given as a path."""
     return place(model).name if isinstance(model, str | PathLike) else None
-
-
-def _stages(models: int, files: int, sets: int) -> list[Stage]:
-    """Return the stages of a comparison from numbers of models, packed files and sets of views.
-
-    No sets of views means photographs.
-    """
-    looking = [Stage("render", 1.0), Stage("score", float(models + files))] * sets
-    if not sets:
-        looking = [Stage("photographs", 1.0), Stage("score", 1.0 + models + files)]
-    return [Stage("pack", float(files))] * bool(files) + looking

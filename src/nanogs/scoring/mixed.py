@@ -23,8 +23,9 @@ from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
-from nanogs.scoring.api import Pixels, compared_views, file_name
-from nanogs.views.cameras import Cameras, view_count
+from nanogs.scoring.api import file_name
+from nanogs.scoring.view_sets import Pixels, requested_views
+from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
     from nanogs.scoring.mixed_views import MixedView
@@ -135,11 +136,10 @@ def compare_mixed(
         refuse_address(path, "download the stream, and give the path of its file")
     called = _names(original, paths, names)
     _check(paths, budget)
-    asked = compared_views(cameras, pixels)
-    views = None if views is None else view_count(views)
+    requested = requested_views(cameras, pixels, views, up)
     background = plain_background(background)
     limit = None if max_memory is None else as_bytes(max_memory)
-    _refuse_too_large(original, paths, *asked.pictures(views), limit)
+    _refuse_too_large(original, paths, *requested.pictures, limit)
     # Imported here because these import Numba.
     from nanogs.raster.rendering import prepare
     from nanogs.scoring.mixed_views import read_levels
@@ -151,12 +151,13 @@ def compare_mixed(
     with ExitStack() as stack:
         stack.enter_context(use_threads(threads))
         tracker = Tracker(
-            stack.enter_context(show_progress(progress)), _stages(len(paths), asked.sets_count)
+            stack.enter_context(show_progress(progress)),
+            _stages(len(paths), requested.sets_count),
         )
         tracker.begin("read")
         whole = as_splats(original)
         stream_levels = [read_levels(path) for path in paths]
-        for found in asked.sets(whole, views, up):
+        for found in requested.sets(whole):
             tracker.begin("render")
             ready = prepare(whole)
             seen, empty = reference_views(

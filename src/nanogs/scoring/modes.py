@@ -193,7 +193,7 @@ def render_findings(
             if photos is not None:
                 behind, frames = photographs(Path(photos), images, split, background, limit)
                 wanted = [view.camera for view in frames]
-            room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), limit)
+            room = room_for_pictures(source, *pictures_of(wanted, views, pixels), limit)
             room = room_beside_photographs(room, frames)
             some = source_of(source).load() if room is None else source
             if isinstance(wanted, str):

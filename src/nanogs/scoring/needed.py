@@ -1,12 +1,10 @@
 """Memory that a comparison needs, computed before anything is read. Numba is not imported."""
 
 from collections.abc import Sequence
-from os import PathLike
 
-from nanogs.io import inspect
-from nanogs.io.models import Model
-from nanogs.memory import allowed_memory
-from nanogs.memory_estimates import models_bytes, pictures_bytes, scoring_bytes
+from nanogs.io.parts import FileSource
+from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.memory_estimates import compare_bytes, models_bytes, pictures_bytes, scoring_bytes
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.plan import room_for_splats
@@ -15,53 +13,53 @@ REMEDY = "free some, or compare fewer or smaller views (`views`, `pixels`) or sm
 
 
 def room_for_comparison(
-    models: Sequence[Model],
-    sources: Sequence[Splats | Source],
+    models: Sequence[Splats | Source],
     pixels: int,
     views: int,
     max_memory: int | None,
+    *,
+    shown: bool = False,
 ) -> int | None:
     """Compute the bytes left for splats while rendering, if models must be read in parts.
 
     Args:
-        models: Models, or paths.
-        sources: The same models, opened.
+        models: The models.
         pixels: Pixels of the largest view.
         views: Number of views.
         max_memory: Bytes that this process may take; by default the free memory, less a tenth.
+        shown: Whether a page will show the models, opened files, so that all must be in memory.
 
     Returns:
         The bytes, or None if all models fit in memory.
 
     Raises:
-        FormatError: A path is no model.
         NotEnoughMemoryError: There is too little memory either way.
     """
     given, memory = bool(max_memory), allowed_memory(max_memory)
+    if shown:
+        infos = [model.info for model in models if isinstance(model, FileSource)]
+        remedy = f"{REMEDY}, or leave the models out of the page (`interactive=False`)"
+        needed = compare_bytes(infos, pixels, views)
+        refuse_too_large("Comparing these models", needed, memory, remedy)
+        return None
     if needed_bytes(models, pixels, views, all_of_it=given) <= memory.bytes:
         return None
     held = models_bytes([model for model in models if isinstance(model, Splats)], all_of_it=given)
     others = held + pictures_bytes(pixels, views)
-    read = [source_of(source) for source in sources]
+    read = [source_of(model) for model in models]
     return room_for_splats("Comparing these models", read, others, memory, REMEDY)
 
 
-def needed_bytes(models: Sequence[Model], pixels: int, views: int, *, all_of_it: bool) -> int:
+def needed_bytes(
+    models: Sequence[Splats | Source], pixels: int, views: int, *, all_of_it: bool
+) -> int:
     """Compute the bytes needed to load models and score them against the first.
 
     Args:
-        models: Models, or paths.
+        models: The models.
         pixels: Pixels of the largest view.
         views: Number of views.
         all_of_it: Also count models that are in memory already.
-
-    Raises:
-        FormatError: A path is no model.
     """
-    counts = [
-        inspect(model).splats if isinstance(model, str | PathLike) else len(model)
-        for model in models
-        if isinstance(model, str | PathLike | Source | Splats)
-    ]
     read = models_bytes(models, all_of_it=all_of_it)
-    return read + scoring_bytes(counts, pixels, views) if counts else 0
+    return read + scoring_bytes([source_of(model).count for model in models], pixels, views)

@@ -135,7 +135,7 @@ def packing_cost(
         from nanogs.threads import use_threads  # imported here because it imports Numba
 
         with use_threads(threads):
-            files = _measured(given, source, packing, limit, tracker)
+            files = _measured(source, packing, limit, tracker)
         tracker.finish()
     return PackingCost(files, notes_on(source))
 
@@ -148,7 +148,6 @@ def _stages(packing: PackingFormats) -> list[Stage]:
 
 
 def _measured(
-    given: Model,
     source: Splats | Source,
     packing: PackingFormats,
     limit: int | None,
@@ -158,7 +157,7 @@ def _measured(
     from nanogs.scoring.held_out import held_out
 
     tracker.begin("read")
-    both = [given, source_of(source)]
+    both = [source, source_of(source)]
     needed = needed_bytes(both, PIXELS**2, VIEWS, all_of_it=limit is not None)
     held = needed <= allowed_memory(limit).bytes
     refuse_too_large_to_pack(source, packing, limit, pictures_bytes(PIXELS**2, VIEWS))

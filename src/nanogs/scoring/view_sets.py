@@ -1,19 +1,29 @@
 """Sets of views that models are compared on: kinds of cameras, each at several picture sizes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from os import PathLike, fspath
 from pathlib import Path
 from typing import TypeAlias
 
 from nanogs.errors import OptionError, did_you_mean
 from nanogs.formatting import counted
 from nanogs.protocol import Kind, usual_views
+from nanogs.ranges import one_or_several
 from nanogs.raster.camera import Camera
 from nanogs.source import Source
 from nanogs.splats import Splats
-from nanogs.views.cameras import FOUND, cameras_for
+from nanogs.views.cameras import (
+    FOUND,
+    Cameras,
+    cameras_for,
+    given_cameras,
+    picture_size,
+    view_count,
+)
 
 Size: TypeAlias = tuple[int, int]  # width and height, pixels
+Pixels: TypeAlias = int | tuple[int, int] | list[int] | list[tuple[int, int]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +39,71 @@ class ViewSet:
     cameras: Sequence[Camera]
     kind: Kind
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RequestedViews:
+    """Views before any is computed or read: cameras, or else their sources and sizes.
+
+    Attributes:
+        cameras: The views themselves; empty if there are sources.
+        sources: Kinds of automatic views, or a camera file.
+        sizes: Sizes of automatic views.
+        count: Number of automatic views of each kind; None for the usual number.
+        up: (3,) up direction of automatic views; None to find it from the original.
+    """
+
+    cameras: Sequence[Camera]
+    sources: Sequence[str] = ()
+    sizes: Sequence[Size] = ()
+    count: int | None = None
+    up: Sequence[float] | None = field(default=None, compare=False)
+
+    @property
+    def counts(self) -> list[int]:
+        """Number of views of each set of one size; 0 for those of a file."""
+        return [len(self.cameras)] if self.cameras else found_views(self.sources, self.count)
+
+    @property
+    def pixels(self) -> list[int]:
+        """Pixels of a view of each size; of given cameras, those of the largest."""
+        sizes = [(camera.width, camera.height) for camera in self.cameras]
+        if sizes:
+            return [max(width * height for width, height in sizes)]
+        return [width * height for width, height in self.sizes]
+
+    @property
+    def sets_count(self) -> int:
+        """Number of sets of views."""
+        return len(self.counts) * len(self.pixels)
+
+    @property
+    def pictures(self) -> tuple[int, int]:
+        """Pixels of the largest view, and number of views of the largest set."""
+        return max(self.pixels, default=0), max(self.counts, default=0)
+
+    def sets(self, model: Splats | Source) -> list[ViewSet]:
+        """Return the sets of views; automatic ones are computed from the model."""
+        if self.cameras:
+            return [ViewSet(self.cameras, "given")]
+        return view_sets(model, self.sources, self.sizes, views=self.count, up=self.up)
+
+
+def requested_views(
+    cameras: Cameras | Sequence[str],
+    pixels: Pixels,
+    views: int | None = None,
+    up: Sequence[float] | None = None,
+) -> RequestedViews:
+    """Parse the views that are requested; arguments and errors are those of `nanogs.compare`."""
+    names = one_or_several(cameras)
+    sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
+    if not sources or len(sources) < len(names):
+        return RequestedViews(given_cameras(names))
+    sources = parse_sources(sources[0]) if len(sources) == 1 else sources
+    several = pixels if isinstance(pixels, list) else [pixels]
+    count = None if views is None else view_count(views)
+    return RequestedViews([], sources, [picture_size(size) for size in several], count, up)
 
 
 def parse_sources(text: str) -> list[str]:

@@ -64,7 +64,7 @@ def render(
     wanted, transparent = known_cameras(cameras), as_switch("`transparent`", transparent)
     with opened(model) as source:
         most = None if max_memory is None else as_bytes(max_memory)
-        room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), most)
+        room = room_for_pictures(source, *pictures_of(wanted, views, pixels), most)
         some = source_of(source).load() if room is None else source
         # Imported late, because these import Numba.
         from nanogs.card.device import use_device

@@ -56,7 +56,7 @@ def draw_cost(
     wanted = known_cameras(cameras)
     limit = None if max_memory is None else as_bytes(max_memory)
     with opened(model) as source:
-        room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), limit)
+        room = room_for_pictures(source, *pictures_of(wanted, views, pixels), limit)
         some = source_of(source).load() if room is None else source
         # Imported late, because these import Numba.
         from nanogs.threads import use_threads

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from nanogs.io.models import Model
 from nanogs.memory import Memory, allowed_memory, refuse_too_large
 from nanogs.memory_estimates import (
     drawn_bytes,
@@ -22,13 +21,12 @@ _REMEDY = "free some, or render smaller pictures (`pixels`) or a smaller model"
 
 
 def room_for_pictures(
-    model: Model, source: Splats | Source, pixels: int, views: int, max_memory: int | None
+    model: Splats | Source, pixels: int, views: int, max_memory: int | None
 ) -> int | None:
     """Compute the budget for the splats of images, if a model does not fit and must be streamed.
 
     Args:
-        model: The model, or its path.
-        source: The opened model.
+        model: The model.
         pixels: Number of pixels of the largest view.
         views: Number of images that are kept.
         max_memory: Bytes that this process may use; by default the free memory, less a tenth.
@@ -37,17 +35,16 @@ def room_for_pictures(
         Bytes, or None if the model fits.
 
     Raises:
-        FormatError: The path is no model.
         NotEnoughMemoryError: There is not enough memory even for streaming.
     """
     given, memory = bool(max_memory), allowed_memory(max_memory)
     pictures = shown_bytes(pixels, views)
     held = models_bytes([model], all_of_it=given)
-    if held + drawn_bytes(len(source)) + pictures <= memory.bytes:
+    if held + drawn_bytes(source_of(model).count) + pictures <= memory.bytes:
         return None
     pictures += held if isinstance(model, Splats) else 0
-    name = source_of(source).name
-    return room_for_splats(f"Rendering {name}", [source_of(source)], pictures, memory, _REMEDY)
+    read = source_of(model)
+    return room_for_splats(f"Rendering {read.name}", [read], pictures, memory, _REMEDY)
 
 
 def room_for_measuring(

@@ -1,0 +1,170 @@
+"""Scores of opened models, and of packed files of them, on views or against photographs."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from nanogs.progress import Stage, Tracker
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background
+from nanogs.raster.camera import Camera
+from nanogs.scoring.comparison import (
+    Comparison,
+    NamedModel,
+    Sheet,
+    compare_with_photographs,
+)
+from nanogs.scoring.needed import room_for_comparison
+from nanogs.scoring.on_sets import compare_on_sets
+from nanogs.scoring.packed_models import (
+    files_of,
+    named,
+    packing_notes,
+    remarks_on,
+    write_packed_files,
+)
+from nanogs.scoring.packing import PackingFormats
+from nanogs.scoring.photos import photographs, room_beside_photographs
+from nanogs.scoring.view_sets import RequestedViews
+from nanogs.source import Source
+from nanogs.splats import Splats
+
+
+class Photographs(NamedTuple):
+    """The requested photographs; see `scoring.photos.photographs`."""
+
+    folder: Path
+    images: str | None
+    split: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """How models are scored.
+
+    Attributes:
+        views: Views of the original, or photographs that the original is scored against too.
+        background: RGB in [0, 1]; None for black, or for that of the photographs' data set.
+        extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
+        packing: Formats in which each model but the original is also written and scored.
+        max_memory: Bytes that this process may take; by default the free memory, less a tenth.
+        pictures: Also make the pictures for a page.
+        shown: Also hold all models in memory, for a page that shows them.
+    """
+
+    views: RequestedViews | Photographs
+    background: Background | None = None
+    extras: Sequence[str] = ()
+    packing: PackingFormats = field(default_factory=dict[str, Mapping[str, object]])
+    max_memory: int | None = None
+    pictures: bool = False
+    shown: bool = False
+
+
+class Measured(NamedTuple):
+    """Scores of models.
+
+    Attributes:
+        comparison: The scores.
+        sheets: Pictures for a page, if requested.
+        models: The models, the original first, each followed by its packed files.
+        cameras: The views of the first set.
+        background: RGB in [0, 1] behind the splats.
+    """
+
+    comparison: Comparison
+    sheets: list[Sheet]
+    models: list[NamedModel]
+    cameras: Sequence[Camera]
+    background: Background
+
+
+def measure(
+    models: Sequence[tuple[str, Splats | Source]],
+    how: Measurement,
+    stack: ExitStack,
+    progress: Tracker,
+) -> Measured:
+    """Score models against the first, or all against photographs.
+
+    Args:
+        models: Names and models; files stay open as long as `stack`.
+        how: See `Measurement`.
+        stack: Owns the packed files, which are removed when it closes.
+        progress: Receives the stages of `measuring_stages`.
+
+    Raises:
+        NanogsError: As for `nanogs.compare`.
+    """
+    room = _room([source for _name, source in models], how)
+    entries = [(name, source, "") for name, source in models]
+    if how.packing:
+        entries[1:] = write_packed_files(models[1:], how.packing, stack, how.max_memory, progress)
+        room = _room([source for _name, source, _suffix in entries], how)
+    progress.begin("read")
+    ready = []
+    for number, (name, source, suffix) in enumerate(entries):
+        progress.part(number, len(entries))
+        ready.append(named(name, source, suffix, whole=room is None))
+    if isinstance(how.views, Photographs):
+        found = _on_photographs(ready, how.views, how, room, progress)
+    else:
+        found = _on_views(ready, how.views, how, room, progress)
+    notes = (*remarks_on(models), *packing_notes(models[1:], how.packing), *found.comparison.notes)
+    return found._replace(comparison=replace(found.comparison, notes=notes))
+
+
+def _on_views(
+    models: list[NamedModel],
+    views: RequestedViews,
+    how: Measurement,
+    room: int | None,
+    progress: Tracker,
+) -> Measured:
+    sets, behind = views.sets(models[0].splats), how.background or BLACK
+    comparison, sheets = compare_on_sets(
+        models[0], models[1:], sets, background=behind, extras=how.extras, pictures=how.pictures,
+        room=room, progress=progress,
+    )  # fmt: skip
+    return Measured(comparison, sheets, models, sets[0].cameras, behind)
+
+
+def _on_photographs(
+    models: list[NamedModel],
+    photos: Photographs,
+    how: Measurement,
+    room: int | None,
+    progress: Tracker,
+) -> Measured:
+    progress.begin("photographs")
+    behind, frames = photographs(*photos, how.background, how.max_memory)
+    comparison, sheets = compare_with_photographs(
+        str(photos.folder), models, frames, split=photos.split, background=behind,
+        extras=how.extras, pictures=how.pictures, progress=progress,
+        room=room_beside_photographs(room, frames, packed=bool(how.packing)),
+    )  # fmt: skip
+    return Measured(comparison, sheets, models, [frame.camera for frame in frames], behind)
+
+
+def _room(sources: Sequence[Splats | Source], how: Measurement) -> int | None:
+    """Return the bytes left for splats while rendering, or None if all models are held."""
+    # The memory of photographs is known once they are read: see `room_beside_photographs`.
+    pixels, views = (PIXELS**2, 0) if isinstance(how.views, Photographs) else how.views.pictures
+    kept = 2 if how.packing else 1  # the renders of unpacked models are kept too
+    return room_for_comparison(sources, pixels, kept * views, how.max_memory, shown=how.shown)
+
+
+def measuring_stages(models: Sequence[Splats | Source], how: Measurement) -> list[Stage]:
+    """Return the stages of `measure`, with their efforts."""
+    files = files_of(models[1:], how.packing)
+    scored = len(models) + files
+    stages = [Stage("pack", 8.0 * files)] if files else []
+    stages += [Stage("read", 2.0 * scored)]
+    if isinstance(how.views, Photographs):
+        return [*stages, Stage("photographs", 8), Stage("score", 8.0 * scored)]
+    for views in how.views.counts:
+        for pixels in how.views.pixels:
+            effort = (views or VIEWS) * max(1.0, pixels / PIXELS**2)
+            stages += [Stage("render", effort), Stage("score", scored * effort)]
+    return stages
