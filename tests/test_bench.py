@@ -608,6 +608,13 @@ def test_a_missing_or_damaged_model_is_refused_before_anything_is_written(conten
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("options", [("--metrics", "gloss"), ("--threads", "1000")])
+def test_a_refused_option_leaves_no_folder(options, model, tmp_path):
+    result = run("bench", model, *options, "--out", tmp_path / "out")
+    assert result.returncode == 2
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_command_fails_with_the_reason_if_nothing_was_measured(tmp_path):
     result = run("bench", "--scene", f"a={tmp_path}/gone.ply", "--methods", "opacity", "--quiet")
     assert result.returncode == 2

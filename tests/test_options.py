@@ -70,7 +70,7 @@ def test_wrong_sizes_in_bytes_are_refused(size):
         as_bytes(size)
 
 
-@pytest.mark.parametrize("text", ["", "ten", "10%%", "1,5", "nan", "1e9999", "1.2.3"])
+@pytest.mark.parametrize("text", ["", "ten", "10%%", "1,5", "nan", "1e400", "1e9999", "1.2.3"])
 def test_wrong_ratios_are_refused(text):
     with pytest.raises(OptionError, match=r"0\.1 or 10%"):
         options.parse_ratio(text)
@@ -99,6 +99,8 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
         (["b.ply", "-r", "0.1", "--threads", "0"], ["--threads takes 1 or more, not '0'"]),
         (["b.ply", "-r", "0.1", "--lambda-app", "x"], ["--lambda-app takes a number, not 'x'"]),
         (["b.ply", "-r", "0.1", "--max-memory", "4"], ["4 B", "--max-memory 4GB"]),
+        (["b.ply", "-r", "0.1", "--workers", "9" * 20], ["--workers takes 1024 or less"]),
+        (["b.ply", "-r", "0.1", "--up", "nan,0,1"], ["direction is finite", "'nan,0,1'"]),
         (["b.ply", "--size", "2", "MB"], ["MB is a unit, not a file", "one word, as in 2MB"]),
         (["b.ply", "-r", "10", "%"], ["% is a unit", "as in 2%"]),
         ([], ["OUT is missing", "a.ply"]),
@@ -186,6 +188,8 @@ class Cut:
         ({"share": 0}, "share must be above 0, at most 1, not 0."),
         ({"share": 1.5}, "share must be above 0, at most 1, not 1.5."),
         ({"count": 0}, "count must be 1 or more, not 0."),
+        ({"count": 10**400}, "count must be at most 1,000,000, not 1.00000e+400."),
+        ({"rate": -1}, "rate must be above 0, not -1."),
         ({"width": 8193}, "width must be from 16 to 8192 pixels, not 8193."),
         ({"rate": 0.0}, "rate must be above 0, not 0."),
         ({"rate": math.inf}, "rate must be a finite number, not inf."),

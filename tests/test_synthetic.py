@@ -64,8 +64,8 @@ def test_colour_depends_on_the_view_and_stays_in_range():
 
 def test_bad_arguments_are_refused():
     for name, value, words in (
-        ("count", 0, "at least 1 splat"),
-        ("count", -3, "at least 1 splat"),
+        ("count", 0, "has 1 to 2,147,483,647 splats"),
+        ("count", 2**31, "has 1 to 2,147,483,647 splats"),
         ("sh_degree", 5, "SH degree"),
         ("sh_degree", -1, "SH degree"),
         ("seed", -1, "seed"),

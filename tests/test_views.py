@@ -11,7 +11,7 @@ from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError, OptionError
 from nanogs.raster.rendering import render
 from nanogs.splats import Splats
-from nanogs.views.automatic import automatic_cameras
+from nanogs.views.automatic import automatic_cameras, unit_up
 from nanogs.views.poses import look_along, look_at, low_discrepancy
 
 SCENE = make_scene(6_000)
@@ -235,6 +235,12 @@ def test_a_model_without_visible_splats_is_refused():
 def test_bad_arguments_are_refused(arguments, message):
     with pytest.raises(OptionError, match=message):
         automatic_cameras(SCENE, **arguments)
+
+
+@pytest.mark.parametrize("length", [1e-300, 1e-200, 1e200, 1.7e308])
+def test_the_length_of_the_up_direction_does_not_matter(length):
+    up = np.array([1.0, -2.0, 0.5])
+    assert np.allclose(unit_up(up / 2 * length), unit_up(up), rtol=1e-15, atol=0)
 
 
 def test_looking_straight_down_has_a_pose():

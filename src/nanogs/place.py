@@ -66,7 +66,7 @@ class Place:
         limits = {"longitude": 180.0, "latitude": 90.0, "height": _FARTHEST}
         for field in fields(self):
             value, limit = getattr(self, field.name), limits.get(field.name, math.inf)
-            if not (is_number(value) and math.isfinite(value) and abs(value) <= limit):
+            if not (is_number(value) and -math.inf < value < math.inf and abs(value) <= limit):
                 raise OptionError(_out_of_range(field.name, value, limit))
 
     def matrix(self) -> F64:

@@ -1,13 +1,17 @@
 """Parameters as dataclass fields with a default, a range, and a help text for the command."""
 
 import math
+import sys
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, fields
+from decimal import Decimal
 from numbers import Integral, Real
 from os import PathLike
 from typing import Any
 
 from nanogs.errors import OptionError
+
+MOST = 1_000_000  # of anything that is counted: more views or steps are a slip of the keyboard
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +42,14 @@ class Parameter:
         """Return the words after "must be" for a value that is refused; empty if it is valid."""
         if not is_number(value, whole=self.whole):
             return "a whole number" if self.whole else "a number"
-        if not math.isfinite(value):
+        if not -math.inf < value < math.inf:
             return "a finite number"
         enough = value > self.low if self.above else value >= self.low
         if enough and value <= self.high:
             return ""
-        if math.isinf(self.high):
+        if self.high in (MOST, math.inf):
+            if enough:
+                return f"at most {MOST:,}"
             return f"above {self.low:g}" if self.above else f"{self.low:g} or more"
         if self.above:
             return f"above {self.low:g}, at most {self.high:g}"
@@ -53,7 +59,7 @@ class Parameter:
 def parameter(
     default: float,
     low: float = 0,
-    high: float = math.inf,
+    high: float | None = None,
     *,
     above: bool = False,
     unit: str = "",
@@ -61,7 +67,9 @@ def parameter(
     option: str = "",
     views: bool = False,
 ) -> Any:  # noqa: ANN401 - as `dataclasses.field` has it
-    """Make a dataclass field with a range; see `Parameter`."""
+    """Make a dataclass field with a range, by default up to `MOST` if whole; see `Parameter`."""
+    if high is None:
+        high = MOST if isinstance(default, int) else math.inf
     known = Parameter(low, high, above, unit, help, option, views, isinstance(default, int))
     return field(default=default, metadata={"parameter": known})
 
@@ -86,8 +94,7 @@ def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
     for name, known in known_parameters(chosen).items():
         value = getattr(chosen, name)
         if expected := known.expected(value):
-            shown = f"{value:g}" if is_number(value) else repr(value)
-            raise OptionError(f"{name} must be {expected}, not {shown}.")
+            raise OptionError(f"{name} must be {expected}, not {value_text(value)}.")
         if type(value) not in (int, float):
             object.__setattr__(chosen, name, int(value) if known.whole else float(value))
     for each in fields(chosen):
@@ -118,7 +125,10 @@ def one_or_several(given: Any) -> list[Any]:  # noqa: ANN401 - whatever a caller
 
 def value_text(value: Any) -> str:  # noqa: ANN401 - whatever a caller gives
     """Format a value for a message: a number in few digits, all else by `repr`."""
-    return f"{value:g}" if is_number(value) else repr(value)
+    if not is_number(value):
+        return repr(value)
+    beyond = isinstance(value, Integral) and abs(int(value)) > sys.float_info.max
+    return f"{Decimal(int(value)):.6g}" if beyond else f"{value:g}"
 
 
 def is_number(value: object, *, whole: bool = False) -> bool:

@@ -11,7 +11,7 @@ import typer
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
 from nanogs.defaults import BENCH_RATIOS
-from nanogs.errors import OptionError
+from nanogs.errors import NanogsError, OptionError
 from nanogs.protocol import PIXELS
 
 if TYPE_CHECKING:
@@ -214,7 +214,12 @@ def _run(
         def on_stage(what: str) -> None:
             watch(Step(what, min(made + 1, total), total, 0, 1, made / (total + 1)))
 
-        rows = run_bench(scenes, settings, done=done, on_row=on_row, progress=on_stage)
+        try:
+            rows = run_bench(scenes, settings, done=done, on_row=on_row, progress=on_stage)
+        except NanogsError:
+            if folder and not made:
+                folder.abandon()
+            raise
     if folder and any(row.measured for row in rows):
         folder.finish(rows, above, tuple(settings.externals))
     elif folder:

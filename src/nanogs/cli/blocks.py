@@ -46,7 +46,9 @@ class Blocks:
             show_default="in the job folder",
         ),
     ] = None
-    workers: Annotated[int | None, _option("Number of processes on this machine.", min=1)] = None
+    workers: Annotated[
+        int | None, _option("Number of processes on this machine.", min=1, max=1024)
+    ] = None
     scheduler: Annotated[
         str | None,
         _option("Dask scheduler whose workers do the work, e.g. tcp://host:8786."),

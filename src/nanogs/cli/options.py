@@ -1,6 +1,8 @@
 """Options that several commands share, and the parsing of their values."""
 
+import math
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,8 +33,8 @@ def parse_direction(text: str) -> Direction:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
         raise OptionError(f"A direction is three numbers like 0,-1,0, not {text!r}.") from None
-    if x == y == z == 0:
-        raise OptionError("A direction cannot be 0,0,0.")
+    if x == y == z == 0 or not math.isfinite(x + y + z):
+        raise OptionError(f"A direction is finite and not 0,0,0, but {text!r} is given.")
     return Direction(x, y, z)
 
 
@@ -367,9 +369,10 @@ def parse_ratio(text: str) -> float:
 
     number = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d{1,3})?"
     match = re.fullmatch(rf"({number})\s*(%?)", text.strip().lower())
-    if match is None:
+    ratio = Fraction(match[1]) / (100 if match[2] else 1) if match else None
+    if ratio is None or ratio > sys.float_info.max:
         raise OptionError(f"A ratio is like 0.1 or 10%, not {text!r}.")
-    return float(Fraction(match[1]) / (100 if match[2] else 1))
+    return float(ratio)
 
 
 def parse_ratios(text: str) -> tuple[float, ...]:

@@ -14,6 +14,7 @@ from nanogs.errors import OptionError
 from nanogs.sh import lobe
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
 
+MOST = 2**31 - 1  # splats of a scene
 TO_Y_DOWN = np.array([1.0, -1.0, -1.0])
 
 
@@ -33,8 +34,8 @@ def make_scene(count: int = 200_000, *, sh_degree: int = 3, seed: int = 0) -> Sp
     Raises:
         OptionError: `count`, `sh_degree` or `seed` is out of range.
     """
-    if count < 1:
-        raise OptionError(f"A scene needs at least 1 splat, not {count}.")
+    if not 1 <= count <= MOST:
+        raise OptionError(f"A made-up scene has 1 to {MOST:,} splats, not {count}.")
     if not 0 <= sh_degree <= MAX_SH_DEGREE:
         raise OptionError(f"The SH degree must be 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
     if seed < 0:

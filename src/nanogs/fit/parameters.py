@@ -1,5 +1,6 @@
 """Parameters of a refit; none is in scene units, so that none depends on a scene's scale."""
 
+import math
 from dataclasses import dataclass
 
 from nanogs.ranges import check_ranges, parameter
@@ -48,7 +49,7 @@ class RefitParameters:
     ridge: float = parameter(0.02)
     band_ridge: float = parameter(0.3)
     halves: bool = False
-    seed: int = parameter(0)
+    seed: int = parameter(0, high=math.inf)
 
     def __post_init__(self) -> None:
         """Refuse values that are out of range."""

@@ -19,7 +19,9 @@ from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
 from nanogs.lod.tree_blocks import Linked
 from nanogs.place import Place, columns, transform_of
-from nanogs.ranges import is_number
+from nanogs.ranges import is_number, value_text
+
+MOST_CHUNK = 2**31 - 1  # splats
 
 
 class Layout(StrEnum):
@@ -165,8 +167,11 @@ def _whole(size: int) -> int:
     """Convert a chunk size to a Python int, because jobs store it as JSON.
 
     Raises:
-        OptionError: It is not a whole number.
+        OptionError: It is not a whole number, or beyond 32 bits.
     """
-    if not is_number(size, whole=True):
-        raise OptionError(f"The size of a chunk must be a whole number of splats, not {size!r}.")
+    if not (is_number(size, whole=True) and size <= MOST_CHUNK):
+        raise OptionError(
+            f"The size of a chunk must be a whole number of splats, not {value_text(size)}, and at"
+            f" most {MOST_CHUNK:,}."
+        )
     return int(size)

@@ -176,5 +176,6 @@ def unit_up(up: Sequence[float] | F64) -> F64:
         given = np.empty(0)  # refused below
     if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
         raise OptionError(f"Up must be three finite numbers, not all zero, not {up!r}.")
+    given = np.ldexp(given, -np.frexp(np.abs(given).max())[1])  # squares stay in range
     unit: F64 = given / np.linalg.norm(given)
     return unit

@@ -1,5 +1,6 @@
 """Parameters of the published method (arXiv 2603.16103)."""
 
+import math
 from dataclasses import dataclass
 
 from nanogs.errors import OptionError
@@ -28,7 +29,7 @@ class PaperParameters:
     k: int = parameter(16, 1, help="Neighbours in the graph.")
     graph: str = "knn"
     samples: int = parameter(1, 1, help="Samples in the divergence.")
-    seed: int = parameter(0, help="Seed of the samples.")
+    seed: int = parameter(0, high=math.inf, help="Seed of the samples.")
     lambda_geo: float = parameter(1.0, help="Weight of the geometry.")
     lambda_app: float = parameter(1.0, help="Weight of the colours.")
     merge_cap: float = parameter(0.5, 0, 0.5, above=True, help="Largest share merged in a pass.")
