@@ -682,6 +682,41 @@ def test_invalid_options_of_jobs_are_refused_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("options", [[6], 6, "bits", {6: 6}])
+def test_format_options_that_are_no_dictionary_are_refused(pair, files, tmp_path, options):
+    model, given = pair[0], {"format_options": options}
+    for call in (
+        lambda: nanogs.simplify(model, size=9000, format=".spz", preset="fast", **given),
+        lambda: nanogs.simplify_blocks(files[0], tmp_path / "a.spz", count=9, **given),
+        lambda: nanogs.save(model, tmp_path / "a.spz", **given),
+        lambda: nanogs.compare(model, model, packed=".spz", **given),
+        lambda: nanogs.packing_cost(model, ".spz", **given),
+    ):
+        with pytest.raises(OptionError, match="Format options are a dictionary"):
+            call()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_up_direction_turns_views_of_models_and_of_files_alike(files, tmp_path):
+    up, small = (1, 0, 0), tmp_path / "a.ply"
+    given = {"view_size": 64, "views": 4, "steps": 1, "further": 0}
+    nanogs.simplify_blocks(files[0], small, count=9, up=up, **given)
+    expected = nanogs.load(small)
+    model = nanogs.load(files[0])
+    made, _ = nanogs.simplify(model, count=9, up=up, **given)
+    (level, _), *_ = nanogs.levels(model, [9 / len(model)], up=up, **given)
+    grown = nanogs.grow(model, up=up, **given)
+    for result in (made, level, grown.simplify(count=9)[0]):
+        assert np.array_equal(result.means, expected.means)
+        assert np.array_equal(result.sh, expected.sh)
+    other, _ = nanogs.simplify(model, count=9, **given)
+    assert not np.array_equal(other.sh, expected.sh)
+    for call in (nanogs.simplify, nanogs.grow, partial(nanogs.levels, ratios=[0.5])):
+        goal = {"ratio": 0.5} if call is nanogs.simplify else {}
+        with pytest.raises(OptionError, match="have no effect, because the preset fast"):
+            call(model, **goal, preset="fast", up=up)
+
+
 def test_a_text_as_a_switch_is_refused_and_nothing_is_replaced(pair, files, tmp_path):
     target = tmp_path / "a.ply"
     target.write_text("mine")

@@ -6,6 +6,7 @@ import shlex
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 import pytest
 import typer
 from typer.main import get_command
@@ -64,7 +65,7 @@ def test_sizes_in_bytes_are_parsed(text, value):
     assert parse_bytes(text) == as_bytes(text) == as_bytes(value) == as_bytes(float(value)) == value
 
 
-@pytest.mark.parametrize("size", ["ten", "1.5e3", None, True, 1.5, float("inf"), [1]])
+@pytest.mark.parametrize("size", ["ten", "1.5e3", None, True, 1.5, float("inf"), [1], np.ones(2)])
 def test_wrong_sizes_in_bytes_are_refused(size):
     with pytest.raises(OptionError, match="20MB"):
         as_bytes(size)

@@ -35,7 +35,6 @@ from nanogs.pipeline.files import limit_degree, options_with_frame
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import import_stages
 from nanogs.pipeline.levels import checked_ratios, judged_levels
-from nanogs.pipeline.options.cameras import asked_cameras
 from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
@@ -277,8 +276,7 @@ def _whole(
     tracker = Tracker(on_step, _stages(request, len(splats), sink))
     made = judged_levels(
         splats, request.ratios, judged=is_measured(request), preset=request.preset,
-        sh_degree=request.sh_degree, nan=request.nan,
-        cameras=asked_cameras(splats, request.cameras, request.up, request.parameters),
+        sh_degree=request.sh_degree, cameras=request.cameras, up=request.up, nan=request.nan,
         device=request.device, threads=request.threads, max_memory=request.max_memory,
         progress=tracker.passing(), **request.overrides,
     )  # fmt: skip

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from nanogs.errors import OptionError
+from nanogs.ranges import is_number
 
 if TYPE_CHECKING:
     from fractions import Fraction
@@ -47,7 +48,7 @@ def as_bytes(size: int | str) -> int:
         whole = int(size)
     except (TypeError, ValueError, OverflowError):
         whole = -1
-    if isinstance(size, bool) or whole != size:
+    if not is_number(size) or whole != size:
         raise OptionError(f'A size is a number of bytes or text like "20MB", not {size!r}.')
     return whole
 

@@ -192,7 +192,7 @@ def save(
             save(splats, file or path, format=format, **options)
         return
     if known.write_folder:
-        folder, chosen = _folder_of(path, known), registry.keywords(known, format_options or {})
+        folder, chosen = _folder_of(path, known), registry.keywords(known, format_options)
         known.write_folder(source_of(splats).load(), folder, overwrite=overwrite, **chosen)
         return
     write = registry.writer(named, format_options)
@@ -343,7 +343,7 @@ def check_writable(
     """
     path, overwrite = place(path), as_switch("`overwrite`", overwrite)
     known = registry.writable(as_named(path, format))
-    registry.keywords(known, format_options or {})
+    registry.keywords(known, format_options)
     known.check()
     if isinstance(path, Address):
         check_sendable(path, overwrite=overwrite)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
-from nanogs.errors import FormatError
+from nanogs.errors import FormatError, OptionError
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
 from nanogs.io.parts import FileSource
@@ -28,6 +28,18 @@ FolderWriter = Callable[..., None]
 def nothing_lost(_splats: Splats) -> tuple[str, ...]:
     """Return no losses: the `losses` of a format that holds all of every model."""
     return ()
+
+
+def given_options(options: FormatOptions | None) -> dict[str, Any]:
+    """Return the options that are given, without those that are None.
+
+    Raises:
+        OptionError: They are no dictionary of names and values.
+    """
+    options = {} if options is None else options
+    if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
+        raise OptionError(f"Format options are a dictionary, as {{'bits': 6}}, not {options!r}.")
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def unread(path: Path) -> NoReturn:
@@ -134,7 +146,7 @@ class Format:
 
     def needs_whole_model(self, options: FormatOptions) -> bool:
         """Whether writing with these options holds the whole model and not only some rows."""
-        given = [name for name, value in options.items() if value is not None]
+        given = given_options(options)
         return not self.streams or any(self.options[n].whole for n in given if n in self.options)
 
     def extra_memory(self, model: int) -> int:

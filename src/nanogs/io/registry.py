@@ -1,13 +1,13 @@
 """Looking up formats by the suffix of a file name or by the first bytes of a file."""
 
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from nanogs.errors import FormatError, OptionError, did_you_mean
-from nanogs.io.format import Format, FormatOptions, Sizer, Writer
+from nanogs.io.format import Format, FormatOptions, Sizer, Writer, given_options
 from nanogs.io.urls import Address
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
@@ -142,7 +142,7 @@ def writer(path: Path, options: FormatOptions | None = None) -> Writer:
             " .sog."
         )
     write = known.write if known.streams else partial(_write_whole, known.write)
-    return partial(write, **keywords(known, options or {}))
+    return partial(write, **keywords(known, options))
 
 
 def _write_whole(
@@ -154,26 +154,22 @@ def _write_whole(
     write(source_of(model).load(), file, **given)
 
 
-def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
+def keywords(known: Format, options: FormatOptions | None) -> dict[str, Any]:
     """Convert options by name to keyword arguments of a format's writer; None means the default.
 
     Raises:
         OptionError: The format has no such option or does not allow that value, or options
             contradict each other or are no dictionary.
     """
-    if not isinstance(options, Mapping):
-        raise OptionError(f"Format options are a dictionary, as {{'bits': 6}}, not {options!r}.")
-    chosen = {}
-    for name, value in options.items():
-        if value is None:
-            continue
+    chosen, given = {}, given_options(options)
+    for name, value in given.items():
         if (option := known.options.get(name)) is None:
             raise OptionError(_foreign(name, known))
         # Floats are refused by type, because 6.0 equals 6.
         if isinstance(value, bool | float) or value not in option.values:
             raise OptionError(f"`{name}` must be {option.allowed}, not {value!r}.")
         chosen[option.keyword] = value
-    known.check_options(options)
+    known.check_options(given)
     return chosen
 
 
@@ -187,7 +183,7 @@ def add_target_frame(
         options: Format options that were given.
         frame: Names of the frames that the model is turned from and to; None if it is not turned.
     """
-    known, given = find(path), options or {}
+    known, given = find(path), given_options(options)
     if frame is None or known is None or not known.states_frame(given):
         return options
     name = frame[1].lower()

@@ -1,6 +1,7 @@
 """`nanogs.simplify`: simplify a model in memory, and report what was done."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,7 @@ from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.frames import change_frame, checked_frames
 from nanogs.io import registry
-from nanogs.io.format import FormatOptions
+from nanogs.io.format import FormatOptions, given_options
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.in_memory import CheckedModel, NanPolicy, check_model
 from nanogs.pipeline.options.presets import (
@@ -49,6 +50,7 @@ def simplify(
     sh_degree: int | None = None,
     frame: tuple[str, str] | None = None,
     cameras: "Cameras | None" = None,
+    up: Sequence[float] | None = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
@@ -84,6 +86,7 @@ def simplify(
             size and a PSNR are those of the turned file.
         cameras: Views that matter, for presets that render: "auto", "orbit", "inside", "roam", a
             file or folder of cameras, or cameras; by default automatic.
+        up: (3,) up direction of views that are found; by default found from the model too.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise an "error".
         device: Where presets that render look and fit: "cpu", which is the default; "cuda" for a
@@ -113,7 +116,7 @@ def simplify(
     start, clock = time.perf_counter(), StageClock()
     size = None if size is None else as_bytes(size)
     goal = Goal(ratio, count, size, psnr, draw_cost)
-    chosen, given = parameters(preset, overrides), format_options or {}
+    chosen, given = parameters(preset, overrides), given_options(format_options)
     path = registry.file_of(format)
     refuse_searches(goal, preset, path)
     refuse_device(device, preset, chosen, goal)
@@ -131,7 +134,7 @@ def simplify(
     ):
         splats = as_splats(model)
         with clock.time("check"):
-            checked = check_model(splats, preset, overrides, cameras, nan, sh_degree)
+            checked = check_model(splats, preset, overrides, cameras, up, nan, sh_degree)
             splats = checked.splats
             target = target_of(goal, splats, len(checked.rows), path, checked.parameters, sh_degree)
             refuse_misaligned_elements(splats, 1 if target is None else target)

@@ -23,7 +23,6 @@ from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import NanPolicy, import_stages
-from nanogs.pipeline.options.cameras import asked_cameras
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, renders
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.reading import read_changed, reading_stages
@@ -277,9 +276,8 @@ def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -
         draw_cost=goal.draw_cost,
         format=request.suffix, preset=request.preset, sh_degree=request.sh_degree,
         frame=request.frame, nan=request.nan, device=request.device, threads=request.threads,
-        cameras=asked_cameras(splats, request.cameras, request.up, request.parameters),
-        max_memory=request.max_memory, progress=tracker.passing(), format_options=options,
-        **request.overrides,
+        cameras=request.cameras, up=request.up, max_memory=request.max_memory,
+        progress=tracker.passing(), format_options=options, **request.overrides,
     )  # fmt: skip
     options = {**(options or {}), **report.format_options}
     tracker.begin("write")

@@ -1,7 +1,7 @@
 """`nanogs.grow`: a model with its merge forest, from which any count is made quickly."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from threading import RLock
@@ -219,6 +219,7 @@ def grow(
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
     cameras: "Cameras | None" = None,
+    up: Sequence[float] | None = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
@@ -236,6 +237,7 @@ def grow(
         preset: Name of a preset that grows a forest: any but `paper`.
         sh_degree: As `nanogs.simplify` takes it.
         cameras: As `nanogs.simplify` takes it.
+        up: As `nanogs.simplify` takes it.
         nan: As `nanogs.simplify` takes it.
         device: As `nanogs.simplify` takes it.
         threads: Number of threads; all by default. Results do not depend on it.
@@ -260,7 +262,7 @@ def grow(
     with show_progress(progress) as on_step, _on(device, threads) as (_, used):
         original = as_splats(model)
         with clock.time("check"):
-            checked = check_model(original, preset, overrides, cameras, nan, sh_degree)
+            checked = check_model(original, preset, overrides, cameras, up, nan, sh_degree)
             checked.refuse_too_large(None, max_memory, judged=True)
         tracker = Tracker(on_step, build_stages(checked.parameters, len(checked.rows)))
         scene = checked.build(used, clock, tracker)

@@ -181,6 +181,7 @@ def check_model(
     preset: str,
     overrides: dict[str, Any],
     cameras: "Cameras | None",
+    up: Sequence[float] | None,
     nan: NanPolicy,
     sh_degree: int | None = None,
 ) -> CheckedModel:
@@ -195,10 +196,10 @@ def check_model(
     """
     chosen = parameters(preset, overrides)
     check_nan(nan)
-    refuse_unused_views(preset, chosen, given=not are_automatic(cameras))
+    refuse_unused_views(preset, chosen, given=up is not None or not are_automatic(cameras))
     if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(sh_degree)
-    rows, views = usable_rows(splats, nan), asked_cameras(splats, cameras, None, chosen)
+    rows, views = usable_rows(splats, nan), asked_cameras(splats, cameras, up, chosen)
     return CheckedModel(splats, rows, preset, chosen, views, sh_degree)
 
 

@@ -31,6 +31,7 @@ def levels(
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
     cameras: "Cameras | None" = None,
+    up: Sequence[float] | None = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
@@ -48,8 +49,8 @@ def levels(
         ratios: Compaction ratios in (0, 1], from the finest level to the coarsest.
         preset: Name of a preset; `paper` grows no forest, so that each level is a separate run.
         sh_degree: As `simplify` takes it.
-        cameras: Views that matter, for presets that render: "auto", "orbit", "inside", "roam", a
-            file or folder of cameras, or cameras; by default automatic.
+        cameras: As `simplify` takes it.
+        up: As `simplify` takes it.
         nan: As `simplify` takes it.
         device: As `simplify` takes it.
         threads: Number of threads; all by default. The result does not depend on it.
@@ -69,8 +70,9 @@ def levels(
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     return judged_levels(
-        model, ratios, judged=False, preset=preset, sh_degree=sh_degree, cameras=cameras, nan=nan,
-        device=device, threads=threads, max_memory=max_memory, progress=progress, **overrides,
+        model, ratios, judged=False, preset=preset, sh_degree=sh_degree, cameras=cameras, up=up,
+        nan=nan, device=device, threads=threads, max_memory=max_memory, progress=progress,
+        **overrides,
     )  # fmt: skip
 
 
@@ -82,6 +84,7 @@ def judged_levels(
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
     cameras: "Cameras | None" = None,
+    up: Sequence[float] | None = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
@@ -100,7 +103,7 @@ def judged_levels(
     from nanogs.threads import use_threads  # imported here because it imports Numba
 
     with use_threads(threads):
-        checked = check_model(as_splats(model), preset, overrides, cameras, nan, sh_degree)
+        checked = check_model(as_splats(model), preset, overrides, cameras, up, nan, sh_degree)
     refuse_misaligned_elements(checked.splats, target_count(len(checked.rows), ratios[-1], None))
     counts = [target_count(len(checked.rows), ratio, None) for ratio in ratios]
     checked.refuse_too_large(counts[0], max_memory, judged=judged)

@@ -14,7 +14,7 @@ from nanogs.filters import Filter, checked_filters
 from nanogs.frames import checked_frames
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
-from nanogs.io.format import Sizer
+from nanogs.io.format import FormatOptions, Sizer, given_options
 from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.memory import allowed_memory
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
     from distributed import Client
 
-    from nanogs.io.format import FormatOptions
     from nanogs.views.cameras import Cameras
 
 
@@ -80,7 +79,7 @@ class Request:
     threads: int | None = None
     executor: "Client | Executor | None" = None
     patience: float = PATIENCE
-    format_options: "FormatOptions | None" = None
+    format_options: FormatOptions | None = None
     ratios: Sequence[float] = ()
     chunks: Chunked | Linked | None = None
     environment: str = ""
@@ -100,6 +99,7 @@ class Request:
             )
         if not is_number(self.patience) or not self.patience >= 0:
             raise OptionError(f"`patience` must be seconds, 0 or more, not {self.patience!r}.")
+        object.__setattr__(self, "format_options", given_options(self.format_options))
         # A job is stored as JSON, which has no NumPy integers.
         for name in ("block", "sh_degree"):
             if (value := getattr(self, name)) is not None:

@@ -6,7 +6,7 @@ from typing import Any
 
 from nanogs.errors import OptionError
 from nanogs.io import registry, save
-from nanogs.io.format import FormatOptions
+from nanogs.io.format import FormatOptions, given_options
 from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import convert_bytes
@@ -38,7 +38,7 @@ def packing_of(
     """
     if not formats:
         raise OptionError("Name at least one format to pack the model in, such as .sog.")
-    given = {name: value for name, value in (format_options or {}).items() if value is not None}
+    given = given_options(format_options)
     suffixes = map(registry.suffix_of, one_or_several(formats))
     found = [registry.writable(Path(f"model{suffix}")) for suffix in suffixes]
     for known in found:

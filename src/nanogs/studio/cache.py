@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from nanogs._types import Bool
 from nanogs.filters import FilterReport, apply_with_mask
 from nanogs.io import encoded_bytes, load, registry
-from nanogs.pipeline.options.cameras import asked_cameras
-from nanogs.pipeline.options.presets import PRESETS
+from nanogs.pipeline.options.presets import PRESETS, renders
 from nanogs.progress import Progress
 from nanogs.splats import Splats
 from nanogs.studio.choice import Choice, FilterChoice
@@ -133,13 +132,12 @@ class WorkerCache:
         key = grown_key(choice)
         if self.grown is None or self.grown[0] != key:
             splats, chosen = self.sifted(choice).splats, PRESETS[choice.preset]
-            up = None if choice.up is None else direction_of(choice.up)
+            up = direction_of(choice.up) if choice.up and renders(chosen) else None
             self.grown = None
             self.grown = key, grow(
                 splats, preset=choice.preset, sh_degree=choice.sh_degree,
-                cameras=asked_cameras(splats, None, up, chosen), device=self.settings.device,
-                threads=self.settings.threads, max_memory=self.settings.max_memory,
-                progress=progress,
+                up=up, device=self.settings.device, threads=self.settings.threads,
+                max_memory=self.settings.max_memory, progress=progress,
             )  # fmt: skip
         return self.grown[1]
 
