@@ -270,6 +270,12 @@ def test_joined_files_have_the_columns_common_to_all(tmp_path, small_pages):
         Joined([InMemory(one), InMemory(replace(one, render_mode="mip"))])
 
 
+@pytest.mark.parametrize("row", [0, 5, 10, 20])
+def test_joined_parts_read_no_rows(row):
+    parts = Joined([InMemory(random_splats(10)), InMemory(random_splats(10))])
+    assert len(parts.read(row, row)) == 0
+
+
 def test_left_out_comments_of_further_inputs_are_noted():
     first = replace(model_of(), comments=("a", "b"))
     others = [replace(first, comments=lines) for lines in ((), ("b",), ("b", "c"), ("d", "c"))]

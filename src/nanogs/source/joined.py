@@ -38,9 +38,9 @@ class Joined(Source):
         found = []
         for part, (first, end) in zip(self._parts, pairwise(self._ends), strict=True):
             low, high = max(start, first), min(stop, end)
-            if low < high or (start == stop == first):
+            if low < high:
                 found.append(fitted(part.read(low - first, high - first), self.columns))
-        return joined_rows(found)
+        return joined_rows(found or [fitted(self._parts[0].read(0, 0), self.columns)])
 
     def load(self) -> Splats:
         """Read the whole model, with the notes of all parts."""
