@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from browsers import CHROMIUM
 from builders import random_splats
 from launch import run
 from nanogs.cli.options import parse_background, parse_direction, parse_pixels
-from nanogs.errors import ModelError, OptionError
+from nanogs.errors import ExistsError, ModelError, OptionError
 from nanogs.protocol import Protocol
 from nanogs.raster.camera import Camera
 from nanogs.raster.images import color_image
@@ -455,3 +456,28 @@ def test_two_numbers_in_a_cell_of_the_table_stay_in_one_line(opened):
     }"""
     assert cell.evaluate(lines) == 1
     assert cell.evaluate("cell => getComputedStyle(cell, '::before').textAlign") == "left"
+
+
+@pytest.mark.parametrize("kept", ["b.png", "b_depth.png"])
+def test_no_picture_is_written_if_one_of_them_exists(tmp_path, kept):
+    (tmp_path / kept).write_text("mine")
+    cameras = [replace(camera(), name=name) for name in "ab"]
+    with pytest.raises(ExistsError, match=kept):
+        render_images(random_splats(20), cameras, tmp_path, depth=True)
+    assert [path.name for path in tmp_path.iterdir()] == [kept]
+    if kept == "b_depth.png":
+        with pytest.raises(ExistsError, match=kept):
+            render_images(random_splats(20), cameras[1:], tmp_path / "b.png", depth=True)
+        assert [path.name for path in tmp_path.iterdir()] == [kept]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_pictures_of_one_name_are_refused(tmp_path, overwrite):
+    cameras = [replace(camera(), name=name) for name in ("a", "a_depth")]
+    files, _ = render_images(random_splats(20), cameras, tmp_path / "images")
+    assert len(files) == 2
+    with pytest.raises(OptionError, match=r"Two images would be called a_depth\.png"):
+        render_images(
+            random_splats(20), cameras, tmp_path / "both", depth=True, overwrite=overwrite
+        )
+    assert [path.name for path in tmp_path.iterdir()] == ["images"]

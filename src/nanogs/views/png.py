@@ -58,17 +58,19 @@ def render_images(
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
     folder, names, suffix = _places(target, cameras, overwrite=overwrite)
+    files = [_files(name, suffix, depth=depth) for name in names]
+    _refuse_existing(folder, [name for each in files for name in each], overwrite=overwrite)
     before = _pictures(target)
     tracker = Tracker(progress, [Stage("render", 1.0)])
     shown = renderings(
         drawable(model, room), cameras, background=background, depth=depth, on_progress=tracker.part
     )
-    options = {"transparent": transparent, "depth": depth, "overwrite": overwrite}
     with _filled(folder) as place:
-        files, notes = _write(shown, names, suffix, place, **options)
+        notes = _write(shown, files, place, transparent=transparent, overwrite=overwrite)
     tracker.finish()
-    notes += _left(before, files, folder)
-    return [str(folder / name) for name in files], [*lens_notes(cameras), *notes]
+    written = [name for each in files for name in each]
+    notes += _left(before, written, folder)
+    return [str(folder / name) for name in written], [*lens_notes(cameras), *notes]
 
 
 def _pictures(folder: Path) -> set[str]:
@@ -102,34 +104,28 @@ def _nothing_of(_folder: Path) -> None:
 
 def _write(
     shown: Iterable[Rendering],
-    names: Iterable[str],
-    suffix: str,
+    files: Iterable[list[str]],
     folder: Path,
     *,
     transparent: bool,
-    depth: bool,
     overwrite: bool,
-) -> tuple[list[str], list[str]]:
-    """Write each image into a folder; return the names of the files, and notes for the user."""
-    written: list[str] = []
+) -> list[str]:
+    """Write each image, and its depth if there is a second name, and return notes for the user."""
     notes: dict[str, None] = {}
     unseen: list[str] = []
     skipped = 0
-    for rendering, name in zip(shown, names, strict=True):
+    for rendering, (name, *depth) in zip(shown, files, strict=True):
         skipped = rendering.skipped
-        images: dict[str, Array] = {f"{name}{suffix}": color_image(rendering, transparent)}
-        if depth:
-            images[f"{name}_depth{suffix}"] = depth_image(rendering)
-        for file_name, image in images.items():
-            save_png(image, folder / file_name, overwrite=overwrite)
-            written.append(file_name)
+        save_png(color_image(rendering, transparent), folder / name, overwrite=overwrite)
+        for other in depth:
+            save_png(depth_image(rendering), folder / other, overwrite=overwrite)
         notes.update(dict.fromkeys(rendering.notes))
         if not rendering.alpha.any():
-            unseen.append(name)
+            unseen.append(Path(name).stem)
     notes |= dict.fromkeys(notes_on_views(unseen, "nothing of the model is visible"))
     if skipped:
         notes[undrawn(skipped)] = None
-    return written, list(notes)
+    return list(notes)
 
 
 def _places(
@@ -144,6 +140,29 @@ def _places(
         )
     check_writable(target, overwrite=overwrite)
     return target.parent, [target.stem], target.suffix
+
+
+def _files(name: str, suffix: str, *, depth: bool) -> list[str]:
+    """Return the names of the files of one view: the image, and its depth if requested."""
+    return [f"{name}{suffix}", *([f"{name}_depth{suffix}"] if depth else [])]
+
+
+def _refuse_existing(folder: Path, files: Sequence[str], *, overwrite: bool) -> None:
+    """Refuse, before anything is rendered, files that exist or that two images would share.
+
+    Raises:
+        OptionError: Two images would share a file.
+        OutputError: A file exists, or cannot be written.
+    """
+    for index, name in enumerate(files):
+        if name in files[:index]:
+            raise OptionError(
+                f"Two images would be called {name}, one of a view and one of the depth of another;"
+                " give the cameras different names."
+            )
+    if folder.is_dir():
+        for name in files:
+            check_writable(folder / name, overwrite=overwrite)
 
 
 def file_names(cameras: Sequence[Camera]) -> list[str]:
