@@ -682,6 +682,15 @@ def test_invalid_options_of_jobs_are_refused_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
+def test_options_without_what_they_are_for_are_refused(pair):
+    with pytest.raises(OptionError, match="`format_options` work only with `packed`"):
+        nanogs.compare(*pair, format_options={"bits": 6})
+    for call in (nanogs.compare, lambda *models, **given: nanogs.mode_evidence(models[0], **given)):
+        for given in ({"split": "train"}, {"images": "images_4"}):
+            with pytest.raises(OptionError, match="work only with photographs"):
+                call(*pair, **given)
+
+
 @pytest.mark.parametrize("options", [[6], 6, "bits", {6: 6}])
 def test_format_options_that_are_no_dictionary_are_refused(pair, files, tmp_path, options):
     model, given = pair[0], {"format_options": options}

@@ -16,7 +16,7 @@ from nanogs.protocol import PIXELS, Background, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import one_or_several
 from nanogs.scoring.packing import packing_of
-from nanogs.scoring.view_sets import Pixels, requested_views
+from nanogs.scoring.view_sets import Pixels, refuse_beside_views, requested_views
 from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
@@ -97,10 +97,9 @@ def compare(
             "`photos` cannot be combined with options for views, because photographs have views of"
             " their own; leave these options out."
         )
-    if photos is None and (images is not None or split != "test"):
-        raise OptionError(
-            "`images` and `split` work only with photographs; name their data set with `photos`."
-        )
+    refuse_beside_views(photos, images, split)
+    if format_options and not packed:
+        raise OptionError("`format_options` work only with `packed`; name the formats with it.")
     packing = packing_of(packed, format_options) if packed else {}
     extras = one_or_several(metrics)
     limit = None if max_memory is None else as_bytes(max_memory)

@@ -19,6 +19,7 @@ from nanogs.io.models import Model, opened
 from nanogs.progress import PartProgress, Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
+from nanogs.scoring.view_sets import refuse_beside_views
 from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
@@ -175,6 +176,7 @@ def render_findings(
     progress: Progress | bool | None = None,
 ) -> RenderFindings:
     """Render a model in both modes, and measure its draw cost; arguments as for `mode_evidence`."""
+    refuse_beside_views(photos, images, split)
     limit = None if max_memory is None else as_bytes(max_memory)
     background = None if background is None else plain_background(background)
     wanted = known_cameras(cameras) if photos is None else []

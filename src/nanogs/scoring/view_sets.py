@@ -106,6 +106,23 @@ def requested_views(
     return RequestedViews([], sources, [picture_size(size) for size in several], count, up)
 
 
+def refuse_beside_views(photos: str | PathLike[str] | None, images: str | None, split: str) -> None:
+    """Refuse options of photographs if there are none.
+
+    Args:
+        photos: Folder of the data set, or None.
+        images: Folder of the photographs in it, or None.
+        split: "test", the default, or another one.
+
+    Raises:
+        OptionError: One of these is given without `photos`.
+    """
+    if photos is None and (images is not None or split != "test"):
+        raise OptionError(
+            "`images` and `split` work only with photographs; name their data set with `photos`."
+        )
+
+
 def parse_sources(text: str) -> list[str]:
     """Split kinds of cameras at commas, such as "auto,roam"; anything else is the path of a file.
 
