@@ -217,6 +217,8 @@ def test_levels_too_large_for_formats_that_are_written_whole_are_refused(tmp_pat
     refuse(10**5 // 2, suffix=".sog")  # palettes take seven times as much, and fit
     with pytest.raises(OptionError, match=r"\.sog is not written block by block"):
         refuse(10**6, suffix=".sog")
+    with pytest.raises(OptionError, match=r"\.spz with a palette is not written block by block"):
+        refuse(10**6, suffix=".spz", format_options={"palette": 256})
 
 
 def test_geometric_errors_have_one_scale_for_the_whole_scene(levels_by_layout):

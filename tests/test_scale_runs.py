@@ -20,7 +20,7 @@ import launch
 import nanogs
 from builders import random_splats
 from nanogs.clock import StageClock
-from nanogs.errors import OptionError, OutputError
+from nanogs.errors import OptionError, OutputError, UnstorableError
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.estimates.block_plan import held_bytes
 from nanogs.pipeline.in_blocks import plan_job
@@ -353,3 +353,88 @@ def test_no_seam_shows_between_blocks(tmp_path, rounds):
     border = (of_block[near] != of_block[near[:, :1]]).any(axis=1).reshape(errors.shape)
     assert 0.05 < border.mean() < 0.5
     assert errors[border].mean() < 1.1 * errors[~border].mean()
+
+
+# Jobs that cannot be done
+
+
+@pytest.fixture(scope="module")
+def holey(tmp_path_factory):
+    """A model of 3,000 splats, ten of which have no centre."""
+    path, splats = tmp_path_factory.mktemp("holey") / "holey.ply", random_splats(3000, degree=0)
+    splats.means[:10] = np.nan
+    nanogs.save(splats, path)
+    return path
+
+
+def test_a_size_that_all_usable_splats_fit_into_is_met_in_blocks(holey, tmp_path):
+    options = {"size": "10MB", "preset": "fast", "block": 1000}
+    report = nanogs.simplify_blocks(holey, tmp_path / "a.ply", **options)
+    assert (report.achieved_count, report.dropped_nonfinite) == (2990, 10)
+    assert "The whole model fits" in report.notes[0]
+
+
+@pytest.mark.parametrize("executor", [False, True])
+def test_a_count_above_the_usable_splats_leaves_no_job(holey, tmp_path, executor):
+    workers = ProcessPoolExecutor(1, mp_context=get_context("spawn")) if executor else None
+    message = "The count 2,991 is above the 2,990 usable splats"
+    with pytest.raises(OptionError, match=message):
+        nanogs.simplify_blocks(
+            holey, tmp_path / "a.ply", count=2991, preset="fast", block=1000, executor=workers
+        )
+    if workers:
+        workers.shutdown()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_result_that_its_format_cannot_hold_leaves_no_job(tmp_path):
+    splats = random_splats(3000, degree=0)
+    splats.means[:] *= np.float32(1e8)
+    nanogs.save(splats, tmp_path / "far.ply")
+    with pytest.raises(UnstorableError, match="move the model to the origin"):
+        nanogs.simplify_blocks(
+            tmp_path / "far.ply", tmp_path / "a.spz", ratio=0.5, preset="fast", block=1000
+        )
+    assert [path.name for path in tmp_path.iterdir()] == ["far.ply"]
+
+
+def test_a_search_in_blocks_refuses_a_folder_before_it_begins(holey, tmp_path):
+    with pytest.raises(OptionError, match="a single file"):
+        nanogs.simplify_blocks(
+            holey, tmp_path / "new" / "meta.json", draw_cost=0.5, preset="fast", block=1000
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_memory_is_limited_beside_a_given_block(holey, tmp_path):
+    options = {"ratio": 0.5, "preset": "fast", "block": 1000}
+    with pytest.raises(OptionError, match="too many to be held in memory at once"):
+        nanogs.simplify_blocks(holey, tmp_path / "a.sog", max_memory=1, **options)
+    assert list(tmp_path.iterdir()) == []
+    nanogs.simplify_blocks(holey, tmp_path / "a.sog", max_memory="4GB", **options)
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_folders_made_around_a_job_are_removed_with_it(holey, tmp_path, resumed):
+    options = {"preset": "fast", "block": 1000, "job": tmp_path / "new" / "deep" / "job"}
+    if resumed:
+
+        def stop(step):
+            if step.stage == "grow" and step.done:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            nanogs.simplify_blocks(holey, tmp_path / "a.ply", ratio=0.5, progress=stop, **options)
+        assert (options["job"] / "job.json").exists()
+    nanogs.simplify_blocks(holey, tmp_path / "a.ply", ratio=0.5, resume=resumed, **options)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+@pytest.mark.parametrize("name", ["job", "scratch"])
+def test_a_folder_that_cannot_be_made_leaves_none_around_it(holey, tmp_path, name):
+    place = tmp_path / "new" / "deep" / ("x" * 300)
+    with pytest.raises(OutputError):
+        nanogs.simplify_blocks(
+            holey, tmp_path / "a.ply", ratio=0.5, preset="fast", block=1000, **{name: place}
+        )
+    assert list(tmp_path.iterdir()) == []

@@ -27,6 +27,10 @@ class OptionError(NanogsError):
     """An option or a combination of options is invalid for this input."""
 
 
+class TooManyError(OptionError):
+    """More splats are asked for than the model has usable ones."""
+
+
 class TooSmallError(OptionError):
     """No result of this model fits into the requested file size."""
 

@@ -236,7 +236,6 @@ def _written(
         made = without_environment(made)
         manifest = describe_levels(sink.source, made, written)
         return replace(manifest, notes=(*manifest.notes, *left_out)), tuple(made)
-    request.continues_job()
     sink.check()
     import_stages(request.parameters)
     stages = _stages(request, plan.splats, sink)

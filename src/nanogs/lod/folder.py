@@ -65,7 +65,8 @@ class LevelsFolder:
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
         """Refuse levels in files of their own that are too large to be held; see `Sink`."""
         if self.chunks is None:
-            refuse_large(self.place / level_name(0, self.suffix), count, row, max_memory)
+            place = self.place / level_name(0, self.suffix)
+            refuse_large(place, count, row, max_memory, self.format_options)
 
     def check(self) -> None:
         """Check that the folder can be written; see `Sink`."""

@@ -256,7 +256,6 @@ def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
 def _in_memory(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:
     """Read, simplify and write; the report has the seconds of the whole call."""
     start = time.perf_counter()
-    request.continues_job()
     check_writable(
         request.output, overwrite=request.overwrite, format_options=request.format_options
     )

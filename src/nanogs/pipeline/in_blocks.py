@@ -12,6 +12,7 @@ from nanogs.clock import StageClock
 from nanogs.defaults import DEFAULT_MEMORY
 from nanogs.errors import CrowdedError, ModelError, OptionError, OutputError
 from nanogs.formatting import bytes_text
+from nanogs.io import registry
 from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
@@ -73,9 +74,12 @@ def fill_in_blocks(
     from nanogs.pipeline.job.result_writer import ResultWriter
     from nanogs.pipeline.job.stored import BlockJob, Execution
 
+    allowed = request.max_memory if max_memory is None else max_memory
     if settings.search is None:
         most = count_of(goals[0], settings.splats, settings.result_layout, request.sizer)
-        sink.refuse_large(most, row_bytes(settings.layout), max_memory)
+        sink.refuse_large(most, row_bytes(settings.layout), allowed)
+    else:
+        registry.writer(request.output)
     if not request.resume:
         refuse_full_disk(divided, folder, request.scratch)
 
@@ -89,10 +93,10 @@ def fill_in_blocks(
     if settings.search is not None:
         from nanogs.pipeline.search.in_blocks import Search
 
-        search = Search(request.output, request.format_options, folder, max_memory).find
+        search = Search(request.output, request.format_options, folder, allowed).find
     measured = bool(request.measured) and request.goal.psnr is None
     costed = bool(request.measured) and request.goal.draw_cost is None
-    writer = ResultWriter(sink, reports, measured, max_memory, costed)
+    writer = ResultWriter(sink, reports, measured, allowed, costed)
     job = BlockJob(settings, folder, request.scratch, writer, search)
     execution = Execution(request.threads, request.executor, request.patience)
     try:
@@ -212,6 +216,7 @@ def plan_job(
         asked=changes.asked,
         search=sought,
         environment=request.environment,
+        at_most=request.goal.size is not None,
     )
     _refuse_small(request, settings)
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory, reason)

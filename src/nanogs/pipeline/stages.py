@@ -147,7 +147,10 @@ def _units(scene: Scene, task: Task) -> Record:
 
 
 def _partition(work: Work, task: Task) -> Record:
-    found = partition(work.scratch, work.settings, work.segments())
+    settings = work.settings
+    found = partition(work.scratch, settings, work.segments())
+    for count in () if settings.at_most else settings.counts:
+        target_count(found.splats, None, count)  # refuses a count above the usable splats
     return write_table(work.scratch, task.name, {}, found.to_dict())
 
 
@@ -177,13 +180,13 @@ def _grow(scene: Scene, task: Task) -> Record:
 
 
 def _budget(work: Work, task: Task) -> Record:
-    counts = work.settings.counts
+    counts, usable = work.settings.counts, work.partition.splats
     if counts:
-        target = target_count(work.partition.splats, None, counts[task.level])
+        target = min(counts[task.level], usable)
     else:
-        target = target_count(work.partition.splats, work.settings.ratios[task.level], None)
+        target = target_count(usable, work.settings.ratios[task.level], None)
     # Blocks cannot be cut to less than a splat each, nor well to a few: the rest is done in memory.
-    cut_to = max(target, min(FEWEST * work.partition.blocks, work.partition.splats))
+    cut_to = max(target, min(FEWEST * work.partition.blocks, usable))
     forests = work.of_blocks("grow")
     groups = [budget(work.scratch, forests, cut_to, number) for number in range(len(work.balances))]
     return write_table(work.scratch, task.name, {}, {"target": target, "groups": groups})

@@ -15,7 +15,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.io.atomic import output_error
-from nanogs.io.folder import remove_empty
+from nanogs.io.folder import make_folders, remove_empty
 
 SUFFIXES = (".npy", ".json", ".tmp")
 PARENT_MARKER = "made.json"  # holds the number of folders around that `prepare` made
@@ -90,10 +90,9 @@ class FolderScratch:
     def prepare(self) -> None:
         """Make the folder, and note how many around it were made too; see `Scratch.prepare`."""
         try:
-            new = sum(not parent.exists() for parent in self.folder.parents)
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if new:
-                (self.folder / PARENT_MARKER).write_text(f"{new}")
+            around = make_folders(self.folder)[1:]
+            if around:
+                (self.folder / PARENT_MARKER).write_text(f"{len(around)}")
         except OSError as error:
             raise output_error(self.folder, error) from error
 

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 from nanogs.cleanup import cleaned_up
 from nanogs.errors import ExistsError, FormatError, OutputError
 from nanogs.io.atomic import atomic_write, output_error
+from nanogs.io.folder import make_folders, remove_empty
 from nanogs.pipeline.options.settings import VERSION, Settings
 
 MANIFEST, LOCK, SCRATCH, RESULT = "job.json", "lock", "scratch", "result-"
@@ -50,19 +51,35 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         if folder.exists() and not folder.is_dir():
             raise OutputError(f"{folder} is not a folder; name another one for the job.")
-        folder.mkdir(parents=True, exist_ok=True)
+        made = make_folders(folder)
         _refuse_foreign(folder)
-        file = (folder / LOCK).open("ab")
+        file = (folder / LOCK).open("a+b")
     except OSError as error:
         raise output_error(folder, error) from error
     with file:
         _lock(file, folder)
-        with cleaned_up(partial(_remove_unless_begun, folder)):
+        with cleaned_up(partial(_remove_unless_begun, folder, _made_around(file, made))):
             yield
 
 
-def _remove_unless_begun(folder: Path) -> None:
-    """Remove a job folder that has no manifest."""
+def _made_around(lock: BinaryIO, made: list[Path]) -> int:
+    """Return how many folders around the job's this run or an earlier one made; the lock notes it.
+
+    Args:
+        lock: The lock, open and locked.
+        made: What `make_folders` made for this run.
+    """
+    lock.seek(0)
+    noted = lock.read()
+    if made and not noted:
+        noted = b"%d" % (len(made) - 1)
+        lock.write(noted)
+        lock.flush()
+    return int(noted) if noted.isdigit() else 0
+
+
+def _remove_unless_begun(folder: Path, around: int) -> None:
+    """Remove a job folder that has no manifest, and `around` folders around it if empty."""
     if (folder / MANIFEST).exists():
         return
     with suppress(OSError):
@@ -72,6 +89,7 @@ def _remove_unless_begun(folder: Path) -> None:
             (folder / SCRATCH).rmdir()
         (folder / LOCK).unlink()
         folder.rmdir()
+        remove_empty(folder.parents[:around])
 
 
 def _refuse_foreign(folder: Path) -> None:
@@ -90,6 +108,7 @@ def _lock(file: BinaryIO, folder: Path) -> None:
         if os.name == "nt":
             import msvcrt
 
+            file.seek(0)
             msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
         else:
             import fcntl

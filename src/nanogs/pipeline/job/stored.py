@@ -15,6 +15,7 @@ from nanogs.errors import (
     ModelError,
     NanogsError,
     OutputError,
+    TooManyError,
     TooSmallError,
     UnstorableError,
 )
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 
     from distributed import Client
 
-UNRECOVERABLE = TooSmallError, CrowdedError, ModelError, UnstorableError
+UNRECOVERABLE = TooManyError, TooSmallError, CrowdedError, ModelError, UnstorableError
 """Errors after which a job cannot be resumed, so that its files are removed."""
 
 
@@ -130,12 +131,12 @@ class BlockJob:
                         scratch, self.settings, runner, threads, clock, progress, resumed=resumed,
                         search=self.search,
                     )  # fmt: skip
+                    progress.begin("write")
+                    with clock.time("write"):
+                        written = self.writer.finish(done, self.folder, progress)
                 except UNRECOVERABLE:
                     self._remove(scratch)
                     raise
-                progress.begin("write")
-                with clock.time("write"):
-                    written = self.writer.finish(done, self.folder, progress)
             self._remove(scratch)
         progress.finish()
         return done, written

@@ -15,7 +15,7 @@ from nanogs.source import Layout
 
 # Most splats of a block's halo, as a share of its own, to bound memory; the nearest are kept.
 MOST_SEEN = 0.1
-VERSION = 13  # of the job folder's format; a folder of another version is not continued
+VERSION = 14  # of the job folder's format; a folder of another version is not continued
 
 _WISH = "the request (ratio, count, size, PSNR, draw cost)"
 _SIZE = "the memory for blocks, or their size"
@@ -25,6 +25,7 @@ _GIVEN = {
     "inputs": "the input files",
     "ratios": _WISH,
     "counts": _WISH,
+    "at_most": _WISH,
     "search": _WISH,
     "nan": "`nan`",
     "parameters": "the preset or its parameters",
@@ -159,6 +160,8 @@ class Settings:
         sharing: Number of sets of higher harmonics of results, or None if each splat has its own.
         search: Target of the search for a count, or None if it is known beforehand.
         environment: The environment beside levels, in words; no task depends on it.
+        at_most: Whether the counts are the most that fit into a size, so that all splats are kept
+            if fewer are usable.
     """
 
     inputs: tuple[InputFile, ...]
@@ -177,6 +180,7 @@ class Settings:
     sharing: Sharing | None = None
     search: SearchTarget | None = None
     environment: str = ""
+    at_most: bool = False
 
     @property
     def splats(self) -> int:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 
-from nanogs.errors import OptionError, TooSmallError
+from nanogs.errors import OptionError, TooManyError, TooSmallError
 from nanogs.formatting import counted
 from nanogs.io.format import Format
 from nanogs.ranges import is_number
@@ -114,12 +114,13 @@ def target_count(available: int, ratio: float | None, count: int | None) -> int:
 
     Raises:
         OptionError: Not exactly one of both is given, or it is out of range.
+        TooManyError: The count is above the usable splats.
     """
     Goal(ratio=ratio, count=count)
     if count is None:
         return math.ceil(Fraction(str(float(ratio or 0))) * available)
     if count > available:
-        raise OptionError(
+        raise TooManyError(
             f"The count {count:,} is above the {counted(available, 'usable splat')} of the input; "
             "ask for at most as many."
         )
