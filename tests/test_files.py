@@ -11,6 +11,7 @@ from builders import random_splats
 from nanogs import filters
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.frames import change_frame
+from nanogs.lod.layout import Layout
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request, plan_files
@@ -209,6 +210,18 @@ def test_levels_made_in_blocks_are_measured_as_those_in_memory(splats, scene, tm
             assert report.judged == judged
         assert manifest.protocol == judged.protocol
         assert manifest.levels[0].psnr > manifest.levels[1].psnr
+
+
+@pytest.mark.parametrize("layout", list(Layout))
+def test_reports_of_levels_made_in_memory_have_the_scores_of_the_files(splats, tmp_path, layout):
+    place = tmp_path / {Layout.TREE: "a.rad", Layout.ARCHIVE: "a.ssog"}.get(layout, "levels")
+    manifest, reports = nanogs.write_levels(
+        splats, place, [0.5, 0.1], layout=layout, measured=True, **QUICK
+    )
+    for entry, report in zip(manifest.levels, reports, strict=True):
+        assert (report.judged.psnr, report.judged.ssim) == (entry.psnr, entry.ssim)
+        assert report.judged.protocol == manifest.protocol
+        assert report.cost.share_of(report.original_cost) == entry.draws
 
 
 def test_resuming_an_unmeasured_job_with_measured_measures_it(scene, tmp_path, monkeypatch):

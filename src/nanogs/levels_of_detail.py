@@ -296,7 +296,11 @@ def _whole(
             del small, turned  # frees them before the next level is made
         manifest = filling.finish(reports, judge)
     tracker.finish()
-    return replace(manifest, notes=(*manifest.notes, *notes, *left_out)), tuple(reports)
+    scored = tuple(
+        replace(report, **each.measured)
+        for report, each in zip(reports, filling.written, strict=True)
+    )
+    return replace(manifest, notes=(*manifest.notes, *notes, *left_out)), scored
 
 
 def _suffix(sink: LevelsSink) -> str:

@@ -215,9 +215,10 @@ class SimplifyReport:
         read_count: Number of splats of the inputs, before filters.
         filters: Number of splats that each filter removed.
         judged: PSNR and SSIM of the result against the input, as by `nanogs compare`, on views that
-            nothing was fitted to; measured only if a PSNR was asked for, else None.
-        packed: If `judged` is that of the file and its format rounds: the loss by packing alone,
-            against the same result unpacked; else None.
+            nothing was fitted to; None if not measured.
+        packed: The loss by packing alone, against the same result unpacked. Measured with `judged`
+            if a result made in memory is written to a file of a format that rounds; None for
+            levels, in blocks, and if a PSNR was asked for.
         asked_draw_cost: The largest share of the original's splats per pixel that was asked for, or
             None.
         draw_probes: The counts tried for a draw cost, in order.

@@ -81,6 +81,12 @@ class Written(NamedTuple):
         """PSNR and SSIM with the protocol of the measurement; None if not measured."""
         return None if self.judged is None else Judged.usual(*self.judged)
 
+    @property
+    def measured(self) -> dict[str, Any]:
+        """Scores and draw costs by the fields of `SimplifyReport`; None if not measured."""
+        cost, original = self.drawn or (None, None)
+        return {"judged": self.scores, "cost": cost, "original_cost": original}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Environment:

@@ -45,12 +45,9 @@ def report_of(
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
     count = written.splats
     stop = StopReason.TARGET if count == target else StopReason.NO_PROGRESS
-    cost, original = written.drawn or (None, None)
     entries = {
         "stop": stop,
-        "judged": written.scores,
-        "cost": cost,
-        "original_cost": original,
+        **written.measured,
         **entries_of(work, level),
         **done.entries,
     }
