@@ -171,6 +171,15 @@ def test_a_measured_result_reports_the_cost_of_packing(files, tmp_path, suffix, 
     assert loss.psnr_cost == pytest.approx(plain.judged.psnr - found.judged.psnr, abs=1e-3)
 
 
+@pytest.mark.usefixtures("small_pictures")
+@pytest.mark.parametrize("suffix", [".rad", ".usda"])
+def test_the_cost_of_packing_is_reported_for_formats_that_round(files, tmp_path, suffix):
+    report = nanogs.simplify_blocks(
+        files / "scene.ply", tmp_path / f"a{suffix}", ratio=0.3, preset="fast", measured=True
+    )
+    assert (report.packed is not None) == (suffix == ".rad")
+
+
 def test_the_command_simplify_shows_the_cost_of_packing(files, tmp_path):
     arguments = ("simplify", files / "scene.ply", tmp_path / "a.spz", "--ratio", "0.3")
     arguments += ("--preset", "fast")

@@ -7,12 +7,16 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+import lccfiles
 import nanogs
 from builders import random_splats
+from ksplatfiles import ksplat, section
 from launch import run
 from nanogs.errors import ModelError, NotEnoughMemoryError, OptionError
+from nanogs.io import registry
 from nanogs.io.parts import FileSource
 from nanogs.memory import LIBRARIES
+from nanogs.scoring.packing import notes_on, write_packed
 from nanogs.views.automatic import automatic_cameras
 from test_cli import assert_refused
 from views_and_scores import mean_psnr_ssim
@@ -135,6 +139,41 @@ def test_a_model_that_is_already_packed_is_noted_or_refused(scene, tmp_path, tem
     for packed in ("a", "a/meta.json"):
         with pytest.raises(OptionError, match=r"is already packed as \.sog"):
             nanogs.packing_cost(tmp_path / packed, [".sog"])
+
+
+WRITTEN = [known.suffix for known in registry.formats() if known.writable and known.readable]
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+def test_exactly_the_formats_that_round_values_say_so(tmp_path, suffix):
+    model = random_splats(400)
+    path = write_packed(model, suffix, {}, tmp_path)
+    with nanogs.open(path) as source:
+        # Compared in order of size, because some formats have an order of their own.
+        both = np.sort([model.opacities(), source.load().opacities()], axis=1)
+        rounds = np.abs(both[0] - both[1]).max() > 1e-4
+        assert registry.writable(path).rounds == rounds
+        assert bool(notes_on(source)) == rounds
+
+
+def test_files_in_formats_that_are_not_written_are_noted_if_packed(scene, tmp_path):
+    """glTF, of which nanogs writes only unpacked files, and formats that it only reads."""
+    model = nanogs.load(scene)
+    for packed in (True, False):
+        folder = tmp_path / str(packed)
+        options = {"layout": "3d tiles", "plain": not packed, "preset": "fast"}
+        nanogs.write_levels(model, folder, [1.0], **options)
+        for name in ("tileset.json", "0_0.glb"):
+            with nanogs.open(folder / name) as source:
+                assert bool(notes_on(source)) == packed
+    [note] = notes_on(nanogs.open(tmp_path / "True" / "0_0.glb"))
+    assert note.startswith("the file is itself packed, as .glb; ")
+    (tmp_path / "a.ksplat").write_bytes(ksplat(section(4, 0, 0)))
+    for name, data in lccfiles.typical_model(np.random.default_rng(3)).items():
+        (tmp_path / name).write_bytes(data)
+    nanogs.write_levels(model, tmp_path / "s", [1.0], layout="streamed sog", preset="fast")
+    for name in ("a.ksplat", "scene.lcc", "s/lod-meta.json"):
+        assert notes_on(nanogs.open(tmp_path / name))
 
 
 def test_progress_is_reported(scene, temporary):

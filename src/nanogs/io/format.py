@@ -105,6 +105,8 @@ class Format:
         streams: Whether `write` takes a source too and holds only some rows of it at a time, apart
             from options with `whole`.
         max_degree: Highest SH degree that files hold.
+        rounds: Whether files hold quantised values. If only some do, this is False, and
+            `FileSource.packed` tells of each file.
         ours: Lists the files that nanogs made in such a folder.
         check: Fails before any computing if this installation cannot write the format.
         check_options: Fails if options contradict each other.
@@ -131,6 +133,7 @@ class Format:
     reports_progress: bool = False
     streams: bool = False
     max_degree: int = MAX_SH_DEGREE
+    rounds: bool = False
     ours: Ours | None = None
     check: Callable[[], None] = lambda: None
     check_options: Callable[[FormatOptions], None] = lambda _options: None

@@ -60,5 +60,13 @@ def losses(splats: Splats) -> tuple[str, ...]:
 
 
 FORMATS = (
-    Format(SUFFIX, unread, write, overhead_bytes=_overhead_bytes, losses=losses, check=check),
+    Format(
+        SUFFIX,
+        unread,
+        write,
+        overhead_bytes=_overhead_bytes,
+        losses=losses,
+        check=check,
+        rounds=True,
+    ),
 )

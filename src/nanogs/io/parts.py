@@ -98,6 +98,11 @@ class FileSource(Source):
         return 0
 
     @property
+    def packed(self) -> bool:
+        """Whether the file holds quantised values although not all files of its format do."""
+        return False
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on values of the file that the caller has overridden."""
         return ()

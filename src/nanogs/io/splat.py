@@ -143,4 +143,6 @@ def _rotation_bytes(quats: F32) -> U8:
     return result
 
 
-FORMATS = (Format(_SUFFIX, SplatFile, write, file_bytes, losses, streams=True, max_degree=0),)
+FORMATS = (
+    Format(_SUFFIX, SplatFile, write, file_bytes, losses, streams=True, max_degree=0, rounds=True),
+)

@@ -55,6 +55,11 @@ class SourceWrapper(FileSource):
         return self.file.environment
 
     @property
+    def packed(self) -> bool:
+        """Whether this very file holds quantised values; see `FileSource`."""
+        return self.file.packed
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on values that override those of the file; see `FileSource`."""
         return self.file.remarks

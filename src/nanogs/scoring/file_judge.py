@@ -13,7 +13,6 @@ from nanogs.io import load, registry
 from nanogs.io import open as open_model
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import UNMEASURED, Judged, PackingLoss
-from nanogs.scoring.packing import rounds
 from nanogs.source import Source, Turned
 from nanogs.splats import Splats
 from nanogs.switches import PixelOf, SwitchQuality
@@ -116,14 +115,14 @@ class FileJudge:
             path: The file.
             result: The model that was written to it.
         """
-        suffix = registry.writable(path).suffix
-        if self.views is None or not rounds(suffix):
+        known = registry.writable(path)
+        if self.views is None or not known.rounds:
             return self.of(path), None
         views = self.views
 
         def measure() -> tuple[Judged | None, PackingLoss | None]:
             both = self._turned_back(result), self._turned_back(load(path))
-            return views.judge_packed(*both, suffix)
+            return views.judge_packed(*both, known.suffix)
 
         nothing: tuple[Judged | None, PackingLoss | None] = None, None
         return self._tried(measure, nothing)

@@ -20,7 +20,6 @@ PackingFormats = Mapping[str, FormatOptions]
 
 # Formats by their name in `FileInfo` or suffix -> the format that encodes values in the same way.
 _SAME_ENCODING = {"meta.json": "sog", "streamed sog": "sog"}
-_ROUNDED = {"sog", "spz", "compressed.ply", "splat", "ksplat"}  # formats that quantise values
 
 
 def packing_of(
@@ -71,12 +70,6 @@ def refuse_packed(source: Splats | Source, packing: PackingFormats) -> None:
             )
 
 
-def rounds(suffix: str) -> bool:
-    """Return whether a format quantises values, rather than only dropping what it cannot hold."""
-    name = suffix.removeprefix(".")
-    return _SAME_ENCODING.get(name, name) in _ROUNDED
-
-
 def has_format(source: Splats | Source, suffix: str) -> bool:
     """Return whether a model comes from a file of a format, or of one with the same encoding."""
     name = suffix.removeprefix(".")
@@ -85,11 +78,15 @@ def has_format(source: Splats | Source, suffix: str) -> bool:
 
 def notes_on(source: Splats | Source) -> tuple[str, ...]:
     """Return a note on a model whose file is quantised already; () for others."""
-    if not isinstance(source, FileSource) or _packed_as(source) not in _ROUNDED:
+    if not isinstance(source, FileSource):
+        return ()
+    name = _packed_as(source)
+    known = registry.find(Path(f"model.{name}"))
+    if not source.packed and (known is None or not known.rounds):
         return ()
     note = (
-        f"the file is itself packed, as .{_packed_as(source)}; unpacked means the model as read"
-        " from it, so no number includes what that packing cost."
+        f"the file is itself packed, as {known.suffix if known else name}; unpacked means the model"
+        " as read from it, so no number includes what that packing cost."
     )
     return (note,)
 

@@ -131,6 +131,11 @@ class _Rows(FileSource):
         path = self.path
         return (path, *(p for p in self._scene.document.paths() if p != path))
 
+    @property
+    def packed(self) -> bool:
+        """Whether some of its splats are packed as SPZ; see `FileSource`."""
+        return self._scene.packed
+
     @contextmanager
     def _body(self) -> Iterator[gltf_rows.BufferReader]:
         document = self._scene.document

@@ -116,6 +116,11 @@ class TilesLevel(Whole):
         drawn = (tileset.level(number) for number in range(tileset.levels()))
         return tuple(sum(counts[f] for tile in level for f in tile.contents) for level in drawn)
 
+    @property
+    def packed(self) -> bool:
+        """Whether some of its contents are packed as SPZ; see `FileSource`."""
+        return any(gltf.open_gltf(file).packed for tile in self._tiles for file in tile.contents)
+
     @cached_property
     def info(self) -> FileInfo:
         """The description of the level, combined from those of the contents."""

@@ -3,4 +3,4 @@
 from nanogs.io.format import Format
 from nanogs.io.ksplat.read import KsplatFile
 
-FORMATS = (Format(".ksplat", KsplatFile),)
+FORMATS = (Format(".ksplat", KsplatFile, rounds=True),)

@@ -10,5 +10,6 @@ FORMATS = (
         open_level=open_level,
         frame="z up (rfu) in the file, turned to y down (rdf) when read",
         turns=True,
+        rounds=True,
     ),
 )

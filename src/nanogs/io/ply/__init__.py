@@ -14,6 +14,7 @@ FORMATS = (
         compressed_write.losses,
         streams=True,
         max_degree=compressed_write.MAX_DEGREE,
+        rounds=True,
     ),
     Format(".ply", open_ply, write.write, write.file_bytes, streams=True, magic=_STARTS),
 )

@@ -14,6 +14,7 @@ FORMATS = (
         open_level=RadFile,
         streams=True,
         max_degree=MAX_DEGREE,
+        rounds=True,
         magic=(MAGIC,),
     ),
 )

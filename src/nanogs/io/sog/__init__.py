@@ -38,6 +38,7 @@ FORMATS = (
         options=_OPTIONS,
         derived_options=_derived_options,
         max_degree=write.MAX_DEGREE,
+        rounds=True,
         zip_member=META,
     ),
     Format(
@@ -47,9 +48,10 @@ FORMATS = (
         options=_OPTIONS,
         derived_options=_derived_options,
         max_degree=write.MAX_DEGREE,
+        rounds=True,
         write_folder=write.write_folder,
         ours=write.ours,
     ),
-    Format(LEVELS, open_level, open_level=open_level),
-    Format(ARCHIVE, open_level, open_level=open_level, zip_member=LEVELS),
+    Format(LEVELS, open_level, open_level=open_level, rounds=True),
+    Format(ARCHIVE, open_level, open_level=open_level, rounds=True, zip_member=LEVELS),
 )

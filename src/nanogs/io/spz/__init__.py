@@ -52,6 +52,7 @@ FORMATS = (
         derived_options=_derived_options,
         reports_progress=True,
         streams=True,
+        rounds=True,
         magic=(MAGIC, GZIP),
     ),
 )
