@@ -16,9 +16,12 @@ from launch import run
 from nanogs import io
 from nanogs.errors import OutputError
 from nanogs.levels_of_detail import write_levels
+from nanogs.lod.cells import divide
+from nanogs.lod.chunks import ChunkTree
 from nanogs.lod.folder import LevelsFolder, made_files
 from nanogs.lod.layout import Layout
 from nanogs.lod.tiles import Tiles
+from nanogs.lod.tileset import describe
 from nanogs.splats import RenderMode
 from nanogs.threads import most_threads, use_threads
 from npm_packages import node, package
@@ -219,6 +222,30 @@ def test_no_tile_has_a_smaller_error_than_its_children(tmp_path):
     wide = replace(splats, log_scales=splats.log_scales + np.float32(3))
     root = tileset(laid_out(tmp_path / "levels", Tiles(100), (splats, wide, splats)))["root"]
     assert root["geometricError"] == root["children"][0]["geometricError"] > 10
+
+
+class Counted:
+    """An array that counts how often it is read."""
+
+    def __init__(self, array):
+        self.array, self.reads = array, 0
+
+    def __getitem__(self, key):
+        self.reads += 1
+        return self.array[key]
+
+
+def test_tiles_are_described_in_time_proportional_to_their_number():
+    """A tile does not look at every tile of the finer level."""
+    cells = divide(np.random.default_rng(1).normal(size=(500, 3)), 1)
+    leaves = Counted(cells.leaves)
+    box = [[0, 0, 0], [1, 1, 1]]
+    level = [[node, f"{node}.glb", box, 1.0] for node in sorted(cells.all_leaves())]
+    trees = [ChunkTree(replace(cells, leaves=leaves), [level, level])]
+    root = json.loads(describe(trees, 2, {}))["root"]
+    for tile, (_, name, *_) in zip(root["children"], level, strict=True):
+        assert [tile["content"], *(t["content"] for t in tile["children"])] == [{"uri": name}] * 2
+    assert leaves.reads <= 3 * 500
 
 
 def test_a_tile_without_splats_has_no_content_but_has_children(tmp_path):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nanogs._types import F64
+from nanogs._types import F64, I64
 from nanogs.lod.boxes import union
 from nanogs.lod.cells import Cells
 from nanogs.lod.chunks import ChunkTree, generator
@@ -31,6 +31,26 @@ class Tile(NamedTuple):
     width: float
 
 
+class _Level(NamedTuple):
+    """The T tiles of a level in a tree.
+
+    Attributes:
+        tiles: The tiles by node.
+        nodes: (T,) int64, their nodes, ordered by their leaves.
+        firsts: (T,) int64, the first leaf of each of `nodes`, ascending.
+    """
+
+    tiles: Mapping[int, Tile]
+    nodes: I64
+    firsts: I64
+
+    def below(self, first: int, end: int) -> list[int]:
+        """Return the nodes whose leaves are in the range from `first` to `end`, in order."""
+        begin, stop = np.searchsorted(self.firsts, (first, end))
+        found: list[int] = self.nodes[begin:stop].tolist()
+        return found
+
+
 def describe(
     trees: Sequence[ChunkTree],
     levels: int,
@@ -47,11 +67,11 @@ def describe(
         extensions: The glTF extensions that the contents use and require.
         place: (4, 4) transform of the root; by default the identity.
     """
-    found = [_of_level([tree.levels[level] for tree in trees]) for level in range(levels)]
+    found = [_of_level(trees, level) for level in range(levels)]
     tops = [
         _tile(tree.cells, [level[number] for level in found], node)
         for number, tree in enumerate(trees)
-        for node in found[-1][number]
+        for node in found[-1][number].nodes.tolist()
     ]
     box = union(box for _, box in tops)
     diagonal = float(np.linalg.norm(box[1] - box[0]))
@@ -72,27 +92,28 @@ def describe(
     return json.dumps(data, separators=(",", ":"), allow_nan=False)
 
 
-def _of_level(trees: Sequence[Sequence[Any]]) -> list[dict[int, Tile]]:
-    """Return the tiles of a level by node, for each tree; empty ones get the median width."""
-    typical = float(np.median([width for tree in trees for _, file, _, width in tree if file]))
-    return [
-        {
+def _of_level(trees: Sequence[ChunkTree], level: int) -> list[_Level]:
+    """Return the tiles of a level, for each tree; empty ones get the median width."""
+    chunks = [tree.levels[level] for tree in trees]
+    typical = float(np.median([width for each in chunks for _, file, _, width in each if file]))
+    found = []
+    for tree, each in zip(trees, chunks, strict=True):
+        tiles = {
             node: Tile(file, np.array(box), width) if file else Tile(None, None, typical)
-            for node, file, box, width in tree
+            for node, file, box, width in each
         }
-        for tree in trees
-    ]
+        nodes = np.array(list(tiles), np.int64)
+        firsts = tree.cells.leaves[nodes, 0]
+        order = np.argsort(firsts, kind="stable")
+        found.append(_Level(tiles, nodes[order], firsts[order]))
+    return found
 
 
-def _tile(
-    cells: Cells, levels: Sequence[Mapping[int, Tile]], node: int
-) -> tuple[dict[str, Any], F64]:
+def _tile(cells: Cells, levels: Sequence[_Level], node: int) -> tuple[dict[str, Any], F64]:
     """Return the JSON of a tile of the last level given, with all tiles below, and their box."""
-    own, (first, end) = levels[-1][node], cells.leaves[node]
-    finer = levels[-2] if len(levels) > 1 else {}
-    below = [
-        _tile(cells, levels[:-1], inner) for inner in finer if first <= cells.leaves[inner, 0] < end
-    ]
+    own, inner = levels[-1].tiles[node], levels[:-1]
+    nodes = inner[-1].below(*cells.leaves[node]) if inner else []
+    below = [_tile(cells, inner, each) for each in nodes]
     children = [tile for tile, _ in below]
     box = union([*([] if own.box is None else [own.box]), *(box for _, box in below)])
     tile = _described(box, max(own.width, _error(children)) if children else 0.0)
