@@ -95,7 +95,9 @@ def automatic_cameras(
         ModelError: No splat is visible, so that every view would be empty.
         OptionError: An argument is out of range.
     """
-    _check(count, width, height, fov, split)
+    check_views(count, width, height, fov)
+    if split not in ("fit", "test"):
+        raise OptionError(f"The split of views must be fit or test, not {split!r}.")
     scene = survey(model, kind, up, habit=habit)
     angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
     focal = max(width, height) / 2 / np.tan(angle / 2)
@@ -153,13 +155,16 @@ def survey(
     return Survey(sampled, core, turn, kind, camera_frame.band)
 
 
-def _check(count: int, width: int, height: int, fov: float | None, split: str) -> None:
+def check_views(count: int, width: int, height: int, fov: float | None) -> None:
+    """Refuse views that cannot be found, whatever the model.
+
+    Raises:
+        OptionError: The count, the size or the field of view, degrees, is out of range.
+    """
     if count < 1 or width < 1 or height < 1:
         raise OptionError(
             f"Cameras need a count and a size of 1 or more, not {count} of {width} x {height}."
         )
-    if split not in ("fit", "test"):
-        raise OptionError(f"The split of views must be fit or test, not {split!r}.")
     if fov is not None and not 1 <= fov <= 170:
         raise OptionError(f"The field of view must be 1 to 170 degrees, not {fov}.")
 

@@ -22,6 +22,8 @@ ENOUGH = 0.7  # share of rays that should hit something; requiring more would na
 KEEP_OFF = 0.12  # least distance of a camera from a wall over the size of the room
 CLEARANCE = 0.12  # distance over the room's radius below which splats block the view
 NEAR = 0.01  # near plane over the core's radius
+GRID_HALF = 1.3  # half-width of the grid in core radii
+REACH = 2.5  # length of rays in core radii
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +102,7 @@ def poses(
         tangents: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, numbers of the views in the sequence, 0 or more.
     """
-    grid = build_grid(sampled, core.centre, 1.3 * core.radius)
+    grid = build_grid(sampled, core.centre, GRID_HALF * core.radius)
     box = fit_box(sampled, core, up)
     views = []
     for number in numbers.tolist():
@@ -124,7 +126,7 @@ def _candidate(box: Box, draw: F64) -> F64:
 
 def _score(grid: Grid, pose: F64, tangents: F64, radius: float) -> float:
     """Score a pose: high if most rays hit something, none very near, and the view is deep."""
-    hits = view_hits(grid, pose, tangents, 2.5 * radius)
+    hits = view_hits(grid, pose, tangents, REACH * radius)
     seen = np.isfinite(hits)
     blocked = float((hits < CLEARANCE * radius).mean())
     cramped = float((hits < 3 * CLEARANCE * radius).mean())

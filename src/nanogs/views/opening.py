@@ -14,8 +14,6 @@ from nanogs.views.occupancy import build_grid
 from nanogs.views.poses import view_hits
 
 SHORTEST = 0.1  # least distance of the camera from its target, over the core's radius
-GRID_HALF = 1.3  # half-width of the grid in core radii
-REACH = 2.5  # length of rays in a room in core radii
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +88,7 @@ def _ahead(pose: F64, point: F64) -> float:
 def _depth(scene: Survey, pose: F64, tangents: F64) -> float:
     """Return the median distance at which the rays of a view in a room end, scene units."""
     core = scene.core
-    grid = build_grid(scene.sampled, core.centre, GRID_HALF * core.radius)
-    hits = view_hits(grid, pose, tangents, REACH * core.radius)
+    grid = build_grid(scene.sampled, core.centre, inside.GRID_HALF * core.radius)
+    hits = view_hits(grid, pose, tangents, inside.REACH * core.radius)
     seen = hits[np.isfinite(hits)]
     return float(np.median(seen)) if len(seen) else core.radius

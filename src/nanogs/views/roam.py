@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nanogs._types import F64, Bool
-from nanogs.errors import ModelError, OptionError
+from nanogs.errors import ModelError
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, blend, prepare, project, render
 from nanogs.splats import Splats
-from nanogs.views.automatic import automatic_cameras, survey
+from nanogs.views.automatic import automatic_cameras, check_views, survey
 from nanogs.views.free_space import FreeSpace, middle
 from nanogs.views.poses import look_at
 
@@ -151,12 +151,7 @@ def roaming_cameras(
 
 def _test_camera(count: int, width: int, height: int, fov: float) -> Camera:
     """Make the camera, at the origin, with the low resolution that candidates are tested at."""
-    if count < 1 or width < 1 or height < 1:
-        raise OptionError(
-            f"Cameras need a count and a size of 1 or more, not {count} of {width} x {height}."
-        )
-    if not 1 <= fov <= 170:
-        raise OptionError(f"The field of view must be 1 to 170 degrees, not {fov}.")
+    check_views(count, width, height, fov)
     focal = SIZE / 2 / np.tan(np.radians(fov) / 2)
     wide, high = (max(1, round(side * SIZE / max(width, height))) for side in (width, height))
     along, down = (side * SIZE / max(width, height) for side in (width, height))
