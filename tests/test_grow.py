@@ -57,20 +57,44 @@ def test_a_pickled_grown_model_makes_the_same_results(grown):
     assert_same(again.simplify(40)[0], grown.simplify(40)[0])
 
 
-def test_a_call_that_its_progress_ended_changes_no_later_result(grown):
-    class StoppedError(Exception):
-        pass
+class StoppedError(Exception):
+    pass
 
-    def stop_in(stage, step):
-        if step.stage == stage:
-            raise StoppedError
 
-    expected, seen = grown.simplify(40)[0], []
+def stop_in(stage, step):
+    if step.stage == stage:
+        raise StoppedError
+
+
+@pytest.fixture(scope="module")
+def stages(grown):
+    """The stages of a result, in order."""
+    seen = []
     grown.simplify(30, progress=lambda step: seen.append(step.stage))
-    for stage in dict.fromkeys(seen):
+    return [*dict.fromkeys(seen)]
+
+
+def test_a_call_that_its_progress_ended_changes_no_later_result(grown, stages):
+    expected = grown.simplify(40)[0]
+    for stage in stages:
         with pytest.raises(StoppedError):
             grown.simplify(30, progress=partial(stop_in, stage))
         assert_same(grown.simplify(40)[0], expected)
+
+
+def test_nothing_of_a_cancelled_result_is_kept(grown, stages):
+    before = len(pickle.dumps(grown))
+    for stage in stages:
+        with pytest.raises(StoppedError):
+            grown.simplify(30, progress=partial(stop_in, stage))
+        assert len(pickle.dumps(grown)) == before
+
+
+def test_nothing_of_a_draft_is_kept(model):
+    grown = nanogs.grow(model, preset="fast")
+    before = len(pickle.dumps(grown))
+    grown.draft(300)
+    assert len(pickle.dumps(grown)) < before + 100  # the seconds of its stages
 
 
 def test_the_fast_preset_renders_nothing(model):

@@ -67,6 +67,8 @@ class _Placed(NamedTuple):
 class OneBlock(Scene):
     """A model in memory, and the results of its stages so far; see `Scene`.
 
+    It holds at most one result, whatever the level that is asked for; see `asking`.
+
     Attributes:
         splats: The model.
         usable: (M,) int32, its usable rows, ascending.
@@ -75,7 +77,7 @@ class OneBlock(Scene):
         cameras: The user's views, or `FoundCameras` of a kind that the user chose, or None for
             automatic ones.
         on_progress: Progress callback for the parts of the current task.
-        targets: Number of splats asked for, for each result.
+        asked: Number of splats asked for.
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
             which it lies; 1 for one that lies in none. None if nothing was rendered.
         missed: (N,) bool, the splats that lie in no view.
@@ -91,7 +93,7 @@ class OneBlock(Scene):
     threads: int
     cameras: Sequence[Camera] | None = None
     on_progress: PartProgress = ignore_progress
-    targets: list[int] = field(default_factory=list)
+    asked: int = 0
     _records: dict[str, Record] = field(default_factory=dict)
     _views: Views | None = None
     _shots: list[Target] = field(default_factory=list)
@@ -104,11 +106,21 @@ class OneBlock(Scene):
     missed_light: MissedLight = field(default_factory=MissedLight)
     _forest: Forest | None = None
     _leaves: Nodes | None = None
-    # Results in progress: labels by level and cut, the latest groups with their labels, splats.
-    _labels: dict[tuple[int, str], I32] = field(default_factory=dict)
+    # The result in progress: labels by cut, the latest groups with their labels, splats.
+    _labels: dict[str, I32] = field(default_factory=dict)
     _stored: list[tuple[I32, Groups]] = field(default_factory=list)
-    _parts: dict[int, Splats] = field(default_factory=dict)
-    _fits: dict[int, RefitReport | None] = field(default_factory=dict)
+    _part: Splats | None = None
+    _fit: RefitReport | None = None
+
+    def asking(self, count: int) -> "OneBlock":
+        """Return a scene for the result of a count, which keeps nothing of it in this one.
+
+        So a result that is cancelled is freed with its scene, whatever stage it has reached.
+
+        Args:
+            count: Splats to deliver.
+        """
+        return replace(self, asked=count, _records=dict(self._records), _labels={}, _stored=[])
 
     # What is known.
 
@@ -146,7 +158,7 @@ class OneBlock(Scene):
 
     def target(self, level: int) -> int:
         """Return the number of splats asked for, or the forest's fewest if that is more."""
-        return max(self.targets[level], self.forest.fewest)
+        return max(self.asked, self.forest.fewest)
 
     def merges(self, level: int) -> bool:
         """Whether a result has fewer splats than the model."""
@@ -280,7 +292,7 @@ class OneBlock(Scene):
 
     def cut(self, block: int, level: int, balance: int) -> I32:
         """Return the group of each leaf, computed once per cut; see `Scene.cut`."""
-        key = level, f"cut {balance}"
+        key = f"cut {balance}"
         if key not in self._labels:
             self._labels[key] = cut(self.forest, self.target(level), self.balances[balance])
         return self._labels[key]
@@ -290,18 +302,18 @@ class OneBlock(Scene):
         assert self._leaves is not None  # noqa: S101 - an earlier stage
         labels = self.cut(block, level, self.balance(level))
         # Only the chosen cut is used from here on: free the other candidates.
-        self._labels = {(level, f"cut {self.balance(level)}"): labels}
+        self._labels = {f"cut {self.balance(level)}": labels}
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
         found, done = reassign(self._leaves, labels, groups, rounds, self.threads)
-        self._labels[level, "settled"] = found
+        self._labels["settled"] = found
         return self.write(name, {}, {ROUNDS: done})
 
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
         """Return the splats and groups of the chosen cut, or after reassignment."""
         own = self.open(block)
         chosen = self.cut(block, level, self.balance(level))
-        labels = self._labels[level, "settled"] if reassigned else chosen
+        labels = self._labels["settled"] if reassigned else chosen
         return Members(own.splats, own.rows, own.visible, labels)
 
     def stored(self, members: Members) -> Groups:
@@ -340,16 +352,17 @@ class OneBlock(Scene):
 
     def part(self, block: int, level: int) -> Splats:
         """Return the splats of a result, before the fit."""
-        return self._parts[level]
+        assert self._part is not None  # noqa: S101 - an earlier stage
+        return self._part
 
     def keep_part(self, name: str, level: int, small: Splats) -> Record:
         """Keep the splats of a result, and free the groups they were made from."""
-        self._labels, self._stored, self._parts[level] = {}, [], small
+        self._labels, self._stored, self._part = {}, [], small
         return self.write(name, {}, {})
 
     def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
         """Keep the splats of a result after the fit, and the report of the fit."""
-        self._parts[level], self._fits[level] = fitted, report
+        self._part, self._fit = fitted, report
         return self.write(name, {}, {})
 
     @property
@@ -359,20 +372,15 @@ class OneBlock(Scene):
 
     def fit_report(self, level: int) -> RefitReport | None:
         """Return the report of a result's fit; None if it could not be fitted."""
-        return self._fits[level]
+        return self._fit
 
     def notes_on_fits(self, level: int) -> Sequence[str]:
         """Return a note if a result could not be fitted; see `Scene.notes_on_fits`."""
-        if self._fits[level] is not None:
+        if self._fit is not None:
             return ()
         return (
             "The result was not fitted, because a single view cannot show whether a fit helps.",
         )
-
-    def taken(self, level: int) -> Splats:
-        """Remove a result from the scene and return it."""
-        self._fits.pop(level, None)
-        return self._parts.pop(level)
 
 
 def whole_settings(splats: Splats, parameters: ForestParameters) -> Settings:

@@ -53,11 +53,10 @@ class Outcome:
     original_cost: DrawCost | None = None
 
 
-def outcome_of(scene: "OneBlock", level: int) -> Outcome:
-    """Remove the result of a model in memory from the scene, and return it with report data."""
-    entries, reached = entries_of(scene, level), scene.target(level) == scene.targets[level]
-    stop = StopReason.TARGET if reached else scene.forest.stop
-    return Outcome(splats=scene.taken(level), stop=stop, **entries)
+def outcome_of(scene: "OneBlock") -> Outcome:
+    """Return the result of a model in memory, with report data."""
+    stop = StopReason.TARGET if scene.target(0) == scene.asked else scene.forest.stop
+    return Outcome(splats=scene.part(0, 0), stop=stop, **entries_of(scene, 0))
 
 
 def entries_of(scene: "Scene", level: int) -> dict[str, Any]:

@@ -156,22 +156,21 @@ def build(scene: OneBlock, clock: StageClock, progress: Tracker) -> None:
         clock: Gets the seconds of each stage.
         progress: Notified of each stage.
     """
-    _do_here(scene, held_stages(scene.settings, results=False), 0, clock, progress)
+    _do_here(scene, held_stages(scene.settings, results=False), clock, progress)
 
 
 def deliver(scene: OneBlock, count: int, clock: StageClock, progress: Tracker) -> Outcome:
     """Make the model of a count, or of the fewest splats that the forest has.
 
     Args:
-        scene: The model, after `build`.
+        scene: The model, after `build`; unchanged, also if `progress` raises.
         count: Splats to deliver.
         clock: Gets the seconds of each stage.
         progress: Notified of each stage.
     """
-    level = len(scene.targets)
-    scene.targets.append(count)
-    _do_here(scene, held_stages(scene.settings, results=True), level, clock, progress)
-    return outcome_of(scene, level)
+    own = scene.asking(count)
+    _do_here(own, held_stages(scene.settings, results=True), clock, progress)
+    return outcome_of(own)
 
 
 def plain(settings: Settings, rounds: int | None = None) -> Settings:
@@ -199,18 +198,14 @@ def brief(settings: Settings) -> Settings:
 
 
 def _do_here(
-    scene: OneBlock,
-    stages: Iterable[JobStage],
-    level: int,
-    clock: StageClock,
-    progress: Tracker,
+    scene: OneBlock, stages: Iterable[JobStage], clock: StageClock, progress: Tracker
 ) -> None:
     """Do stages of a model in memory, and add up their seconds.
 
     A stage that times its steps itself has the seconds in its record.
     """
     for stage in stages:
-        for task in tasks_of(scene, stage, level):
+        for task in tasks_of(scene, stage, 0):
             progress.begin(stage.name)
             start = time.perf_counter()
             scene.on_progress = progress.part
