@@ -148,6 +148,17 @@ def test_the_size_of_a_compressed_format_is_met(scene, tmp_path, suffix):
     assert [*tmp_path.iterdir()] == [out]
 
 
+@pytest.mark.parametrize("suffix", [".spz", ".sog"])
+def test_the_first_count_is_estimated_in_the_frame_of_the_result(scene, tmp_path, suffix):
+    options = {"preset": "fast", "size": 40_000, "frame": ("rdf", "fru")}
+    first, in_memory = (
+        nanogs.simplify_blocks(scene, tmp_path / f"{block}{suffix}", block=block, **options)
+        for block in (BLOCK, None)
+    )
+    assert in_memory.blocks is None
+    assert first.size_probes[0].count == in_memory.size_probes[0].count
+
+
 def test_a_size_for_the_whole_model_merges_nothing(scene, tmp_path):
     report = nanogs.simplify_blocks(scene, tmp_path / "a.spz", size="9MB", **QUICK)
     assert report.achieved_count == SPLATS

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nanogs.clock import StageClock
+from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, derived_options, encoded_bytes, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
@@ -208,10 +209,11 @@ class _Files:
         return result.work.target(result.level)
 
     def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
-        """Return the size of a file of some splats, bytes."""
-        given = {**(self.search.options or {}), **options}
+        """Return the size of a file of some splats, bytes, in the frame that was asked for."""
+        given, frame = {**(self.search.options or {}), **options}, self.work.settings.frame
         with self.clock.time("encode"):
-            return encoded_bytes(some, self.search.output, given)
+            turned = change_frame(some, *frame) if frame else some
+            return encoded_bytes(turned, self.search.output, given)
 
     def bytes_of(self, result: Result, options: Mapping[str, Any]) -> int:
         """Return the size of a result's file, bytes."""
