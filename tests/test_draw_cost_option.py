@@ -13,6 +13,7 @@ from launch import run
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
 from nanogs.pipeline.search.draw_cost import MOST_PROBES, SPAN, search_share
 from nanogs.report import StopReason
+from nanogs.scoring.draw_views import DrawViews
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -101,6 +102,21 @@ def test_the_file_has_the_requested_draw_cost(scene, tmp_path, suffix, preset, b
     assert (report.achieved_count, share) in [(p.count, p.share) for p in report.draw_probes]
     assert any(probe.quick for probe in report.draw_probes) == (preset is RENDERS)
     assert [*tmp_path.iterdir()] == [out]
+
+
+@pytest.mark.parametrize("preset", [QUICK, RENDERS], ids=["fast", "default"])
+@pytest.mark.parametrize("block", [None, 300])
+def test_each_result_is_measured_once(scene, tmp_path, monkeypatch, preset, block):
+    measured = []
+
+    def counted(self, model):
+        measured.append(model.count if isinstance(model, nanogs.Source) else len(model))
+        return cost(self, model)
+
+    cost = DrawViews.cost
+    monkeypatch.setattr(DrawViews, "cost", counted)
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.sog", draw_cost=0.5, block=block, **preset)
+    assert measured == [probe.count for probe in report.draw_probes]
 
 
 def test_the_command_accepts_shares_and_prints_the_achieved_one(scene, tmp_path):

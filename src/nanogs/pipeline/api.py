@@ -3,13 +3,13 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import show_progress
 from nanogs.card.device import AUTO, CPU, check_device, device_notes, use_device
 from nanogs.clock import StageClock
+from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
 from nanogs.frames import change_frame, checked_frames
 from nanogs.io import registry
@@ -360,16 +360,25 @@ def _search_draw_cost(
     with clock.time("measure"):
         views = draw_views(checked.splats, progress.part)
 
-    def share_of(outcome: Outcome, *, stored: bool = True) -> float:
+    costs: dict[int, DrawCost] = {}  # of the full results, by count: each is measured once
+
+    def cost_of(outcome: Outcome) -> DrawCost:
+        count = len(outcome.splats)
+        if count not in costs:
+            with clock.time("measure"):
+                costs[count] = views.cost(files.stored(outcome.splats, {}))
+        return costs[count]
+
+    def share_of(outcome: Outcome) -> float:
+        return cost_of(outcome).share_of(views.original)
+
+    def quick_share_of(outcome: Outcome) -> float:
         with clock.time("measure"):
-            small = files.stored(outcome.splats, {}) if stored else outcome.splats
-            return views.share(small)
+            return views.share(outcome.splats)
 
     results = HeldResults(checked.build(threads, clock, progress), clock)
-    quick = partial(share_of, stored=False)
-    outcome, found = search_draw_cost(results, asked, share_of, quick, progress)
-    with clock.time("measure"):
-        cost = views.cost(files.stored(outcome.splats, {}))
+    outcome, found = search_draw_cost(results, asked, share_of, quick_share_of, progress)
     return replace(
-        outcome, draw_probes=found.probes, stop=found.stop, cost=cost, original_cost=views.original
-    )
+        outcome, draw_probes=found.probes, stop=found.stop, cost=cost_of(outcome),
+        original_cost=views.original,
+    )  # fmt: skip

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nanogs.clock import StageClock
+from nanogs.costs import DrawCost
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, derived_options, encoded_bytes, registry, save
 from nanogs.io import open as open_model
@@ -116,9 +117,16 @@ class Search:
         with clock.time("measure"), opened(work.settings, work.unpacked()) as original:
             views = draw_views(original, progress.part)
 
+        costs: dict[int, DrawCost] = {}  # by level, of the full results measured in this run
+
+        def cost_of(result: Result) -> DrawCost:
+            if result.level not in costs:
+                with clock.time("measure"), self._stored(result, {}) as small:
+                    costs[result.level] = views.cost(small)
+            return costs[result.level]
+
         def share_of(result: Result) -> float:
-            with clock.time("measure"), self._stored(result, {}) as small:
-                return views.share(small)
+            return cost_of(result).share_of(views.original)
 
         def quick_share_of(result: Result) -> float:
             with clock.time("measure"), result_of(result.work, result.level) as small:
@@ -126,9 +134,7 @@ class Search:
 
         result, found = search_draw_cost(results, asked, share_of, quick_share_of, progress)
         results.verify(result, progress)
-        with clock.time("measure"), self._stored(result, {}) as small:
-            cost = views.cost(small)
-        entries = {"draw_probes": found.probes, "stop": found.stop, "cost": cost}
+        entries = {"draw_probes": found.probes, "stop": found.stop, "cost": cost_of(result)}
         return _Found(result, entries | {"original_cost": views.original})
 
     def _fit(self, results: JobResults, size: int, clock: StageClock, progress: Tracker) -> _Found:
