@@ -481,3 +481,13 @@ def test_pictures_of_one_name_are_refused(tmp_path, overwrite):
             random_splats(20), cameras, tmp_path / "both", depth=True, overwrite=overwrite
         )
     assert [path.name for path in tmp_path.iterdir()] == ["images"]
+
+
+def test_a_model_for_another_rasteriser_is_noted():
+    splats = random_splats(50)
+    other = replace(splats, render_mode="mip")
+    found = nanogs.compare(splats, splats, other, names=["same", "other"], views=2, pixels=16)
+    modes = [note for note in found.notes if "render mode" in note]
+    assert modes == [
+        "other: render mode mip, the reference has default, and each is drawn in its own"
+    ]

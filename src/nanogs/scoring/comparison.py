@@ -52,6 +52,11 @@ class NamedModel:
         """Degree of its spherical harmonics."""
         return source_of(self.splats).columns.sh_degree
 
+    @property
+    def render_mode(self) -> str:
+        """The rasteriser that it was trained for."""
+        return source_of(self.splats).columns.render_mode
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Comparison:
@@ -175,7 +180,7 @@ def compare_models(
     first = views[0].rendering
     if first and first.skipped:
         notes.append(f"the reference: {undrawn(first.skipped)}")
-    notes += [*_degree_notes(reference, models), *lens_notes(cameras)]
+    notes += [*_differences(reference, models), *lens_notes(cameras)]
     protocol = views_of(_cameras(views), kind, background=background)
     cost = cost_on(reference.splats, _cameras(views), protocol) if costs else None
     scores, sheets = score_models(
@@ -281,14 +286,21 @@ def score_models(
     return scores, sheets
 
 
-def _degree_notes(reference: NamedModel, models: Sequence[NamedModel]) -> list[str]:
-    """Note models whose SH degree differs from the reference's, which affects their scores."""
-    degree = reference.sh_degree
-    return [
-        f"{model.name}: SH degree {model.sh_degree}, the reference has {degree}"
-        for model in models
-        if model.sh_degree != degree
-    ]
+def _differences(reference: NamedModel, models: Sequence[NamedModel]) -> list[str]:
+    """Note models whose SH degree or render mode is not the reference's: their scores show it."""
+    notes = []
+    for model in models:
+        if model.sh_degree != reference.sh_degree:
+            notes.append(
+                f"{model.name}: SH degree {model.sh_degree}, the reference has"
+                f" {reference.sh_degree}"
+            )
+        if model.render_mode != reference.render_mode:
+            notes.append(
+                f"{model.name}: render mode {model.render_mode}, the reference has"
+                f" {reference.render_mode}, and each is drawn in its own"
+            )
+    return notes
 
 
 def _comparison(
