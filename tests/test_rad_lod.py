@@ -209,7 +209,8 @@ def test_w_replaces_the_file_and_an_unused_fit_is_noted(tmp_path):
         result = run("lod", tmp_path / "a.ply", tmp_path / "a.rad", "--levels", "1,0.2", *chosen)
         assert result.returncode == 0, result.stderr
         noted.append(
-            "the fit of the preset 'default' is not used" in " ".join(result.stderr.split())
+            "of the fit of the preset 'default' is left in them; without it, --steps 0, the tree"
+            in " ".join(result.stderr.split())
         )
     assert noted == [False, True]
     assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "a.rad"}

@@ -119,9 +119,9 @@ class TreeFilling(OpenSink):
         if not any(report.refit for report in reports):
             return made
         note = (
-            "Inner splats of the tree are made anew, so that they fit each other, and the fit of"
-            f" the preset {made.preset!r} is not used for them; the preset 'fast' is as good here"
-            " and takes less time."
+            "Inner splats of the tree are made anew, so that they fit each other, and little of the"
+            f" fit of the preset {made.preset!r} is left in them; without it, `steps=0`, the tree"
+            " takes less time."
         )
         return replace(made, notes=(*made.notes, note))
 
