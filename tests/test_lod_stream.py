@@ -19,6 +19,7 @@ from conftest import scene_path
 from launch import run
 from nanogs import io
 from nanogs.errors import OutputError
+from nanogs.formatting import bytes_text
 from nanogs.io.folder import atomic_folder
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod import streamed_sog
@@ -425,13 +426,16 @@ def test_the_command_reports_and_plans_in_json(scene, tmp_path):
     shown = run("lod", scene, path, "--preset", "fast", "-w")
     assert (shown.returncode, shown.stdout) == (0, "")
     assert "0, 1 file" in shown.stderr
-    assert f"first picture takes {1 + request_counts[3]} requests and " in shown.stderr
+    first = bytes_text(report["levels"][3]["bytes"] + path.stat().st_size)
+    assert f"first picture takes {1 + request_counts[3]} requests and {first}\n" in shown.stderr
+    assert f"4 levels in {path}, {bytes_text(sizes)}" in shown.stderr
 
 
 @pytest.mark.parametrize(
     ("name", "options", "fragments"),
     [
-        ("out/levels.json", [], ["lod-meta.json or tileset.json", "out/levels/lod-meta.json"]),
+        ("out/levels.json", [], ["lod-meta.json or tileset.json", "out/lod-meta.json"]),
+        ("out/web.json", [], ["lod-meta.json or tileset.json", "out/web/lod-meta.json"]),
         ("out/meta.json", [], ["lod-meta.json or tileset.json"]),
         ("out", ["--chunk", "100"], ["chunks", ".ssog", "not divided"]),
         ("out", ["--chunk-min", "100"], ["chunks", ".ssog", "not divided"]),

@@ -178,7 +178,8 @@ class SimplifyReport:
 
     Attributes:
         preset: Name of the preset.
-        parameters: Every parameter of the method by name.
+        parameters: Every parameter of the method by name. If several balances are tried, `balance`
+            is not the one of the result: see `candidates`.
         input_count: Number of splats in the input.
         asked_ratio: The compaction ratio asked for, or None.
         asked_count: The count asked for, or the count found for a ratio

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from rich.table import Table
@@ -118,7 +119,9 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         draws = [NONE if level.draws is None else f"{level.draws:.1%}"] * drawn
         there = _switch_cells(_switch(level)) if switched else ()
         first = _heading(number, level, files["layout"])
-        table.add_row(first, *_cells(level), *draws, *there, f"{report.total_seconds:.2f}")
+        # In blocks, all levels are made together.
+        seconds = NONE if report.blocks else f"{report.total_seconds:.2f}"
+        table.add_row(first, *_cells(level), *draws, *there, seconds)
     show(err, table)
     if manifest.protocol:
         text = f"PSNR in dB; means over {manifest.protocol.text}"
@@ -138,16 +141,18 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         text = _environment(sky.count, sky.source)
         say(f"{text}, {bytes_text(sky.bytes)}, drawn with every level")
     beside, further = (sky.bytes, sky.requests) if sky else (0, 0)
-    taken = sum(level.bytes for level in levels) + beside
-    if files["layout"] in _ONE_FILE:  # which holds more than levels
-        taken = bytes_on_disk(files["output"])
+    place = Path(files["output"])  # if a file, the description of the levels, or all of them
+    described = bytes_on_disk(place) if place.is_file() else 0
+    taken = described
+    if files["layout"] not in _ONE_FILE:
+        taken += sum(level.bytes for level in levels) + beside
     made = f"{counted(len(levels), 'level')} in {files['output']}, {bytes_text(taken)}"
     whole = counted(manifest.source_count, "splat")
     say(f"{whole} {arrow()} {made}, {time_text(files['total_seconds'])}")
     folder = files["layout"] != Layout.ARCHIVE
     if folder and isinstance(coarsest := levels[-1], ChunkedLevel) and coarsest.requests:
         asked = counted(coarsest.requests + further + 1, "request")  # 1 for the manifest
-        size = bytes_text(coarsest.bytes + beside)
+        size = bytes_text(coarsest.bytes + beside + described)
         say(f"a viewer's first picture takes {asked} and {size}")
     if files["layout"] != Layout.FILES:
         say(f"`nanogs view {files['output']}` makes a page of one level, to look at it")

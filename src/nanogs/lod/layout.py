@@ -94,9 +94,11 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
                 )
             return Output(path.parent, layout)
     if path.suffix.lower() == ".json":
+        described = path.name in ("meta.json", registry.LEVEL_LIST)  # of another format
+        folder = path.parent if described else path.parent / path.stem
         raise OptionError(
             f"{path}: levels are described by a file called {' or '.join(NAMES.values())}; name"
-            f" that, as in {path.parent / path.stem / StreamedSog.name}, or a folder."
+            f" that, as in {folder / StreamedSog.name}, or a folder."
         )
     if known := registry.find(path):
         given = f', and give `format="{known.suffix.lstrip(".")}"`' if known.write else ""

@@ -29,7 +29,7 @@ _GIVEN = {
     "search": _WISH,
     "nan": "`nan`",
     "parameters": "the preset or its parameters",
-    "chunks": "how levels are divided",
+    "chunks": "how levels are divided, or their place on Earth",
     "filters": "the filters",
     "frame": "`frame`",
     "asked": "the views (`cameras`, `up`)",
