@@ -19,7 +19,7 @@ from nanogs.bench.output import ResultFolder
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, BenchTarget, SetScore, Status, size_name
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.size_charts import SizeCharts
-from nanogs.bench.size_tables import file_table, size_page
+from nanogs.bench.size_tables import ALONE, file_table, size_page
 from nanogs.bench.tables import markdown
 from nanogs.errors import OptionError
 from nanogs.formatting import NONE
@@ -72,6 +72,14 @@ def test_half_the_bytes_are_a_rate_of_minus_half():
     [gain] = mean_gains(rows, ["them"])
     assert gain.rate == pytest.approx(-0.5)
     assert " | -50 % | 1 |\n" in markdown(rows, others=["them"])
+
+
+def test_one_method_alone_has_no_gain_and_the_tables_say_so():
+    rows = rows_of("ours", BASE)
+    assert ALONE in markdown(rows).split("# ")[1]
+    page = size_page(rows, [], "")
+    assert ALONE in page
+    assert "BD-PSNR" not in markdown(rows) + page
 
 
 def test_a_gain_is_the_mean_over_scenes_with_the_smallest_beside_it():

@@ -51,7 +51,10 @@ def test_the_page_names_what_its_3d_view_shows_beside_the_original(
     small = [(name, folder / "small.ply") for name in tests]
     scene = ("scene", folder / "scene.ply")
     compare_files(scene, small, photos=folder / "data", report=page, interactive=True)
-    assert f"The original is on the left, {on_the_right} on the right." in page.read_text("utf-8")
+    text = page.read_text("utf-8")
+    assert f"The original is on the left, {on_the_right} on the right." in text
+    assert "Against <b>data</b> (photographs)" in text
+    assert str(folder) not in text
 
 
 def test_the_background_can_be_given(folder):

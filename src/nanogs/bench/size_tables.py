@@ -12,6 +12,7 @@ from nanogs.charts import svg
 from nanogs.formatting import NONE, counted, number_text
 
 TITLE = "Gain at equal size"
+ALONE = "A gain is that of one method over another, and only one was measured."
 LEGEND = (
     "Differences of curves, averaged over the sizes that both cover (Bjontegaard, piecewise cubic"
     " over the logarithm of the bytes), then over scenes: BD-PSNR in dB, in brackets the smallest"
@@ -90,7 +91,7 @@ def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) ->
     return environment.from_string(text).render(
         title=TITLE,
         preamble=preamble.replace("```\n", "").strip(),
-        legend=LEGEND,
+        legend=LEGEND if gains else ALONE,
         gains=gain_table(gains),
         remarks=gain_remarks(gains),
         # One SVG for each chart, so that they fit a phone; `svg` escapes their text.

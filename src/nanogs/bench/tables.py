@@ -9,7 +9,7 @@ from nanogs.bench.means import TargetMean, mean_rows, unique
 from nanogs.bench.methods import ABLATED
 from nanogs.bench.published_table import published_tables
 from nanogs.bench.rows import BenchRow, SetScore, Status
-from nanogs.bench.size_tables import LEGEND, TITLE, gain_remarks, gain_table
+from nanogs.bench.size_tables import ALONE, LEGEND, TITLE, gain_remarks, gain_table
 from nanogs.formatting import NONE, counted, number_text
 
 Column = tuple[str, Callable[[BenchRow], str]]
@@ -49,6 +49,8 @@ def gains_text(gains: Sequence[MeanGain]) -> str:
     Args:
         gains: From `mean_gains`.
     """
+    if not gains:
+        return f"{ALONE}\n"
     table = gain_table(gains)
     rule = ["---" if column < table.left else "--:" for column in range(len(table.head))]
     lines = [table.head, rule, *([_escape(cell) for cell in row] for row in table.rows)]

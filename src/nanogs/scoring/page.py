@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from importlib.resources import files
+from pathlib import Path
 
 from nanogs.charts import Chart, svg
 from nanogs.formatting import bytes_text, counted, number_text
@@ -42,6 +43,7 @@ def render_page(
         width=width,
         height=height,
         original="original" if comparison.reference_splats else "photograph",
+        against=_against(comparison),
         named=comparison.protocol.kind in ("given", "photographs"),
         css=_text("page.css"),
         program=_text("page.js"),
@@ -56,6 +58,12 @@ def render_page(
         viewer_policy=POLICY,
         plot=rate_distortion_plot(comparison.models) if several else "",
     )
+
+
+def _against(comparison: Comparison) -> str:
+    """Return the name of the reference; a page is published, so a folder is named without path."""
+    whole = comparison.reference
+    return whole if comparison.reference_splats else Path(whole).resolve().name
 
 
 def _beside(comparison: Comparison) -> list[str]:
