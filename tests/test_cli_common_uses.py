@@ -480,6 +480,22 @@ def test_a_web_page_is_an_output_format(folder, tmp_path):
     assert_refused(run("info", page), "writes this format but does not read it")
 
 
+def test_a_page_as_an_output_names_the_colours_that_it_clamps(tmp_path):
+    """The page holds an .spz file, whose losses `nanogs view` names."""
+    require_bundle()
+    bright = random_splats(40)
+    bright.sh[:] *= 0.1
+    bright.sh[:3, 0], bright.sh[:2, 1] = 5, 3
+    nanogs.save(bright, tmp_path / "a.ply")
+    [viewed] = view_files([("a", tmp_path / "a.ply")], tmp_path / "view.html").models
+    assert [note.split(" outside")[0] for note in viewed.notes] == [
+        "3 splats have base colours", "2 splats have higher SH coefficients",
+    ]  # fmt: skip
+    report = nanogs.convert(tmp_path / "a.ply", tmp_path / "page.html")
+    assert report.losses == viewed.notes
+    assert nanogs.info(tmp_path / "a.ply").losses[".html"] == viewed.notes
+
+
 def test_writing_a_page_without_the_viewer_is_refused_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr("nanogs.view.bundle.is_built", lambda: False)
     with pytest.raises(OptionError, match="without the viewer"):

@@ -219,28 +219,34 @@ def losses(splats: Splats, *, records: bool = True) -> tuple[str, ...]:
     """
     step = 0.5 / SCALE_STEPS
     low, high = SCALE_LOW, SCALE_LOW + 255 / SCALE_STEPS
-    scales, colours, rest = splats.log_scales, splats.sh[:, 0], splats.sh[:, 1:]
-    widest = 0.5 / COLOUR_SCALE
-    half = (_buckets(splats.sh_degree, SH_BITS) / 2 / SH_STEPS)[:, None]
+    scales = splats.log_scales
     out = limits.left_out(without_records(splats) if records else splats, SUFFIX)
     out += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)
     out += limits.clamped(
         (scales < low - step) | (scales > high + step),
         f"log-scales outside {low:g} to {high:.2f}, the range of {SUFFIX}",
     )
-    out += limits.clamped(
-        np.abs(colours) > widest * (1 + 1 / 255),
-        f"base colours outside ±{widest:.2f}, the range of {SUFFIX}",
-    )
-    out += limits.clamped(
-        (rest < -1 - half) | (rest > 1 - 1 / SH_STEPS + half),
-        f"higher SH coefficients outside ±1, the range of {SUFFIX}",
-    )
+    out += clamped_colours(splats)
     bits = _bits(_reach([splats]))
     if 0 <= bits < USUAL_FRACTION_BITS:
         text = "Centres are rounded to 1/{}, because the scene is so large."
         out.append(Finding(text, 1 << bits, min))
     return tuple(out)
+
+
+def clamped_colours(splats: Splats) -> list[str]:
+    """Return a sentence each if base colours, or higher SH coefficients, are clamped."""
+    colours, rest = splats.sh[:, 0], splats.sh[:, 1:]
+    widest = 0.5 / COLOUR_SCALE
+    half = (_buckets(splats.sh_degree, SH_BITS) / 2 / SH_STEPS)[:, None]
+    out = limits.clamped(
+        np.abs(colours) > widest * (1 + 1 / 255),
+        f"base colours outside ±{widest:.2f}, the range of {SUFFIX}",
+    )
+    return out + limits.clamped(
+        (rest < -1 - half) | (rest > 1 - 1 / SH_STEPS + half),
+        f"higher SH coefficients outside ±1, the range of {SUFFIX}",
+    )
 
 
 def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
