@@ -1,5 +1,6 @@
 """`nanogs.grow`: for any count, one forest gives the results of `simplify`."""
 
+import math
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -14,6 +15,7 @@ import nanogs
 from builders import cloud_pair, random_splats
 from nanogs.errors import ModelError, OptionError
 from strategies import assert_same
+from viewer_bundle import require_bundle
 
 QUICK = {"views": 2, "view_size": 64, "steps": 2}
 
@@ -147,6 +149,17 @@ def test_measure_returns_the_scores_of_compare_for_the_saved_file(model, grown, 
         assert measured.bytes == path.stat().st_size
         assert measured.judged.psnr == pytest.approx(score.psnr, abs=1e-9)
         assert measured.judged.ssim == pytest.approx(score.ssim, abs=1e-9)
+
+
+def test_of_a_page_what_it_shows_is_measured(model, grown, tmp_path):
+    """Not the model before it is packed: the page holds an .spz."""
+    require_bundle()
+    measured = {suffix: grown.measure(model, format=suffix) for suffix in (".ply", ".spz", ".html")}
+    psnr = {suffix: each.judged.psnr for suffix, each in measured.items()}
+    assert psnr[".ply"] == math.inf
+    assert psnr[".html"] == pytest.approx(psnr[".spz"], abs=1)
+    nanogs.save(model, tmp_path / "page.html")
+    assert measured[".html"].bytes == (tmp_path / "page.html").stat().st_size
 
 
 def test_format_options_affect_the_measured_size(grown):

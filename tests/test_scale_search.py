@@ -15,6 +15,7 @@ from nanogs.pipeline.search.job_results import COUNT, MEASURED, JobResults
 from nanogs.pipeline.search.psnr import SPAN
 from nanogs.report import StopReason
 from nanogs.scoring.file_judge import file_judge
+from viewer_bundle import require_bundle
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -128,6 +129,17 @@ def test_the_psnr_is_measured_in_the_frame_of_the_input(scene, tmp_path):
     original, _ = nanogs.filters.apply(nanogs.load(scene), options["filters"])
     assert report.judged == file_judge(original, ".spz", turn=frame).of(out)
     assert report.judged.psnr > 2 + file_judge(original, ".spz").of(out).psnr
+
+
+def test_the_psnr_of_a_page_is_that_of_what_it_shows(scene, tmp_path):
+    """The page holds an .spz, which clamps some of the colours."""
+    require_bundle()
+    small, shown = tmp_path / "small.ply", tmp_path / "shown.ply"
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.html", psnr=20.0, **QUICK)
+    nanogs.simplify_blocks(scene, small, count=report.achieved_count, **QUICK)
+    nanogs.save(nanogs.io.round_trip(nanogs.load(small), "a.html"), shown)
+    judge = file_judge(nanogs.load(scene), ".ply")
+    assert report.judged == judge.of(shown) != judge.of(small)
 
 
 def test_an_unreachable_psnr_gives_the_whole_model(scene, tmp_path):

@@ -247,6 +247,15 @@ def test_for_compressed_formats_the_psnr_is_that_of_the_file(splats, tmp_path, s
     assert held_out(splats).judge(small).psnr != report.judged.psnr
 
 
+def test_for_a_page_the_psnr_is_that_of_what_it_shows(splats):
+    """The page holds an .spz, which clamps some of the colours."""
+    require_bundle()
+    small, report = nanogs.simplify(splats, psnr=24.0, preset="fast", format=".html")
+    assert 24 <= report.judged.psnr <= 24.3
+    assert held_out(splats).judge(nanogs.io.round_trip(small, "a.html")) == report.judged
+    assert held_out(splats).judge(small).psnr != report.judged.psnr
+
+
 def test_an_unreachable_psnr_gives_the_whole_model_in_few_probes(splats):
     small, report = nanogs.simplify(splats, psnr=100, preset="fast")
     assert report.stop is StopReason.UNREACHED

@@ -28,7 +28,7 @@ from nanogs.scoring.viewing import page_path, view_files
 from nanogs.splats import RenderMode
 from nanogs.view import bundle
 from nanogs.view import page as view_page
-from nanogs.view.pack import DISTANCE, FARTHEST, in_page, pack
+from nanogs.view.pack import DISTANCE, FARTHEST, in_page, pack, unpack
 from nanogs.view.page import Shown, facts_of, render_page
 from nanogs.views.opening import Opening, opening_for
 from nanogs.views.poses import look_at
@@ -157,6 +157,17 @@ def test_a_far_splat_is_moved_nearer_with_the_same_apparent_size(tmp_path):
     assert np.allclose(shown.scales()[1] / distance, 2e5 / 5e6, rtol=0.05)
     assert any("1 splat farther" in note for note in packed.notes)
     assert pack(splats.take(np.array([0, 2])), START).notes == ()
+
+
+def test_a_packed_model_is_read_back_in_units_of_the_scene():
+    splats = moved(random_splats(200, degree=2), 0.01, np.array([500.0, -30.0, 4.0]))
+    start = opening_for(splats)
+    again = unpack(pack(splats, start), start)
+    assert np.abs(again.means - splats.means).max() < 1e-3 * start.distance
+    assert np.abs(again.log_scales - splats.log_scales).max() < 0.04
+    direct = nanogs.io.round_trip(splats, "a.spz")
+    assert np.abs(again.sh - direct.sh).max() == 0
+    assert np.abs(again.opacity_logits - direct.opacity_logits).max() == 0
 
 
 def test_notes_name_what_a_page_does_not_show(tmp_path):

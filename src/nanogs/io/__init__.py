@@ -225,15 +225,17 @@ def round_trip(
 ) -> Splats:
     """Return the model as `load` would read it after `save`, using a temporary file.
 
-    The model is returned unchanged for `.ply`, which loses nothing, and for formats that nanogs
-    does not read.
+    The model is returned unchanged for `.ply`, which loses nothing. For a format that nanogs does
+    not read it is what the file shows.
 
     Raises:
         NanogsError: As for `save`.
     """
     known = registry.writable(place(path))
-    if known.suffix == ".ply" or not known.readable:
+    if known.suffix == ".ply":
         return splats
+    if known.shown is not None:
+        return known.shown(splats)
     return round_trip_with_size(splats, path, format_options)[0]
 
 
@@ -244,7 +246,7 @@ def round_trip_with_size(
     *,
     progress: Progress | None = None,
 ) -> tuple[Splats, int]:
-    """Write a model in a readable format; return it as read back, and the file's size in bytes.
+    """Write a model; return it as read back, see `round_trip`, and the file's size in bytes.
 
     `progress` is called with each step, if the format takes long to write.
 
@@ -254,6 +256,8 @@ def round_trip_with_size(
     known = registry.writable(place(path))
     if known.suffix == ".ply" and known.file_bytes is not None:
         return splats, known.file_bytes(splats, len(splats))  # .ply is lossless
+    if known.shown is not None:
+        return known.shown(splats), encoded_bytes(splats, path, format_options)
     with temporary_folder("nanogs-") as folder:
         file = folder / "model" / known.suffix
         if not known.write_folder:

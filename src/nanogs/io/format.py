@@ -93,6 +93,8 @@ class Format:
         write: Writes a model to an open file.
         file_bytes: Computes the size of a file before it is written; never smaller for more splats.
         losses: Names what the format cannot hold of a model.
+        shown: Of a format that nanogs does not read: returns a model as its file shows it, in the
+            axes and units of the model, to measure it.
         open_level: Opens one level of detail, 0 the finest, of a format that has levels.
         frame: Text for the user: which axis points up.
         axes: Name of the coordinate frame of a model that was read; None if files differ.
@@ -123,6 +125,7 @@ class Format:
     write: Writer | None = None
     file_bytes: Sizer | None = None
     losses: Losses = nothing_lost
+    shown: Callable[[Splats], Splats] | None = None
     open_level: Callable[[Path, int], FileSource] | None = None
     frame: str = UNSTATED
     axes: str | None = TRAINED

@@ -46,6 +46,19 @@ def write(splats: Splats, file: BinaryIO) -> None:
     file.write(render_page([shown], start, (0.0, 0.0, 0.0)).encode("utf-8"))
 
 
+def shown(splats: Splats) -> Splats:
+    """Return a model as its page shows it, in scene units: read back from the .spz in the page.
+
+    Raises:
+        ModelError: No splat is visible.
+    """
+    from nanogs.view.pack import pack, unpack
+    from nanogs.views.opening import opening_for
+
+    start = opening_for(splats)
+    return unpack(pack(splats, start, quick=True), start)
+
+
 def _overhead_bytes() -> int:
     """Return the number of bytes that the viewer takes in a page."""
     from nanogs.view.bundle import licences, program
@@ -74,6 +87,7 @@ FORMATS = (
         write,
         overhead_bytes=_overhead_bytes,
         losses=losses,
+        shown=shown,
         check=check,
         rounds=True,
     ),

@@ -11,7 +11,7 @@ from nanogs.bar import show_progress
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.formatting import counted
-from nanogs.io import encoded_bytes, registry, round_trip_with_size
+from nanogs.io import registry, round_trip_with_size
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
@@ -147,6 +147,8 @@ class Grown:
     ) -> Measured:
         """Compare a result, as read back from its file, with the model as `nanogs compare` does.
 
+        Of a page (.html), which nanogs does not read, it compares what the page shows.
+
         The views of the model are rendered when they are first needed, and kept: 3 MB each.
 
         Args:
@@ -167,11 +169,8 @@ class Grown:
             tracker.begin("measure")
             views = self._views(tracker.part)
             tracker.begin("encode")
-            if registry.writable(path).readable:
-                on_part = tracker.passing()
-                stored, size = round_trip_with_size(splats, path, format_options, progress=on_part)
-            else:
-                stored, size = splats, encoded_bytes(splats, path, format_options)
+            on_part = tracker.passing()
+            stored, size = round_trip_with_size(splats, path, format_options, progress=on_part)
             tracker.begin("score")
             judged = views.judge(stored)
             tracker.finish()

@@ -8,6 +8,7 @@ its target: both limits are then far outside the range that is visible on a scre
 
 import dataclasses
 import io
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 from nanogs._types import F64, F
 from nanogs.errors import ModelError
 from nanogs.formatting import counted, undrawn
+from nanogs.io import load
 from nanogs.io.spz import write as spz_write
 from nanogs.io.spz.packing import BEST
 from nanogs.io.spz.read import SCALE_LOW
@@ -78,19 +80,36 @@ def pack(splats: Splats, start: Opening, *, quick: bool = False) -> Packed:
     return Packed(file.getvalue(), mip, (*notes, *spz_write.losses(placed)))
 
 
+def unpack(packed: Packed, start: Opening) -> Splats:
+    """Read a model back from its encoding for a page, and return it in scene units.
+
+    Args:
+        packed: The model, encoded.
+        start: The first view that it was encoded for.
+
+    Raises:
+        OutputError: The system refuses a temporary file.
+    """
+    splats, unit = load(io.BytesIO(packed.data), format=".spz"), _unit(start)
+    return dataclasses.replace(
+        splats,
+        means=(splats.means.astype(np.float64) / unit + start.target).astype(np.float32),
+        log_scales=(splats.log_scales - math.log(unit)).astype(np.float32),
+    )
+
+
 def _place(splats: Splats, start: Opening) -> tuple[Splats, int]:
     """Convert a model to units of the page; drop data that is not drawn, and move far splats.
 
     Returns:
         The model, and the number of splats that were moved to `FARTHEST`.
     """
-    unit = DISTANCE / start.distance
     means = in_page(splats.means, start)
     distance = np.linalg.norm(means, axis=1)
     far = distance > FARTHEST
     factors = np.where(far, FARTHEST / np.where(far, distance, 1), 1)[:, None]
     # The least log-scale is about a hundredth of a pixel; raising scales to it needs no note.
-    log_scales = np.maximum(splats.log_scales + np.log(unit * factors), SCALE_LOW)
+    log_scales = np.maximum(splats.log_scales + np.log(_unit(start) * factors), SCALE_LOW)
     placed = dataclasses.replace(
         splats,
         means=(means * factors).astype(np.float32),
@@ -117,5 +136,10 @@ def camera_in_page(start: Opening) -> dict[str, Any]:
 
 def in_page(points: F, start: Opening) -> F64:
     """Convert points (N, 3) from scene units to units of the page, with the target as origin."""
-    placed: F64 = (points.astype(np.float64) - start.target) * (DISTANCE / start.distance)
+    placed: F64 = (points.astype(np.float64) - start.target) * _unit(start)
     return placed
+
+
+def _unit(start: Opening) -> float:
+    """Return the units of the page in a scene unit."""
+    return DISTANCE / start.distance

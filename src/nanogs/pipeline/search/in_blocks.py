@@ -30,7 +30,7 @@ from nanogs.report import PackingReport, StopReason
 from nanogs.scoring.draw_views import draw_views
 from nanogs.scoring.held_out import SelectionViews, held_out, selection_views
 from nanogs.sink import held_splats, refuse_large
-from nanogs.source import Reduced, Source, Turned
+from nanogs.source import InMemory, Reduced, Source, Turned
 from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
 
@@ -164,11 +164,15 @@ class Search:
 
     @contextmanager
     def _stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
-        """Open a result as its file holds it, in the frame of the inputs."""
+        """Open a result as its file holds or shows it, in the frame of the inputs."""
         known = registry.writable(self.output)
         with result_of(result.work, result.level) as source:
-            if known.suffix == ".ply" or not known.readable:
+            if known.suffix == ".ply":
                 yield turned_back(source, result)
+                return
+            if known.shown is not None:
+                self._refuse_large(source, options)
+                yield turned_back(InMemory(known.shown(source.load())), result)
                 return
             with self.written(source, options) as path, open_model(path) as file:
                 yield turned_back(file, result)
@@ -176,12 +180,17 @@ class Search:
     @contextmanager
     def written(self, source: Source, options: Mapping[str, Any]) -> Iterator[Path]:
         """Write a file of a result, with further options of the format; delete it afterwards."""
-        row, given = row_bytes(source.columns), {**(self.options or {}), **options}
-        refuse_large(self.output, source.count, row, self.max_memory, given)
+        self._refuse_large(source, options)
+        given = {**(self.options or {}), **options}
         path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
         save(source, path, overwrite=True, format_options=given)
         yield path
         path.unlink()
+
+    def _refuse_large(self, source: Source, options: Mapping[str, Any]) -> None:
+        """Refuse a result whose file would have to be written from more memory than is allowed."""
+        row, given = row_bytes(source.columns), {**(self.options or {}), **options}
+        refuse_large(self.output, source.count, row, self.max_memory, given)
 
 
 def _sample(work: Work) -> Splats:
