@@ -13,7 +13,7 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
-from nanogs.io import check_writable
+from nanogs.io import check_writable, registry
 from nanogs.scoring.viewing import view_files
 from test_cli import assert_refused
 from test_cli_usability import run
@@ -265,6 +265,34 @@ def test_view_shows_the_finest_level_that_fits_a_page(folder, tmp_path, monkeypa
     assert shown().splats == 4
     assert_refused(run("view", folder / "a.ply", "--level", "1", "-o", tmp_path / "x.html"),
                    "--level")  # fmt: skip
+
+
+@pytest.mark.parametrize("command", ["convert", "view"])
+def test_a_level_of_a_folder_of_files_is_refused_with_the_name_of_its_file(
+    folder, tmp_path, command
+):
+    require_bundle()
+    output = {"convert": (tmp_path / "o.ply",), "view": ("-o", tmp_path / "o.html")}[command]
+    levels = folder / "levels"
+    for given in (levels, levels / "level_1.ply"):
+        result = run(command, given, *output, "--level", "2")
+        assert_refused(result, f"level 2 is in a file beside it; name {levels / 'level_2.ply'}")
+    for given, level in ((levels, "9"), (folder / "a.ply", "2")):
+        result = run(command, given, *output, "--level", level)
+        assert_refused(
+            result, f"has no levels of detail, so there is no level {level}; leave --level"
+        )
+    assert_refused(
+        run("view", levels, "-o", tmp_path / "o.html", "--level", "0"), "leave --level out"
+    )
+
+
+@pytest.mark.parametrize("command", ["convert", "view"])
+def test_the_help_of_level_names_the_formats_that_have_levels(command):
+    text = " ".join(run(command, "--help").stdout.replace("│", " ").split())
+    for known in registry.formats():
+        if known.open_level is not None:
+            assert known.suffix in text[text.index("--level ") :][:250]
 
 
 # Quiet runs, and notes that name their file

@@ -21,7 +21,11 @@ def convert(
     paths: file_options.Paths,
     level: Annotated[
         int,
-        typer.Option(min=0, help="Level of detail to read from a lod-meta.json; 0 is the finest."),
+        typer.Option(
+            min=0,
+            help="Level of detail to read of a model that holds several (lod-meta.json,"
+            " tileset.json, .ssog, .rad, .lcc); 0 is the finest.",
+        ),
     ] = 0,
     turn: Annotated[
         bool,

@@ -128,9 +128,7 @@ def _opened(
     if known.open_level is not None:
         return retagged(known.open_level(path, level), render_mode)
     if level != 0:
-        raise OptionError(
-            f"{path} has no levels of detail, so there is no level {level}; leave it out."
-        )
+        registry.refuse_level(path, level)
     return retagged(known.open(path), render_mode)
 
 

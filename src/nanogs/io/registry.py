@@ -4,7 +4,7 @@ import zipfile
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NoReturn
 
 from nanogs.errors import FormatError, OptionError, did_you_mean
 from nanogs.io.format import Format, FormatOptions, Sizer, Writer, given_options
@@ -115,6 +115,23 @@ def _refuse_list(path: Path) -> None:
             f"{path} is the list of levels that `nanogs lod` wrote; name a level, such as"
             f" {finest[0]}."
         )
+
+
+def refuse_level(path: Path, level: int) -> NoReturn:
+    """Refuse to read a level of detail of a file that has none, and name the file that holds it.
+
+    Raises:
+        OptionError: Always.
+    """
+    beside = [] if isinstance(path, Address) else sorted(path.parent.glob(f"level_{level}.*"))
+    if beside and path not in beside and (path.parent / LEVEL_LIST).is_file():
+        raise OptionError(
+            f"{path} holds one level of detail, and level {level} is in a file beside it; name"
+            f" {beside[0]}."
+        )
+    raise OptionError(
+        f"{path} has no levels of detail, so there is no level {level}; leave `level` out."
+    )
 
 
 def _meant(path: Path, suffixes: Sequence[str]) -> str:

@@ -7,13 +7,12 @@ from typing import Any
 
 from nanogs.clock import StageClock
 from nanogs.defaults import PAGE_SPLATS
-from nanogs.errors import OptionError
 from nanogs.formatting import counted, utf8
 from nanogs.io import FileInfo, inspect, load
 from nanogs.io import open as open_model
 from nanogs.io.atomic import atomic_write
 from nanogs.io.collect import model_in
-from nanogs.io.registry import stem_of
+from nanogs.io.registry import refuse_level, stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import compare_bytes, page_bytes
 from nanogs.progress import PartProgress, Progress, Stage, Tracker, each
@@ -168,9 +167,7 @@ def _read(
     """Load the models; if `level` is None, a note names the level of a streamed model."""
     counts = [open_model(path).levels for _name, path in inputs]
     if level is not None and not any(counts):
-        raise OptionError(
-            "`level` works only with levels of detail (lod-meta.json, tileset.json); leave it out."
-        )
+        refuse_level(inputs[0][1], level)
     models = []
     for (_name, path), levels in each(zip(inputs, counts, strict=True), on_progress):
         if not levels:
