@@ -217,3 +217,18 @@ def test_levels_of_a_piped_model_equal_those_of_its_file(scene, tmp_path):
         assert result.returncode == 0, result.stderr
     levels = [tmp_path / str(whole) / "level_0.ply" for whole in (False, True)]
     assert levels[0].read_bytes() == levels[1].read_bytes()
+
+
+def test_levels_are_made_of_a_piped_model_whose_format_is_named(scene, tmp_path):
+    splat, fast = tmp_path / "a.splat", ("--preset", "fast", "--levels", "0.1")
+    nanogs.save(nanogs.load(scene), splat)
+    assert_refused(run("lod", "-", tmp_path / "no", *fast, data=splat.read_bytes()), "--from splat")
+    piped = ("lod", "-", tmp_path / "piped", "--from", "splat", *fast)
+    for result in (
+        run(*piped, data=splat.read_bytes()),
+        run("lod", splat, tmp_path / "named", *fast),
+    ):
+        assert result.returncode == 0, result.stderr
+    levels = [tmp_path / name / "level_0.ply" for name in ("piped", "named")]
+    assert levels[0].read_bytes() == levels[1].read_bytes()
+    assert_refused(run("lod", scene, tmp_path / "no", "--from", "ply", *fast), "leave it out")

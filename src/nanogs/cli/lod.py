@@ -30,10 +30,10 @@ def lod(
         typer.Argument(
             metavar="IN OUT",
             parser=options.parse_place,
-            help="Model to read, a file or its URL, and what to write: a folder, for one file per"
-            " level; lod-meta.json (streamed SOG) or tileset.json (3D Tiles) in a folder; or"
-            " one file, .ssog (streamed SOG) or .rad (a tree, for Spark). With --join several"
-            " models before OUT.",
+            help="Model to read, a file, its URL or - for stdin, and what to write: a folder, for"
+            " one file per level; lod-meta.json (streamed SOG) or tileset.json (3D Tiles) in a"
+            " folder; or one file, .ssog (streamed SOG) or .rad (a tree, for Spark). With --join"
+            " several models before OUT.",
         ),
     ],
     levels: Annotated[
@@ -45,6 +45,7 @@ def lod(
             show_default=_LEVELS,
         ),
     ] = None,
+    read_as: file_options.From = None,
     level_format: Annotated[
         str | None,
         typer.Option(
@@ -146,7 +147,7 @@ def lod(
     [run] = many.run_all(
         [Pair(parts[0], output.folder)], partial(lod_run.run_levels, arguments),
         lod_run.print_plan if method.dry_run else show,
-        method, file_options.Files(), writes=not method.dry_run,
+        method, file_options.Files(read_as=read_as), writes=not method.dry_run,
     )  # fmt: skip
     if not method.dry_run:
         exit_if_short(run.report)
