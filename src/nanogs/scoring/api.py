@@ -115,7 +115,9 @@ def compare(
         from nanogs.threads import use_threads
 
         seen = requested if photos is None else Photographs(Path(photos), images, split)
-        how = Measurement(seen, background, extras, packing, limit)
+        how = Measurement(
+            views=seen, background=background, extras=extras, packing=packing, max_memory=limit
+        )
         with use_device(device) as used, use_threads(threads), show_progress(progress) as on_step:
             tracker = Tracker(on_step, measuring_stages([source for _, source in given], how))
             comparison = measure(given, how, stack, tracker).comparison

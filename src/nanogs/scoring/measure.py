@@ -1,8 +1,8 @@
 """Scores of opened models, and of packed files of them, on views or against photographs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,7 +39,7 @@ class Photographs(NamedTuple):
     split: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Measurement:
     """How models are scored.
 
@@ -54,10 +54,10 @@ class Measurement:
     """
 
     views: RequestedViews | Photographs
-    background: Background | None = None
-    extras: Sequence[str] = ()
-    packing: PackingFormats = field(default_factory=dict[str, Mapping[str, object]])
-    max_memory: int | None = None
+    background: Background | None
+    extras: Sequence[str]
+    packing: PackingFormats
+    max_memory: int | None
     pictures: bool = False
     shown: bool = False
 

@@ -89,14 +89,16 @@ def compare_files(
     """
     if report and interactive:
         check_built()
+    kinds = parse_sources(cameras) if photos is None else [""]
+    seen: RequestedViews | Photographs = RequestedViews([], kinds, sizes, views, up)
+    if photos is not None:
+        seen = Photographs(photos, images, split)
     how = Measurement(
-        RequestedViews([], parse_sources(cameras), sizes, views, up)
-        if photos is None
-        else Photographs(photos, images, split),
-        background,
-        extras,
-        packing_of(packed, format_options) if packed else {},
-        max_memory,
+        views=seen,
+        background=background,
+        extras=extras,
+        packing=packing_of(packed, format_options) if packed else {},
+        max_memory=max_memory,
         pictures=report is not None,
         shown=report is not None and interactive,
     )
@@ -116,8 +118,7 @@ def compare_files(
         viewer = None
         if how.shown:
             tracker.begin("encode")
-            source = None if photos else parse_sources(cameras)[0]
-            start = AUTOMATIC.get(source, "auto") if source in FOUND else found.cameras[0]
+            start = AUTOMATIC.get(kinds[0], "auto") if kinds[0] in FOUND else found.cameras[0]
             viewer = _viewer(found, start, up)
         tracker.begin("write")
         text = render_page(found.comparison, found.sheets, f"{reference[0]}: comparison", viewer)

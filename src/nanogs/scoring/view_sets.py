@@ -96,13 +96,12 @@ def requested_views(
     up: Sequence[float] | None = None,
 ) -> RequestedViews:
     """Parse the views that are requested; arguments and errors are those of `nanogs.compare`."""
-    names = one_or_several(cameras)
+    names, count = one_or_several(cameras), None if views is None else view_count(views)
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     if not sources or len(sources) < len(names):
         return RequestedViews(given_cameras(names))
     sources = parse_sources(sources[0]) if len(sources) == 1 else sources
     several = pixels if isinstance(pixels, list) else [pixels]
-    count = None if views is None else view_count(views)
     return RequestedViews([], sources, [picture_size(size) for size in several], count, up)
 
 
