@@ -292,7 +292,7 @@ def test_blocks_and_resumed_jobs_keep_the_place(scene, tmp_path):
     with pytest.raises(CrashError):
         write(tmp_path / "a", ZURICH, progress=crash)
     for other in (None, replace(ZURICH, roll=1.0)):
-        with pytest.raises(OutputError, match="how levels are divided"):
+        with pytest.raises(OutputError, match="or their place on Earth"):
             write(tmp_path / "a", other, resume=True)
     write(tmp_path / "a", ZURICH.matrix(), resume=True)  # the same place as a matrix
     write(tmp_path / "b", ZURICH)
