@@ -47,7 +47,8 @@ class Blocks:
         ),
     ] = None
     workers: Annotated[
-        int | None, _option("Number of processes on this machine.", min=1, max=1024)
+        int | None,
+        _option("Number of processes on this machine.", min=1, max=options.MOST_PROCESSES),
     ] = None
     scheduler: Annotated[
         str | None,

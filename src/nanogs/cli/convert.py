@@ -23,8 +23,7 @@ def convert(
         int,
         typer.Option(
             min=0,
-            help="Level of detail to read of a model that holds several (lod-meta.json,"
-            " tileset.json, .ssog, .rad, .lcc); 0 is the finest.",
+            help=f"Level of detail to read of {options.OF_LEVELS}; 0 is the finest.",
         ),
     ] = 0,
     turn: Annotated[

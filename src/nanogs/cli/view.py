@@ -44,8 +44,7 @@ def view(
         int | None,
         typer.Option(
             min=0,
-            help="Level of detail to show of a model that holds several (lod-meta.json,"
-            " tileset.json, .ssog, .rad, .lcc); 0 is the finest.",
+            help=f"Level of detail to show of {options.OF_LEVELS}; 0 is the finest.",
             show_default=f"the finest of at most {PAGE_SPLATS:,} splats",
         ),
     ] = None,

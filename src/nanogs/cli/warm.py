@@ -14,7 +14,7 @@ def warm(
         typer.Option(
             "--workers",
             min=1,
-            max=1024,
+            max=options.MOST_PROCESSES,
             metavar="N",
             help="Number of processes, by default one for each processor.",
         ),

@@ -15,7 +15,7 @@ from nanogs.io import registry
 from nanogs.io.rad.write import SUFFIX as TREE
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, level_name
-from nanogs.lod.streamed_sog import StreamedSog
+from nanogs.lod.streamed_sog import META, StreamedSog
 from nanogs.lod.tiles import Tiles
 from nanogs.lod.tree_blocks import Linked
 from nanogs.place import Place, columns, transform_of
@@ -94,7 +94,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
                 )
             return Output(path.parent, layout)
     if path.suffix.lower() == ".json":
-        described = path.name in ("meta.json", registry.LEVEL_LIST)  # of another format
+        described = path.name in (META, registry.LEVEL_LIST)  # of another format
         folder = path.parent if described else path.parent / path.stem
         raise OptionError(
             f"{path}: levels are described by a file called {' or '.join(NAMES.values())}; name"

@@ -16,7 +16,7 @@ from nanogs.protocol import PIXELS, Background, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import one_or_several
 from nanogs.scoring.packing import packing_of
-from nanogs.scoring.view_sets import Pixels, refuse_beside_views, requested_views
+from nanogs.scoring.view_sets import Pixels, compared_views, refuse_beside_views
 from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
@@ -90,9 +90,9 @@ def compare(
         NotEnoughMemoryError: It takes more memory than is free or allowed, even row by row.
         OptionError: An argument is out of range, there is no such device, or no model is given.
     """
-    called, requested = _names(models, names), requested_views(cameras, pixels, views, up)
+    called, requested = _names(models, names), compared_views(cameras, pixels, views, up)
     background = None if background is None else plain_background(background)
-    if photos is not None and (up is not None or requested != requested_views("auto", PIXELS)):
+    if photos is not None and (up is not None or requested != compared_views("auto", PIXELS)):
         raise OptionError(
             "`photos` cannot be combined with options for views, because photographs have views of"
             " their own; leave these options out."

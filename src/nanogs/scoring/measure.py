@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from nanogs.progress import Stage, Tracker
+from nanogs.progress import Stage, Tracker, each
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background
 from nanogs.raster.camera import Camera
 from nanogs.scoring.comparison import (
@@ -26,7 +26,7 @@ from nanogs.scoring.packed_models import (
 )
 from nanogs.scoring.packing import PackingFormats
 from nanogs.scoring.photos import photographs, room_beside_photographs
-from nanogs.scoring.view_sets import RequestedViews
+from nanogs.scoring.view_sets import ComparedViews
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -53,7 +53,7 @@ class Measurement:
         shown: Also hold all models in memory, for a page that shows them.
     """
 
-    views: RequestedViews | Photographs
+    views: ComparedViews | Photographs
     background: Background | None
     extras: Sequence[str]
     packing: PackingFormats
@@ -103,10 +103,7 @@ def measure(
         entries[1:] = write_packed_files(models[1:], how.packing, stack, how.max_memory, progress)
         room = _room([source for _name, source, _suffix in entries], how)
     progress.begin("read")
-    ready = []
-    for number, (name, source, suffix) in enumerate(entries):
-        progress.part(number, len(entries))
-        ready.append(named(name, source, suffix, whole=room is None))
+    ready = [named(*entry, whole=room is None) for entry in each(entries, progress.part)]
     if isinstance(how.views, Photographs):
         found = _on_photographs(ready, how.views, how, room, progress)
     else:
@@ -117,7 +114,7 @@ def measure(
 
 def _on_views(
     models: list[NamedModel],
-    views: RequestedViews,
+    views: ComparedViews,
     how: Measurement,
     room: int | None,
     progress: Tracker,

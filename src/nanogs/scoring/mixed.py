@@ -24,7 +24,7 @@ from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_backgroun
 from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
 from nanogs.scoring.api import file_name
-from nanogs.scoring.view_sets import Pixels, requested_views
+from nanogs.scoring.view_sets import Pixels, compared_views
 from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def compare_mixed(
         refuse_address(path, "download the stream, and give the path of its file")
     called = _names(original, paths, names)
     _check(paths, budget)
-    requested = requested_views(cameras, pixels, views, up)
+    requested = compared_views(cameras, pixels, views, up)
     background = plain_background(background)
     limit = None if max_memory is None else as_bytes(max_memory)
     _refuse_too_large(original, paths, *requested.pictures, limit)

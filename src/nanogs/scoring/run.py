@@ -21,7 +21,7 @@ from nanogs.scoring.measure import (
 )
 from nanogs.scoring.packing import packing_of
 from nanogs.scoring.page import render_page
-from nanogs.scoring.view_sets import RequestedViews, Size, parse_sources
+from nanogs.scoring.view_sets import ComparedViews, Size, parse_sources
 from nanogs.source import source_of
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
@@ -90,7 +90,7 @@ def compare_files(
     if report and interactive:
         check_built()
     kinds = parse_sources(cameras) if photos is None else [""]
-    seen: RequestedViews | Photographs = RequestedViews([], kinds, sizes, views, up)
+    seen: ComparedViews | Photographs = ComparedViews([], kinds, sizes, views, up)
     if photos is not None:
         seen = Photographs(photos, images, split)
     how = Measurement(

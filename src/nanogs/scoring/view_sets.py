@@ -42,7 +42,7 @@ class ViewSet:
 
 
 @dataclass(frozen=True, slots=True)
-class RequestedViews:
+class ComparedViews:
     """Views before any is computed or read: cameras, or else their sources and sizes.
 
     Attributes:
@@ -89,20 +89,20 @@ class RequestedViews:
         return view_sets(model, self.sources, self.sizes, views=self.count, up=self.up)
 
 
-def requested_views(
+def compared_views(
     cameras: Cameras | Sequence[str],
     pixels: Pixels,
     views: int | None = None,
     up: Sequence[float] | None = None,
-) -> RequestedViews:
+) -> ComparedViews:
     """Parse the views that are requested; arguments and errors are those of `nanogs.compare`."""
     names, count = one_or_several(cameras), None if views is None else view_count(views)
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     if not sources or len(sources) < len(names):
-        return RequestedViews(given_cameras(names))
+        return ComparedViews(given_cameras(names))
     sources = parse_sources(sources[0]) if len(sources) == 1 else sources
     several = pixels if isinstance(pixels, list) else [pixels]
-    return RequestedViews([], sources, [picture_size(size) for size in several], count, up)
+    return ComparedViews([], sources, [picture_size(size) for size in several], count, up)
 
 
 def refuse_beside_views(photos: str | PathLike[str] | None, images: str | None, split: str) -> None:

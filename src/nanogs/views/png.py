@@ -57,9 +57,13 @@ def render_images(
         OptionError: Two cameras give one file name, or there are several for one file.
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
-    folder, names, suffix = _places(target, cameras, overwrite=overwrite)
+    folder, names, suffix = _places(target, cameras)
     files = [_files(name, suffix, depth=depth) for name in names]
-    _refuse_existing(folder, [name for each in files for name in each], overwrite=overwrite)
+    written = [name for each in files for name in each]
+    _refuse_shared(written)
+    if folder != target or folder.is_dir():  # a folder that is missing is made
+        for name in written:
+            check_writable(folder / name, overwrite=overwrite)
     before = _pictures(target)
     tracker = Tracker(progress, [Stage("render", 1.0)])
     shown = renderings(
@@ -68,7 +72,6 @@ def render_images(
     with _filled(folder) as place:
         notes = _write(shown, files, place, transparent=transparent, overwrite=overwrite)
     tracker.finish()
-    written = [name for each in files for name in each]
     notes += _left(before, written, folder)
     return [str(folder / name) for name in written], [*lens_notes(cameras), *notes]
 
@@ -128,9 +131,7 @@ def _write(
     return list(notes)
 
 
-def _places(
-    target: Path, cameras: Sequence[Camera], *, overwrite: bool
-) -> tuple[Path, list[str], str]:
+def _places(target: Path, cameras: Sequence[Camera]) -> tuple[Path, list[str], str]:
     """Return the folder of the files, their names without suffix, and the suffix."""
     if target.suffix.lower() != ".png":
         return target, file_names(cameras), ".png"
@@ -138,7 +139,6 @@ def _places(
         raise OptionError(
             f"{target} is one picture, but there are {len(cameras)} views; name a folder for them."
         )
-    check_writable(target, overwrite=overwrite)
     return target.parent, [target.stem], target.suffix
 
 
@@ -147,12 +147,11 @@ def _files(name: str, suffix: str, *, depth: bool) -> list[str]:
     return [f"{name}{suffix}", *([f"{name}_depth{suffix}"] if depth else [])]
 
 
-def _refuse_existing(folder: Path, files: Sequence[str], *, overwrite: bool) -> None:
-    """Refuse, before anything is rendered, files that exist or that two images would share.
+def _refuse_shared(files: Sequence[str]) -> None:
+    """Refuse, before anything is rendered, files that two images would share.
 
     Raises:
-        OptionError: Two images would share a file.
-        OutputError: A file exists, or cannot be written.
+        OptionError: There is one.
     """
     for index, name in enumerate(files):
         if name in files[:index]:
@@ -160,9 +159,6 @@ def _refuse_existing(folder: Path, files: Sequence[str], *, overwrite: bool) -> 
                 f"Two images would be called {name}, one of a view and one of the depth of another;"
                 " give the cameras different names."
             )
-    if folder.is_dir():
-        for name in files:
-            check_writable(folder / name, overwrite=overwrite)
 
 
 def file_names(cameras: Sequence[Camera]) -> list[str]:
