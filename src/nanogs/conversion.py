@@ -23,7 +23,7 @@ from nanogs.pipeline.estimates.stage_weights import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.ranges import as_switch
-from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
+from nanogs.source import Filtered, InMemory, Reduced, Source, turned_source
 from nanogs.splats import RenderMode, check_degree
 
 if TYPE_CHECKING:
@@ -191,8 +191,7 @@ def _changed(
         took = source.reports
     if sh_degree is not None:
         source = Reduced(source, sh_degree)
-    if frame:
-        source = Turned(source, *frame)
+    source = turned_source(source, frame)
     return source if registry.writable(target).streams else InMemory(source.load()), took
 
 

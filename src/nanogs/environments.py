@@ -14,7 +14,7 @@ from pathlib import Path
 from nanogs import filters
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
-from nanogs.frames import change_frame
+from nanogs.frames import turned
 from nanogs.io import inspect, load
 from nanogs.io.files import splat_bytes
 from nanogs.io.models import as_splats
@@ -153,7 +153,7 @@ class EnvironmentRequest:
             if self.ratio < 1:
                 small, _ = simplify(found, ratio=self.ratio, preset="fast", threads=request.threads)
                 found = replace(small, notes=found.notes)
-            return change_frame(found, *request.frame) if request.frame else found
+            return turned(found, request.frame)
 
         return Environment(source, count, self.asked == AUTO, whole, made)
 

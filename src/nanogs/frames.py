@@ -136,6 +136,16 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
     )
 
 
+def turned(splats: Splats, frames: tuple[str, str] | None) -> Splats:
+    """Convert a scene from the first of two frames to the second, if there are any."""
+    return change_frame(splats, *frames) if frames else splats
+
+
+def back(frames: tuple[str, str] | None) -> tuple[str, str] | None:
+    """Return the frames that a scene is turned back from and to; None if it is not turned."""
+    return frames and (frames[1], frames[0])
+
+
 def _turned(sh: F32, change: Change) -> F32:
     """Return (N, K, 3) coefficients in the new frame, for the same colours from each side."""
     matrix = _band_matrix(int(sh.shape[1] ** 0.5) - 1, change)

@@ -16,7 +16,7 @@ from nanogs.card.device import CPU, device_notes
 from nanogs.clock import StageClock
 from nanogs.environments import AUTO, NOTHING, EnvironmentRequest, surroundings, without_environment
 from nanogs.errors import OptionError
-from nanogs.frames import change_frame
+from nanogs.frames import turned
 from nanogs.io import inspect, registry
 from nanogs.io.models import Model, as_splats
 from nanogs.io.url_files import refuse_address
@@ -290,10 +290,9 @@ def _whole(
     with sink.filled() as filling:
         for small, report in made:
             tracker.begin("write")
-            turned = change_frame(small, *request.frame) if request.frame else small
-            filling.add(turned, tracker.part)
+            filling.add(turned(small, request.frame), tracker.part)
             reports.append(replace(report, filters=filtered))
-            del small, turned  # frees them before the next level is made
+            del small  # frees it before the next level is made
         manifest = filling.finish(reports, judge)
     tracker.finish()
     scored = tuple(

@@ -11,7 +11,7 @@ from nanogs.card.device import AUTO, CPU, check_device, device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
-from nanogs.frames import change_frame, checked_frames
+from nanogs.frames import checked_frames, turned
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions, given_options
 from nanogs.io.models import Model, as_splats
@@ -161,7 +161,7 @@ def simplify(
         tracker.finish()
     if size is not None:
         outcome = _with_size_notes(outcome, size, len(checked.rows), path)
-    small = change_frame(outcome.splats, *frame) if frame else outcome.splats
+    small = turned(outcome.splats, frame)
     report = checked.report(goal, target, outcome, threads_used, clock, start)
     return small, replace(report, notes=(*report.notes, *device_notes(device, used)))
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, TypeVar
 
 from nanogs.costs import DrawCost
 from nanogs.errors import FormatError, ModelError
-from nanogs.frames import change_frame
+from nanogs.frames import back, turned
 from nanogs.io import load, registry
 from nanogs.io import open as open_model
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import UNMEASURED, Judged, PackingLoss
-from nanogs.source import Source, Turned
+from nanogs.source import Source, turned_source
 from nanogs.splats import Splats
 from nanogs.switches import PixelOf, SwitchQuality
 
@@ -144,10 +144,10 @@ class FileJudge:
             return otherwise
 
     def _turned_back(self, splats: Splats) -> Splats:
-        return change_frame(splats, self.turn[1], self.turn[0]) if self.turn else splats
+        return turned(splats, back(self.turn))
 
     def _source_back(self, file: Source) -> Source:
-        return Turned(file, self.turn[1], self.turn[0]) if self.turn else file
+        return turned_source(file, back(self.turn))
 
     def _judged(self, views: "HeldOut", path: Path, level: int) -> Judged:
         with self._read(path, level) as model:

@@ -6,7 +6,7 @@ on a format is in `io`.
 """
 
 from nanogs.source.base import Layout, Source, joined_rows
-from nanogs.source.changed import Filtered, Reduced, Tagged, Turned
+from nanogs.source.changed import Filtered, Reduced, Tagged, Turned, turned_source
 from nanogs.source.joined import Joined, fitted, joined_layout
 from nanogs.source.whole import InMemory, source_of
 
@@ -23,4 +23,5 @@ __all__ = [
     "joined_layout",
     "joined_rows",
     "source_of",
+    "turned_source",
 ]

@@ -69,6 +69,11 @@ class Turned(_Mapped):
         super().__init__(source, lambda rows: change_frame(rows, before, after))
 
 
+def turned_source(source: Source, frames: tuple[str, str] | None) -> Source:
+    """Return a source turned from the first of two frames to the second, if there are any."""
+    return Turned(source, *frames) if frames else source
+
+
 class Reduced(_Mapped):
     """A model without the bands of spherical harmonics above a degree.
 

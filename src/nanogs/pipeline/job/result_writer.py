@@ -23,7 +23,7 @@ from nanogs.progress import PartProgress, Tracker, ignore_progress
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import FileJudge, file_costs, file_judge
 from nanogs.sink import Sink, Written
-from nanogs.source import InMemory, Joined, Source, Turned
+from nanogs.source import InMemory, Joined, Source, turned_source
 from nanogs.store.scratch import hash_file
 
 MakeReports = Callable[[Done, Sequence[Written]], list[SimplifyReport]]
@@ -166,7 +166,7 @@ def result_of(work: Work, level: int) -> Iterator[Source]:
         source: Source = parts
         if parts.count > target:
             source = InMemory(simplify_further(parts.load(), target, work.settings, work.threads))
-        yield source if work.settings.frame is None else Turned(source, *work.settings.frame)
+        yield turned_source(source, work.settings.frame)
 
 
 def _seal(made: Path, files: Sequence[str], written: Sequence[Written], *, measured: bool) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs.clock import StageClock
-from nanogs.frames import change_frame
+from nanogs.frames import back, turned
 from nanogs.io import derived_options, encoded_bytes, round_trip, round_trip_with_size
 from nanogs.pipeline.outcome import Outcome
 from nanogs.report import PackingReport
@@ -47,7 +47,7 @@ class HeldFiles:
     def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
         """Return the bytes of a file of some splats; see `Files.sample_bytes`."""
         with self.clock.time("encode"):
-            return encoded_bytes(self._turned(some), self.path, {**self.given, **options})
+            return encoded_bytes(turned(some, self.frame), self.path, {**self.given, **options})
 
     def bytes_of(self, result: Outcome, options: Mapping[str, Any]) -> int:
         """Return the bytes of a result's file; see `Files.bytes_of`."""
@@ -61,20 +61,15 @@ class HeldFiles:
     def measure(self, result: Outcome, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
         """Encode a result and measure its bytes and quality; see `Files.measure`."""
         with self.clock.time("encode"):
-            bare = self._turned(result.splats.with_sh_degree(sh_degree))
+            bare = turned(result.splats.with_sh_degree(sh_degree), self.frame)
             options = {**options, **derived_options(bare, self.path, {**self.given, **options})}
             small, size = round_trip_with_size(bare, self.path, {**self.given, **options})
         with self.clock.time("measure"):
-            psnr, ssim = self.views.judge(self._turned_back(small))
+            psnr, ssim = self.views.judge(turned(small, back(self.frame)))
         return PackingReport(sh_degree, options, len(bare), size, psnr, ssim)
 
     def stored(self, splats: Splats, options: Mapping[str, Any]) -> Splats:
         """Return splats as read back from their encoded file, in the frame of the original."""
         given = {**self.given, **options}
-        return self._turned_back(round_trip(self._turned(splats), self.path, given))
-
-    def _turned(self, splats: Splats) -> Splats:
-        return change_frame(splats, *self.frame) if self.frame else splats
-
-    def _turned_back(self, splats: Splats) -> Splats:
-        return change_frame(splats, self.frame[1], self.frame[0]) if self.frame else splats
+        stored = round_trip(turned(splats, self.frame), self.path, given)
+        return turned(stored, back(self.frame))

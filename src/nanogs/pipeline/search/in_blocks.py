@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from nanogs.clock import StageClock
 from nanogs.costs import DrawCost
-from nanogs.frames import change_frame
+from nanogs.frames import back, turned
 from nanogs.io import bytes_on_disk, derived_options, encoded_bytes, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
@@ -30,7 +30,7 @@ from nanogs.report import PackingReport, StopReason
 from nanogs.scoring.draw_views import draw_views
 from nanogs.scoring.held_out import SelectionViews, held_out, selection_views
 from nanogs.sink import held_splats, refuse_large
-from nanogs.source import InMemory, Reduced, Source, Turned
+from nanogs.source import InMemory, Reduced, Source, turned_source
 from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
 
@@ -199,8 +199,7 @@ def _sample(work: Work) -> Splats:
 
 def turned_back(source: Source, result: Result) -> Source:
     """Return a result, or its file, in the frame of the inputs."""
-    frame = result.work.settings.frame
-    return Turned(source, frame[1], frame[0]) if frame else source
+    return turned_source(source, back(result.work.settings.frame))
 
 
 @dataclass(eq=False)
@@ -227,8 +226,7 @@ class _Files:
         """Return the size of a file of some splats, bytes, in the frame that was asked for."""
         given, frame = {**(self.search.options or {}), **options}, self.work.settings.frame
         with self.clock.time("encode"):
-            turned = change_frame(some, *frame) if frame else some
-            return encoded_bytes(turned, self.search.output, given)
+            return encoded_bytes(turned(some, frame), self.search.output, given)
 
     def bytes_of(self, result: Result, options: Mapping[str, Any]) -> int:
         """Return the size of a result's file, bytes."""

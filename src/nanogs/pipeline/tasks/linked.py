@@ -16,7 +16,7 @@ from nanogs._types import I64, Array
 from nanogs.block_layouts import BlockTree
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks.parts import LevelSource
-from nanogs.source import Layout, Source, Turned
+from nanogs.source import Layout, Source, turned_source
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats
 from nanogs.store.columns import columns_of, count_of, empty_columns, splats_of
@@ -81,7 +81,7 @@ def _count(work: "Work", level: int) -> int:
 
 def _turned(work: "Work", source: Source) -> Source:
     """Turn a source to the frame of the results."""
-    return Turned(source, *work.settings.frame) if work.settings.frame else source
+    return turned_source(source, work.settings.frame)
 
 
 def _tree_of(work: "Work", record: Record) -> BlockTree:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs._types import I64, U64, Array, F
-from nanogs.frames import change_between, change_frame
+from nanogs.frames import change_between, turned
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.scene import Task
@@ -108,8 +108,7 @@ def part_of_block(work: "Work", block: int, level: int) -> Splats:
     Each splat of the level belongs to exactly one block.
     """
     splats = _rows(work.scratch, work.settings.result_layout, *_place(work, block, level))
-    frame = work.settings.frame
-    return change_frame(splats, *frame) if frame else splats
+    return turned(splats, work.settings.frame)
 
 
 def count_of_block(work: "Work", block: int, level: int) -> int:
