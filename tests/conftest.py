@@ -13,6 +13,7 @@ import hypothesis
 import pytest
 
 import nanogs
+from nanogs.card.device import CUDA, WARP_CPU, has_driver
 
 # No deadline, because the first example of a test compiles kernels. `derandomize` gives the same
 # examples on every machine.
@@ -23,6 +24,7 @@ hypothesis.settings.load_profile("nanogs")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+CARD = CUDA if has_driver() else WARP_CPU  # the device that runs the kernels for graphics cards
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
@@ -52,6 +54,11 @@ def peer_path(name: str) -> Path:
     if not path.exists():
         pytest.skip(f"the file {name} is absent: set NANOGS_PEERS to the folder of peers' results")
     return path
+
+
+def made_on_the_device(notes):
+    """Return whether one of a report's notes says that `CARD` was used."""
+    return any(note.startswith(f"pictures were made on {CARD}") for note in notes)
 
 
 @pytest.fixture(scope="module")

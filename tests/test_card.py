@@ -1,4 +1,4 @@
-"""The graphics card's kernels, on Warp's CPU device, compared with the CPU's kernels."""
+"""The kernels for a graphics card, on one or else on Warp's CPU device, and the CPU's compared."""
 
 import dataclasses
 import importlib
@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import nanogs
-from conftest import scene_path
+from conftest import CARD, made_on_the_device, scene_path
 from launch import run
 from nanogs.card.device import engine_in_use, use_device
 from nanogs.datasets.plant import load_plant
@@ -37,8 +37,8 @@ CLOSE = 100  # dB between both renderings if no splat is at a threshold
 
 @pytest.fixture(autouse=True)
 def card():
-    """Use Warp's CPU device in every test; `render(..., here=True)` renders with CPU kernels."""
-    with use_device("warp-cpu") as name:
+    """Use the device in every test; `render(..., here=True)` renders with CPU kernels."""
+    with use_device(CARD) as name:
         yield name
 
 
@@ -126,13 +126,24 @@ def test_gradients_agree(blocks):
     view = view_on(engine_in_use(), small, camera)
     features = view.tinted(WHITE, ALPHA)
     image, _ = view.blend(features, np.zeros(4, np.float32), blocks)
-    residual, precision, error = view.weigh(image, target.image, WHITE, ALPHA, blocks)
+    residual, precision, error = view.weigh(
+        image, engine_in_use().put(target.image), WHITE, ALPHA, blocks
+    )
     totals = view.gradients(features, image, residual, precision, blocks).numpy() * SCALES
     assert error == pytest.approx(cpu.error, rel=1e-6)
     rows = cpu.view.order
     largest = np.abs(cpu.totals[rows]).max(axis=0)
     assert (largest > 0).all()
     assert (np.abs(totals[rows] - cpu.totals[rows]).max(axis=0) < 1e-5 * largest).all()
+
+
+@pytest.mark.parametrize("blocks", [ALL_BLOCKS, FIELDS[1]])
+def test_targets_that_stay_on_the_device_are_those_that_are_copied_to_the_host(blocks):
+    camera, prepared = make_camera(50, 33), prepare(make_splats(200, degree=2))
+    target = make_target(prepared, camera, depth=False, wanted=blocks)
+    on_device = view_on(engine_in_use(), prepared, camera).in_bytes(blocks).numpy()
+    assert np.array_equal(on_device, target.image)
+    assert target.image.any()
 
 
 def test_repeated_renderings_have_the_same_bytes():
@@ -165,10 +176,10 @@ def test_pictures_of_real_scenes_agree(name):
 def test_a_full_card_memory_raises_an_error_that_suggests_the_cpu():
     with (
         pytest.raises(NotEnoughMemoryError, match='use `device="cpu"`'),
-        use_device("warp-cpu"),
+        use_device(CARD),
     ):
         raise RuntimeError("Failed to allocate 4 bytes on device 'cuda:0'")
-    with pytest.raises(RuntimeError, match="something else"), use_device("warp-cpu"):
+    with pytest.raises(RuntimeError, match="something else"), use_device(CARD):
         raise RuntimeError("something else")
 
 
@@ -190,13 +201,13 @@ def test_kernels_compile_for_a_card_on_a_machine_without_one(tmp_path):
 
 def test_the_command_reports_the_device_that_it_used(tmp_path):
     nanogs.save(make_splats(60), tmp_path / "a.ply")
-    arguments = (tmp_path / "a.ply", "--device", "warp-cpu", "--json")
+    arguments = (tmp_path / "a.ply", "--device", CARD, "--json")
     result = run("render", *arguments[:1], tmp_path / "out", "--views", 1, "--pixels", 32,
                  *arguments[1:])  # fmt: skip
     report = json.loads(result.stdout)
-    assert report["device"] == "warp-cpu"
-    assert "pictures were made on warp-cpu" in report["notes"]
+    assert report["device"].startswith(CARD)
+    assert made_on_the_device(report["notes"])
     result = run("compare", *arguments[:1], *arguments, "--views", 2, "--pixels", 32)
     report = json.loads(result.stdout)
     assert report["models"][0]["psnr"] == "inf"
-    assert "pictures were made on warp-cpu" in report["notes"]
+    assert made_on_the_device(report["notes"])

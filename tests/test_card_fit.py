@@ -1,4 +1,4 @@
-"""Fits and whole runs with the card's kernels, on Warp's CPU device, compared with the CPU's."""
+"""Fits and runs with the kernels for a card, on one or else on Warp's CPU device, and the CPU's."""
 
 import dataclasses
 import json
@@ -8,6 +8,7 @@ import pytest
 
 import nanogs
 from builders import cloud_pair, model_bytes
+from conftest import CARD, made_on_the_device
 from launch import run
 from nanogs.card.device import use_device
 from nanogs.fit.on_card import CardDescent, descent_for
@@ -21,7 +22,6 @@ from nanogs.views.automatic import automatic_cameras
 
 pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
 
-CARD = "warp-cpu"
 STEPS, CLOSE = 6, 0.02  # CLOSE: dB between results of the two devices
 QUICK = RefitParameters(views=6, validation=2, size=64, rounds=2, steps=12)
 COLUMNS = ("means", "log_scales", "quats", "logits", "sh")
@@ -125,7 +125,7 @@ def test_a_refit_is_as_good_and_its_bytes_are_reproducible():
     fitted, card = nanogs.refit(original, small, parameters=QUICK, device=CARD)
     assert card.psnr_after == pytest.approx(cpu.psnr_after, abs=CLOSE)
     assert card.improved
-    assert f"pictures were made on {CARD}" in card.notes
+    assert made_on_the_device(card.notes)
     assert cpu.notes == ()
     again, _ = nanogs.refit(original, small, parameters=QUICK, device=CARD)
     assert model_bytes(again) == model_bytes(fitted)
@@ -140,7 +140,7 @@ def test_presets_are_as_good_on_a_card(small_views, preset):
         assert len(small) == report.achieved_count == 80
         scores.append(nanogs.compare(original, small, views=4, pixels=64).models[0].psnr)
     assert scores[0] == pytest.approx(scores[1], abs=CLOSE)
-    assert f"pictures were made on {CARD}" in report.notes
+    assert made_on_the_device(report.notes)
 
 
 def test_levels_equal_those_of_simplify_and_note_the_device(small_views, tmp_path):
@@ -148,7 +148,7 @@ def test_levels_equal_those_of_simplify_and_note_the_device(small_views, tmp_pat
     [(level, report)] = nanogs.levels(original, [0.2], device=CARD)
     small, _ = nanogs.simplify(original, ratio=0.2, device=CARD)
     assert model_bytes(level) == model_bytes(small)
-    assert f"pictures were made on {CARD}" in report.notes
+    assert made_on_the_device(report.notes)
     manifest, _ = nanogs.write_levels(original, tmp_path / "out", [0.2], device=CARD)
     assert any(CARD in note for note in manifest.notes)
     written = nanogs.load(tmp_path / "out/level_0.ply")
@@ -166,11 +166,11 @@ def test_the_command_fits_on_the_device_and_reports_it(file, tmp_path):
     quick = ("--views", 4, "--view-size", 32, "--steps", 4, "--no-measure", "--json")
     result = run("simplify", file, tmp_path / "b.ply", "-r", "0.25", *quick, "--device", CARD)
     assert result.returncode == 0, result.stderr
-    assert f"pictures were made on {CARD}" in json.loads(result.stdout)["notes"]
+    assert made_on_the_device(json.loads(result.stdout)["notes"])
     quick = ("--views", 4, "--pixels", 32, "--rounds", 1, "--json")
     result = run("refit", file, tmp_path / "b.ply", tmp_path / "c.ply", *quick, "--device", CARD)
     assert result.returncode == 0, result.stderr
-    assert f"pictures were made on {CARD}" in json.loads(result.stdout)["notes"]
+    assert made_on_the_device(json.loads(result.stdout)["notes"])
 
 
 @pytest.mark.parametrize("command", ["simplify", "lod"])

@@ -32,7 +32,7 @@ def without_warp(patch):
 
 @pytest.fixture
 def no_card(monkeypatch):
-    monkeypatch.setattr(device, "_driver", lambda: False)
+    monkeypatch.setattr(device, "has_driver", lambda: False)
 
 
 def error_of(capsys, *arguments):
@@ -50,7 +50,7 @@ def test_a_missing_card_is_refused_before_any_output_is_made(scene, tmp_path, ca
 
 def test_without_warp_the_error_says_what_to_install(scene, tmp_path, capsys, monkeypatch):
     without_warp(monkeypatch)
-    monkeypatch.setattr(device, "_driver", lambda: True)
+    monkeypatch.setattr(device, "has_driver", lambda: True)
     error = error_of(capsys, "render", scene, tmp_path / "out", "--device", "cuda")
     assert "pip install 'nanogs[cuda]'" in error
     with use_device("auto") as used:

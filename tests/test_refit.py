@@ -169,7 +169,7 @@ def test_a_view_uses_its_other_checkerboard_half_at_its_next_turn():
     targets = [make_target(prepare(original), camera) for camera in cameras]
     descent = Descent(small, Fitting(targets), dataclasses.replace(QUICK, halves=True))
     turns = [[descent._next() for _ in range(3)] for _ in range(2)]
-    first, second = ({id(target): blocks for target, blocks in turn} for turn in turns)
+    first, second = (dict(turn) for turn in turns)
     assert first.keys() == second.keys()
     assert all({first[view], second[view]} == set(FIELDS) for view in first)
 

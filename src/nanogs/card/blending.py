@@ -44,3 +44,28 @@ def blend_tiles(
     transmittance[y, x] = light
     for c in range(4):
         image[y, x, c] = sums[c] + light * background[c]
+
+
+@wp.func
+def in_byte(value: wp.float32) -> wp.uint8:
+    """Clip to [0, 1] and round to 255ths; NaN becomes 0."""
+    inside = wp.float32(0.0)
+    if value > 0.0:
+        inside = wp.min(value, 1.0)
+    return wp.uint8(wp.rint(255.0 * inside))
+
+
+@wp.kernel(enable_backward=False)
+def write_bytes(
+    image: wp.array3d[wp.float32],
+    transmittance: wp.array2d[wp.float32],
+    written: wp.array3d[wp.uint8],
+) -> None:
+    """Write colour and alpha of each pixel as bytes; see `nanogs.fit.targets.as_target`.
+
+    image: (H, W, 4), the fourth channel is not used; transmittance: (H, W); written: (H, W, 4) out.
+    """
+    y, x = wp.tid()
+    for c in range(3):
+        written[y, x, c] = in_byte(image[y, x, c])
+    written[y, x, 3] = in_byte(1.0 - transmittance[y, x])

@@ -83,9 +83,9 @@ def engine_in_use() -> "Engine | None":
 def _found(name: str) -> "Engine | None":
     if name not in (*DEVICES, WARP_CPU):
         raise OptionError(f"The device must be {', '.join(DEVICES[:-1])} or {AUTO}, not {name!r}.")
-    if name == CPU or (name == AUTO and not (_driver() and _installed())):
+    if name == CPU or (name == AUTO and not (has_driver() and _installed())):
         return None
-    if name == CUDA and not _driver():
+    if name == CUDA and not has_driver():
         raise OptionError(
             "There is no graphics card that CUDA can use, or its driver is not installed; use"
             ' `device="cpu"`, or `device="auto"`, which uses a card if there is one.'
@@ -109,7 +109,7 @@ def _installed() -> bool:
     return find_spec("warp") is not None
 
 
-def _driver() -> bool:
+def has_driver() -> bool:
     """Return whether there is a CUDA driver, without Warp, which prints a warning if not."""
     name = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
     try:

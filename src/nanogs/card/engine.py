@@ -7,14 +7,14 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
-from nanogs._types import F32, F64, U8, Array, Bool, F
-from nanogs.card.blending import blend_tiles
+from nanogs._types import F32, F64, Array, Bool, F
+from nanogs.card.blending import blend_tiles, write_bytes
 from nanogs.card.gradients import gather_slots, pull_kernel, share_kernel, tint, weigh_pixels
 from nanogs.card.listing import count_tiles, find_starts, write_tiles
 from nanogs.card.projecting import add_unoccluded, project_splats
 from nanogs.card.shading import PIXELS, SHAPE, shape_entries
 from nanogs.errors import ModelError
-from nanogs.kernels.blocks import ALL_BLOCKS, TILE
+from nanogs.kernels.blocks import ALL_BLOCKS, SIDE, TILE
 from nanogs.kernels.gradients import CHANNELS, SUMS
 
 if TYPE_CHECKING:
@@ -196,6 +196,14 @@ class View:
         )  # fmt: skip
         return image, transmittance
 
+    def in_bytes(self, wanted: int = ALL_BLOCKS) -> wp.array:
+        """(H, W, 4) uint8 on the device: the image of a `fit.targets.Target` of this view."""
+        width, height = self.size
+        image, transmittance = self.blend(self.features, np.zeros(CHANNELS, np.float32), wanted)
+        written = self.engine.empty((height, width, CHANNELS), wp.uint8)
+        self.engine.launch(write_bytes, (height, width), image, transmittance, written)
+        return written
+
     def contributions(self, wanted: int = ALL_BLOCKS) -> F64:
         """(N,) float64, sums of each splat's weight T alpha over the pixels."""
         if not len(self.entries):
@@ -235,22 +243,23 @@ class View:
         return features
 
     def weigh(
-        self, image: wp.array, target: U8, white: float, alpha: float, wanted: int
+        self, image: wp.array, target: wp.array, white: float, alpha: float, wanted: int
     ) -> tuple[wp.array, wp.array, float]:
         """Return the residual of an image, its alpha, and the mean squared error per channel.
 
-        The arguments are those of `nanogs.kernels.backward.weigh_pixels`.
+        The arguments are those of `nanogs.kernels.backward.weigh_pixels`, on the device.
         """
         width, height = self.size
         residual = self.engine.empty((height, width, CHANNELS), wp.float32)
         curvature_weights = self.engine.empty((height, width), wp.float32)
-        errors = self.engine.empty((height, 2), wp.float64)
+        errors = self.engine.empty((height, width), wp.float64)
         self.engine.launch(
-            weigh_pixels, height, image, self.engine.put(target), white, alpha, wanted, self.size,
+            weigh_pixels, (height, width), image, target, white, alpha, wanted, self.size,
             residual, curvature_weights, errors,
         )  # fmt: skip
-        total, pixels = errors.numpy().sum(axis=0)
-        return residual, curvature_weights, float(total) / (3 * max(float(pixels), 1))
+        total = float(wp.utils.array_sum(errors.flatten()))
+        pixels = _count_pixels(width, height, wanted)
+        return residual, curvature_weights, total / (3 * max(pixels, 1))
 
     def gradients(
         self,
@@ -274,3 +283,13 @@ class View:
             wanted, self.size, image, residual, curvature_weights, partial,
         )  # fmt: skip
         return self._gathered(partial, SUMS)
+
+
+def _count_pixels(width: int, height: int, wanted: int) -> int:
+    """Count the pixels of an image that are in wanted blocks of its tiles."""
+    across, down = (
+        np.bincount(np.arange(size) % TILE // SIDE, minlength=TILE // SIDE)
+        for size in (width, height)
+    )
+    blocks = np.arange(len(across) * len(down)).reshape(len(down), len(across))
+    return int(((wanted >> blocks & 1) * down[:, None] * across).sum())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from nanogs._types import F32, F64, U8, Bool
+from nanogs._types import F32, F64, Bool
 from nanogs.card.advancing import FittedSplats, StepConstants, advance_splats, average
 from nanogs.card.engine import Model
 from nanogs.kernels.chain import PACKED
@@ -79,7 +79,7 @@ class FittedModel:
         self,
         camera: tuple[F64, F64, F64],
         degree: int,
-        target: U8,
+        target: wp.array,
         shares: tuple[float, float],
         wanted: int,
         rate: float,
@@ -89,7 +89,7 @@ class FittedModel:
         Args:
             camera: Rotation, position and intrinsics, as `project_splats` takes them.
             degree: Spherical-harmonic degree.
-            target: (H, W, 4) target image of the view.
+            target: (H, W, 4) uint8 on the device, target image of the view.
             shares: `white` and `alpha_scale` of `nanogs.kernels.backward.weigh_pixels`.
             wanted: Bit mask of the blocks of each tile whose pixels count.
             rate: Learning rate.

@@ -218,26 +218,22 @@ def weigh_pixels(
 ) -> None:
     """Compute the residual of an image, as `nanogs.kernels.backward.weigh_pixels` does.
 
-    errors: (H, 2) out, for each row the sum of the squared residuals, and the number of pixels that
-    count.
+    errors: (H, W) out, the sum of a pixel's squared residuals; 0 for one that does not count.
     """
-    y = wp.tid()
-    total, count = wp.float64(0.0), wp.float64(0.0)
-    for x in range(size[0]):
-        if starts_open(x, y, size, wanted):
-            count += wp.float64(1.0)
-            alpha = image[y, x, 3] / alpha_scale
-            change = wp.float32(target[y, x, 3]) / 255.0 - alpha
-            curvature_weights[y, x] = alpha
-            residual[y, x, 3] = change * alpha_scale
-            total += wp.float64(change * change * alpha_scale * alpha_scale)
-            for c in range(3):
-                colour = wp.min(image[y, x, c] + white * alpha, 1.0)
-                error = wp.float32(target[y, x, c]) / 255.0 - colour - white * change
-                residual[y, x, c] = error
-                total += wp.float64(error * error)
-    errors[y, 0] = total
-    errors[y, 1] = count
+    y, x = wp.tid()
+    total = wp.float64(0.0)
+    if starts_open(x, y, size, wanted):
+        alpha = image[y, x, 3] / alpha_scale
+        change = wp.float32(target[y, x, 3]) / 255.0 - alpha
+        curvature_weights[y, x] = alpha
+        residual[y, x, 3] = change * alpha_scale
+        total += wp.float64(change * change * alpha_scale * alpha_scale)
+        for c in range(3):
+            colour = wp.min(image[y, x, c] + white * alpha, 1.0)
+            error = wp.float32(target[y, x, c]) / 255.0 - colour - white * change
+            residual[y, x, c] = error
+            total += wp.float64(error * error)
+    errors[y, x] = total
 
 
 @wp.kernel(enable_backward=False)

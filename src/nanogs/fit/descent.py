@@ -113,7 +113,7 @@ class Descent:
         self._count += 1
         rate *= min(1.0, self._count / WARM_UP)
         rate *= SLOWEST + (1 - SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
-        error = self._follow(*self._next(), rate)
+        error = self._step_on(*self._next(), rate)
         if self.shared is not None:
             self._average_shared(self.shared)
         return error
@@ -122,18 +122,23 @@ class Descent:
         """Replace the harmonics of all splats of a palette entry by their mean."""
         shared.average(self._state.sh)
 
-    def _next(self) -> tuple[Target, int]:
-        """Return the next view, and a bit mask of the blocks of each tile that the step uses."""
+    def _next(self) -> tuple[int, int]:
+        """Return the next view's index, and a bit mask of the blocks of each tile that it uses."""
         if not self._queue:
             self._queue = self._random.permutation(len(self.views)).tolist()
             self._turns += 1
         index = self._queue.pop()
         wanted = FIELDS[(index + self._turns) % 2] if self.parameters.halves else ALL_BLOCKS
-        target = self.views.take(index, wanted)
-        return target, wanted if target.blocks == ALL_BLOCKS else target.blocks
+        if index < len(self.views.kept) and self.views.kept[index].blocks != ALL_BLOCKS:
+            wanted = self.views.kept[index].blocks
+        return index, wanted
+
+    def _step_on(self, index: int, wanted: int, rate: float) -> float:
+        """Take a step on some blocks of a view, and return their mean squared error before it."""
+        return self._follow(self.views.take(index, wanted), wanted, rate)
 
     def _follow(self, target: Target, wanted: int, rate: float) -> float:
-        """Take a step on some blocks of a view, and return their mean squared error before it."""
+        """Take a step on some blocks of a target; see `_step_on`."""
         state, active, model = self._state, self._active, self._active.model
         view = compute_gradients(model, target, wanted)
         advance_splats(

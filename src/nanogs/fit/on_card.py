@@ -9,11 +9,14 @@ from nanogs.card.device import engine_in_use
 from nanogs.fit.descent import Descent
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.state import State
-from nanogs.fit.targets import ALPHA, WHITE, Fitting, Target
-from nanogs.raster.rendering import camera_arrays, uploaded
+from nanogs.fit.targets import ALPHA, WHITE, Fitting
+from nanogs.raster.rendering import camera_arrays, uploaded, view_on
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
+    from nanogs.raster.camera import Camera
+    import warp as wp
+
     from nanogs.card.advancing import FittedSplats
     from nanogs.card.engine import Engine
     from nanogs.card.fitting import FittedModel
@@ -32,6 +35,7 @@ class CardDescent(Descent):
         shared: "SharedHarmonics | None" = None,
     ) -> None:
         self._engine = engine
+        self._images: dict[int, wp.array] = {}  # of the kept views, once they were used
         super().__init__(splats, views, parameters, shared)
 
     @property
@@ -71,10 +75,22 @@ class CardDescent(Descent):
         shared.average(sh)
         self._moving.recolour(sh)
 
-    def _follow(self, target: Target, wanted: int, rate: float) -> float:
+    def _step_on(self, index: int, wanted: int, rate: float) -> float:
         degree, shares = self._active.model.sh_degree, (WHITE, ALPHA)
-        camera = camera_arrays(target.camera)
-        return self._moving.step(camera, degree, target.image, shares, wanted, rate)
+        camera, image = self._target(index, wanted)
+        return self._moving.step(camera_arrays(camera), degree, image, shares, wanted, rate)
+
+    def _target(self, index: int, wanted: int) -> "tuple[Camera, wp.array]":
+        """Return a view's camera and its image on the device, where views not kept are rendered."""
+        views, kept = self.views, len(self.views.kept)
+        if index >= kept:
+            assert views.original is not None  # noqa: S101 - given with the further cameras
+            camera = views.further[index - kept]
+            return camera, view_on(self._engine, views.original, camera).in_bytes(wanted)
+        target = views.kept[index]
+        if index not in self._images:
+            self._images[index] = self._engine.put(target.image)
+        return target.camera, self._images[index]
 
 
 class CardRunningMean:

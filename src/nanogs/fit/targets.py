@@ -172,7 +172,7 @@ def squared_error(model: PreparedSplats, target: Target) -> float:
     if engine is not None:
         view = view_on(engine, model, target.camera)
         image, _ = view.blend(view.tinted(WHITE, ALPHA), np.zeros(4, np.float32))
-        return view.weigh(image, target.image, WHITE, ALPHA, ALL_BLOCKS)[2]
+        return view.weigh(image, engine.put(target.image), WHITE, ALPHA, ALL_BLOCKS)[2]
     return _weigh(target, _blend(model, target.camera)[2])[2]
 
 
