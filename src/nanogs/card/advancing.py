@@ -302,7 +302,7 @@ class StepConstants:
 def recolour(
     moving: FittedSplats,
     rules: StepConstants,
-    features: wp.array2d[wp.float32],
+    features: wp.array[wp.vec4f],
     totals: wp.array2d[wp.float32],
     i: wp.int32,
     way: wp.vec3d,
@@ -319,7 +319,7 @@ def recolour(
         step = rate / (rules.bands[k, 0] * curvature + held)
         for c in range(3):
             gradient = wp.float64(0.0)
-            if features[i, c] > 0.0 or totals[i, c] > 0.0:
+            if features[i][c] > 0.0 or totals[i, c] > 0.0:
                 gradient = wp.float64(basis[k]) * wp.float64(totals[i, c])
             changed = wp.float64(moving.sh[i, k, c] - moving.initial_sh[i, k, c])
             change = wp.float32((gradient - held * changed) * step - back * changed)
@@ -402,7 +402,7 @@ def reshape(
 @wp.kernel(enable_backward=False)
 def advance_splats(
     geometry: wp.array2d[wp.float64],
-    features: wp.array2d[wp.float32],
+    features: wp.array[wp.vec4f],
     totals: wp.array2d[wp.float32],
     rotation: wp.mat33d,
     position: wp.vec3d,

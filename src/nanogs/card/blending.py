@@ -2,29 +2,28 @@
 
 import warp as wp
 
-from nanogs.card.shading import TILE, first_light, offset, shade_pixel
+from nanogs.card.shading import Shape, first_light, offset, place, shade_pixel
 
 
 @wp.kernel(enable_backward=False)
 def blend_tiles(
-    shapes: wp.array2d[wp.float32],
-    features: wp.array2d[wp.float32],
+    shapes: wp.array[Shape],
+    features: wp.array[wp.vec4f],
     starts: wp.array[wp.int32],
     entries: wp.array[wp.int32],
     wanted: wp.int32,
     background: wp.vec4f,
     size: wp.vec2i,
-    image: wp.array3d[wp.float32],
+    image: wp.array2d[wp.vec4f],
     transmittance: wp.array2d[wp.float32],
 ) -> None:
     """Blend every tile's splats front to back, four channels; see `raster.blend_tiles`.
 
-    shapes: (E, 6); features: (N, 4); image: (H, W, 4) out; transmittance: (H, W) out.
+    shapes: (E,); features: (N,); image: (H, W) out; transmittance: (H, W) out.
     """
     tile, pixel = wp.tid()
-    tiles_x = (size[0] + TILE - 1) / TILE
-    x = tile % tiles_x * TILE + pixel % TILE
-    y = tile / tiles_x * TILE + pixel / TILE
+    xy = place(tile, pixel, size[0])
+    x, y = xy[0], xy[1]
     if x >= size[0] or y >= size[1]:
         return
     at = offset(pixel)
@@ -32,18 +31,14 @@ def blend_tiles(
     light = first_light(x, y, size, wanted)
     e, end = wp.int32(starts[tile]), starts[tile + 1]
     while e < end and light > 0.0:
-        shade = shade_pixel(shapes, e, at[0], at[1], light)
+        shade = shade_pixel(shapes[e], at[0], at[1], light)
         if shade.weight > 0.0:
-            i = entries[e]
-            sums += shade.weight * wp.vec4f(
-                features[i, 0], features[i, 1], features[i, 2], features[i, 3]
-            )
+            sums += shade.weight * features[entries[e]]
         light = shade.after
         e += 1
     light = wp.abs(light)
     transmittance[y, x] = light
-    for c in range(4):
-        image[y, x, c] = sums[c] + light * background[c]
+    image[y, x] = sums + light * background
 
 
 @wp.func
@@ -57,15 +52,16 @@ def in_byte(value: wp.float32) -> wp.uint8:
 
 @wp.kernel(enable_backward=False)
 def write_bytes(
-    image: wp.array3d[wp.float32],
+    image: wp.array2d[wp.vec4f],
     transmittance: wp.array2d[wp.float32],
     written: wp.array3d[wp.uint8],
 ) -> None:
     """Write colour and alpha of each pixel as bytes; see `nanogs.fit.targets.as_target`.
 
-    image: (H, W, 4), the fourth channel is not used; transmittance: (H, W); written: (H, W, 4) out.
+    image: (H, W), the fourth channel is not used; transmittance: (H, W); written: (H, W, 4) out.
     """
     y, x = wp.tid()
+    colour = image[y, x]
     for c in range(3):
-        written[y, x, c] = in_byte(image[y, x, c])
+        written[y, x, c] = in_byte(colour[c])
     written[y, x, 3] = in_byte(1.0 - transmittance[y, x])

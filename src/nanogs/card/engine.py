@@ -9,10 +9,10 @@ import warp as wp
 
 from nanogs._types import F32, F64, Array, Bool, F
 from nanogs.card.blending import blend_tiles, write_bytes
-from nanogs.card.gradients import gather_slots, pull_kernel, share_kernel, tint, weigh_pixels
+from nanogs.card.gradients import Sums, gather_slots, pull_kernel, share_kernel, tint, weigh_pixels
 from nanogs.card.listing import count_tiles, find_starts, write_tiles
 from nanogs.card.projecting import add_unoccluded, project_splats
-from nanogs.card.shading import PIXELS, SHAPE, shape_entries
+from nanogs.card.shading import EDGE, PIXELS, WARP, Shape, shape_entries
 from nanogs.errors import ModelError
 from nanogs.kernels.blocks import ALL_BLOCKS, SIDE, TILE
 from nanogs.kernels.gradients import CHANNELS, SUMS
@@ -43,7 +43,7 @@ class Engine:
     def __init__(self, device: wp.Device) -> None:
         self.device = device
         self.name = f"cuda, {device.name}" if device.is_cuda else "warp-cpu"
-        self._lanes = PIXELS if device.is_cuda else 1
+        self._lanes = WARP if device.is_cuda else 1
         self._models: WeakKeyDictionary[object, Model] = WeakKeyDictionary()
 
     def held(self, owner: object, upload: "Callable[[], Model]") -> "Model":
@@ -69,7 +69,7 @@ class Engine:
     def launch_tiles(self, make: "Callable[[int], wp.Kernel]", tiles: int, *args: object) -> None:
         """Run a kernel with one block of threads for each tile."""
         wp.launch_tiled(
-            make(self._lanes), dim=[tiles], inputs=list(args), block_dim=PIXELS, device=self.device
+            make(self._lanes), dim=[tiles], inputs=list(args), block_dim=WARP, device=self.device
         )
 
 
@@ -105,7 +105,7 @@ class View:
 
     Attributes:
         geometry: (N, 8) float64, see `nanogs.kernels.project`.
-        features: (N, 4) float32, red, green, blue and depth; undefined for splats not drawn.
+        features: (N,) vectors of red, green, blue and depth; undefined for splats not drawn.
     """
 
     def __init__(
@@ -114,18 +114,18 @@ class View:
         engine, n = model.engine, model.count
         self.engine, self.count = engine, n
         self.size = wp.vec2i(int(intrinsics[4]), int(intrinsics[5]))
-        self.tiles = -(-int(intrinsics[4]) // TILE) * -(-int(intrinsics[5]) // TILE)
+        self.tiles = -(-int(intrinsics[4]) // EDGE) * -(-int(intrinsics[5]) // EDGE)
         self.rotation, self.position = wp.mat33d(*rotation.ravel()), wp.vec3d(*position)
         self.intrinsics = engine.put(intrinsics, np.float64)
         self.geometry = engine.empty((n, 8), wp.float64)
-        self.features = engine.empty((n, CHANNELS), wp.float32)
+        self.features = engine.empty((n,), wp.vec4f)
         boxes, drawn = engine.empty((n,), wp.vec4i), wp.zeros(1, wp.int32, device=engine.device)
         # Sorting needs arrays of twice the length.
         self.depths, order = (engine.empty((2 * n,), kind) for kind in (wp.float32, wp.int32))
         self.starts = wp.zeros(self.tiles + 1, dtype=wp.int32, device=engine.device)
         self.entries = self.slots = self.order = engine.empty((0,), wp.int32)
         self.ends = engine.empty((0,), wp.int64)
-        self.shapes = engine.empty((0, SHAPE), wp.float32)
+        self.shapes = engine.empty((0,), Shape)
         self._drawn = drawn
         if n == 0:
             return
@@ -159,18 +159,18 @@ class View:
         self.entries = engine.empty((count,), wp.int32)
         tiles, self.slots = (engine.empty((2 * count,), wp.int32) for _ in range(2))
         owners = engine.empty((count,), wp.int32)
-        self.shapes = engine.empty((count, SHAPE), wp.float32)
+        self.shapes = engine.empty((count,), Shape)
         if count == 0:
             return
         engine.launch(
             write_tiles, n, self.geometry, boxes, self.order, self.size, self.ends, tiles,
             self.slots, owners,
         )  # fmt: skip
-        wp.utils.radix_sort_pairs(tiles, self.slots, count)
+        wp.utils.radix_sort_pairs(tiles, self.slots, count, end_bit=self.tiles.bit_length())
         engine.launch(
             find_starts, count, tiles, self.slots, owners, count, self.starts, self.entries
         )
-        across = -(-self.size[0] // TILE)
+        across = -(-self.size[0] // EDGE)
         engine.launch(shape_entries, count, self.geometry, self.entries, tiles, across, self.shapes)
 
     def blend(
@@ -179,15 +179,15 @@ class View:
         """Blend four features of each splat front to back.
 
         Args:
-            features: (N, 4) on the device.
+            features: (N,) vectors of four, on the device.
             background: (up to 4,) float32, added with the final transmittance.
             wanted: Bit mask of the blocks of each tile to blend.
 
         Returns:
-            The image (H, W, 4) and the transmittance (H, W), on the device.
+            The image (H, W), vectors of four, and the transmittance (H, W), on the device.
         """
         width, height = self.size
-        image = self.engine.empty((height, width, CHANNELS), wp.float32)
+        image = self.engine.empty((height, width), wp.vec4f)
         transmittance = self.engine.empty((height, width), wp.float32)
         behind = wp.vec4f(*[*background.tolist(), 0.0, 0.0, 0.0, 0.0][:CHANNELS])
         self.engine.launch(
@@ -208,7 +208,7 @@ class View:
         """(N,) float64, sums of each splat's weight T alpha over the pixels."""
         if not len(self.entries):
             return np.zeros(self.count)
-        partial = wp.zeros((len(self.entries), 1), dtype=wp.float32, device=self.engine.device)
+        partial = wp.zeros(len(self.entries), dtype=wp.float32, device=self.engine.device)
         self.engine.launch_tiles(
             share_kernel, self.tiles, self.shapes, self.starts, self.slots, wanted, self.size,
             partial,
@@ -217,10 +217,11 @@ class View:
         return totals
 
     def _gathered(self, partial: wp.array, columns: int) -> wp.array:
-        """Sum the slots of each splat: (N, K)."""
+        """Sum the slots of each splat: (N, K); partial: (E,) numbers, or vectors of K."""
+        slots = partial.view(wp.float32).reshape((len(partial), columns))
         totals = self.engine.empty((self.count, columns), wp.float32)
         self.engine.launch(
-            gather_slots, (self.count, columns), self.order, self.ends, partial, totals
+            gather_slots, (self.count, columns), self.order, self.ends, slots, totals
         )
         return totals
 
@@ -237,8 +238,8 @@ class View:
         return found
 
     def tinted(self, white: float, alpha: float) -> wp.array:
-        """(N, 4) features that a fit blends: colours less `white`, and `alpha` for the depth."""
-        features = self.engine.empty((self.count, CHANNELS), wp.float32)
+        """(N,) features that a fit blends: colours less `white`, and `alpha` for the depth."""
+        features = self.engine.empty((self.count,), wp.vec4f)
         self.engine.launch(tint, self.count, self.features, self.depths, white, alpha, features)
         return features
 
@@ -250,7 +251,7 @@ class View:
         The arguments are those of `nanogs.kernels.backward.weigh_pixels`, on the device.
         """
         width, height = self.size
-        residual = self.engine.empty((height, width, CHANNELS), wp.float32)
+        residual = self.engine.empty((height, width), wp.vec4f)
         curvature_weights = self.engine.empty((height, width), wp.float32)
         errors = self.engine.empty((height, width), wp.float64)
         self.engine.launch(
@@ -277,7 +278,7 @@ class View:
         """
         if not len(self.entries):
             return wp.zeros((self.count, SUMS), dtype=wp.float32, device=self.engine.device)
-        partial = wp.zeros((len(self.entries), SUMS), dtype=wp.float32, device=self.engine.device)
+        partial = wp.zeros(len(self.entries), dtype=Sums, device=self.engine.device)
         self.engine.launch_tiles(
             pull_kernel, self.tiles, self.shapes, features, self.starts, self.entries, self.slots,
             wanted, self.size, image, residual, curvature_weights, partial,

@@ -1,8 +1,8 @@
 """The backward pass: sums over the pixels of each tile, for each splat of it.
 
-See `nanogs.kernels.backward`. The threads of a block share a tile's pixels: on a card each thread
-has one pixel; on the CPU device, whose blocks are a single thread, that thread has all. The block
-reduces their sums in a fixed order, so that a device gives the same numbers every time.
+See `nanogs.kernels.backward`. The threads of a block share a tile's pixels: on a card the block is
+a warp, and each thread has two pixels; on the CPU device the block is a single thread, which has
+all. A block reduces its sums in a fixed order, so that a device gives the same numbers every time.
 """
 
 from functools import cache
@@ -14,9 +14,10 @@ from nanogs.card.shading import (
     BATCH,
     CHANNELS,
     PIXELS,
-    TILE,
+    Shape,
     first_light,
     offset,
+    place,
     shade_pixel,
     starts_open,
 )
@@ -28,13 +29,6 @@ Sums = wp.types.vector(gradients.SUMS, wp.float32)
 SCALES = wp.constant(Sums(*gradients.SCALES.tolist()))
 # Loops of up to 4 iterations are unrolled; unrolling longer ones only takes longer to compile.
 _OPTIONS = {"max_unroll": 4}
-
-
-@wp.func
-def place(tile: wp.int32, pixel: wp.int32, width: wp.int32) -> wp.vec2i:
-    """Return column and row in the image of a tile's pixel."""
-    tiles_x = (width + TILE - 1) / TILE
-    return wp.vec2i(tile % tiles_x * TILE + pixel % TILE, tile / tiles_x * TILE + pixel / TILE)
 
 
 @wp.func
@@ -83,14 +77,14 @@ def share_kernel(lanes: int) -> wp.Kernel:
 
     @wp.kernel(enable_backward=False, module="unique", module_options=_OPTIONS)
     def share_tiles(
-        shapes: wp.array2d[wp.float32],
+        shapes: wp.array[Shape],
         starts: wp.array[wp.int32],
         slots: wp.array[wp.int32],
         wanted: wp.int32,
         size: wp.vec2i,
-        partial: wp.array2d[wp.float32],
+        partial: wp.array[wp.float32],
     ) -> None:
-        """Sum the weights; partial: (E, 1) zeros in, sums out, indexed by slot."""
+        """Sum the weights; partial: (E,) zeros in, sums out, indexed by slot."""
         tile, lane = wp.tid()
         light = lights()
         for k in range(each):
@@ -101,14 +95,14 @@ def share_kernel(lanes: int) -> wp.Kernel:
             if (e - start) % BATCH == 0:  # noqa: SIM102 - `and` would ask the block each time
                 if wp.tile_max(wp.tile(most_light(light)))[0] <= 0.0:
                     break
-            total = wp.float32(0.0)
+            shape, total = shapes[e], wp.float32(0.0)
             for k in range(each):
                 if light[k] > 0.0:
                     middle = offset(lane + k * lanes)
-                    shade = shade_pixel(shapes, e, middle[0], middle[1], light[k])
+                    shade = shade_pixel(shape, middle[0], middle[1], light[k])
                     light[k] = shade.after
                     total += shade.weight
-            wp.tile_store(partial[slots[e]], wp.tile_sum(wp.tile(total)))
+            wp.tile_store(partial, wp.tile_sum(wp.tile(total)), offset=slots[e])
 
     return share_tiles
 
@@ -122,61 +116,61 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
 
     @wp.kernel(enable_backward=False, module="unique", module_options=_OPTIONS)
     def gradient_tiles(
-        shapes: wp.array2d[wp.float32],
-        features: wp.array2d[wp.float32],
+        shapes: wp.array[Shape],
+        features: wp.array[wp.vec4f],
         starts: wp.array[wp.int32],
         entries: wp.array[wp.int32],
         slots: wp.array[wp.int32],
         wanted: wp.int32,
         size: wp.vec2i,
-        image: wp.array3d[wp.float32],
-        residual: wp.array3d[wp.float32],
+        image: wp.array2d[wp.vec4f],
+        residual: wp.array2d[wp.vec4f],
         curvature_weights: wp.array2d[wp.float32],
-        partial: wp.array2d[wp.float32],
+        partial: wp.array[Sums],
     ) -> None:
         """Sum as `nanogs.kernels.backward.gradient_tiles` does, but without `gradients.SCALES`.
 
-        partial: (E, 25) zeros in, sums out, indexed by slot.
+        partial: (E,) zeros in, sums out, indexed by slot.
         """
         tile, lane = wp.tid()
-        light, behind = lights(), planes()
+        light, behind, error, precision = lights(), planes(), planes(), lights()
         for k in range(each):
             at = place(tile, lane + k * lanes, size[0])
             light[k] = first_light(at[0], at[1], size, wanted)
-            for c in range(CHANNELS):
-                behind[k, c] = image[wp.min(at[1], size[1] - 1), wp.min(at[0], size[0] - 1), c]
+            if light[k] > 0.0:
+                behind[k] = image[at[1], at[0]]
+                error[k] = residual[at[1], at[0]]
+                precision[k] = curvature_weights[at[1], at[0]]
         start, end = starts[tile], starts[tile + 1]
         for e in range(start, end):
             if (e - start) % BATCH == 0:  # noqa: SIM102 - `and` would ask the block each time
                 if wp.tile_max(wp.tile(most_light(light)))[0] <= 0.0:
                     break
             sums = Sums()
-            i = entries[e]
+            shape, feature = shapes[e], features[entries[e]]
             for k in range(each):
                 if light[k] > 0.0:
                     middle = offset(lane + k * lanes)
-                    shade = shade_pixel(shapes, e, middle[0], middle[1], light[k])
+                    shade = shade_pixel(shape, middle[0], middle[1], light[k])
                     light[k] = shade.after
-                    weight, after = shade.weight, wp.abs(shade.after)
+                    weight, after = wp.float32(shade.weight), wp.abs(shade.after)
                     if weight > 0.0:
-                        xy = place(tile, lane + k * lanes, size[0])
                         gradient, curvature = wp.float32(0.0), wp.float32(0.0)
                         for c in range(CHANNELS):
-                            value = wp.float32(features[i, c])
-                            error = wp.float32(residual[xy[1], xy[0], c])
-                            back = behind[k, c] - weight * value
+                            back = behind[k, c] - weight * feature[c]
                             behind[k, c] = back
-                            change = value - back / after
-                            gradient += change * error
+                            change = feature[c] - back / after
+                            gradient += change * error[k, c]
                             curvature += change * change
                             if c < 3:
-                                sums[c] += weight * error
-                        shared = weight * curvature_weights[xy[1], xy[0]]
+                                sums[c] += weight * error[k, c]
+                        shared = weight * precision[k]
                         sums[3] += shared
                         if weight < _SATURATED * after:
                             gradient, curvature = weight * gradient, shared * curvature
                             sums = with_moments(sums, gradient, curvature, shade.p, shade.q)
-            wp.tile_store(partial[slots[e]], wp.tile_sum(wp.tile(sums), axis=1))
+            total = wp.tile_sum(wp.tile(sums, preserve_type=True))
+            wp.tile_store(partial, total, offset=slots[e])
 
     return gradient_tiles
 
@@ -206,13 +200,13 @@ def gather_slots(
 
 @wp.kernel(enable_backward=False)
 def weigh_pixels(
-    image: wp.array3d[wp.float32],
+    image: wp.array2d[wp.vec4f],
     target: wp.array3d[wp.uint8],
     white: wp.float32,
     alpha_scale: wp.float32,
     wanted: wp.int32,
     size: wp.vec2i,
-    residual: wp.array3d[wp.float32],
+    residual: wp.array2d[wp.vec4f],
     curvature_weights: wp.array2d[wp.float32],
     errors: wp.array2d[wp.float64],
 ) -> None:
@@ -223,34 +217,35 @@ def weigh_pixels(
     y, x = wp.tid()
     total = wp.float64(0.0)
     if starts_open(x, y, size, wanted):
-        alpha = image[y, x, 3] / alpha_scale
+        drawn, error = image[y, x], wp.vec4f()
+        alpha = drawn[3] / alpha_scale
         change = wp.float32(target[y, x, 3]) / 255.0 - alpha
         curvature_weights[y, x] = alpha
-        residual[y, x, 3] = change * alpha_scale
-        total += wp.float64(change * change * alpha_scale * alpha_scale)
+        error[3] = change * alpha_scale
         for c in range(3):
-            colour = wp.min(image[y, x, c] + white * alpha, 1.0)
-            error = wp.float32(target[y, x, c]) / 255.0 - colour - white * change
-            residual[y, x, c] = error
-            total += wp.float64(error * error)
+            colour = wp.min(drawn[c] + white * alpha, 1.0)
+            error[c] = wp.float32(target[y, x, c]) / 255.0 - colour - white * change
+        residual[y, x] = error
+        for c in range(4):
+            total += wp.float64(error[c] * error[c])
     errors[y, x] = total
 
 
 @wp.kernel(enable_backward=False)
 def tint(
-    features: wp.array2d[wp.float32],
+    features: wp.array[wp.vec4f],
     depths: wp.array[wp.float32],
     white: wp.float32,
     alpha_scale: wp.float32,
-    tinted: wp.array2d[wp.float32],
+    tinted: wp.array[wp.vec4f],
 ) -> None:
     """Write the features that a fit blends: colours less `white`, `alpha_scale` for the depth.
 
-    features: (N, 4); depths: (N,) infinite for splats that are not drawn; tinted: (N, 4) out.
+    features: (N,); depths: (N,) infinite for splats that are not drawn; tinted: (N,) out.
     """
     i = wp.tid()
-    for c in range(3):
-        tinted[i, c] = wp.float32(0.0)
-        if depths[i] < wp.inf:
-            tinted[i, c] = features[i, c] - white
-    tinted[i, 3] = alpha_scale
+    changed = wp.vec4f()
+    if depths[i] < wp.inf:
+        changed = features[i] - wp.vec4f(white)
+    changed[3] = alpha_scale
+    tinted[i] = changed

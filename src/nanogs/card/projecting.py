@@ -4,13 +4,13 @@ import math
 
 import warp as wp
 
-from nanogs.kernels import blocks, harmonics, project
+from nanogs.card.shading import TILE
+from nanogs.kernels import harmonics, project
 
 _DILATION = wp.constant(wp.float64(project.DILATION))
 _GUARD = wp.constant(wp.float64(project.GUARD))
 _MIN_ALPHA = wp.constant(wp.float64(project.MIN_ALPHA))
 _SLACK = wp.constant(wp.float64(project.SLACK))
-TILE = wp.constant(blocks.TILE)
 _TURN = wp.constant(wp.float64(2.0 * math.pi))
 
 _C0, _C1 = wp.constant(wp.float32(harmonics.C0)), wp.constant(wp.float32(harmonics.C1))
@@ -102,7 +102,7 @@ def project_splats(
     mip: wp.bool,
     degree: wp.int32,
     geometry: wp.array2d[wp.float64],
-    features: wp.array2d[wp.float32],
+    features: wp.array[wp.vec4f],
     boxes: wp.array[wp.vec4i],
     depths: wp.array[wp.float32],
     order: wp.array[wp.int32],
@@ -171,9 +171,9 @@ def project_splats(
     colour = wp.vec3f(0.5, 0.5, 0.5)
     for k in range((degree + 1) * (degree + 1)):
         colour += basis[k] * wp.vec3f(sh[i, k, 0], sh[i, k, 1], sh[i, k, 2])
-    for c in range(3):
-        features[i, c] = wp.max(colour[c], 0.0)
-    features[i, 3] = wp.float32(z)
+    features[i] = wp.vec4f(
+        wp.max(colour[0], 0.0), wp.max(colour[1], 0.0), wp.max(colour[2], 0.0), wp.float32(z)
+    )
 
 
 @wp.kernel(enable_backward=False)

@@ -1,4 +1,8 @@
-"""A splat's weight in a pixel, and its shape in a tile; see `nanogs.kernels.blocks`."""
+"""A splat's weight in a pixel, and its shape in a tile; see `nanogs.kernels.blocks`.
+
+Tiles have 8 x 8 pixels here. Threads of a card run in warps of 32, all of which wait for those with
+work: with the tiles of 16 x 16 of the CPU, a warp would wait at most of the splats of its tile.
+"""
 
 import math
 
@@ -6,17 +10,19 @@ import warp as wp
 
 from nanogs.kernels import blocks, gradients, project
 
-TILE = wp.constant(blocks.TILE)
-SIDE = wp.constant(blocks.SIDE)
-PIXELS = blocks.TILE * blocks.TILE  # pixels of a tile, and threads that blend it
+EDGE = 8  # pixels along each side of a tile
+TILE = wp.constant(EDGE)
+PIXELS = EDGE * EDGE  # pixels of a tile
+WARP = 32  # threads that sum over the pixels of a tile on a card: they need not wait for others
+_MASKED, _SIDE = wp.constant(blocks.TILE), wp.constant(blocks.SIDE)  # see `starts_open`
 BATCH = wp.constant(blocks.BATCH)
 CHANNELS = wp.constant(gradients.CHANNELS)  # blended channels: three colours, and depth or alpha
 
 _START, _ACROSS, _ALONG = (wp.constant(at) for at in (blocks.START, blocks.ACROSS, blocks.ALONG))
 _HEIGHT, _RISE, _FAINT = (wp.constant(at) for at in (blocks.HEIGHT, blocks.RISE, blocks.FAINT))
-SHAPE = 6
-_MIDDLE = wp.constant(wp.float32(blocks.MIDDLE))
-_HALF = wp.constant(wp.float64(0.5 * blocks.TILE))
+Shape = wp.types.vector(6, wp.float32)
+_MIDDLE = wp.constant(wp.float32(0.5 * (EDGE - 1)))
+_HALF = wp.constant(wp.float64(0.5 * EDGE))
 _UNIT = wp.constant(wp.float64(blocks.UNIT))
 _LOG_255, _SLACK = wp.constant(wp.float64(math.log(255.0))), wp.constant(wp.float64(project.SLACK))
 _FAINTEST = wp.constant(wp.float32(blocks.FAINTEST))
@@ -43,17 +49,15 @@ class Shade:
 
 
 @wp.func
-def shade_pixel(
-    shapes: wp.array2d[wp.float32], e: wp.int32, x: wp.float32, y: wp.float32, before: wp.float32
-) -> Shade:
+def shade_pixel(shape: Shape, x: wp.float32, y: wp.float32, before: wp.float32) -> Shade:
     """Compute a splat's weight in a pixel, as `nanogs.kernels.blocks.shade_pixel` does.
 
-    shapes: (E, 6) by entry; e: the entry; (x, y): offset from the tile's middle, pixels; before: T.
+    shape: of the splat in the tile; (x, y): offset from the tile's middle, pixels; before: T.
     """
     shade = Shade()
-    p = shapes[e, _START] + shapes[e, _ACROSS] * x + shapes[e, _ALONG] * y
-    q = shapes[e, _HEIGHT] + shapes[e, _RISE] * y
-    s = shapes[e, _FAINT] + p * p + q * q
+    p = shape[_START] + shape[_ACROSS] * x + shape[_ALONG] * y
+    q = shape[_HEIGHT] + shape[_RISE] * y
+    s = shape[_FAINT] + p * p + q * q
     shade.p = p
     shade.q = q
     shade.after = before
@@ -75,6 +79,13 @@ def shade_pixel(
 
 
 @wp.func
+def place(tile: wp.int32, pixel: wp.int32, width: wp.int32) -> wp.vec2i:
+    """Return column and row in the image of a tile's pixel; width: of the image."""
+    tiles_x = (width + TILE - 1) / TILE
+    return wp.vec2i(tile % tiles_x * TILE + pixel % TILE, tile / tiles_x * TILE + pixel / TILE)
+
+
+@wp.func
 def offset(pixel: wp.int32) -> wp.vec2f:
     """Return the offset from the middle of a tile to a pixel; pixels are numbered row by row."""
     return wp.vec2f(
@@ -85,8 +96,11 @@ def offset(pixel: wp.int32) -> wp.vec2f:
 
 @wp.func
 def starts_open(x: wp.int32, y: wp.int32, size: wp.vec2i, wanted: wp.int32) -> wp.bool:
-    """Return whether a pixel is on the image, (width, height), and in a wanted block."""
-    block = (y % TILE) / SIDE * SIDE + (x % TILE) / SIDE
+    """Return whether a pixel is on the image, (width, height), and in a wanted block.
+
+    wanted: bit mask of the blocks of 4 x 4 pixels of a tile of the CPU's kernels.
+    """
+    block = (y % _MASKED) / _SIDE * _SIDE + (x % _MASKED) / _SIDE
     return x < size[0] and y < size[1] and ((wanted >> block) & 1) == 1
 
 
@@ -105,11 +119,11 @@ def shape_entries(
     entries: wp.array[wp.int32],
     tiles: wp.array[wp.int32],
     tiles_x: wp.int32,
-    shapes: wp.array2d[wp.float32],
+    shapes: wp.array[Shape],
 ) -> None:
     """Write the shape of each entry's splat in its tile, as `nanogs.kernels.raster.fetch` does.
 
-    geometry: (N, 8); entries and tiles: (E,) splat and tile of each; shapes: (E, 6) out.
+    geometry: (N, 8); entries and tiles: (E,) splat and tile of each; shapes: (E,) out.
     """
     e = wp.tid()
     i, tile = entries[e], tiles[e]
@@ -118,9 +132,11 @@ def shape_entries(
     across, slope = geometry[i, 2] / _UNIT, geometry[i, 3]
     rise = wp.sqrt(geometry[i, 4]) / _UNIT
     faint = (_LOG_255 - wp.float64(0.5) * (geometry[i, 5] - _SLACK)) / wp.float64(16.0)
-    shapes[e, _ACROSS] = wp.float32(across)
-    shapes[e, _ALONG] = wp.float32(-across * slope)
-    shapes[e, _START] = wp.float32(-across * (u - slope * v))
-    shapes[e, _RISE] = wp.float32(rise)
-    shapes[e, _HEIGHT] = wp.float32(-rise * v)
-    shapes[e, _FAINT] = wp.float32(faint)
+    shape = Shape()
+    shape[_ACROSS] = wp.float32(across)
+    shape[_ALONG] = wp.float32(-across * slope)
+    shape[_START] = wp.float32(-across * (u - slope * v))
+    shape[_RISE] = wp.float32(rise)
+    shape[_HEIGHT] = wp.float32(-rise * v)
+    shape[_FAINT] = wp.float32(faint)
+    shapes[e] = shape

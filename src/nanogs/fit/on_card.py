@@ -14,13 +14,13 @@ from nanogs.raster.rendering import camera_arrays, uploaded, view_on
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
-    from nanogs.raster.camera import Camera
     import warp as wp
 
     from nanogs.card.advancing import FittedSplats
     from nanogs.card.engine import Engine
     from nanogs.card.fitting import FittedModel
     from nanogs.fit.shared import SharedHarmonics
+    from nanogs.raster.camera import Camera
 
 
 class CardDescent(Descent):
