@@ -21,6 +21,7 @@ from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.gradients import SCALES
 from nanogs.kernels.project import MIN_ALPHA
 from nanogs.metrics import psnr
+from nanogs.raster.depths import light_by_depth
 from nanogs.raster.rendering import prepare, render, view_on
 from nanogs.splats import RenderMode
 from nanogs.views.automatic import automatic_cameras
@@ -37,9 +38,14 @@ CLOSE = 100  # dB between both renderings if no splat is at a threshold
 
 @pytest.fixture(autouse=True)
 def card():
-    """Use the device in every test; `render(..., here=True)` renders with CPU kernels."""
+    """Use the device in every test; `render_on_cpu` renders with the CPU's kernels."""
     with use_device(CARD) as name:
         yield name
+
+
+def render_on_cpu(*arguments, **options):
+    with use_device("cpu"):
+        return render(*arguments, **options)
 
 
 def check_picture(splats, camera, **options):
@@ -48,7 +54,7 @@ def check_picture(splats, camera, **options):
     background = (0.2, 0.5, 0.9)
     options = {"background": background, "depth": True, "contributions": True} | options
     on_card = render(prepared, camera, **options)
-    on_cpu = render(prepared, camera, here=True, **options)
+    on_cpu = render_on_cpu(prepared, camera, **options)
     # A splat whose alpha in a pixel is the least that is drawn, up to rounding, may be in one only.
     differences = np.abs(on_card.alpha - on_cpu.alpha)
     agree = differences < 1e-4
@@ -163,12 +169,27 @@ def test_a_model_stays_on_the_device_until_it_is_deleted():
     assert len(models) == before
 
 
+def test_light_by_depth_agrees():
+    prepared, camera = prepare(make_splats(200)), make_camera(50, 33)
+    ranges = [(0.0, 3.0), (2.0, 3.5), (3.0, np.inf)]
+    on_card = light_by_depth(prepared, camera, ranges, contributions=True)
+    with use_device("cpu"):
+        on_cpu = light_by_depth(prepared, camera, ranges, contributions=True)
+    np.testing.assert_allclose(on_card.shares, on_cpu.shares, atol=1e-5)
+    np.testing.assert_allclose(on_card.alpha, on_cpu.alpha, atol=1e-5)
+    np.testing.assert_allclose(on_card.contributions, on_cpu.contributions, atol=1e-3)
+    assert (on_cpu.shares.max(axis=(0, 1)) > 0.1).all()
+    np.testing.assert_allclose(
+        on_cpu.shares[..., 0] + on_cpu.shares[..., 2], on_cpu.alpha, atol=1e-5
+    )
+
+
 @pytest.mark.parametrize("name", ["plant", "guitar.compressed.ply"])
 def test_pictures_of_real_scenes_agree(name):
     splats = load_plant() if name == "plant" else nanogs.load(scene_path(name))
     prepared = prepare(splats)
     for camera in automatic_cameras(splats, 2, width=96, height=72):
-        on_card, on_cpu = render(prepared, camera), render(prepared, camera, here=True)
+        on_card, on_cpu = render(prepared, camera), render_on_cpu(prepared, camera)
         assert psnr(on_card.color, on_cpu.color) > 80  # a few splats are at a threshold
         assert abs(on_card.drawn - on_cpu.drawn) <= 1
 

@@ -7,6 +7,7 @@ the body of each loop is optimised as a function of its own and again inlined in
 import inspect
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -17,6 +18,10 @@ from nanogs.threads import most_threads
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future, ThreadPoolExecutor
+
+# Least seconds of a part of a kernel's range. To hand one to a thread takes some 25 microseconds in
+# which Python's lock is held, so with many threads, short parts would run one after the other.
+_SHORTEST = 1e-4
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -41,6 +46,7 @@ class ParallelKernel(Generic[P]):
         self._compiled = compiled
         self._place = list(inspect.signature(function).parameters).index(over) - 2
         self._least, self._each = least, for_each
+        self._timed, self._speed = 0, 0.0  # iterations of the latest call, and those of a second
         self.__doc__ = function.__doc__
 
     @property
@@ -53,9 +59,28 @@ class ParallelKernel(Generic[P]):
         assert not kwargs  # noqa: S101 - a kernel is called by position
         count = len(args[self._place])  # type: ignore[arg-type]
         threads = _threads()
-        parts = max(1, min(threads * self._each, count // self._least))
+        parts = max(1, min(threads * self._each, count // self._fewest(count)))
         ranges = [(count * p // parts, count * (p + 1) // parts) for p in range(parts)]
-        _on(threads, ranges, lambda part: self._compiled(*part, *args))
+        speeds: list[float] = []
+
+        def run(part: tuple[int, int]) -> None:
+            start = time.perf_counter()
+            self._compiled(*part, *args)
+            speeds.append((part[1] - part[0]) / max(time.perf_counter() - start, 1e-9))
+
+        _on(threads, ranges, run)
+        # The fastest part waited least for Python's lock.
+        self._timed, self._speed = count, max(speeds)
+
+    def _fewest(self, count: int) -> int:
+        """Return the least number of iterations in a range of a call with `count` iterations.
+
+        It is as many as took `_SHORTEST` in the latest call, unless that had many more iterations,
+        since each of these may have been shorter.
+        """
+        if count < self._timed // 2:
+            return self._least
+        return max(self._least, int(self._speed * _SHORTEST))
 
     def here(self, *args: P.args, **kwargs: P.kwargs) -> None:
         """Run the whole range on this thread only, for use within work that is parallel already."""

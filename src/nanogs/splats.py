@@ -20,7 +20,7 @@ from nanogs._types import F32, F64, I32, I64, Array, Bool, F
 from nanogs.activations import alphas, unit
 from nanogs.errors import ModelError, OptionError
 from nanogs.ranges import is_number
-from nanogs.slices import slices
+from nanogs.slices import SLICE_STEPS, slices
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -270,7 +270,7 @@ class Splats:
         def look(rows: slice) -> None:
             found[rows] = _finite(self.span(rows.start, rows.stop))
 
-        parallel.for_each(slices(len(self)), look)
+        parallel.for_each(slices(len(self), SLICE_STEPS), look)
         return found
 
     def take(self, rows: Any) -> "Splats":  # noqa: ANN401 - many ways to name rows

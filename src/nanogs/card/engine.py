@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from nanogs._types import F32, F64, Array, Bool, F
-from nanogs.card.blending import blend_tiles, write_bytes
+from nanogs.card.blending import blend_tiles, select_depths, write_bytes
 from nanogs.card.gradients import Sums, gather_slots, pull_kernel, share_kernel, tint, weigh_pixels
 from nanogs.card.listing import count_tiles, find_starts, write_tiles
 from nanogs.card.projecting import add_unoccluded, project_splats
@@ -18,7 +18,7 @@ from nanogs.kernels.blocks import ALL_BLOCKS, SIDE, TILE
 from nanogs.kernels.gradients import CHANNELS, SUMS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 _MOST = 2**30  # largest number of entries of a view: 32-bit indices, and sorting doubles the arrays
 
@@ -195,6 +195,18 @@ class View:
             wanted, behind, self.size, image, transmittance,
         )  # fmt: skip
         return image, transmittance
+
+    def within(self, ranges: "Sequence[tuple[float, float]]") -> wp.array:
+        """(N,) features that are 1 for each of up to four ranges [near, far) of depth, or else 0.
+
+        See `nanogs.raster.depths.light_by_depth`.
+        """
+        features = self.engine.empty((self.count,), wp.vec4f)
+        near, far = zip(*ranges, *[(np.inf, np.inf)] * (CHANNELS - len(ranges)), strict=True)
+        self.engine.launch(
+            select_depths, self.count, self.depths, wp.vec4f(*near), wp.vec4f(*far), features
+        )
+        return features
 
     def in_bytes(self, wanted: int = ALL_BLOCKS) -> wp.array:
         """(H, W, 4) uint8 on the device: the image of a `fit.targets.Target` of this view."""

@@ -298,7 +298,7 @@ def check_level(path: Path, level: int, count: int) -> None:
 
 
 def row_blocks(
-    path: Path, dtype: "np.dtype[Any]", offset: int, count: int
+    path: Path, dtype: "np.dtype[Any]", offset: int, count: int, most: int = BLOCK_ROWS
 ) -> Iterator[tuple[slice, Array]]:
     """Read rows of fixed size in blocks, in one buffer that each block overwrites.
 
@@ -309,6 +309,7 @@ def row_blocks(
         dtype: The dtype of a row.
         offset: Byte offset of the first row.
         count: Number of rows.
+        most: Largest number of rows in a block.
 
     Yields:
         The range of the rows, counted from 0, and the rows.
@@ -316,11 +317,11 @@ def row_blocks(
     Raises:
         FormatError: The file cannot be read, or ends before the last row.
     """
-    buffer = np.empty(min(count, BLOCK_ROWS), dtype)
+    buffer = np.empty(min(count, most), dtype)
     with reading(path, buffering=0) as file:
         file.seek(offset)
-        for start in range(0, count, BLOCK_ROWS):
-            values = buffer[: min(count - start, BLOCK_ROWS)]
+        for start in range(0, count, most):
+            values = buffer[: min(count - start, most)]
             fill(path, file, values)
             yield slice(start, start + len(values)), values
 

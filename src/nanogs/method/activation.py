@@ -5,7 +5,7 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, F64, I32
 from nanogs.activations import unit
-from nanogs.slices import slices
+from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats, pick
 
 
@@ -31,5 +31,5 @@ def activated(splats: Splats, rows: I32, origin: F64) -> tuple[F64, F32, F32]:
         scales[part] = np.exp(pick(splats.log_scales, some))
         quats[part] = unit(pick(splats.quats, some))
 
-    parallel.for_each(slices(len(rows)), activate)
+    parallel.for_each(slices(len(rows), SLICE_STEPS), activate)
     return means, scales, quats

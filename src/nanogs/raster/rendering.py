@@ -206,7 +206,6 @@ def render(
     contributions: bool = False,
     sh_degree: int | None = None,
     wanted: int = ALL_BLOCKS,
-    here: bool = False,
 ) -> Rendering:
     """Render a model from one camera, on the device in use.
 
@@ -221,7 +220,6 @@ def render(
         contributions: Also return each splat's contribution to the image.
         sh_degree: Highest spherical-harmonic degree to evaluate; the model's own by default.
         wanted: Bit mask of the blocks of each tile to draw; the others show the background.
-        here: Whether to use the CPU even if another device is in use.
 
     Returns:
         The images; see `Rendering`.
@@ -231,7 +229,7 @@ def render(
     """
     prepared = splats if isinstance(splats, PreparedSplats) else prepare(splats)
     behind = background_of(background, depth=depth)
-    engine = None if here else engine_in_use()
+    engine = engine_in_use()
     if engine is not None:
         return _render_on(
             engine, prepared, camera, behind, wanted, sh_degree, contributions=contributions

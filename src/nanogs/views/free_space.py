@@ -7,9 +7,12 @@ free if one position in it is.
 
 import numpy as np
 
+from nanogs import parallel
 from nanogs._types import F32, F64
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, blend, project
+from nanogs.raster.depths import light_by_depth
+from nanogs.raster.rendering import PreparedSplats
+from nanogs.slices import SLICE_STEPS, slices
 from nanogs.views.poses import look_at
 
 # Alpha of a splat from which a position is inside it, and alpha between two positions from which
@@ -69,22 +72,24 @@ class FreeSpace:
         pose = look_at(position, place, camera.world_to_camera[1, :3])
         half = PIXELS / 2
         there = Camera(PIXELS, PIXELS, FOCAL, FOCAL, half, half, pose, near=camera.near)
-        view = project(self._splats, there, sh_degree=0)
-        features = np.zeros((len(self._splats), 3), np.float32)
-        features[:, 0] = view.features[:, 3] < distance
-        image, _, _ = blend(view, there, features, np.zeros(3, np.float32))
-        return bool(middle(image)[0] <= OPAQUE)
+        light = light_by_depth(self._splats, there, [(0.0, float(distance))])
+        return bool(middle(light.shares)[0] <= OPAQUE)
 
     def _in_splat(self, place: F64) -> bool:
         """Return whether a position (3,) is inside a splat, where its alpha is `OPAQUE` or more."""
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            offsets = (self._splats.means - place).astype(np.float32)
-            near = np.einsum("ni,ni->n", offsets, offsets) <= self._reaches
-            rows = np.flatnonzero(near & self._splats.keep)
-            factors = self._splats.factors[rows]
-            along = np.einsum("nij,ni->nj", factors, offsets[rows]) / (factors**2).sum(axis=1)
-            alphas = self._splats.opacities[rows] * np.exp(-(along**2).sum(axis=1) / 2)
-        return bool((alphas >= OPAQUE).any())
+        splats = self._splats
+
+        def holds(part: slice) -> bool:
+            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+                offsets = (splats.means[part] - place).astype(np.float32)
+                near = np.einsum("ni,ni->n", offsets, offsets) <= self._reaches[part]
+                rows = np.flatnonzero(near & splats.keep[part])
+                factors = splats.factors[part][rows]
+                along = np.einsum("nij,ni->nj", factors, offsets[rows]) / (factors**2).sum(axis=1)
+                alphas = splats.opacities[part][rows] * np.exp(-(along**2).sum(axis=1) / 2)
+            return bool((alphas >= OPAQUE).any())
+
+        return any(parallel.map_ordered(slices(len(splats), SLICE_STEPS), holds))
 
 
 def middle(image: F32) -> F32:

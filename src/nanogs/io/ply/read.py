@@ -26,6 +26,7 @@ from nanogs.splats import ExtraElement, Splats
 
 _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exactly
 _PART_ROWS = BLOCK_ROWS // 4  # rows that a thread reads at once; its allocator keeps that memory
+_SPANS = 64  # parts of a file that threads read; each opens the file, and has a buffer of its own
 _TOKEN = 120  # bytes of memory per number of a text file: as token, as Python float, in the array
 
 
@@ -82,13 +83,15 @@ class _Binary(_Ply):
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop`, on several threads; see `Source.read`."""
         vertex, element = _Vertex(self._header, rows=stop - start), self._vertex.element
+        span = max(_PART_ROWS, -(-(stop - start) // _SPANS))
 
         def read(part: slice) -> None:
-            for block in iter_span(self._header, element, start + part.start, start + part.stop):
+            first, last = start + part.start, start + part.stop
+            for block in iter_span(self._header, element, first, last, _PART_ROWS):
                 rows = slice(part.start + block.rows.start, part.start + block.rows.stop)
                 vertex.put(replace(block, rows=rows))
 
-        parallel.for_each(slices(stop - start, _PART_ROWS), read)
+        parallel.for_each(slices(stop - start, span), read)
         return vertex.splats(self._no_rows())
 
     def read_elements(self) -> tuple[ExtraElement, ...]:

@@ -55,7 +55,9 @@ def iter_blocks(header: Header) -> Iterator[Block]:
     yield from _ascii_blocks(header)
 
 
-def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterator[Block]:
+def iter_span(
+    header: Header, element: Element, start: int, stop: int, most: int = BLOCK_ROWS
+) -> Iterator[Block]:
     """Read some rows of one element of a binary file; call `check_body` first.
 
     The rows of the blocks are numbered from 0, which is row `start` of the element.
@@ -65,6 +67,7 @@ def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterat
         element: One of its elements.
         start: The first row.
         stop: The row after the last.
+        most: Largest number of rows in a block.
 
     Raises:
         FormatError: The file cannot be read.
@@ -76,7 +79,7 @@ def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterat
         offset += before.count * before.dtype("<").itemsize if before.count else 0
     dtype = element.dtype(header.order)
     at = offset + start * dtype.itemsize
-    for span, values in row_blocks(header.path, dtype, at, stop - start):
+    for span, values in row_blocks(header.path, dtype, at, stop - start, most):
         yield Block(element, span, values)
 
 
