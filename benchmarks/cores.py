@@ -1,17 +1,18 @@
-"""Measure the speed-up by a second thread, stage by stage, of whole runs from file to file.
+"""Measure the speed-up by more threads, stage by stage, of whole runs from file to file.
 
     python benchmarks/cores.py [MODEL] [--count 1000000] [--rounds 5] [--ratio 0.1] [--presets fast]
-                               [--output out.ply] [--separate]
+                               [--threads 1,2] [--output out.ply] [--separate]
 
 MODEL is a 3DGS file; without one, a scene of --count splats of SH degree 3 is generated. Each round
-runs each preset once with one thread and once with two, so that other load of the machine disturbs
-both. Rows are medians: the stages of the report, `rest` for the rest of the call, `start` for the
-rest of the process, and `file to file` for the whole process. The last column is the serial share s
-by Amdahl's law, t2 / t1 = s + (1 - s) / 2; it is above 1 if a second thread makes a stage slower.
-After the table: a query of all centres by scipy's cKDTree with two workers, as in
-`benchmarks/speed.py`, measured in the same rounds. With --separate each round also runs two
-processes at once, of one thread each, which share nothing but the machine: the work that they do in
-the time of one is the most that a second thread can gain there.
+runs each preset once with each number of threads, so that other load of the machine disturbs all.
+Rows are medians: the stages of the report, `rest` for the rest of the call, `start` for the rest of
+the process, and `file to file` for the whole process. The last columns compare one thread with the
+most, n: how many times as fast these are, and the serial share s by Amdahl's law, tn / t1 = s + (1
+- s) / n, which is above 1 if more threads make a stage slower. After the table: a query of all
+centres by scipy's cKDTree with two workers, as in `benchmarks/speed.py`, measured in the same
+rounds. With --separate each round also runs two processes at once, of one thread each, which share
+nothing but the machine: the work that they do in the time of one is the most that a second thread
+can gain there.
 """
 
 import argparse
@@ -24,7 +25,6 @@ from statistics import median
 
 from speed import WORK, query, scene, simplify_command
 
-THREADS = (1, 2)
 WHOLE = "file to file"
 Seconds = dict[str, float]
 
@@ -35,14 +35,15 @@ def main() -> None:
     WORK.mkdir(parents=True, exist_ok=True)
     model = options.model or scene(options.count)
     presets = options.presets.split(",")
+    counts = [int(count) for count in options.threads.split(",")]
     for preset in presets:  # compile what is not in the cache, on a small scene
-        run(scene(2000), preset, max(THREADS), options)
+        run(scene(2000), preset, max(counts), options)
     seconds_of_runs: dict[tuple[str, int], list[Seconds]] = {}
     separate_times: dict[str, list[float]] = {preset: [] for preset in presets}
     ask, query_times = query(model), []
     for _ in range(options.rounds):
         for preset in presets:
-            for threads in THREADS:
+            for threads in counts:
                 seconds = run(model, preset, threads, options)
                 seconds_of_runs.setdefault((preset, threads), []).append(seconds)
                 text = f"{preset}, {threads} threads: {seconds[WHOLE]:.2f} s"
@@ -51,16 +52,15 @@ def main() -> None:
                 separate_times[preset].append(run_separately(model, preset, options))
         query_times.append(ask()[0])
     for preset in presets:
-        one, two = (middle(seconds_of_runs[preset, threads]) for threads in THREADS)
-        show(preset, one, two)
-        over = two[WHOLE] / median(query_times)
+        medians = {threads: middle(seconds_of_runs[preset, threads]) for threads in counts}
+        show(preset, medians)
         query_seconds = median(query_times)
-        print(
-            f"\nOne cKDTree query: {query_seconds:.2f} s; two threads take {over:.2f} times that."
-        )
+        print(f"\nOne cKDTree query: {query_seconds:.2f} s.", end=" ")
+        overs = ", ".join(f"{medians[n][WHOLE] / query_seconds:.2f}" for n in counts)
+        print(f"{options.threads} threads take {overs} times that.")
         if options.separate:
             separate = median(separate_times[preset])
-            gain = 2 * one[WHOLE] / separate
+            gain = 2 * medians[1][WHOLE] / separate
             print(f"\nTwo processes at once: {separate:.2f} s, {gain:.2f} times the work of one.")
 
 
@@ -72,6 +72,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--ratio", type=float, default=0.1)
     parser.add_argument("--presets", default="fast", help="with commas between")
+    parser.add_argument("--threads", default="1,2", help="ascending from 1, with commas between")
     parser.add_argument("--output", default="cores.ply", help="name of the file that is written")
     parser.add_argument("--separate", action="store_true", help="also run two processes at once")
     return parser.parse_args()
@@ -90,7 +91,7 @@ def run(model: Path, preset: str, threads: int, options: argparse.Namespace) -> 
 
 def run_separately(model: Path, preset: str, options: argparse.Namespace) -> float:
     """Return the seconds until two runs of one thread each, started together, have ended."""
-    outputs = [WORK / f"{number}_{options.output}" for number in THREADS]
+    outputs = [WORK / f"{number}_{options.output}" for number in (1, 2)]
     start = time.perf_counter()
     processes = [
         subprocess.Popen(simplify_command(model, output, preset, options.ratio, 1))
@@ -108,14 +109,18 @@ def middle(runs: list[Seconds]) -> Seconds:
     return {name: median(each[name] for each in runs) for name in runs[0]}
 
 
-def show(preset: str, one: Seconds, two: Seconds) -> None:
-    """Print a preset's rows as Markdown."""
-    print(f"\n| {preset} | 1 thread, s | 2 threads, s | times as fast | serial share |")
-    print("|---|--:|--:|--:|--:|")
+def show(preset: str, medians: dict[int, Seconds]) -> None:
+    """Print a preset's rows as Markdown; medians: of each number of threads, ascending from 1."""
+    one, most = medians[1], max(medians)
+    columns = " | ".join(f"{n} thread{'s' if n > 1 else ''}, s" for n in medians)
+    print(f"\n| {preset} | {columns} | times as fast | serial share |")
+    print("|---|" + "--:|" * (len(medians) + 2))
     for name, alone in one.items():
-        beside = two[name]
-        ratio, serial = (alone / beside, 2 * beside / alone - 1) if alone and beside else (1, 1)
-        print(f"| {name} | {alone:.3f} | {beside:.3f} | {ratio:.2f} | {serial:.2f} |")
+        seconds = [each[name] for each in medians.values()]
+        share = seconds[-1] / alone if alone else 1.0
+        cells = " | ".join(f"{each:.3f}" for each in seconds)
+        serial = (share - 1 / most) / (1 - 1 / most)
+        print(f"| {name} | {cells} | {1 / share if share else 1:.2f} | {serial:.2f} |")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from nanogs.card.shading import Shape, first_light, offset, place, shade_pixel
+from nanogs.card.shading import AHEAD, Shape, first_light, offset, place, shade_pixel, shapes_from
 
 
 @wp.kernel(enable_backward=False)
@@ -31,11 +31,14 @@ def blend_tiles(
     light = first_light(x, y, size, wanted)
     e, end = wp.int32(starts[tile]), starts[tile + 1]
     while e < end and light > 0.0:
-        shade = shade_pixel(shapes[e], at[0], at[1], light)
-        if shade.weight > 0.0:
-            sums += shade.weight * features[entries[e]]
-        light = shade.after
-        e += 1
+        loaded = shapes_from(shapes, e, end)
+        for j in range(AHEAD):
+            if e + j < end and light > 0.0:
+                shade = shade_pixel(loaded[j], at[0], at[1], light)
+                if shade.weight > 0.0:
+                    sums += shade.weight * features[entries[e + j]]
+                light = shade.after
+        e += AHEAD
     light = wp.abs(light)
     transmittance[y, x] = light
     image[y, x] = sums + light * background

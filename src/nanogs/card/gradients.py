@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from nanogs.card.shading import (
+    AHEAD,
     BATCH,
     CHANNELS,
     PIXELS,
@@ -19,6 +20,7 @@ from nanogs.card.shading import (
     offset,
     place,
     shade_pixel,
+    shapes_from,
     starts_open,
 )
 from nanogs.kernels import gradients
@@ -91,18 +93,22 @@ def share_kernel(lanes: int) -> wp.Kernel:
             at = place(tile, lane + k * lanes, size[0])
             light[k] = first_light(at[0], at[1], size, wanted)
         start, end = starts[tile], starts[tile + 1]
-        for e in range(start, end):
+        for e in range(start, end, AHEAD):
             if (e - start) % BATCH == 0:  # noqa: SIM102 - `and` would ask the block each time
                 if wp.tile_max(wp.tile(most_light(light)))[0] <= 0.0:
                     break
-            shape, total = shapes[e], wp.float32(0.0)
+            loaded, weights = shapes_from(shapes, e, end), wp.vec4f()
             for k in range(each):
-                if light[k] > 0.0:
-                    middle = offset(lane + k * lanes)
-                    shade = shade_pixel(shape, middle[0], middle[1], light[k])
-                    light[k] = shade.after
-                    total += shade.weight
-            wp.tile_store(partial, wp.tile_sum(wp.tile(total)), offset=slots[e])
+                middle = offset(lane + k * lanes)
+                for j in range(AHEAD):
+                    if e + j < end and light[k] > 0.0:
+                        shade = shade_pixel(loaded[j], middle[0], middle[1], light[k])
+                        light[k] = shade.after
+                        weights[j] += shade.weight
+            totals = wp.tile_sum(wp.tile(weights, preserve_type=True))[0]
+            for j in range(AHEAD):
+                if lane == 0 and e + j < end:
+                    partial[slots[e + j]] = totals[j]
 
     return share_tiles
 

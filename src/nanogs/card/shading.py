@@ -21,6 +21,10 @@ CHANNELS = wp.constant(gradients.CHANNELS)  # blended channels: three colours, a
 _START, _ACROSS, _ALONG = (wp.constant(at) for at in (blocks.START, blocks.ACROSS, blocks.ALONG))
 _HEIGHT, _RISE, _FAINT = (wp.constant(at) for at in (blocks.HEIGHT, blocks.RISE, blocks.FAINT))
 Shape = wp.types.vector(6, wp.float32)
+# Entries that a thread loads at once, and then shades one by one: the last entries of a tile would
+# keep the card waiting for its memory, because few tiles have as many.
+AHEAD = wp.constant(4)
+Shapes = wp.types.matrix((4, 6), wp.float32)
 _MIDDLE = wp.constant(wp.float32(0.5 * (EDGE - 1)))
 _HALF = wp.constant(wp.float64(0.5 * EDGE))
 _UNIT = wp.constant(wp.float64(blocks.UNIT))
@@ -46,6 +50,15 @@ class Shade:
     after: wp.float32
     p: wp.float32
     q: wp.float32
+
+
+@wp.func
+def shapes_from(shapes: wp.array[Shape], e: wp.int32, end: wp.int32) -> Shapes:
+    """Load the shapes of `AHEAD` entries from `e`; beyond `end`, that of the last entry."""
+    loaded = Shapes()
+    for j in range(AHEAD):
+        loaded[j] = shapes[wp.min(e + j, end - 1)]
+    return loaded
 
 
 @wp.func

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nanogs import parallel
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError
 from nanogs.formatting import counted
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, render
+from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats
 from nanogs.views.roam import roaming_cameras
 
@@ -41,10 +43,15 @@ class SplatContributions:
         """Add a view, which was rendered with contributions."""
         assert view.contributions is not None  # noqa: S101 - asked for
         assert view.unoccluded is not None  # noqa: S101 - asked for
-        self.seen += view.contributions
-        self.whole += view.unoccluded
-        self.times += view.contributions > SHOWN * view.unoccluded
-        np.minimum(self.times, 2, out=self.times)
+        seen, whole = view.contributions, view.unoccluded
+
+        def include(rows: slice) -> None:
+            self.seen[rows] += seen[rows]
+            self.whole[rows] += whole[rows]
+            self.times[rows] += seen[rows] > SHOWN * whole[rows]
+            np.minimum(self.times[rows], 2, out=self.times[rows])
+
+        parallel.for_each(slices(len(seen), SLICE_STEPS), include)
         self.views += 1
         self.pixels += view.alpha.size
 
