@@ -5,6 +5,7 @@ the body of each loop is optimised as a function of its own and again inlined in
 """
 
 import inspect
+import math
 import os
 import sys
 import time
@@ -19,9 +20,9 @@ from nanogs.threads import most_threads
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
-# Least seconds of a part of a kernel's range. To hand one to a thread takes some 25 microseconds in
-# which Python's lock is held, so with many threads, short parts would run one after the other.
-_SHORTEST = 1e-4
+# Seconds, for each thread in use, in which Python's lock is held or handed over for each part of a
+# kernel's range: sixteen threads on sixteen cores took 28 microseconds for a part, one takes three.
+_HANDOVER = 2e-6
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -59,7 +60,7 @@ class ParallelKernel(Generic[P]):
         assert not kwargs  # noqa: S101 - a kernel is called by position
         count = len(args[self._place])  # type: ignore[arg-type]
         threads = _threads()
-        parts = max(1, min(threads * self._each, count // self._fewest(count)))
+        parts = max(1, min(threads * self._each, count // self._fewest(count, threads)))
         ranges = [(count * p // parts, count * (p + 1) // parts) for p in range(parts)]
         speeds: list[float] = []
 
@@ -72,15 +73,17 @@ class ParallelKernel(Generic[P]):
         # The fastest part waited least for Python's lock.
         self._timed, self._speed = count, max(speeds)
 
-    def _fewest(self, count: int) -> int:
+    def _fewest(self, count: int, threads: int) -> int:
         """Return the least number of iterations in a range of a call with `count` iterations.
 
-        It is as many as took `_SHORTEST` in the latest call, unless that had many more iterations,
-        since each of these may have been shorter.
+        A call that takes W seconds on one thread and is divided into p parts takes at least p c, if
+        a part costs c, and its last part takes W / p. The sum of both is least for p = sqrt(W / c).
+        W is estimated from the latest call, unless that had many more iterations: each of them may
+        have been shorter.
         """
         if count < self._timed // 2:
             return self._least
-        return max(self._least, int(self._speed * _SHORTEST))
+        return max(self._least, math.isqrt(int(count * self._speed * threads * _HANDOVER)))
 
     def here(self, *args: P.args, **kwargs: P.kwargs) -> None:
         """Run the whole range on this thread only, for use within work that is parallel already."""
