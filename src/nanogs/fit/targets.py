@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nanogs import parallel
 from nanogs._types import F32, U8
 from nanogs.card.device import engine_in_use
 from nanogs.kernels import backward, gradients
@@ -17,7 +16,6 @@ from nanogs.raster.rendering import (
     Projection,
     Rendering,
     blend,
-    clipped,
     project,
     render,
     view_on,
@@ -28,8 +26,6 @@ from nanogs.raster.rendering import (
 # (dc² + (dc - da)²) / 2 = (dc - da / 2)² + (da / 2)².
 WHITE = 0.5  # weight of the white background; subtracted from colours before they are blended
 ALPHA = math.sqrt(3 * WHITE * (1 - WHITE))  # the fourth channel is alpha times this
-
-ROWS = 32  # of an image that are converted to bytes at a time: they fit a processor's cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,26 +116,12 @@ def make_target(
 def as_target(rendering: Rendering, camera: Camera) -> Target:
     """Convert a rendering of the original over black to a target; the footprint needs its depth."""
     fixed = np.empty((*rendering.alpha.shape, 4), np.uint8)
-
-    def fill(rows: slice) -> None:
-        fixed[rows, :, :3] = _in_bytes(rendering.color[rows])
-        fixed[rows, :, 3] = _in_bytes(rendering.alpha[rows])
-
-    height = len(fixed)
-    parallel.for_each((slice(row, row + ROWS) for row in range(0, height, ROWS)), fill)
+    backward.write_bytes(rendering.color, rendering.alpha, fixed)
     if rendering.depth is None:
         return Target(camera, fixed, math.inf)
     seen = rendering.depth[rendering.alpha > 0.5 * rendering.alpha.max()]
     depth = float(np.median(seen.astype(np.float64))) if seen.size else math.inf
     return Target(camera, fixed, depth / max(camera.fx, camera.fy))
-
-
-def _in_bytes(values: F32) -> F32:
-    """Clip values to [0, 1] and scale them to whole numbers from 0 to 255, still as float32."""
-    scaled = clipped(values)
-    scaled *= np.float32(255)
-    np.rint(scaled, out=scaled)
-    return scaled
 
 
 def _blend(

@@ -39,6 +39,33 @@ def _load_tile(image: F32, x0: int, y0: int, planes: F32) -> None:
                 planes[c, block, lane] = image[y0 + y, x0 + x, c] if inside else np.float32(0.0)
 
 
+@inline
+def _in_byte(value: float) -> np.uint8:
+    """Clip to [0, 1] and round to 255ths; NaN becomes 0."""
+    if not value > 0:
+        return np.uint8(0)
+    scaled = np.float32(255.0) * np.float32(value)
+    return np.uint8(np.rint(scaled)) if scaled < 255 else np.uint8(255)
+
+
+@parallel_kernel("color", least=8)
+def write_bytes(start: int, stop: int, color: F32, alpha: F32, written: U8) -> None:
+    """Write the colours, clipped as on a screen, and alpha of an image as bytes.
+
+    Args:
+        start: First row of the range.
+        stop: The row after its last.
+        color: (H, W, 3) over black.
+        alpha: (H, W).
+        written: (H, W, 4) out, 255 is 1.
+    """
+    for y in range(start, stop):
+        for x in range(alpha.shape[1]):
+            for c in range(3):
+                written[y, x, c] = _in_byte(color[y, x, c])
+            written[y, x, 3] = _in_byte(alpha[y, x])
+
+
 @parallel_kernel("image", least=8)
 def weigh_pixels(
     start: int,

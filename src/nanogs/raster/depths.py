@@ -1,6 +1,6 @@
 """Render from which depths the light of a picture comes, on the device in use."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,13 +22,13 @@ class LightByDepth:
     Attributes:
         shares: (H, W, R) float32 in [0, 1], light of the splats in each range, by their centres.
         alpha: (H, W) float32, light of all splats, 1 - transmittance.
-        contributions: (N,) float64, sum of transmittance x alpha over the pixels. None unless asked
-            for.
+        contributions: Computes (N,) float64, sum of transmittance x alpha over the pixels; only if
+            asked for.
     """
 
     shares: F32
     alpha: F32
-    contributions: F64 | None
+    contributions: Callable[[], F64]
 
 
 def light_by_depth(
@@ -44,7 +44,7 @@ def light_by_depth(
         prepared: The model, N splats.
         camera: The camera.
         ranges: Up to three ranges [near, far) of depth along the viewing axis, scene units.
-        contributions: Also return each splat's contribution to the picture.
+        contributions: Whether `contributions` of the result will be called.
 
     Raises:
         OptionError: The camera is invalid.
@@ -55,8 +55,7 @@ def light_by_depth(
         view = view_on(engine, prepared, camera, sh_degree=0)
         drawn, left = view.blend(view.within(ranges), np.zeros(_MOST, np.float32))
         shares, transmittance = drawn.numpy()[..., : len(ranges)], left.numpy()
-        totals = view.contributions() if contributions else None
-        return LightByDepth(shares, 1 - transmittance, totals)
+        return LightByDepth(shares, 1 - transmittance, view.contributions)
     projected = project(prepared, camera, sh_degree=0)
     depths = projected.features[:, 3]
     features = np.zeros((len(depths), _MOST), np.float32)
@@ -72,6 +71,4 @@ def light_by_depth(
     image, transmittance, sums = blend(
         projected, camera, features, np.zeros(_MOST, np.float32), probes
     )
-    return LightByDepth(
-        image[..., : len(ranges)], 1 - transmittance, sums[:, 0] if contributions else None
-    )
+    return LightByDepth(image[..., : len(ranges)], 1 - transmittance, lambda: sums[:, 0])

@@ -248,4 +248,4 @@ def _shown(splats: PreparedSplats, candidate: Candidate) -> F64 | None:
     light = light_by_depth(splats, candidate.camera, ranges, contributions=True)
     hit = middle(light.shares)[0] >= HIT
     free = light.shares[..., 1].mean() <= HUGGED and light.alpha.mean() >= COVERED
-    return light.contributions if hit and free else None
+    return light.contributions() if hit and free else None
