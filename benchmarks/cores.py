@@ -1,7 +1,7 @@
 """Measure the speed-up by more threads, stage by stage, of whole runs from file to file.
 
     python benchmarks/cores.py [MODEL] [--count 1000000] [--rounds 5] [--ratio 0.1] [--presets fast]
-                               [--threads 1,2] [--output out.ply] [--separate]
+                               [--threads 1,2] [--no-query] [--output out.ply] [--separate]
 
 MODEL is a 3DGS file; without one, a scene of --count splats of SH degree 3 is generated. Each round
 runs each preset once with each number of threads, so that other load of the machine disturbs all.
@@ -40,7 +40,7 @@ def main() -> None:
         run(scene(2000), preset, max(counts), options)
     seconds_of_runs: dict[tuple[str, int], list[Seconds]] = {}
     separate_times: dict[str, list[float]] = {preset: [] for preset in presets}
-    ask, query_times = query(model), []
+    ask, query_times = None if options.no_query else query(model), []
     for _ in range(options.rounds):
         for preset in presets:
             for threads in counts:
@@ -50,14 +50,16 @@ def main() -> None:
                 print(text, file=sys.stderr, flush=True)
             if options.separate:
                 separate_times[preset].append(run_separately(model, preset, options))
-        query_times.append(ask()[0])
+        if ask:
+            query_times.append(ask()[0])
     for preset in presets:
         medians = {threads: middle(seconds_of_runs[preset, threads]) for threads in counts}
         show(preset, medians)
-        query_seconds = median(query_times)
-        print(f"\nOne cKDTree query: {query_seconds:.2f} s.", end=" ")
-        overs = ", ".join(f"{medians[n][WHOLE] / query_seconds:.2f}" for n in counts)
-        print(f"{options.threads} threads take {overs} times that.")
+        if query_times:
+            query_seconds = median(query_times)
+            print(f"\nOne cKDTree query: {query_seconds:.2f} s.", end=" ")
+            overs = ", ".join(f"{medians[n][WHOLE] / query_seconds:.2f}" for n in counts)
+            print(f"{options.threads} threads take {overs} times that.")
         if options.separate:
             separate = median(separate_times[preset])
             gain = 2 * medians[1][WHOLE] / separate
@@ -73,6 +75,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--ratio", type=float, default=0.1)
     parser.add_argument("--presets", default="fast", help="with commas between")
     parser.add_argument("--threads", default="1,2", help="ascending from 1, with commas between")
+    parser.add_argument("--no-query", action="store_true", help="without the k-d tree")
     parser.add_argument("--output", default="cores.ply", help="name of the file that is written")
     parser.add_argument("--separate", action="store_true", help="also run two processes at once")
     return parser.parse_args()
