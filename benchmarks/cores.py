@@ -7,12 +7,12 @@ MODEL is a 3DGS file; without one, a scene of --count splats of SH degree 3 is g
 runs each preset once with each number of threads, so that other load of the machine disturbs all.
 Rows are medians: the stages of the report, `rest` for the rest of the call, `start` for the rest of
 the process, and `file to file` for the whole process. The last columns compare one thread with the
-most, n: how many times as fast these are, and the serial share s by Amdahl's law, tn / t1 = s + (1
-- s) / n, which is above 1 if more threads make a stage slower. After the table: a query of all
-centres by scipy's cKDTree with two workers, as in `benchmarks/speed.py`, measured in the same
-rounds. With --separate each round also runs two processes at once, of one thread each, which share
-nothing but the machine: the work that they do in the time of one is the most that a second thread
-can gain there.
+most, n: how many times as fast these are, and the serial share s by Amdahl's law,
+tn / t1 = s + (1 - s) / n, which is above 1 if more threads make a stage slower. After the table: a
+query of all centres by scipy's cKDTree with two workers, as in `benchmarks/speed.py`, measured in
+the same rounds. With --separate each round also runs two processes at once, of one thread each,
+which share nothing but the machine: the work that they do in the time of one is the most that a
+second thread can gain there.
 """
 
 import argparse
@@ -36,6 +36,8 @@ def main() -> None:
     model = options.model or scene(options.count)
     presets = options.presets.split(",")
     counts = [int(count) for count in options.threads.split(",")]
+    if counts[0] != 1 or len(counts) < 2:
+        raise SystemExit("--threads needs 1 and more, such as 1,2.")
     for preset in presets:  # compile what is not in the cache, on a small scene
         run(scene(2000), preset, max(counts), options)
     seconds_of_runs: dict[tuple[str, int], list[Seconds]] = {}

@@ -42,7 +42,7 @@ def frames(original: Splats, model: Splats, options: argparse.Namespace) -> floa
     cameras = automatic_cameras(original, options.views, width=width, height=height, split="test")
     rate = gsplat_fps(model, cameras)
     if rate is None:
-        raise SystemExit("PyTorch, gsplat or a graphics card is missing.")
+        raise SystemExit("PyTorch, gsplat or a graphics card is missing, or gsplat failed.")
     return rate
 
 

@@ -48,6 +48,53 @@ def test_ranges_have_the_requested_number_and_similar_sizes():
         assert ranges == [(0, 19)]
 
 
+def timed_kernel(count, pace, each=8):
+    """Return a kernel whose latest call had `count` iterations of `pace` seconds."""
+    run = split(add_one, each=each)
+    run._timed, run._pace = count, pace
+    return run
+
+
+def test_calls_that_take_less_time_are_divided_into_fewer_parts():
+    seconds = 1e-5, 1e-3, 1e-2, 1.0
+    assert [timed_kernel(1000, whole / 1000)._parts(1000, 16) for whole in seconds] == [
+        1, 5, 17, 128,
+    ]  # fmt: skip
+    assert [timed_kernel(1000, whole / 1000)._parts(1000, 2) for whole in seconds] == [
+        1, 15, 16, 16,
+    ]  # fmt: skip
+    assert split(add_one)._parts(1000, 16) == 128, "nothing is known yet"
+    assert split(add_one)._parts(0, 16) == 1
+
+
+def test_a_much_smaller_call_is_not_judged_by_one_with_shorter_iterations():
+    assert timed_kernel(1000, 1e-9)._parts(500, 16) == 1
+    assert timed_kernel(1000, 1e-9)._parts(499, 16) == 128
+
+
+def burn(seconds):
+    """Keep this processor busy."""
+    start = time.thread_time()
+    while time.thread_time() - start < seconds:
+        pass
+
+
+def test_the_time_of_a_call_is_that_of_its_parts_without_waiting():
+    def work(start, stop, values):
+        time.sleep(0.02)
+        burn((stop - start) * values[0])
+
+    run = split(work, each=4)
+    with use_threads(1):
+        run(np.full(10, 1e-3))
+        assert 1e-3 <= run._pace < 2.5e-3
+        run(np.zeros(10))  # an easy call only halves what is known
+        assert 0.5e-3 <= run._pace < 1.25e-3
+        with pytest.raises(IndexError):
+            run(np.zeros(0))  # such a call leaves what is known
+        assert run._timed == 10
+
+
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
 def test_exactly_the_requested_number_of_threads_takes_part():
     barrier = threading.Barrier(2, timeout=20)

@@ -77,8 +77,9 @@ def test_models_longer_than_a_block_are_written(load, resave, monkeypatch):
     assert resave(model) == whole
 
 
+@pytest.mark.parametrize("spans", [3, 64], ids=["several blocks each", "a block each"])
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_parts_read_by_threads_join_to_the_whole(load, monkeypatch, encoding):
+def test_parts_read_by_threads_join_to_the_whole(load, monkeypatch, encoding, spans):
     """With columns of an array in its own order, in another one, of another type, and extras."""
     names = [*BASE[:2], "label", *BASE[2:], *rest(24)]
     columns = vertex(100, names, {"label": "uchar", "scale_1": "double", "f_rest_3": "int"})
@@ -87,7 +88,7 @@ def test_parts_read_by_threads_join_to_the_whole(load, monkeypatch, encoding):
     data = ply(("vertex", columns), ("more", [("f", "float", np.arange(40.0))]), encoding=encoding)
     whole = load(data)
     monkeypatch.setattr("nanogs.io.ply.read._PART_ROWS", 11)
-    monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 4)
+    monkeypatch.setattr("nanogs.io.ply.read._SPANS", spans)
     parts = load(data)
     assert_same(whole, parts)
     assert whole.notes == parts.notes

@@ -332,7 +332,7 @@ def test_a_descent_step_matches_its_reference(mode):
     for target, rate in zip(targets, (0.3, 0.7), strict=True):
         model = activate(descent.state, splats, descent.finite).model
         reference.step(compute_gradients(model, target), target.camera, rate)
-        descent._follow(target, ALL_BLOCKS, rate)
+        descent._follow_target(target, ALL_BLOCKS, rate)
     state = descent.state
     assert state.touched.any()
     for name in ("means", "log_scales", "quats", "logits", "sh"):
@@ -368,7 +368,7 @@ def test_a_step_on_a_view_from_far_away_hardly_changes_scales():
     for width in (37, 3):  # the same view on so few pixels that splats are points
         target = make_target(original, make_camera().reduced(width))
         descent = Descent(splats, Fitting([target]), RefitParameters())
-        descent._follow(target, ALL_BLOCKS, 1.0)
+        descent._follow_target(target, ALL_BLOCKS, 1.0)
         moved.append(np.abs(descent.state.log_scales - splats.log_scales).max())
     assert 0 < moved[1] < 0.1 * moved[0]
 
@@ -380,7 +380,7 @@ def test_many_steps_on_a_view_from_far_away_converge():
     descent = Descent(splats, Fitting([target]), RefitParameters())
     far = []
     for number in range(1, 801):
-        descent._follow(target, ALL_BLOCKS, 1.0)
+        descent._follow_target(target, ALL_BLOCKS, 1.0)
         if number in (200, 400, 800):
             far.append(np.abs(descent.state.log_scales - splats.log_scales).max())
     assert 0 < far[2] < 1.1 * far[1] < 1.2 * far[0]
@@ -391,7 +391,7 @@ def test_a_restarted_descent_keeps_its_displacements_from_the_start():
     target = make_target(prepare(make_splats(12, 6, size=-1.5, degree=1)), make_camera())
     descent = Descent(splats, Fitting([target]), RefitParameters())
     for _ in range(5):
-        descent._follow(target, ALL_BLOCKS, 1.0)
+        descent._follow_target(target, ALL_BLOCKS, 1.0)
     known = descent._displacements[:, :-1].copy()
     assert np.abs(known).max() > 0.05
     descent.begin(descent.state)

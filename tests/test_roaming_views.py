@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from conftest import CARD
+from nanogs.card.device import engine_in_use, use_device
 from nanogs.errors import ModelError, OptionError
+from nanogs.raster.depths import light_by_depth
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import concatenate
 from nanogs.views import roam
@@ -132,6 +135,34 @@ def test_a_view_is_accepted_if_its_target_is_visible_and_large_enough():
     assert not view_is_accepted(wall(1), wall(0.15, 0.03, 0.06)), "at the lens"
 
 
+def test_targets_are_drawn_from_the_light_of_all_cameras_found_so_far():
+    splats = concatenate([cloud(np.zeros((1, 3)), 0.1), cloud(np.full((1, 3), 0.2), 0.1)])
+    scene = roam.Scene(prepare(splats), np.zeros(3), 1.0, np.eye(3), np.ones(2, bool))
+    lens = roam._test_camera(1, 64, 64, 60)
+    known = roam.SearchState(np.array([1.0, 0.0]), FreeSpace(scene.splats), [])
+    candidates = roam._candidates(scene, known, lens, "fit", 50)
+    assert (next(candidates).target == 0).all()
+    known.weights[:] = 0, 1
+    known.cameras.append(lens)
+    assert (next(candidates).target > 0).all()
+
+
+@pytest.mark.parametrize("device", [None, "cpu"])
+def test_views_are_searched_on_the_cpu_unless_the_device_in_use_is_asked_for(monkeypatch, device):
+    pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
+    used = set()
+
+    def spy(*arguments, **options):
+        used.add(engine_in_use() is None)
+        return light_by_depth(*arguments, **options)
+
+    monkeypatch.setattr(roam, "light_by_depth", spy)
+    with use_device(CARD):
+        cameras = roaming_cameras(SCENE, 2, **({} if device else {"device": None}))
+    assert len(cameras) == 2
+    assert used == {device == "cpu"}
+
+
 def is_free(scene, *positions):
     """Return whether a camera at the origin is in free space, given positions that are free."""
     space = FreeSpace(prepare(scene))
@@ -140,7 +171,9 @@ def is_free(scene, *positions):
     return space.has(replace(roam._test_camera(1, 512, 512, 60), near=0.02), np.array([0.0, 0, 1]))
 
 
-def test_a_position_is_free_if_a_free_one_sees_it_and_no_splat_covers_it():
+@pytest.mark.parametrize("rows", [100, 1 << 15])
+def test_a_position_is_free_if_a_free_one_sees_it_and_no_splat_covers_it(monkeypatch, rows):
+    monkeypatch.setattr("nanogs.views.free_space.SLICE_STEPS", rows)
     assert is_free(wall(1), (0.5, 0.0, 0.5))
     assert is_free(wall(1), (0.0, 0.2, -2.0))
     between = concatenate([wall(1), wall(-1)])

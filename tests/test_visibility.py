@@ -49,6 +49,20 @@ def box_with_something_inside():
     )
 
 
+@pytest.mark.parametrize("rows", [7, 1 << 15])
+def test_light_is_added_in_all_slices(monkeypatch, rows):
+    monkeypatch.setattr(visibility, "SLICE_STEPS", rows)
+    seen, whole = np.arange(20.0), np.full(20, 30.0)
+    view = SimpleNamespace(contributions=seen, unoccluded=whole, alpha=np.zeros((2, 3)))
+    light = visibility.SplatContributions(20)
+    for _ in range(3):
+        light.add(view)
+    assert np.array_equal(light.seen, 3 * seen)
+    assert np.array_equal(light.whole, 3 * whole)
+    assert light.times.tolist() == [0] + [2] * 19
+    assert (light.views, light.pixels) == (3, 18)
+
+
 def test_hidden_splats_get_a_low_weight_and_unseen_ones_a_full_weight():
     splats = box_with_something_inside()
     views = scene_with_views(splats, None, view_parameters())

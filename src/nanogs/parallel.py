@@ -20,8 +20,8 @@ from nanogs.threads import most_threads
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
-# Seconds, for each thread in use, in which Python's lock is held or handed over for each part of a
-# kernel's range: sixteen threads on sixteen cores took 28 microseconds for a part, one takes three.
+# Seconds, for each thread in use, that a part of a kernel's range costs beside its work, since
+# Python's lock is handed over for it: 28 microseconds a part with sixteen threads on sixteen cores.
 _HANDOVER = 2e-6
 
 P = ParamSpec("P")
@@ -47,7 +47,7 @@ class ParallelKernel(Generic[P]):
         self._compiled = compiled
         self._place = list(inspect.signature(function).parameters).index(over) - 2
         self._least, self._each = least, for_each
-        self._timed, self._speed = 0, 0.0  # iterations of the latest call, and those of a second
+        self._timed, self._pace = 0, 0.0  # iterations of the latest call, and seconds of each
         self.__doc__ = function.__doc__
 
     @property
@@ -60,30 +60,31 @@ class ParallelKernel(Generic[P]):
         assert not kwargs  # noqa: S101 - a kernel is called by position
         count = len(args[self._place])  # type: ignore[arg-type]
         threads = _threads()
-        parts = max(1, min(threads * self._each, count // self._fewest(count, threads)))
+        parts = self._parts(count, threads)
         ranges = [(count * p // parts, count * (p + 1) // parts) for p in range(parts)]
-        speeds: list[float] = []
+        seconds: list[float] = []
 
         def run(part: tuple[int, int]) -> None:
-            start = time.perf_counter()
+            start = time.thread_time()  # without the time that the thread waits for the lock
             self._compiled(*part, *args)
-            speeds.append((part[1] - part[0]) / max(time.perf_counter() - start, 1e-9))
+            seconds.append(time.thread_time() - start)
 
         _on(threads, ranges, run)
-        # The fastest part waited least for Python's lock.
-        self._timed, self._speed = count, max(speeds)
+        # Half of the pace before, at least: after an easy call the next may be as hard as ever.
+        self._timed, self._pace = count, max(sum(seconds) / max(count, 1), self._pace / 2)
 
-    def _fewest(self, count: int, threads: int) -> int:
-        """Return the least number of iterations in a range of a call with `count` iterations.
+    def _parts(self, count: int, threads: int) -> int:
+        """Return the number of parts of a call with `count` iterations.
 
         A call that takes W seconds on one thread and is divided into p parts takes at least p c, if
         a part costs c, and its last part takes W / p. The sum of both is least for p = sqrt(W / c).
-        W is estimated from the latest call, unless that had many more iterations: each of them may
-        have been shorter.
+        W is estimated from the calls before, unless the latest had many more iterations: each of
+        them may have been shorter.
         """
-        if count < self._timed // 2:
-            return self._least
-        return max(self._least, math.isqrt(int(count * self._speed * threads * _HANDOVER)))
+        most = min(threads * self._each, count // self._least)
+        if self._pace and count >= self._timed // 2:
+            most = min(most, math.isqrt(int(count * self._pace / (threads * _HANDOVER))))
+        return max(1, most)
 
     def here(self, *args: P.args, **kwargs: P.kwargs) -> None:
         """Run the whole range on this thread only, for use within work that is parallel already."""

@@ -196,7 +196,7 @@ class View:
         )  # fmt: skip
         return image, transmittance
 
-    def within(self, ranges: "Sequence[tuple[float, float]]") -> wp.array:
+    def within(self, ranges: "Sequence[tuple[np.float32, np.float32]]") -> wp.array:
         """(N,) features that are 1 for each of up to four ranges [near, far) of depth, or else 0.
 
         See `nanogs.raster.depths.light_by_depth`.

@@ -16,6 +16,7 @@ from nanogs.card.shading import (
     CHANNELS,
     PIXELS,
     Shape,
+    Weights,
     first_light,
     offset,
     place,
@@ -97,7 +98,7 @@ def share_kernel(lanes: int) -> wp.Kernel:
             if (e - start) % BATCH == 0:  # noqa: SIM102 - `and` would ask the block each time
                 if wp.tile_max(wp.tile(most_light(light)))[0] <= 0.0:
                     break
-            loaded, weights = shapes_from(shapes, e, end), wp.vec4f()
+            loaded, weights = shapes_from(shapes, e, end), Weights()
             for k in range(each):
                 middle = offset(lane + k * lanes)
                 for j in range(AHEAD):

@@ -14,7 +14,9 @@ EDGE = 8  # pixels along each side of a tile
 TILE = wp.constant(EDGE)
 PIXELS = EDGE * EDGE  # pixels of a tile
 WARP = 32  # threads that sum over the pixels of a tile on a card: they need not wait for others
-_MASKED, _SIDE = wp.constant(blocks.TILE), wp.constant(blocks.SIDE)  # see `starts_open`
+# Of the CPU's kernels: pixels along each side of tiles and blocks, and blocks in a row of a tile.
+_MASKED, _SIDE = wp.constant(blocks.TILE), wp.constant(blocks.SIDE)
+_ROW = wp.constant(blocks.TILE // blocks.SIDE)
 BATCH = wp.constant(blocks.BATCH)
 CHANNELS = wp.constant(gradients.CHANNELS)  # blended channels: three colours, and depth or alpha
 
@@ -22,9 +24,11 @@ _START, _ACROSS, _ALONG = (wp.constant(at) for at in (blocks.START, blocks.ACROS
 _HEIGHT, _RISE, _FAINT = (wp.constant(at) for at in (blocks.HEIGHT, blocks.RISE, blocks.FAINT))
 Shape = wp.types.vector(6, wp.float32)
 # Entries that a thread loads at once, and then shades one by one: the last entries of a tile would
-# keep the card waiting for its memory, because few tiles have as many.
-AHEAD = wp.constant(4)
-Shapes = wp.types.matrix((4, 6), wp.float32)
+# keep the card waiting for its memory, because few tiles have as many. It divides `BATCH`.
+_LOADED = 4
+AHEAD = wp.constant(_LOADED)
+Shapes = wp.types.matrix((_LOADED, 6), wp.float32)
+Weights = wp.types.vector(_LOADED, wp.float32)
 _MIDDLE = wp.constant(wp.float32(0.5 * (EDGE - 1)))
 _HALF = wp.constant(wp.float64(0.5 * EDGE))
 _UNIT = wp.constant(wp.float64(blocks.UNIT))
@@ -113,7 +117,7 @@ def starts_open(x: wp.int32, y: wp.int32, size: wp.vec2i, wanted: wp.int32) -> w
 
     wanted: bit mask of the blocks of 4 x 4 pixels of a tile of the CPU's kernels.
     """
-    block = (y % _MASKED) / _SIDE * _SIDE + (x % _MASKED) / _SIDE
+    block = (y % _MASKED) / _SIDE * _ROW + (x % _MASKED) / _SIDE
     return x < size[0] and y < size[1] and ((wanted >> block) & 1) == 1
 
 

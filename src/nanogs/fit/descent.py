@@ -113,7 +113,7 @@ class Descent:
         self._count += 1
         rate *= min(1.0, self._count / WARM_UP)
         rate *= SLOWEST + (1 - SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
-        error = self._step_on(*self._next(), rate)
+        error = self._follow_view(*self._next(), rate)
         if self.shared is not None:
             self._average_shared(self.shared)
         return error
@@ -129,16 +129,16 @@ class Descent:
             self._turns += 1
         index = self._queue.pop()
         wanted = FIELDS[(index + self._turns) % 2] if self.parameters.halves else ALL_BLOCKS
-        if index < len(self.views.kept) and self.views.kept[index].blocks != ALL_BLOCKS:
+        if self.views.to_render(index) is None and self.views.kept[index].blocks != ALL_BLOCKS:
             wanted = self.views.kept[index].blocks
         return index, wanted
 
-    def _step_on(self, index: int, wanted: int, rate: float) -> float:
+    def _follow_view(self, index: int, wanted: int, rate: float) -> float:
         """Take a step on some blocks of a view, and return their mean squared error before it."""
-        return self._follow(self.views.take(index, wanted), wanted, rate)
+        return self._follow_target(self.views.take(index, wanted), wanted, rate)
 
-    def _follow(self, target: Target, wanted: int, rate: float) -> float:
-        """Take a step on some blocks of a target; see `_step_on`."""
+    def _follow_target(self, target: Target, wanted: int, rate: float) -> float:
+        """Take a step on some blocks of a view that is rendered; see `_follow_view`."""
         state, active, model = self._state, self._active, self._active.model
         view = compute_gradients(model, target, wanted)
         advance_splats(

@@ -75,19 +75,17 @@ class CardDescent(Descent):
         shared.average(sh)
         self._moving.recolour(sh)
 
-    def _step_on(self, index: int, wanted: int, rate: float) -> float:
+    def _follow_view(self, index: int, wanted: int, rate: float) -> float:
         degree, shares = self._active.model.sh_degree, (WHITE, ALPHA)
         camera, image = self._target(index, wanted)
         return self._moving.step(camera_arrays(camera), degree, image, shares, wanted, rate)
 
     def _target(self, index: int, wanted: int) -> "tuple[Camera, wp.array]":
         """Return a view's camera and its image on the device, where views not kept are rendered."""
-        views, kept = self.views, len(self.views.kept)
-        if index >= kept:
-            assert views.original is not None  # noqa: S101 - given with the further cameras
-            camera = views.further[index - kept]
-            return camera, view_on(self._engine, views.original, camera).in_bytes(wanted)
-        target = views.kept[index]
+        found = self.views.to_render(index)
+        if found is not None:
+            return found[1], view_on(self._engine, *found).in_bytes(wanted)
+        target = self.views.kept[index]
         if index not in self._images:
             self._images[index] = self._engine.put(target.image)
         return target.camera, self._images[index]

@@ -75,11 +75,17 @@ class Fitting:
 
     def take(self, index: int, wanted: int = ALL_BLOCKS) -> Target:
         """Return a view; one that is not kept is rendered now, and only in the wanted blocks."""
-        if index < len(self.kept):
+        found = self.to_render(index)
+        if found is None:
             return self.kept[index]
+        return make_target(*found, depth=False, wanted=wanted)
+
+    def to_render(self, index: int) -> tuple[PreparedSplats, Camera] | None:
+        """Return the model and the camera that a view is rendered from; None for a kept one."""
+        if index < len(self.kept):
+            return None
         assert self.original is not None  # noqa: S101 - given with the further cameras
-        camera = self.further[index - len(self.kept)]
-        return make_target(self.original, camera, depth=False, wanted=wanted)
+        return self.original, self.further[index - len(self.kept)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -298,7 +298,7 @@ def check_level(path: Path, level: int, count: int) -> None:
 
 
 def row_blocks(
-    path: Path, dtype: "np.dtype[Any]", offset: int, count: int, most: int = BLOCK_ROWS
+    path: Path, dtype: "np.dtype[Any]", offset: int, count: int, most: int | None = None
 ) -> Iterator[tuple[slice, Array]]:
     """Read rows of fixed size in blocks, in one buffer that each block overwrites.
 
@@ -309,7 +309,7 @@ def row_blocks(
         dtype: The dtype of a row.
         offset: Byte offset of the first row.
         count: Number of rows.
-        most: Largest number of rows in a block.
+        most: Largest number of rows in a block; `BLOCK_ROWS` by default.
 
     Yields:
         The range of the rows, counted from 0, and the rows.
@@ -317,6 +317,7 @@ def row_blocks(
     Raises:
         FormatError: The file cannot be read, or ends before the last row.
     """
+    most = most or BLOCK_ROWS
     buffer = np.empty(min(count, most), dtype)
     with reading(path, buffering=0) as file:
         file.seek(offset)

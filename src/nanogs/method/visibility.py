@@ -155,7 +155,7 @@ def roaming_views(splats: Splats, count: int) -> tuple[list[Camera], tuple[str, 
     """Find small roaming cameras; return them, and a note if fewer than `count` were found."""
     found: list[Camera] = []
     with suppress(ModelError):  # none was found; the note says so
-        found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit")
+        found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", device=None)
     lacking = f"Only {len(found)} of {counted(count, 'roaming view')} could be found."
     return found, (lacking,) if len(found) < count else ()
 

@@ -50,10 +50,12 @@ def light_by_depth(
         OptionError: The camera is invalid.
     """
     assert len(ranges) <= _MOST  # noqa: S101 - callers' choice
+    with np.errstate(over="ignore"):  # depths are float32, whose largest is less than a limit's
+        limits = [(np.float32(near), np.float32(far)) for near, far in ranges]
     engine = engine_in_use()
     if engine is not None:
         view = view_on(engine, prepared, camera, sh_degree=0)
-        drawn, left = view.blend(view.within(ranges), np.zeros(_MOST, np.float32))
+        drawn, left = view.blend(view.within(limits), np.zeros(_MOST, np.float32))
         shares, transmittance = drawn.numpy()[..., : len(ranges)], left.numpy()
         return LightByDepth(shares, 1 - transmittance, view.contributions)
     projected = project(prepared, camera, sh_degree=0)
@@ -61,9 +63,8 @@ def light_by_depth(
     features = np.zeros((len(depths), _MOST), np.float32)
 
     def select(rows: slice) -> None:
-        # Rows that are not drawn are not initialised, and limits may be beyond float32.
-        with np.errstate(invalid="ignore", over="ignore"):
-            for channel, (near, far) in enumerate(ranges):
+        with np.errstate(invalid="ignore"):  # rows that are not drawn are not initialised
+            for channel, (near, far) in enumerate(limits):
                 features[rows, channel] = (depths[rows] >= near) & (depths[rows] < far)
 
     parallel.for_each(slices(len(depths), SLICE_STEPS), select)

@@ -105,13 +105,13 @@ def roaming_cameras(
     fov: float = FOV,
     up: Sequence[float] | None = None,
     split: str = "fit",
+    device: str | None = CPU,
     on_progress: PartProgress = ignore_progress,
 ) -> list[Camera]:
     """Draw random cameras from the free space in which the model is visible, near and far.
 
     The same arguments give the same cameras, and the first n cameras of a larger set are the
-    smaller set. Those to measure on, of the split "test", are found on the CPU; the others on the
-    device in use, which in rare cases finds others.
+    smaller set.
 
     Args:
         splats: The model, N splats.
@@ -123,6 +123,8 @@ def roaming_cameras(
             `up_frame.frame_from_model`).
         split: Name that seeds the random numbers: other names give other cameras. "test" is
             reserved for measuring results, so nothing may be fitted to it.
+        device: Device to search on, as in `use_device`; None for the one in use, which in rare
+            cases finds other cameras.
         on_progress: Progress callback for the cameras found.
 
     Returns:
@@ -135,8 +137,7 @@ def roaming_cameras(
     """
     test_camera = _test_camera(count, width, height, fov)
     scene = _scene(splats, up)
-    # Views that results are measured on must not depend on the last digits of a device.
-    with use_device(CPU if split == "test" else None):
+    with use_device(device):
         known = _begin(scene, splats, up, split)
         for candidate in _candidates(scene, known, test_camera, split, TRIES * count):
             if _accepts(scene, known, candidate):

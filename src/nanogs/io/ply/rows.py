@@ -56,7 +56,7 @@ def iter_blocks(header: Header) -> Iterator[Block]:
 
 
 def iter_span(
-    header: Header, element: Element, start: int, stop: int, most: int = BLOCK_ROWS
+    header: Header, element: Element, start: int, stop: int, most: int | None = None
 ) -> Iterator[Block]:
     """Read some rows of one element of a binary file; call `check_body` first.
 
@@ -67,7 +67,7 @@ def iter_span(
         element: One of its elements.
         start: The first row.
         stop: The row after the last.
-        most: Largest number of rows in a block.
+        most: Largest number of rows in a block; see `row_blocks`.
 
     Raises:
         FormatError: The file cannot be read.
