@@ -207,15 +207,15 @@ def test_a_full_card_memory_raises_an_error_that_suggests_the_cpu():
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp has no compiler for cards there")
 def test_kernels_compile_for_a_card_on_a_machine_without_one(tmp_path):
-    """All that can be tested without a card: compiling in blocks of 256 threads, for old cards."""
+    """All that can be tested without a card: compiling in blocks as on a card, for old ones."""
     modules = [shading, projecting, listing, blending, gradients, advancing]
-    compiled_modules = [wp.get_module(module.__name__) for module in modules]
-    compiled_modules += [
-        kernel_of(shading.PIXELS).module
+    blocks = {wp.get_module(module.__name__): 256 for module in modules}
+    blocks |= {
+        kernel_of(shading.WARP).module: shading.WARP
         for kernel_of in (gradients.share_kernel, gradients.pull_kernel)
-    ]
-    for module in compiled_modules:
-        module.options["block_dim"] = shading.PIXELS
+    }
+    for module, threads in blocks.items():
+        module.options["block_dim"] = threads
         [binary] = wp.compile_aot_module(module, arch=75, module_dir=tmp_path)
         assert binary.stat().st_size > 1000
 

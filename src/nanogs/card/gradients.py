@@ -140,14 +140,14 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
         partial: (E,) zeros in, sums out, indexed by slot.
         """
         tile, lane = wp.tid()
-        light, behind, error, precision = lights(), planes(), planes(), lights()
+        light, behind, error, pixel_weights = lights(), planes(), planes(), lights()
         for k in range(each):
             at = place(tile, lane + k * lanes, size[0])
             light[k] = first_light(at[0], at[1], size, wanted)
             if light[k] > 0.0:
                 behind[k] = image[at[1], at[0]]
                 error[k] = residual[at[1], at[0]]
-                precision[k] = curvature_weights[at[1], at[0]]
+                pixel_weights[k] = curvature_weights[at[1], at[0]]
         start, end = starts[tile], starts[tile + 1]
         for e in range(start, end):
             if (e - start) % BATCH == 0:  # noqa: SIM102 - `and` would ask the block each time
@@ -171,7 +171,7 @@ def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
                             curvature += change * change
                             if c < 3:
                                 sums[c] += weight * error[k, c]
-                        shared = weight * precision[k]
+                        shared = weight * pixel_weights[k]
                         sums[3] += shared
                         if weight < _SATURATED * after:
                             gradient, curvature = weight * gradient, shared * curvature

@@ -23,8 +23,8 @@ CHANNELS = wp.constant(gradients.CHANNELS)  # blended channels: three colours, a
 _START, _ACROSS, _ALONG = (wp.constant(at) for at in (blocks.START, blocks.ACROSS, blocks.ALONG))
 _HEIGHT, _RISE, _FAINT = (wp.constant(at) for at in (blocks.HEIGHT, blocks.RISE, blocks.FAINT))
 Shape = wp.types.vector(6, wp.float32)
-# Entries that a thread loads at once, and then shades one by one: the last entries of a tile would
-# keep the card waiting for its memory, because few tiles have as many. It divides `BATCH`.
+# Entries that a thread loads at once, and then shades one by one. The tiles with the most entries
+# end last, when few threads are left to work while one waits for memory. It must divide `BATCH`.
 _LOADED = 4
 AHEAD = wp.constant(_LOADED)
 Shapes = wp.types.matrix((_LOADED, 6), wp.float32)
