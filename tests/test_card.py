@@ -16,7 +16,7 @@ from launch import run
 from nanogs.card.device import engine_in_use, use_device
 from nanogs.datasets.plant import load_plant
 from nanogs.errors import NotEnoughMemoryError
-from nanogs.fit.targets import ALPHA, WHITE, compute_gradients, make_target
+from nanogs.fit.targets import ALPHA, WHITE, compute_gradients, make_target, picture_on
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.gradients import SCALES
 from nanogs.kernels.project import MIN_ALPHA
@@ -160,7 +160,7 @@ def test_repeated_renderings_have_the_same_bytes():
 
 
 def test_a_model_stays_on_the_device_until_it_is_deleted():
-    prepared, models = prepare(make_splats(20)), engine_in_use()._models
+    prepared, models = prepare(make_splats(20)), engine_in_use()._held
     before = len(models)
     render(prepared, make_camera())
     render(prepared, make_camera())
@@ -182,6 +182,17 @@ def test_light_by_depth_agrees():
     np.testing.assert_allclose(
         on_cpu.shares[..., 0] + on_cpu.shares[..., 2], on_cpu.alpha, atol=1e-5
     )
+
+
+def test_the_picture_of_a_target_stays_on_the_device_until_the_target_is_deleted():
+    engine = engine_in_use()
+    target = make_target(prepare(make_splats(20)), make_camera(), depth=False)
+    first = picture_on(engine, target)
+    assert np.array_equal(first.numpy(), target.image)
+    assert picture_on(engine, target) is first
+    before = len(engine._held)
+    del target
+    assert len(engine._held) == before - 1
 
 
 @pytest.mark.parametrize("name", ["plant", "guitar.compressed.ply"])

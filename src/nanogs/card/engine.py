@@ -1,7 +1,7 @@
 """Rendering on a Warp device: the device, models in its memory, and views of them."""
 
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -20,6 +20,8 @@ from nanogs.kernels.gradients import CHANNELS, SUMS
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+T = TypeVar("T")
+
 _MOST = 2**30  # largest number of entries of a view: 32-bit indices, and sorting doubles the arrays
 
 
@@ -34,7 +36,7 @@ def engine_of(name: str) -> "Engine | None":
 
 
 class Engine:
-    """A Warp device, with the models that were copied to it.
+    """A Warp device, with the models and pictures that were copied to it.
 
     Attributes:
         name: Name of the device in reports.
@@ -44,14 +46,14 @@ class Engine:
         self.device = device
         self.name = f"cuda, {device.name}" if device.is_cuda else "warp-cpu"
         self._lanes = WARP if device.is_cuda else 1
-        self._models: WeakKeyDictionary[object, Model] = WeakKeyDictionary()
+        self._held: WeakKeyDictionary[object, Any] = WeakKeyDictionary()
 
-    def held(self, owner: object, upload: "Callable[[], Model]") -> "Model":
-        """Return the model uploaded for an object: uploaded once, and freed with the object."""
-        model = self._models.get(owner)
-        if model is None:
-            model = self._models[owner] = upload()
-        return model
+    def held(self, owner: object, upload: "Callable[[], T]") -> "T":
+        """Return what was uploaded for an object: uploaded once, and freed with the object."""
+        found: T | None = self._held.get(owner)
+        if found is None:
+            found = self._held[owner] = upload()
+        return found
 
     def put(self, values: Array, kind: type | None = None) -> wp.array:
         """Copy an array to the device, converted to `kind` if given."""

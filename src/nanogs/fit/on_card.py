@@ -9,7 +9,7 @@ from nanogs.card.device import engine_in_use
 from nanogs.fit.descent import Descent
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.state import State
-from nanogs.fit.targets import ALPHA, WHITE, Fitting
+from nanogs.fit.targets import ALPHA, WHITE, Fitting, picture_on
 from nanogs.raster.rendering import camera_arrays, uploaded, view_on
 from nanogs.splats import Splats
 
@@ -35,7 +35,6 @@ class CardDescent(Descent):
         shared: "SharedHarmonics | None" = None,
     ) -> None:
         self._engine = engine
-        self._images: dict[int, wp.array] = {}  # of the kept views, once they were used
         super().__init__(splats, views, parameters, shared)
 
     @property
@@ -86,9 +85,7 @@ class CardDescent(Descent):
         if found is not None:
             return found[1], view_on(self._engine, *found).in_bytes(wanted)
         target = self.views.kept[index]
-        if index not in self._images:
-            self._images[index] = self._engine.put(target.image)
-        return target.camera, self._images[index]
+        return target.camera, picture_on(self._engine, target)
 
 
 class CardRunningMean:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,11 @@ from nanogs.raster.rendering import (
     view_on,
 )
 
+if TYPE_CHECKING:
+    import warp as wp
+
+    from nanogs.card.engine import Engine
+
 # Viewers show a model over any background, so errors are means over a black and a white one. For a
 # pixel with errors dc in its colour over black and da in its alpha this is, for each channel,
 # (dc² + (dc - da)²) / 2 = (dc - da / 2)² + (da / 2)².
@@ -28,7 +34,7 @@ WHITE = 0.5  # weight of the white background; subtracted from colours before th
 ALPHA = math.sqrt(3 * WHITE * (1 - WHITE))  # the fourth channel is alpha times this
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Target:
     """A rendered view of the original.
 
@@ -160,8 +166,13 @@ def squared_error(model: PreparedSplats, target: Target) -> float:
     if engine is not None:
         view = view_on(engine, model, target.camera)
         image, _ = view.blend(view.tinted(WHITE, ALPHA), np.zeros(4, np.float32))
-        return view.weigh(image, engine.put(target.image), WHITE, ALPHA, ALL_BLOCKS)[2]
+        return view.weigh(image, picture_on(engine, target), WHITE, ALPHA, ALL_BLOCKS)[2]
     return _weigh(target, _blend(model, target.camera)[2])[2]
+
+
+def picture_on(engine: "Engine", target: Target) -> "wp.array":
+    """Return a target's image on a device, which keeps it for as long as the target exists."""
+    return engine.held(target, lambda: engine.put(target.image))
 
 
 def compute_gradients(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Gradients:
