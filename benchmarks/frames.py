@@ -14,6 +14,7 @@ from pathlib import Path
 import nanogs
 from nanogs.bench.gsplat import gsplat_fps
 from nanogs.cli.options import parse_pixels
+from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
 
@@ -22,24 +23,24 @@ def main() -> None:
     """Print a row for each model."""
     options = arguments()
     ratios = [float(text) for text in options.ratios.split(",")]
+    width, height = parse_pixels(options.pixels)
     print("| scene | splats | frames/s |", *(f"at {ratio:g} | times |" for ratio in ratios))
     print("|---|" + "--:|" * (2 + 2 * len(ratios)))
     for model in options.models:
         splats = nanogs.load(model)
-        rates = [frames(splats, splats, options)]
+        cameras = automatic_cameras(splats, options.views, width=width, height=height, split="test")
+        rates = [frames(splats, cameras)]
         for ratio in ratios:
             small, _ = nanogs.simplify(
                 splats, ratio=ratio, preset=options.preset, device=options.device
             )
-            rates.append(frames(splats, small, options))
+            rates.append(frames(small, cameras))
         cells = (f"{rate:,.0f} | {rate / rates[0]:.1f} |" for rate in rates[1:])
         print(f"| {Path(model).name} | {len(splats):,} | {rates[0]:,.0f} |", *cells, flush=True)
 
 
-def frames(original: Splats, model: Splats, options: argparse.Namespace) -> float:
-    """Measure the frames a second of a model, from views of the original."""
-    width, height = parse_pixels(options.pixels)
-    cameras = automatic_cameras(original, options.views, width=width, height=height, split="test")
+def frames(model: Splats, cameras: list[Camera]) -> float:
+    """Measure the frames a second of a model."""
     rate = gsplat_fps(model, cameras)
     if rate is None:
         raise SystemExit("PyTorch, gsplat or a graphics card is missing, or gsplat failed.")

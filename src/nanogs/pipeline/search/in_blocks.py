@@ -181,16 +181,19 @@ class Search:
     def written(self, source: Source, options: Mapping[str, Any]) -> Iterator[Path]:
         """Write a file of a result, with further options of the format; delete it afterwards."""
         self._refuse_large(source, options)
-        given = {**(self.options or {}), **options}
         path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
-        save(source, path, overwrite=True, format_options=given)
+        save(source, path, overwrite=True, format_options=self.with_given(options))
         yield path
         path.unlink()
 
     def _refuse_large(self, source: Source, options: Mapping[str, Any]) -> None:
         """Refuse a result whose file would have to be written from more memory than is allowed."""
-        row, given = row_bytes(source.columns), {**(self.options or {}), **options}
+        row, given = row_bytes(source.columns), self.with_given(options)
         refuse_large(self.output, source.count, row, self.max_memory, given)
+
+    def with_given(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the format options that the caller has given, and further ones, which prevail."""
+        return {**(self.options or {}), **options}
 
 
 def _sample(work: Work) -> Splats:
@@ -246,7 +249,7 @@ class _Files:
         """Write a result to a file and measure it; see `Files.measure`."""
         with self.clock.time("encode"), result_of(result.work, result.level) as source:
             bare = Reduced(source, sh_degree)
-            given = {**(self.search.options or {}), **options}
+            given = self.search.with_given(options)
             options = {**options, **derived_options(bare, self.search.output, given)}
             with self.search.written(bare, options) as path, open_model(path) as file:
                 psnr, ssim = self.views.judge(turned_back(file, result))
