@@ -24,8 +24,8 @@ def codebook(values: F32, size: int = CODES, power: float = RARITY) -> F32:
         size: Number of distinct entries, at least 2; fewer make the codes compress better.
         power: 1 for the smallest plain squared error, less to give rare values more weight.
     """
-    finite = values[np.isfinite(values)].astype(np.float64)
-    lowest = finite.min() if len(finite) else 0.0
+    finite = np.sort(values[np.isfinite(values)]).astype(np.float64)  # float32 is sorted faster
+    lowest = finite[0] if len(finite) else 0.0
     nothing = [lowest - NOTHING] if len(finite) < values.size else []
     entries = _entries(finite, size - len(nothing), power) if len(finite) else np.empty(0)
     book = np.concatenate([nothing, entries])
@@ -53,8 +53,7 @@ def nearest(values: F32, book: F32) -> U8:
 
 
 def _entries(values: F64, most: int, power: float) -> F64:
-    """Choose at most `most` entries for finite values."""
-    values = np.sort(values)
+    """Choose at most `most` entries for finite values, ascending."""
     changes = np.flatnonzero(values[1:] != values[:-1]) + 1
     if len(changes) < most:
         distinct: F64 = values[np.concatenate([[0], changes])]

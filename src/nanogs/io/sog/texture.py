@@ -15,7 +15,9 @@ from nanogs.io.texts import reason
 
 MAX_SIDE = 16_383  # largest width and height of WebP, 14 bits
 HEAD_BYTES = 1 << 16  # enough for the chunks before the image data, unless there are profiles
-_QUALITY, _METHOD = 70, 4  # compression effort, not fidelity; more takes long and gains little
+# Compression effort, not fidelity. Higher methods take 2 to 4 times as long for files that differ
+# by -0.2 to 0.7 %; see `docs/performance.md`.
+_QUALITY, _METHOD = 70, 2
 
 
 def encode(texels: U8) -> bytes:
