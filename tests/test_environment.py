@@ -262,6 +262,19 @@ def test_a_dry_run_reports_the_environment(model, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("more", [(), ("--dry-run",), ("--job", "job")])
+def test_a_ratio_for_an_environment_that_is_not_there_is_noted(model, tmp_path, more):
+    whole = io.load(model)
+    io.save(whole.take(np.linalg.norm(whole.means, axis=1) < 6), tmp_path / "a.ply")
+    more = [tmp_path / each if each == "job" else each for each in more]
+    for ratio, noted in (("0.5", True), ("1", False)):
+        out = tmp_path / ratio / "lod-meta.json"
+        options = (*FAST, "--environment-ratio", ratio, *more, "-w")
+        result = run("lod", tmp_path / "a.ply", out, *options)
+        assert result.returncode == 0, result.stderr
+        assert ("no environment apart from it" in " ".join(result.stderr.split())) == noted
+
+
 def test_environment_none_leaves_all_splats_in_the_levels(model, tmp_path):
     path = tmp_path / "web" / "lod-meta.json"
     result = run("lod", model, path, *FAST, "--environment", "none", "--json")

@@ -125,6 +125,12 @@ class EnvironmentRequest:
         sky = partial(splats.take, beyond.keep(splats))
         return taken, self._made(request, AUTO, shell.splats, sky)
 
+    def notes(self, found: Environment | None) -> tuple[str, ...]:
+        """Return a note if an environment should be simplified, but the model has none."""
+        if found is not None or self.ratio == 1:
+            return ()
+        return ("The model has no environment apart from it, so the environment's ratio is unused.",)
+
     def _named(self, request: Request, found: Environment) -> Request:
         """Add the environment to the request, so that no job resumes with a different one."""
         name = f"{found.source}, {counted(found.count, 'splat')}, ratio {self.ratio:g}"

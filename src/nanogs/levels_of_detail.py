@@ -235,7 +235,8 @@ def _written(
         written, made = fill_in_blocks(request, sink, on_step)
         made = without_environment(made)
         manifest = describe_levels(sink.source, made, written)
-        return replace(manifest, notes=(*manifest.notes, *left_out)), tuple(made)
+        notes = (*manifest.notes, *left_out, *sky.notes(beside))
+        return replace(manifest, notes=notes), tuple(made)
     sink.check()
     import_stages(request.parameters)
     stages = _stages(request, plan.splats, sink)
@@ -299,7 +300,8 @@ def _whole(
         replace(report, **each.measured)
         for report, each in zip(reports, filling.written, strict=True)
     )
-    return replace(manifest, notes=(*manifest.notes, *notes, *left_out)), scored
+    notes = (*manifest.notes, *notes, *left_out, *sky.notes(beside))
+    return replace(manifest, notes=notes), scored
 
 
 def _suffix(sink: LevelsSink) -> str:

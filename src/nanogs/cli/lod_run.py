@@ -74,6 +74,8 @@ def run_levels(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
     }
     if method.dry_run:
         request, beside = arguments.sky.planned(request, divided=plan.divided)
+        for note in () if method.hushed else arguments.sky.notes(beside):
+            warn(note)
         record["environment"] = beside and {"source": beside.source, "count": beside.count}
         shown = replace(plan, request=request).shown()
         counts = [target_count(shown.info.splats, ratio, None) for ratio in request.ratios]
