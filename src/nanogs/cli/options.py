@@ -160,8 +160,8 @@ PhotoBackground = Annotated[
 SpzVersion = Annotated[
     int | None,
     typer.Option(
-        help="Version of a .spz file: 3 (gzip), which Spark reads; 4 (zstd), smaller, which"
-        " PlayCanvas reads; or 2 (gzip), for old readers, with less exact rotations.",
+        help="Version of a .spz file: 3 (gzip), which Spark reads; 4 (zstd), which PlayCanvas"
+        " reads; or 2 (gzip), for old readers, with less exact rotations.",
         show_default="3, 2 with fewer bits, or 4 for a model with extension records",
     ),
 ]
@@ -240,7 +240,7 @@ MaxMemory = Annotated[
         parser=parse_memory,
         help="Memory that may be used, e.g. 4GB; work that needs more is refused before it starts.",
         metavar="SIZE",
-        show_default="all free memory",
+        show_default="nine tenths of the free memory",
     ),
 ]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]

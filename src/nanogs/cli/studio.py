@@ -50,7 +50,8 @@ def studio(
     """Choose a smaller model in a browser: see every count, size and PSNR before it is saved.
 
     The page can be opened only on this machine. It reads and saves files below the folder in
-    which the command was started; Ctrl-C ends it, and so does closing the page.
+    which the command was started. Ctrl-C ends it; so does closing the page, after the seconds of
+    --idle.
     """
     # Imported here because `--help` does not need it.
     from nanogs.cli.browsing import show_page

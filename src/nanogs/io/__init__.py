@@ -144,7 +144,7 @@ def save(
     """Write a model to a file, which appears whole or not at all.
 
     Of a source, such as `open` returns, formats that store splats row by row or column by column
-    are written with only some rows in memory: .ply, .splat, .npz, .spz, .glb and .gltf;
+    are written with only some rows in memory: .ply, .splat, .npz, .spz, .rad, .glb and .gltf;
     .compressed.ply holds all centres as well. Other formats load the whole source.
 
     `folder/meta.json` writes a SOG model as a folder; an existing folder is only replaced if

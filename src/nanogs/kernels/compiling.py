@@ -63,6 +63,6 @@ def _notify(*, begun: bool) -> None:
     if begun and not _watching and not _logged:
         _logged = True
         _log.warning(
-            "Kernels are being compiled for this processor, which takes up to half a minute;"
+            "Kernels are being compiled for this processor, which takes some 5 to 30 seconds;"
             " later runs find them on the disk."
         )

@@ -88,8 +88,8 @@ def simplify_blocks(
         inputs: A file, or several that are parts of one scene; or their URLs, which are downloaded
             first, so that such a job cannot be resumed.
         output: The file to write, or a URL to send it to; see `nanogs.save`. Files of .ply,
-            .compressed.ply, .splat, .npz and .spz are written block by block; for others the whole
-            result is held in memory.
+            .compressed.ply, .splat, .npz, .spz, .rad, .glb and .gltf are written block by block;
+            for others the whole result is held in memory.
         ratio: Compaction ratio in (0, 1]; exactly one of the five is given.
         count: Number of splats to deliver.
         size: As `simplify` takes it.
