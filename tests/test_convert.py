@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from builders import random_splats
 from nanogs import io
 from nanogs.errors import OptionError
 from nanogs.io.registry import formats
+from nanogs.splats import RenderMode
 
 WRITTEN = [known.suffix for known in formats() if known.write and known.readable]
 
@@ -91,6 +93,21 @@ def test_bands_above_the_given_sh_degree_are_dropped(scene, tmp_path):
     assert np.array_equal(converted.extras["label"], original.extras["label"])
     report = json.loads(run(scene, tmp_path / "b.ply", "--sh-degree", "3", "--json").stdout)
     assert report["sh_degree"] == 2
+
+
+@pytest.mark.parametrize("mode", ["default", "mip"])
+def test_a_page_is_reported_as_it_shows_the_model(tmp_path, mode):
+    nanogs.save(random_splats(50, degree=4), tmp_path / "a.ply")
+    report = nanogs.convert(tmp_path / "a.ply", tmp_path / "page.html", render_mode=mode)
+    assert (report.format, report.splats, report.sh_degree) == ("html", 50, 3)
+    assert report.render_mode == mode
+
+
+def test_a_page_shows_surfels_in_the_default_mode(tmp_path):
+    nanogs.save(replace(random_splats(50), render_mode=RenderMode.SURFEL), tmp_path / "a.sog")
+    assert nanogs.load(tmp_path / "a.sog").render_mode is RenderMode.SURFEL
+    report = nanogs.convert(tmp_path / "a.sog", tmp_path / "page.html")
+    assert report.render_mode is RenderMode.DEFAULT
 
 
 def test_the_output_may_replace_the_input(scene):

@@ -23,7 +23,7 @@ from nanogs.pipeline.estimates.stage_weights import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.ranges import as_switch
-from nanogs.source import Filtered, InMemory, Reduced, Source, turned_source
+from nanogs.source import Filtered, InMemory, Layout, Reduced, Source, turned_source
 from nanogs.splats import RenderMode, check_degree
 
 if TYPE_CHECKING:
@@ -136,12 +136,12 @@ def convert(
             # Read the input's facts now: the output may replace the input.
             notes, lost = _said(model, path)
             said = (*_which(file, level), *said)
-            count, degree, read_bytes = model.count, model.columns.sh_degree, file.info.file_bytes
+            count, columns, read_bytes = model.count, model.columns, file.info.file_bytes
         tracker.begin("write")
         with clock.time("write"):
             save(model, path, progress=tracker.passing(), **saving)
         tracker.finish()
-        made = _written(path, count, degree) | {"output_bytes": bytes_on_disk(path)}
+        made = _written(path, count, columns) | {"output_bytes": bytes_on_disk(path)}
     return ConvertReport(
         input=str(given), output=str(wanted), filters=took, frames=frame,
         input_bytes=read_bytes, **made, notes=(*notes, *said), losses=lost,
@@ -214,12 +214,17 @@ def _said(model: Source, target: Path) -> tuple[tuple[str, ...], tuple[str, ...]
     return join_findings(notes), join_findings(lost)
 
 
-def _written(target: Path, count: int, degree: int) -> dict[str, Any]:
+def _written(target: Path, count: int, columns: Layout) -> dict[str, Any]:
     """Describe the file that was written, by its own header if the format can be read."""
-    known = registry.find(target)
-    if known is None or not known.readable:
-        own = {"format": target.suffix.lstrip("."), "splats": count, "sh_degree": degree}
-        return own | {"render_mode": RenderMode.DEFAULT}
+    known = registry.writable(target)
+    if not known.readable:  # a page, which draws all modes but mip as the default
+        mip = columns.render_mode is RenderMode.MIP
+        return {
+            "format": target.suffix.lstrip("."),
+            "splats": count,
+            "sh_degree": min(columns.sh_degree, known.max_degree),
+            "render_mode": RenderMode.MIP if mip else RenderMode.DEFAULT,
+        }
     info = inspect(target)
     names = ("format", "splats", "sh_degree", "render_mode")
     return {name: getattr(info, name) for name in names}

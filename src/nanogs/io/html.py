@@ -88,6 +88,7 @@ FORMATS = (
         overhead_bytes=_overhead_bytes,
         losses=losses,
         shown=shown,
+        max_degree=_MAX_DEGREE,
         check=check,
         rounds=True,
     ),
