@@ -66,6 +66,19 @@ def test_a_level_is_the_same_as_from_the_folder(archive_folder, level):
         assert np.array_equal(getattr(ours, name), getattr(theirs, name))
 
 
+@pytest.mark.parametrize("name", ["noname.bin", "noname"])
+def test_zips_of_any_name_are_read_if_their_format_is_given(archive_folder, tmp_path, name):
+    io.save(random_splats(300, degree=1), tmp_path / "a.sog")
+    for known, suffix in ((tmp_path / "a.sog", ".sog"), (archive_folder / "a.ssog", ".ssog")):
+        renamed = tmp_path / name
+        renamed.write_bytes(known.read_bytes())
+        ours, theirs = io.load(renamed, format=suffix), io.load(known)
+        assert np.array_equal(ours.means, theirs.means)
+        with io.open(renamed, format=suffix) as source:
+            assert source.files == (renamed,)
+            assert source.info.splats == len(theirs)
+
+
 def test_commands_take_an_archive(archive_folder, tmp_path):
     shown = json.loads(run("info", archive_folder / "a.ssog", "--json").stdout)
     assert shown["levels"] == [3000, 1500, 750, 375]

@@ -23,8 +23,8 @@ from nanogs.io.files import input_size, reading
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import integer, is_plain, parse, read_json, refused, rows, table
 from nanogs.io.parts import Column, ColumnReader, Packed, check_level
-from nanogs.io.registry import ARCHIVE, LEVELS
-from nanogs.io.sog.meta import MAX_COUNT
+from nanogs.io.registry import LEVELS
+from nanogs.io.sog.meta import MAX_COUNT, is_manifest
 from nanogs.io.sog.read import META, SogSource
 from nanogs.splats import RenderMode, Splats, empty_arrays, padded
 
@@ -113,7 +113,7 @@ def read_manifest(path: Path) -> Levels:
     Raises:
         FormatError: It is missing, damaged, or names a file outside its folder.
     """
-    data = _archived(path) if _is_archive(path) else read_json(path, MAX_MANIFEST_BYTES)
+    data = read_json(path, MAX_MANIFEST_BYTES) if is_manifest(path) else _archived(path)
     if data.get("version", 1) != 1:
         raise refused(str(path), "has a newer version than 1, which nanogs does not read")
     depth = integer(data.get("lodLevels"), f"{path}, lodLevels", 1, _MAX_LEVELS)
@@ -131,10 +131,6 @@ def read_manifest(path: Path) -> Levels:
         tuple(_piece(path, names[file], found[file]) for file in sorted(found)) for found in spans
     ]
     return Levels(tuple(levels), _environment(path, data.get("environment"), names), leaves)
-
-
-def _is_archive(path: Path) -> bool:
-    return path.name.lower().endswith(ARCHIVE)
 
 
 def _archived(path: Path) -> dict[str, Any]:
@@ -191,7 +187,7 @@ def _piece(
     if not parts or not all(map(is_plain, parts)):
         raise refused(f"{path}, {key}", "must name files below its own folder")
     ordered = None if spans is None else _ordered(path, name, spans)
-    if not _is_archive(path):
+    if is_manifest(path):
         return Piece(path.parent.joinpath(*parts[:-1]), parts[-1], ordered)
     *folders, file = parts
     if file != META or not folders:
@@ -284,12 +280,12 @@ class SogLevel(Packed):
         """The metadata of the level, joined from those of its models."""
         models = [model.info for model in self._models]
         info = joined_info(self.path, "streamed sog", models, self.count)
-        return replace(info, file_bytes=input_size(self.path)) if _is_archive(self.path) else info
+        return info if is_manifest(self.path) else replace(info, file_bytes=input_size(self.path))
 
     @property
     def files(self) -> Sequence[Path]:
         """The manifest and all files of the level; see `FileSource`."""
-        if _is_archive(self.path):
+        if not is_manifest(self.path):
             return (self.path,)
         models = (file for model in self._models for file in model.files)
         return tuple(dict.fromkeys((self.path, *models)))

@@ -21,6 +21,7 @@ render mode. Early files have null in place of the first codebook entry.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,14 @@ MODELS = {
     "2dgs": RenderMode.SURFEL,
 }
 MAX_COUNT = MAX_SIDE**2
+
+
+def is_manifest(path: Path) -> bool:
+    """Return whether a SOG model is a folder, whose manifest this is; all others are zips.
+
+    A zip may have any name, since the format of a file can be given apart from its name.
+    """
+    return path.name.lower().endswith(".json")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,15 @@ from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import parse
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.rotations import whole_quats
-from nanogs.io.sog.meta import CODES, MAX_META_BYTES, PALETTE_COLUMNS, PALETTE_MAX, Meta, read_meta
+from nanogs.io.sog.meta import (
+    CODES,
+    MAX_META_BYTES,
+    PALETTE_COLUMNS,
+    PALETTE_MAX,
+    Meta,
+    is_manifest,
+    read_meta,
+)
 from nanogs.io.sog.texture import HEAD_BYTES, decode, size
 from nanogs.splats import Splats
 
@@ -94,7 +102,7 @@ class SogSource(Packed):
     @property
     def files(self) -> Sequence[Path]:
         """The `meta.json` and its textures; see `FileSource`."""
-        if self._inside or self.path.name.lower().endswith(".sog"):
+        if self._inside or not is_manifest(self.path):
             return (self.path,)
         names = dict.fromkeys(self.meta.files.values())
         return (self.path, *(self.path.parent / each for each in names))
@@ -184,7 +192,7 @@ class SogSource(Packed):
 def _opened(path: Path, inside: str) -> Iterator[tuple[Folder, str]]:
     """Open the container of a model's files; yield it and the name of the model's `meta.json`."""
     input_size(path)
-    if not inside and not path.name.lower().endswith(".sog"):
+    if not inside and is_manifest(path):
         yield Folder(path.parent), path.name
         return
     with reading(path) as file:
