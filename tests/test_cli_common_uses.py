@@ -399,6 +399,17 @@ def test_impossible_sh_degrees_and_combinations_are_refused(folder, tmp_path, op
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_psnr_against_a_model_without_its_harmonics_is_refused(folder, tmp_path):
+    options = {"psnr": 30.0, "sh_degree": 1, "preset": "fast"}
+    for simplify in (
+        lambda: nanogs.simplify(folder / "a.ply", **options),
+        lambda: nanogs.simplify_blocks(folder / "a.ply", tmp_path / "x.ply", **options),
+    ):
+        with pytest.raises(OptionError, match=r"`psnr` cannot be combined .* `nanogs convert`"):
+            simplify()
+    assert list(tmp_path.iterdir()) == []
+
+
 # Levels take the options of simplify
 
 FAST = ("--preset", "fast", "--levels", "0.5,0.1")

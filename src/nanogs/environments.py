@@ -129,7 +129,7 @@ class EnvironmentRequest:
         """Return a note if an environment should be simplified, but the model has none."""
         if found is not None or self.ratio == 1:
             return ()
-        return ("The model has no environment apart from it, so the environment's ratio is unused.",)
+        return ("The model has no environment apart from it, so that ratio is unused.",)
 
     def _named(self, request: Request, found: Environment) -> Request:
         """Add the environment to the request, so that no job resumes with a different one."""

@@ -36,26 +36,18 @@ def _crop(text: str) -> filters.Filter:
     )
 
 
-def parse_changes(edits: Edits, psnr: float | None = None, *, looks: bool = False) -> Changes:
+def parse_changes(edits: Edits) -> Changes:
     """Parse the changes to a model, except for the frame, which depends on each file.
 
     Args:
         edits: The options.
-        psnr: The requested PSNR, or None.
-        looks: Whether the preset renders.
 
     Raises:
-        OptionError: An option is invalid, or --psnr would be measured against a model that
-            --sh-degree has changed.
+        OptionError: An option is invalid.
     """
     degree = edits.sh_degree
     if degree is not None and not 0 <= degree <= MAX_SH_DEGREE:
         raise OptionError(f"--sh-degree must be from 0 to {MAX_SH_DEGREE}, not {degree}.")
-    if degree is not None and psnr is not None and not looks:
-        raise OptionError(
-            "--psnr cannot be combined with --sh-degree here, because PSNR is measured against"
-            " the whole model; run `nanogs convert --sh-degree` first."
-        )
     return Changes(parse_filters(edits), degree)
 
 

@@ -189,7 +189,7 @@ def request_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: AN
     Raises:
         OptionError: An option is invalid.
     """
-    changes = parse_changes(method.edits, goal.psnr, looks=renders(method.chosen))
+    changes = parse_changes(method.edits)
     threads, blocks = method.threads, method.blocks
     if threads is None and blocks.workers is not None:
         threads = max((cpu_count() or 1) // blocks.workers, 1)

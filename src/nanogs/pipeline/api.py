@@ -69,8 +69,9 @@ def simplify(
         size: Largest allowed size of the saved file in bytes, a number or text like "20MB": as many
             splats as fit are delivered. Where the size is only known by writing the file, results
             are written until one fits and takes at least 98 % of it; presets that render also
-            choose the degree of the harmonics and the size of the palette by rendering, and
-            `format_options` of the report holds the options to save the result with.
+            choose the degree of the harmonics and the size of the palette by rendering. Save the
+            result with the options given here and with those chosen, `format_options` of the
+            report.
         psnr: PSNR in dB that the result must reach as `nanogs compare` measures it at its defaults,
             on held-out views. The count is searched for; the result, as read back from a file of
             the format, reaches this PSNR and exceeds it by at most 0.3 dB.
@@ -119,6 +120,7 @@ def simplify(
     chosen, given = parameters(preset, overrides), given_options(format_options)
     path = registry.file_of(format)
     refuse_searches(goal, preset, path)
+    refuse_reduced(goal, chosen, sh_degree)
     refuse_device(device, preset, chosen, goal)
     check_degree(sh_degree)
     frame = checked_frames(frame)
@@ -223,6 +225,26 @@ def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
         raise OptionError(
             f"`{asked}` works only for models in one file, and {known.suffix} describes a folder;"
             " write a .sog file."
+        )
+
+
+def refuse_reduced(goal: Goal, chosen: Parameters, sh_degree: int | None) -> None:
+    """Raise if a PSNR is asked for and harmonics would be left out of the model before it is made.
+
+    Args:
+        goal: The target of the simplification.
+        chosen: Parameters of the method.
+        sh_degree: Degree of the result's harmonics, if one is asked for.
+
+    Raises:
+        OptionError: Both are asked for, and the method renders nothing, so that it cannot fit its
+            results for the degree.
+    """
+    if goal.psnr is not None and sh_degree is not None and not renders(chosen):
+        raise OptionError(
+            "`psnr` cannot be combined with `sh_degree` for a preset that renders nothing, because"
+            " the PSNR would be against a model without these harmonics; use the preset default, or"
+            " leave the harmonics out with `nanogs convert` first."
         )
 
 

@@ -9,7 +9,7 @@ from nanogs.clock import StageClock
 from nanogs.filters import FilterReport, apply
 from nanogs.io import FileInfo, inspect, load
 from nanogs.pipeline.estimates.stage_weights import read_weight
-from nanogs.pipeline.job.rows import Changes, open_parts
+from nanogs.pipeline.job.rows import Changes, dropped_first, open_parts
 from nanogs.progress import Stage, Tracker
 from nanogs.source import Joined
 from nanogs.splats import Splats
@@ -71,11 +71,7 @@ def prepare(splats: Splats, changes: Changes) -> Prepared:
     degree = changes.sh_degree
     if degree is None or degree >= left.sh_degree:
         return Prepared(left, took, ())
-    note = (
-        f"Spherical harmonics above degree {degree} were dropped first; PSNR is against the model"
-        " without them."
-    )
-    return Prepared(left.with_sh_degree(degree), took, (note,))
+    return Prepared(left.with_sh_degree(degree), took, (dropped_first(degree),))
 
 
 def inspect_parts(paths: Sequence[Path]) -> FileInfo:

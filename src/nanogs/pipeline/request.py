@@ -18,7 +18,7 @@ from nanogs.io.format import FormatOptions, Sizer, given_options
 from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.memory import allowed_memory
-from nanogs.pipeline.api import refuse_device, refuse_searches, refuse_small
+from nanogs.pipeline.api import refuse_device, refuse_reduced, refuse_searches, refuse_small
 from nanogs.pipeline.estimates.memory import MemoryPlan, plan_chunks, plan_memory, plan_writing
 from nanogs.pipeline.in_memory import NanPolicy
 from nanogs.pipeline.job.folder import MANIFEST, job_folder, refuse_finished
@@ -166,11 +166,13 @@ class Request:
         """Refuse combinations that are not possible, before anything is read.
 
         Raises:
-            OptionError: A search is asked of a preset that has none, or there is no such device or
-                format to write, or the device or views would have nothing to do.
+            OptionError: A search is asked of a preset that has none, or a PSNR of a model whose
+                harmonics are left out first; or there is no such device or format to write, or the
+                device or views would have nothing to do.
         """
         refuse_device(self.device, self.preset, self.parameters, self.goal)
         refuse_searches(self.goal, self.preset, self.output)
+        refuse_reduced(self.goal, self.parameters, self.sh_degree)
         self.refuse_unused_views()
 
     def refuse_unused_views(self) -> None:

@@ -60,6 +60,14 @@ class Changes:
 NOTHING = Changes()
 
 
+def dropped_first(degree: int) -> str:
+    """Return the note on a model of which only the harmonics up to a degree are simplified."""
+    return (
+        f"Spherical harmonics above degree {degree} were dropped first; PSNR is against the model"
+        " without them."
+    )
+
+
 def check_nan(nan: str) -> None:
     """Refuse invalid values of `nan`, the treatment of splats with NaN or infinite values.
 
@@ -85,8 +93,8 @@ def describe_inputs(
     if remarks := dict.fromkeys(remark for source in sources for remark in source.remarks):
         layout = replace(layout, notes=(*layout.notes, *remarks))
     if changes.sh_degree is not None and changes.sh_degree < layout.sh_degree:
-        note = f"Spherical harmonics above degree {changes.sh_degree} were dropped first."
-        layout = replace(layout, sh_degree=changes.sh_degree, notes=(*layout.notes, note))
+        notes = (*layout.notes, dropped_first(changes.sh_degree))
+        layout = replace(layout, sh_degree=changes.sh_degree, notes=notes)
     return tuple(map(input_file, map(open_model, paths))), layout
 
 
