@@ -218,7 +218,7 @@ def _written(target: Path, count: int, columns: Layout) -> dict[str, Any]:
     """Describe the file that was written, by its own header if the format can be read."""
     known = registry.writable(target)
     if not known.readable:  # a page, which draws all modes but mip as the default
-        mip = columns.render_mode is RenderMode.MIP
+        mip = columns.render_mode == RenderMode.MIP
         return {
             "format": target.suffix.lstrip("."),
             "splats": count,
