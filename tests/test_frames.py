@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -125,6 +126,31 @@ def test_simplify_turns_the_result(scene, tmp_path):
     run_command("simplify", scene, tmp_path / "b.ply", *options, "--frame", "ruf")
     expected = change_frame(nanogs.load(tmp_path / "a.ply"), "rdf", "ruf")
     assert model_bytes(nanogs.load(tmp_path / "b.ply")) == model_bytes(expected)
+
+
+def test_frames_that_contradict_the_files_are_refused(tmp_path):
+    up = {"spz_version": 4, "frame": "rub"}
+    nanogs.save(random_splats(20), tmp_path / "up.spz", format_options=up)
+    nanogs.save(random_splats(20), tmp_path / "a.ply")
+    nanogs.save(random_splats(20), tmp_path / "a.glb")
+    before = sorted(tmp_path.iterdir())
+    states_rdf = {"spz_version": 4, "frame": "rdf"}
+    for source, target, options, message in (
+        ("up.spz", "b.ply", {"frame": ("rdf", "rub")}, "up.spz states the frame rub, but `frame`"),
+        ("a.glb", "b.ply", {"frame": ("rub", "rdf")}, 'give frame=("rdf", "rdf")'),
+        ("a.ply", "b.glb", {"frame": ("rdf", "ruf")}, "All .glb files use the same frame"),
+        ("up.spz", "b.spz", {"format_options": states_rdf}, "states the frame rub, but the format"),
+    ):
+        files = tmp_path / source, tmp_path / target
+        with pytest.raises(OptionError, match=re.escape(message)):
+            nanogs.convert(*files, **options)
+        with pytest.raises(OptionError, match=re.escape(message)):
+            nanogs.simplify_blocks(*files, ratio=0.5, preset="fast", **options)
+    with pytest.raises(OptionError, match=r"up\.spz states the frame rub"):
+        nanogs.write_levels(tmp_path / "up.spz", tmp_path / "lv", [0.5], frame=("rdf", "rub"))
+    assert sorted(tmp_path.iterdir()) == before
+    nanogs.convert(tmp_path / "up.spz", tmp_path / "c.ply", frame=("rub", "rdf"))
+    assert len(nanogs.load(tmp_path / "c.ply")) == 20
 
 
 @pytest.mark.parametrize(

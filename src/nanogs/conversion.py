@@ -15,7 +15,7 @@ from nanogs.findings import join_findings
 from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
 from nanogs.io import open as open_model
-from nanogs.io.frames import keep_stated_frame
+from nanogs.io.frames import keep_stated_frame, refuse_frames
 from nanogs.io.parts import FileSource, level_note
 from nanogs.io.url_files import local_copies
 from nanogs.io.urls import place
@@ -123,6 +123,8 @@ def convert(
         open_model(here, level=level, render_mode=render_mode) as file,
     ):
         path = there or wanted
+        if frame is not None:
+            refuse_frames(frame, [file], wanted)
         unturned = () if frame else (file,)
         saving["format_options"], said = keep_stated_frame(wanted, format_options, unturned)
         allowed = None if max_memory is None else as_bytes(max_memory)

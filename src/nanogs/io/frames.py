@@ -7,9 +7,43 @@ of the input; otherwise a note says that the output does not.
 from collections.abc import Sequence
 from pathlib import Path
 
+from nanogs.errors import OptionError
+from nanogs.frames import TRAINED
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.parts import FileSource
+
+
+def refuse_frames(frame: tuple[str, str], inputs: Sequence[FileSource], output: Path) -> None:
+    """Refuse frames from and to which a model is turned if its files have others.
+
+    Args:
+        frame: Names of both frames, in lower case.
+        inputs: The files that the model comes from.
+        output: The output; only its suffix counts.
+
+    Raises:
+        OptionError: An input is in another frame, or the output's format has a frame of its own.
+    """
+    before, after = frame
+    for each in inputs:
+        known = registry.reader(each.path)
+        if known.turns and before != TRAINED:
+            raise OptionError(
+                f"{each.name} is turned to {TRAINED} when it is read, as all {known.suffix} files"
+                f' are, but `frame` says {before}; give frame=("{TRAINED}", "{after}").'
+            )
+        if not known.turns and known.axes is None and each.frame not in ("", before):
+            raise OptionError(
+                f"{each.name} states the frame {each.frame}, but `frame` says {before}; give"
+                f' frame=("{each.frame}", "{after}").'
+            )
+    known = registry.writable(output)
+    if known.turns and after != TRAINED:
+        raise OptionError(
+            f"All {known.suffix} files use the same frame, to which a model is turned from"
+            f' {TRAINED} when it is written; give frame=("{before}", "{TRAINED}").'
+        )
 
 
 def keep_stated_frame(
@@ -27,12 +61,20 @@ def keep_stated_frame(
 
     Raises:
         FormatError: The part of an input that states the frame cannot be read.
+        OptionError: The options state another frame than the inputs.
     """
     known, given = registry.find(path), options or {}
     stated = {each.frame for each in inputs}
-    if known is None or len(stated) != 1 or stated == {""} or given.get("frame"):
+    if known is None or len(stated) != 1 or stated == {""}:
         return options, ()
     [frame] = stated
+    if (asked := given.get("frame")) and asked != frame:
+        raise OptionError(
+            f"The input states the frame {frame}, but the format option `frame` says {asked}; turn"
+            f' the model, with `frame=("{frame}", "{asked}")`, or leave the option out.'
+        )
+    if asked:
+        return options, ()
     options_with = {**given, "frame": frame}
     if known.states_frame(options_with) and frame in known.options["frame"].values:
         return options_with, ()

@@ -15,7 +15,7 @@ from nanogs.defaults import PATIENCE
 from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
-from nanogs.io.frames import keep_stated_frame
+from nanogs.io.frames import keep_stated_frame, refuse_frames
 from nanogs.io.limits import degree_left_out
 from nanogs.io.url_files import local_copies
 from nanogs.io.urls import path_text, place, places
@@ -218,11 +218,13 @@ def options_with_frame(
 
     Raises:
         FormatError: An input cannot be read.
+        OptionError: The model is to be turned from or to another frame than its files have.
     """
-    if request.frame is not None:
-        return request.format_options, ()
     with ExitStack() as stack:
         files = [stack.enter_context(open_model(path)) for path in request.inputs]
+        if request.frame is not None:
+            refuse_frames(request.frame, files, output)
+            return request.format_options, ()
         return keep_stated_frame(output, request.format_options, files)
 
 
