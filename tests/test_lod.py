@@ -181,6 +181,42 @@ def test_options_for_files_that_are_not_used_are_no_error(splats, tmp_path):
     assert names(tmp_path / "levels") == LEVELS
 
 
+@pytest.fixture(scope="module")
+def inputs(splats, tmp_path_factory):
+    """One model in memory, as a path, and as a source."""
+    path = tmp_path_factory.mktemp("inputs") / "a.ply"
+    nanogs.save(splats, path)
+    return {"splats": splats, "path": path, "source": nanogs.open(path)}
+
+
+KINDS = pytest.mark.parametrize("kind", ["splats", "path", "source"])
+
+
+@KINDS
+def test_levels_are_written_with_the_format_options(inputs, tmp_path, kind):
+    options = {"suffix": ".sog", "preset": "fast", "format_options": {"bits": 4}}
+    write_levels(inputs[kind], tmp_path / "l", [0.5], **options)
+    small, _ = nanogs.simplify(inputs["splats"], ratio=0.5, preset="fast")
+    nanogs.save(small, tmp_path / "one.sog", format_options={"bits": 4})
+    assert (tmp_path / "l" / "level_0.sog").read_bytes() == (tmp_path / "one.sog").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"format_options": {"nonsense": 3}}, "no option 'nonsense'"),
+        ({"format_options": {"bits": 3}, "suffix": ".sog"}, "`bits` must be"),
+        ({"format_options": {"bits": 4}, "layout": "streamed sog"}, '"streamed sog" has no format'),
+        ({"format_options": {"bits": 4}, "layout": "spark tree"}, '"spark tree" has no format'),
+    ],
+)
+@KINDS
+def test_format_options_that_cannot_be_kept_are_refused(inputs, tmp_path, kind, options, message):
+    with pytest.raises(OptionError, match=message):
+        write_levels(inputs[kind], tmp_path / "l", RATIOS, preset="fast", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_presets_without_rendering_measure_nothing(splats, tmp_path):
     manifest, _ = write_levels(splats, tmp_path / "l", [0.1], source="a.ply", preset="fast")
     assert manifest.levels[0].psnr is manifest.levels[0].ssim is manifest.protocol is None

@@ -111,15 +111,16 @@ def write_levels(
         environment_ratio: Share of the environment's splats to keep, in (0, 1]; all by default.
         progress: Progress reporting as for `levels`; a stage "write" follows each level.
         **options: Options of `simplify_blocks`, such as `preset`, `max_memory` and `filters`;
-            `block`, `job`, `scratch`, `resume` and `executor` need the model as files.
+            `block`, `job`, `scratch`, `resume` and `executor` need the model as files, and
+            `format_options` the layout "files".
 
     Returns:
         The contents of the manifest, and the report of each level.
 
     Raises:
         OptionError: See `levels`; or there is no such layout, the layout does not have chunks,
-            contents, a place or an environment to choose, the place is invalid, or the format of
-            the files cannot be written.
+            contents, a place, an environment or format options to choose, the place is invalid, or
+            the format of the files cannot be written or has no such option.
         ModelError: See `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
@@ -185,13 +186,23 @@ def sink_of(
     source: str | None = None,
     layout: Layout | str = Layout.FILES,
 ) -> LevelsSink:
-    """Make the sink for the requested levels; see `write_levels` for the arguments."""
+    """Make the sink for the requested levels; see `write_levels` for the arguments.
+
+    Raises:
+        OptionError: The format of the files cannot be written, or has no such options.
+    """
+    if request.format_options and layout != Layout.FILES:
+        raise OptionError(
+            f'The layout "{layout}" has no format options; leave out `format_options`, or write'
+            f' the layout "{Layout.FILES}".'
+        )
     name = source or ", ".join(path.name for path in request.inputs) or "a model"
     if layout == Layout.TREE:
         return LevelsTree(request.output, request.overwrite, name)
     chunks = request.chunks if isinstance(request.chunks, ChunkLayout) else None
     sink = LevelsArchive if layout == Layout.ARCHIVE else LevelsFolder
-    return sink(request.output, request.overwrite, name, chunks, suffix)
+    options = request.format_options
+    return sink(request.output, request.overwrite, name, chunks, suffix, options)
 
 
 def write_levels_of_files(

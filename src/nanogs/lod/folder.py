@@ -55,12 +55,12 @@ class LevelsFolder:
     environment: Environment | None = None
 
     def __post_init__(self) -> None:
-        """Check that the format of files can be written.
+        """Check that the format of files can be written, with these options.
 
         Raises:
             OptionError: It cannot.
         """
-        registry.writer(Path(level_name(0, self.suffix)))
+        registry.writer(Path(level_name(0, self.suffix)), self.format_options)
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
         """Refuse levels in files of their own that are too large to be held; see `Sink`."""
