@@ -217,6 +217,17 @@ def test_format_options_that_cannot_be_kept_are_refused(inputs, tmp_path, kind, 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("kind", "block"), [("splats", None), ("source", None), ("path", None), ("path", 200)]
+)
+def test_levels_state_the_frame_to_which_they_are_turned(inputs, tmp_path, kind, block):
+    options = {"suffix": ".spz", "preset": "fast", "format_options": {"spz_version": 4}}
+    frame = "rub", "rdf"
+    write_levels(inputs[kind], tmp_path / "l", [0.5], frame=frame, block=block, **options)
+    with nanogs.open(tmp_path / "l" / "level_0.spz") as written:
+        assert written.frame == "rdf"
+
+
 def test_presets_without_rendering_measure_nothing(splats, tmp_path):
     manifest, _ = write_levels(splats, tmp_path / "l", [0.1], source="a.ply", preset="fast")
     assert manifest.levels[0].psnr is manifest.levels[0].ssim is manifest.protocol is None

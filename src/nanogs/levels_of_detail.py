@@ -23,7 +23,7 @@ from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import path_text, places
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
-from nanogs.lod.folder import PLY, LevelsFolder
+from nanogs.lod.folder import PLY, LevelsFolder, level_name
 from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
@@ -202,6 +202,9 @@ def sink_of(
     chunks = request.chunks if isinstance(request.chunks, ChunkLayout) else None
     sink = LevelsArchive if layout == Layout.ARCHIVE else LevelsFolder
     options = request.format_options
+    if chunks is None:
+        file = Path(level_name(0, suffix))
+        options = registry.add_target_frame(file, options, request.frame)
     return sink(request.output, request.overwrite, name, chunks, suffix, options)
 
 
@@ -225,7 +228,8 @@ def write_levels_of_files(
     if plan.divided:
         request.refuse_device_in_blocks()
         unstated = (*unstated, *device_notes(request.device, CPU))
-    if isinstance(sink, LevelsFolder) and sink.chunks is None:
+    # If levels are turned, the sink already has the options that state the frame they get.
+    if isinstance(sink, LevelsFolder) and sink.chunks is None and request.frame is None:
         sink = replace(sink, format_options=options)
     manifest, reports = _written(request, plan, sink, on_step, sky)
     return replace(manifest, notes=(*manifest.notes, *unstated)), reports
