@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import weakref
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -215,6 +216,20 @@ def test_format_options_that_cannot_be_kept_are_refused(inputs, tmp_path, kind, 
     with pytest.raises(OptionError, match=message):
         write_levels(inputs[kind], tmp_path / "l", RATIOS, preset="fast", **options)
     assert list(tmp_path.iterdir()) == []
+
+
+@KINDS
+def test_levels_have_the_requested_render_mode(inputs, tmp_path, kind):
+    options = {"preset": "fast", "render_mode": "mip"}
+    manifest, _ = write_levels(inputs[kind], tmp_path / "l", [0.5], **options)
+    assert nanogs.load(tmp_path / "l" / "level_0.ply").render_mode == "mip"
+    assert sum("as requested" in note for note in manifest.notes) == 1
+
+
+def test_no_mip_levels_are_made_of_flat_splats(splats, tmp_path):
+    flat = replace(splats, render_mode="2dgs")
+    with pytest.raises(OptionError, match="The model is tagged 2dgs"):
+        write_levels(flat, tmp_path / "l", [0.5], preset="fast", render_mode="mip")
 
 
 @pytest.mark.parametrize(

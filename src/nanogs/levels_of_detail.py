@@ -19,6 +19,7 @@ from nanogs.errors import OptionError
 from nanogs.frames import turned
 from nanogs.io import inspect, registry
 from nanogs.io.models import Model, as_splats
+from nanogs.io.retag import in_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import path_text, places
 from nanogs.lod.archive import LevelsArchive
@@ -152,7 +153,8 @@ def write_levels(
             return write_levels_of_files(request, sink, on_step, sky)
         if for_files := [name for name in _OF_JOBS if given.get(name)]:
             raise OptionError(f"{for_files[0]} is for files; give the model's path in its place.")
-        return _whole(request, prepare(as_splats(model), request.edits), sink, on_step, sky)
+        whole = in_mode(as_splats(model), request.edits.render_mode, "The model")
+        return _whole(request, prepare(whole, request.edits), sink, on_step, sky)
 
 
 LevelsSink = LevelsFolder | LevelsTree

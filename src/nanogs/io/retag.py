@@ -46,6 +46,25 @@ def retagged(file: FileSource, render_mode: str | None) -> FileSource:
     return Retagged(file, mode)
 
 
+def in_mode(splats: Splats, mode: RenderMode | None, name: str) -> Splats:
+    """Return a model in memory with the requested render mode, and a note if it had another.
+
+    Args:
+        splats: The model.
+        mode: The render mode, or None for the model's own.
+        name: Name of the model, for the message.
+
+    Raises:
+        OptionError: Antialiasing is requested for a 2DGS model.
+    """
+    if mode is None or mode is splats.render_mode:
+        return splats
+    refuse_mode(name, splats.render_mode, mode)
+    note = f"The render mode is {mode}, as requested; it was {splats.render_mode}."
+    comments = agreeing(splats.comments, mode)
+    return replace(splats, render_mode=mode, comments=comments, notes=[*splats.notes, note])
+
+
 def refuse_mode(name: str, own: str, mode: RenderMode) -> None:
     """Refuse antialiasing ("mip") for flat splats, because the 2DGS rasteriser has none.
 
