@@ -443,6 +443,39 @@ def test_parts_left_out_of_the_environment_are_noted(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.ssog"]
 
 
+@pytest.mark.parametrize("sky", ["model", "path"])
+@pytest.mark.parametrize("scene", ["memory", "file", "blocks"])
+def test_an_environment_of_another_render_mode_is_refused(tmp_path, scene, sky):
+    """And accepted if a render mode is set for both."""
+    model, environment = replace(random_splats(300), render_mode="mip"), shell(100, 30)
+    nanogs.save(model, tmp_path / "a.ply")
+    nanogs.save(environment, tmp_path / "sky.ply")
+    options = {"layout": "streamed sog", "preset": "fast"}
+    options["block"] = 100 if scene == "blocks" else None
+    options["environment"] = environment if sky == "model" else tmp_path / "sky.ply"
+    given = model if scene == "memory" else tmp_path / "a.ply"
+    with pytest.raises(ModelError, match=r"different render modes \(mip and default\) .*`render_m"):
+        write_levels(given, tmp_path / "lv", [1], **options)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "sky.ply"]
+    write_levels(given, tmp_path / "lv", [1], render_mode="mip", **options)
+    assert nanogs.load(tmp_path / "lv" / "lod-meta.json").render_mode == "mip"
+
+
+def test_parts_of_different_render_modes_are_noted_when_read(tmp_path):
+    options = {"layout": "streamed sog", "preset": "fast", "render_mode": "mip"}
+    write_levels(random_splats(30), tmp_path / "lv", [1], environment=shell(100, 30), **options)
+    path, sky = tmp_path / "lv" / "lod-meta.json", tmp_path / "lv" / "env" / "meta.json"
+    assert nanogs.load(path).render_mode == "mip"
+    assert nanogs.load(path).notes == ()
+    untagged = json.loads(sky.read_text())
+    del untagged["model"]
+    sky.write_text(json.dumps(untagged))
+    read = nanogs.load(path)
+    assert read.render_mode == "default"
+    [note] = read.notes
+    assert "different render modes (default, mip), and all are taken for default" in note
+
+
 def test_an_environment_too_large_for_memory_is_refused_before_any_work(tmp_path):
     big = concatenate([random_splats(120_000, degree=3), shell(100_000, 12, degree=3)])
     nanogs.save(big, tmp_path / "a.ply")

@@ -1,6 +1,7 @@
 """Reading 3D Tiles: those that nanogs wrote, and other trees as a viewer draws them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -134,6 +135,16 @@ def test_nested_tilesets_are_read_in_place_of_the_tile_that_names_them(tileset, 
 def test_a_tile_may_have_several_contents(tileset):
     both = {"contents": [{"uri": "1.glb"}, {"url": "./2.glb?v=3"}]}
     assert counts(tileset(tile() | both)) == [3]
+
+
+def test_tiles_of_different_render_modes_are_noted(tileset, tmp_path):
+    path = tileset(tile(tile(uri="1.glb"), tile(uri="2.glb")))
+    assert not any("render mode" in note for note in io.load(path).notes)
+    mip = replace(random_splats(2), render_mode="mip")
+    io.save(mip, tmp_path / "2.glb", overwrite=True)
+    read = io.load(path)
+    assert read.render_mode == "default"
+    assert any("different render modes (default, mip)" in note for note in read.notes)
 
 
 def matrix(rotation, shift):

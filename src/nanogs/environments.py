@@ -15,9 +15,11 @@ from nanogs import filters
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
 from nanogs.frames import turned
-from nanogs.io import inspect, load
+from nanogs.io import load
+from nanogs.io import open as open_model
 from nanogs.io.files import splat_bytes
 from nanogs.io.models import as_splats
+from nanogs.io.retag import in_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import place
 from nanogs.lod.environment import Shell, find_environment
@@ -60,12 +62,12 @@ class EnvironmentRequest:
             splats: The model after filters.
 
         Raises:
-            NanogsError: The model of an environment cannot be read.
+            NanogsError: The model of an environment cannot be read, or has another render mode.
         """
         if self.asked == NONE:
             return splats, None
         if self.asked != AUTO:
-            return splats, self._given(request)
+            return splats, self._given(request, splats.render_mode)
         shell = find_environment(InMemory(splats))
         if shell is None:
             return splats, None
@@ -82,12 +84,15 @@ class EnvironmentRequest:
             request: The request for levels.
 
         Raises:
-            NanogsError: The model cannot be read, or its environment is too large for memory.
+            NanogsError: The model cannot be read, or its environment is too large for memory or
+                has another render mode.
         """
         if self.asked == NONE:
             return request, None
         if self.asked != AUTO:
-            found = self._given(request)
+            with _rows(request, ()) as source:
+                mode = source.columns.render_mode
+            found = self._given(request, mode)
             return self._named(request, found), found
         with _rows(request, request.filters) as source:
             shell = find_environment(source)
@@ -136,12 +141,17 @@ class EnvironmentRequest:
         name = f"{found.source}, {counted(found.count, 'splat')}, ratio {self.ratio:g}"
         return replace(request, environment=name)
 
-    def _given(self, request: Request) -> Environment:
+    def _given(self, request: Request, mode: str) -> Environment:
+        """Return the environment that the caller names, for a model of a render mode."""
         if isinstance(self.asked, Splats | Source):
-            splats = as_splats(self.asked)
+            asked = request.edits.render_mode
+            splats = in_mode(as_splats(self.asked), asked, "The environment")
+            _refuse_other_mode(mode, splats.render_mode)
             return self._made(request, "a model", len(splats), lambda: splats)
         path = Path(self.asked)
-        info = inspect(path)
+        with open_model(path, render_mode=request.render_mode) as source:
+            info = source.info
+        _refuse_other_mode(mode, info.render_mode)
         _refuse_large(info.splats, info.sh_degree, request.max_memory)
         read = partial(load, path, render_mode=request.render_mode)
         return self._made(request, path.name, info.splats, read)
@@ -240,6 +250,22 @@ def _rows(request: Request, kept: Sequence[filters.Filter]) -> Source:
     """Open the requested files as one source, with filters applied."""
     source: Source = Joined(open_parts(request.inputs, request.render_mode))
     return Filtered(source, kept) if kept else source
+
+
+def _refuse_other_mode(model: str, environment: str) -> None:
+    """Refuse an environment of another render mode than the model's.
+
+    Viewers draw both at once, in one mode.
+
+    Raises:
+        ModelError: It is.
+    """
+    if model != environment:
+        raise ModelError(
+            f"The model and its environment have different render modes ({model} and"
+            f" {environment}) and cannot form one scene; leave the environment out, or set one mode"
+            " for both with `render_mode`."
+        )
 
 
 def _refuse_large(count: int, degree: int, max_memory: int | None) -> None:

@@ -122,7 +122,7 @@ def write_levels(
         OptionError: See `levels`; or there is no such layout, the layout does not have chunks,
             contents, a place, an environment or format options to choose, the place is invalid, or
             the format of the files cannot be written or has no such option.
-        ModelError: See `levels`.
+        ModelError: See `levels`; or the environment has another render mode than the model.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
     files = () if isinstance(model, Splats | Source) else places(model)

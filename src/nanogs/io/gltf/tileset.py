@@ -25,7 +25,7 @@ from nanogs.io.gltf import read as gltf
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import local_path, numbers, read_json, refused, rows, table
 from nanogs.io.parts import Whole, check_level, level_note
-from nanogs.io.sog.levels import common_mode, joined_info, joined_notes
+from nanogs.io.sog.levels import common_mode, joined_info, joined_notes, mode_notes
 from nanogs.place import text_of
 from nanogs.splats import Splats, concatenate
 
@@ -133,11 +133,12 @@ class TilesLevel(Whole):
         places = [(file, tile.above) for tile in self._tiles for file in tile.contents]
         models = [gltf.open_gltf(file, above).load() for file, above in places]
         which = level_note(self._level, tileset.levels())
-        notes = joined_notes([model.notes for model in models], [which, *tileset.notes])
-        mode = common_mode({model.render_mode for model in models})
+        modes = {model.render_mode for model in models}
+        own = [which, *tileset.notes, *mode_notes(modes)]
+        notes = joined_notes([model.notes for model in models], own)
         comments = dict.fromkeys(line for model in models for line in model.comments)
         joined = concatenate(models)
-        return replace(joined, render_mode=mode, comments=list(comments), notes=notes)
+        return replace(joined, render_mode=common_mode(modes), comments=list(comments), notes=notes)
 
 
 def _all(root: _Tile) -> Iterator[_Tile]:

@@ -251,6 +251,17 @@ def common_mode(modes: set[RenderMode]) -> RenderMode:
     return modes.pop() if len(modes) == 1 else RenderMode.DEFAULT
 
 
+def mode_notes(modes: set[RenderMode]) -> list[str]:
+    """Return a note for the user if models that make one scene have different render modes."""
+    if len(modes) < 2:
+        return []
+    note = (
+        f"Its parts have different render modes ({', '.join(sorted(modes))}), and all are taken for"
+        f" {common_mode(modes)}; `render_mode` sets another."
+    )
+    return [note]
+
+
 def open_level(path: Path, level: int = 0) -> "SogLevel":
     """Open a level of a `lod-meta.json`; 0 is the finest.
 
@@ -337,5 +348,6 @@ class SogLevel(Packed):
                     column = getattr(part, name)
                     column = padded(column, out["sh"].shape[1]) if name == "sh" else column
                     array[low - start : high - start] = column
-        notes = joined_notes([model.meta.notes for model in self._models], ())
+        modes = mode_notes({model.info.render_mode for model in self._models})
+        notes = joined_notes([model.meta.notes for model in self._models], modes)
         return Splats(**out, render_mode=self.info.render_mode, notes=notes)
