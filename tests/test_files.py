@@ -9,7 +9,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs import filters
-from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.errors import NotEnoughMemoryError, OptionError, OutputError
 from nanogs.frames import change_frame
 from nanogs.lod.layout import Layout
 from nanogs.memory import LIBRARIES
@@ -255,3 +255,24 @@ def test_a_psnr_is_met_in_memory_and_in_blocks(scene, tmp_path):
 
 def request(scene, folder, **given):
     return Request(inputs=(scene,), output=folder / "a.ply", goal=Goal(ratio=0.1), **given)
+
+
+def test_columns_that_the_output_cannot_hold_are_refused_before_any_work(tmp_path):
+    label = {"label": np.arange(300, dtype=np.int64)}
+    nanogs.save(random_splats(300, extras=label), tmp_path / "a.npz")
+    source, out = tmp_path / "a.npz", tmp_path / "b.ply"
+    steps = []
+    options = {"preset": "fast", "progress": steps.append}
+    for work in (
+        lambda: nanogs.simplify_blocks(source, out, ratio=0.5, **options),
+        lambda: nanogs.simplify_blocks(source, out, ratio=0.5, block=100, **options),
+        lambda: nanogs.write_levels(source, tmp_path / "lv", [0.5], **options),
+        lambda: nanogs.write_levels(nanogs.load(source), tmp_path / "lv", [0.5], **options),
+        lambda: nanogs.convert(source, out, progress=steps.append),
+    ):
+        with pytest.raises(OutputError, match="'label' is int64, which PLY cannot hold"):
+            work()
+    assert [step.stage for step in steps] == []
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+    nanogs.simplify_blocks(source, tmp_path / "b.npz", ratio=0.5, preset="fast")
+    assert nanogs.load(tmp_path / "b.npz").extras["label"].dtype == np.int64

@@ -123,6 +123,7 @@ def convert(
         open_model(here, level=level, render_mode=render_mode) as file,
     ):
         path = there or wanted
+        registry.writable(wanted).check_columns(file.columns)
         if frame is not None:
             refuse_frames(frame, [file], wanted)
         unturned = () if frame else (file,)

@@ -154,6 +154,7 @@ def write_levels(
         if for_files := [name for name in _OF_JOBS if given.get(name)]:
             raise OptionError(f"{for_files[0]} is for files; give the model's path in its place.")
         whole = in_mode(as_splats(model), request.edits.render_mode, "The model")
+        registry.writable(_file(sink)).check_columns(InMemory(whole).columns)
         return _whole(request, prepare(whole, request.edits), sink, on_step, sky)
 
 

@@ -9,7 +9,7 @@ from nanogs.errors import FormatError, OptionError
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
 from nanogs.io.parts import FileSource
-from nanogs.source import Source
+from nanogs.source import Layout, Source
 from nanogs.splats import MAX_SH_DEGREE, Splats
 
 UNSTATED = "not stated in the file; y down (rdf) by convention"
@@ -112,6 +112,7 @@ class Format:
         ours: Lists the files that nanogs made in such a folder.
         check: Fails before any computing if this installation cannot write the format.
         check_options: Fails if options contradict each other.
+        check_columns: Fails if files cannot hold a column of a model.
         derived_options: Computes options that are not given from the model, so that a similar model
             can be written in the same way.
         magic: First bytes, by which a file without a name is recognised.
@@ -140,6 +141,7 @@ class Format:
     ours: Ours | None = None
     check: Callable[[], None] = lambda: None
     check_options: Callable[[FormatOptions], None] = lambda _options: None
+    check_columns: Callable[[Layout], None] = lambda _columns: None
     derived_options: Callable[[Source, FormatOptions], FormatOptions] = lambda _source, _options: {}
     magic: tuple[bytes, ...] = ()
     zip_member: str = ""

@@ -23,6 +23,7 @@ from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import NanPolicy, import_stages
+from nanogs.pipeline.job.rows import open_parts
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, renders
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.reading import read_changed, reading_stages
@@ -32,6 +33,7 @@ from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import file_costs, file_judge
 from nanogs.sink import OneFile
+from nanogs.source import joined_layout
 from nanogs.store.columns import no_splats
 from nanogs.threads import use_threads
 
@@ -208,9 +210,9 @@ def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, 
 def options_with_frame(
     request: Request, output: Path
 ) -> tuple["FormatOptions | None", tuple[str, ...]]:
-    """Return format options and notes to store the frame that the inputs state.
+    """Check that the output can hold what the inputs have, and return format options and notes.
 
-    See `keep_stated_frame`.
+    These store the frame that the inputs state; see `keep_stated_frame`.
 
     Args:
         request: All arguments of the call.
@@ -219,9 +221,12 @@ def options_with_frame(
     Raises:
         FormatError: An input cannot be read.
         OptionError: The model is to be turned from or to another frame than its files have.
+        OutputError: The output cannot hold a column of the inputs.
     """
     with ExitStack() as stack:
-        files = [stack.enter_context(open_model(path)) for path in request.inputs]
+        opened = open_parts(request.inputs, request.render_mode)
+        files = [stack.enter_context(file) for file in opened]
+        registry.writable(output).check_columns(joined_layout(files))
         if request.frame is not None:
             refuse_frames(request.frame, files, output)
             return request.format_options, ()

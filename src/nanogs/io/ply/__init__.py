@@ -16,5 +16,13 @@ FORMATS = (
         max_degree=compressed_write.MAX_DEGREE,
         rounds=True,
     ),
-    Format(".ply", open_ply, write.write, write.file_bytes, streams=True, magic=_STARTS),
+    Format(
+        ".ply",
+        open_ply,
+        write.write,
+        write.file_bytes,
+        streams=True,
+        check_columns=write.check_columns,
+        magic=_STARTS,
+    ),
 )

@@ -13,7 +13,7 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.ply.header import MAX_HEADER_BYTES, TYPE_NAMES
 from nanogs.io.texts import encode
 from nanogs.slices import slices
-from nanogs.source import Source, source_of
+from nanogs.source import Layout, Source, source_of
 from nanogs.splats import Splats
 
 ElementRows = tuple[str, int, Sequence[tuple[str, str]]]
@@ -110,7 +110,7 @@ def _header(splats: Splats, tables: Mapping[str, Mapping[str, Array]], splat_cou
         if not table:
             raise OutputError(f"Element {name!r} has no columns; leave it out.")
         count = splat_count if name == "vertex" else len(next(iter(table.values())))
-        elements.append((name, count, [(n, _type(n, c)) for n, c in table.items()]))
+        elements.append((name, count, [(n, _type(n, c.dtype, c.ndim)) for n, c in table.items()]))
     return header(render_tag.tagged(splats.comments, splats.render_mode), elements)
 
 
@@ -151,12 +151,25 @@ def _word(name: str) -> bytes:
     return word
 
 
-def _type(name: str, column: Array) -> str:
-    known = TYPE_NAMES.get(column.dtype.str[1:])
-    if known is None or column.ndim != 1:
-        shape = f" of {column.ndim} dimensions" if column.ndim != 1 else ""
+def check_columns(columns: Layout) -> None:
+    """Refuse extra columns whose type PLY does not have.
+
+    Args:
+        columns: The columns of a model.
+
+    Raises:
+        OutputError: There is one.
+    """
+    for name, code in columns.extras:
+        _type(name, np.dtype(code), 1)
+
+
+def _type(name: str, dtype: "np.dtype[Any]", dimensions: int) -> str:
+    known = TYPE_NAMES.get(dtype.str[1:])
+    if known is None or dimensions != 1:
+        shape = f" of {dimensions} dimensions" if dimensions != 1 else ""
         raise OutputError(
-            f"Column {name!r} is {column.dtype}{shape}, which PLY cannot hold; convert it to one"
+            f"Column {name!r} is {dtype}{shape}, which PLY cannot hold; convert it to one"
             f" of {', '.join(sorted(TYPE_NAMES.values()))}."
         )
     return known
