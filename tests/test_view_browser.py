@@ -364,6 +364,39 @@ def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
     opened.close()
 
 
+def test_a_model_chosen_while_the_first_is_read_is_the_one_that_is_shown(chromium, files, tmp_path):
+    nanogs.save(solid((0, 0, 1), count=200), tmp_path / "fewer.ply")
+    nanogs.save(solid((0, 1, 0)), tmp_path / "green.ply")
+    tests = [(name, tmp_path / f"{name}.ply") for name in ("fewer", "green")]
+    compare_files(
+        ("red", files / "red.ply"), [("blue", files / "blue.ply"), *tests], views=1,
+        sizes=[(32, 32)], report=tmp_path / "report.html", interactive=True,
+    )  # fmt: skip
+    opened = OpenedPage(chromium, tmp_path / "report.html", 400, 700)
+    # As soon as the chooser is there: the first model takes some milliseconds to read.
+    opened.page.evaluate("""() => new Promise((done) => {
+        new MutationObserver((_, observer) => {
+            const chooser = document.querySelector("#nanogs-view select");
+            if (!chooser) return;
+            observer.disconnect();
+            for (const index of [1, 2]) {
+                chooser.selectedIndex = index;
+                chooser.dispatchEvent(new Event("change"));
+            }
+            done();
+        }).observe(document.body, { childList: true, subtree: true });
+        document.getElementById("nanogs-load").click();
+    })""")
+    opened.page.locator(".nv-status").wait_for(state="hidden")
+    pixels = opened.pixels()
+    green = (pixels[..., 1] > 0.5) & (pixels[..., 0] < 0.2)
+    assert green.any()
+    assert is_red(pixels).any()
+    assert not is_blue(pixels).any()
+    assert "green" in opened.page.locator(".nv-right option:checked").inner_text()
+    opened.close()
+
+
 def test_without_webgl_the_page_says_so(driver, files):
     require_bundle()
     browser = driver.chromium.launch(

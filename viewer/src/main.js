@@ -34,16 +34,22 @@ async function start(host, scene, unpack, say) {
   const { stage, navigation } = makeView(host, scene, names, two ? 2 : 1);
   stage.onLost = () => say("The graphics processor gave up: load the page again.");
   const divider = two && makeDivider(host, scene.models, (share) => stage.divide(share));
+  let chosen = 1; // the model on the right
+  let leftShown = false;
   const load = async (side, index) => {
     const model = scene.models[index];
     host.dataset.state = "loading";
     say(`Reading ${model.name} …`);
     await new Promise((shown) => setTimeout(shown, 20)); // or the words would come after the work
     await stage.show(side, unpack(model.id), model.mip);
-    say("");
+    if (side === 0 || index === chosen) say(""); // or another is still being read
   };
   makeLabels(host, scene, {
-    choose: (index) => load(1, index).catch((error) => say(`It cannot be read: ${error.message}`)),
+    choose: (index) => {
+      chosen = index;
+      if (!leftShown) return; // it is loaded below
+      load(1, index).catch((error) => say(`It cannot be read: ${error.message}`));
+    },
     reset: navigation.reset,
   });
   const keys = host.dataset.keys === "page" ? document : host;
@@ -51,5 +57,7 @@ async function start(host, scene, unpack, say) {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest?.("select")) return;
     if (navigation.key(event) || (divider && divider.key(event))) event.preventDefault();
   });
-  for (let side = 0; side < (two ? 2 : 1); side += 1) await load(side, side);
+  await load(0, 0);
+  leftShown = true;
+  if (two) await load(1, chosen);
 }
