@@ -534,6 +534,41 @@ def test_work_is_cancelled_by_a_button_and_by_a_key(studio):
     assert page.inner_text("#said") == "Cancelled"
 
 
+@pytest.mark.parametrize("focused", ["#splats-range", "#splats", "#format", "#floaters"])
+def test_escape_cancels_whatever_has_the_focus(studio, focused):
+    page, fake = studio.page, studio.fake
+    page.click("#sift summary")
+    page.select_option("#format", ".ply")
+    number = fake.wait("ask", 2)["number"]
+    fake.send_event(type="progress", number=number, kind="measure", stage="views", fraction=0.25)
+    page.wait_for_selector("#cancel:visible")
+    page.focus(focused)
+    page.keyboard.press("Escape")
+    fake.wait("cancel", 1)
+
+
+def test_shortcuts_work_beside_the_keys_of_the_focused_control(studio):
+    page = studio.page
+    shown = page.locator("#heat[aria-pressed=true]")
+    first = studio.pixels()
+    page.click("#sift summary")
+    page.focus("#splats-range")
+    before = float(page.input_value("#splats-range"))
+    page.keyboard.press("ArrowRight")
+    assert float(page.input_value("#splats-range")) == before + 1
+    assert np.array_equal(studio.pixels(), first)  # the camera stays
+    page.keyboard.press("e")
+    assert shown.count() == 1
+    page.focus("#floaters")
+    page.keyboard.press(" ")
+    assert page.is_checked("#floaters")
+    page.keyboard.press("e")
+    assert shown.count() == 0
+    page.focus("#splats")
+    page.keyboard.press("e")
+    assert shown.count() == 0
+
+
 @pytest.mark.parametrize(
     ("width", "height", "scheme"),
     [(1280, 800, "dark"), (390, 844, "light"), (844, 390, "dark")],

@@ -2,6 +2,14 @@
 
 import { byId } from "./dom.js";
 
+const SLIDES = /^(Arrow|Home|End|Page)/;
+
+// Whether the focused field or slider uses the key itself.
+function ownKey({ target, key }) {
+  if (target.matches("input[type=range]")) return SLIDES.test(key);
+  return target.matches("input:not([type=checkbox]), select, textarea");
+}
+
 export function bindKeys({ state, picture, stop }) {
   const click = (id) => () => byId(id).click();
   const plain = { e: click("heat"), f: click("full"), "?": click("help-open") };
@@ -27,8 +35,9 @@ export function bindKeys({ state, picture, stop }) {
         return;
       event.preventDefault();
       action();
-    } else if (!event.ctrlKey && !event.metaKey && !event.target.matches("input, select, textarea")) {
+    } else if (!event.ctrlKey && !event.metaKey) {
       if (event.key === "Escape") stop();
+      else if (ownKey(event)) return;
       else if (plain[event.key]) plain[event.key]();
       else if (!picture.key(event)) return;
       event.preventDefault();
