@@ -106,7 +106,10 @@ def test_the_command_reports_each_kind_and_size(files):
         for value in (model["psnr"], model["least_psnr"]):
             assert f"{value:.2f}" in line
         assert f"{model['ssim']:.4f}" in line
-    assert "2 held-out roaming views of 96 pixels" in " ".join(table.stderr.split())
+    legend = " ".join(table.stderr.split())
+    assert "2 held-out views of 48 pixels (auto 48)," in legend
+    assert "2 held-out roaming views of 96 pixels (roam 96);" in legend
+    assert "share of the original's on the same views" in legend
 
 
 def test_the_page_has_each_score_and_pictures_of_each_kind(files, tmp_path):
@@ -123,6 +126,35 @@ def test_the_page_has_each_score_and_pictures_of_each_kind(files, tmp_path):
     for one in (found.each[0], found.each[2]):
         for view in one.models[0].views:
             assert f"{number_text(view.psnr)} dB" in text
+
+
+def test_the_page_says_which_views_each_of_its_numbers_and_pictures_is_of(files, tmp_path):
+    page = tmp_path / "page.html"
+    found = compare_files(
+        ("scene", files[0]), [("small", files[1]), ("whole", files[0])], cameras="auto,inside",
+        views=1, sizes=[(48, 48), (64, 64)], report=page, interactive=False,
+    )  # fmt: skip
+    text = page.read_text(encoding="utf-8")
+    auto, inside = (f"1 held-out view of 48 pixels ({kind} 48)" for kind in ("auto", "inside"))
+    assert auto in text
+    assert inside in text
+    assert f">{auto}</text>" in text  # title of the plot
+    assert "share of the original's on the same views." in text
+    assert found.reference_cost.pixel_text not in text.split("share of the original")[1][:100]
+    for number, kind in enumerate(("auto", "inside"), 1):
+        assert f"<h3>View {number} of 2: {kind} 48</h3>" in text
+        assert f'data-caption="{kind} 48: small has' in text
+    assert "only those of the first size are pictured" in text
+    one = tmp_path / "one.html"
+    single = compare_files(
+        ("scene", files[0]), [("small", files[1])], views=1, sizes=[(48, 48)], report=one,
+        interactive=False,
+    )  # fmt: skip
+    text = one.read_text(encoding="utf-8")
+    assert "(auto 48)" not in text
+    assert f"share of the original's, {single.reference_cost.pixel_text}." in text
+    assert "first size" not in text
+    assert "<h3>View 1 of 1</h3>" in text
 
 
 def test_bench_reports_each_kind_and_size_in_a_row(files):

@@ -207,13 +207,14 @@ def _show(comparison: "Comparison", report: Path | None) -> None:
     from nanogs.cli.console import out, say, show
 
     show(out, _table(comparison))
-    means = ", ".join(one.protocol.text for one in comparison.each)
+    means = ", ".join(comparison.protocol_texts)
     say(f"PSNR in dB; means over {means}; worst: the view with the lowest PSNR")
     if any(model.cost for model in comparison.models):
-        first = comparison.reference_cost
-        share = (
-            f"; draws: that mean as a share of the original's {first.pixel_text}" if first else ""
-        )
+        first, share = comparison.reference_cost, ""
+        if first:
+            # With several sets each has its own.
+            whole = " on the same views" if comparison.further else f" {first.pixel_text}"
+            share = f"; draws: that mean as a share of the original's{whole}"
         say(f"a pixel: number of splats that cover a pixel, mean and 99th percentile{share}")
     if any(model.packed for model in comparison.models):
         show(out, _packing_table(comparison))

@@ -103,6 +103,13 @@ class Comparison:
         return (self, *self.further)
 
     @property
+    def protocol_texts(self) -> list[str]:
+        """Full text of each protocol, with its label if there are several: kinds can read alike."""
+        if not self.further:
+            return [self.protocol.text]
+        return [f"{one.protocol.text} ({one.protocol.label})" for one in self.each]
+
+    @property
     def all_notes(self) -> list[str]:
         """The distinct notes of all comparisons, those of models prefixed by their names."""
         notes = [note for one in self.each for note in one.notes]
@@ -130,6 +137,7 @@ class Sheet:
         results: One rendering for each model.
         errors: One error map for each model.
         scores: One score for each model.
+        label: Label of the view's protocol, if it is one of several sets.
     """
 
     view: str
@@ -137,6 +145,7 @@ class Sheet:
     results: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
     scores: list[ViewScore] = field(default_factory=list)
+    label: str = ""
 
 
 def compare_models(

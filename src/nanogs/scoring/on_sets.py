@@ -53,5 +53,6 @@ def compare_on_sets(
         )
         pictured.add(views.kind)
         comparisons.append(replace(comparison, notes=(*views.notes, *comparison.notes)))
-        sheets += some
+        label = comparison.protocol.label if len(sets) > 1 else ""
+        sheets += [replace(sheet, label=label) for sheet in some]
     return replace(comparisons[0], further=tuple(comparisons[1:])), sheets

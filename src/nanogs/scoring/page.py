@@ -36,7 +36,9 @@ def render_page(
     environment.filters["counted"] = counted
     template = environment.from_string(_text("page.html.j2"))
     width, height = comparison.protocol.pixels
-    several = len({model.splats for model in comparison.models}) > 1
+    plot = ""
+    if len({model.splats for model in comparison.models}) > 1:
+        plot = rate_distortion_plot(comparison.models, comparison.protocol_texts[0])
     return template.render(
         title=title,
         comparison=comparison,
@@ -45,6 +47,7 @@ def render_page(
         original="original" if comparison.reference_splats else "photograph",
         against=_against(comparison),
         named=comparison.protocol.kind in ("given", "photographs"),
+        unpictured=len(comparison.each) > len({sheet.label for sheet in sheets}),
         css=_text("page.css"),
         program=_text("page.js"),
         policy=_POLICY,
@@ -56,7 +59,7 @@ def render_page(
         beside=_beside(comparison),
         viewer=viewer,
         viewer_policy=POLICY,
-        plot=rate_distortion_plot(comparison.models) if several else "",
+        plot=plot,
     )
 
 
@@ -79,13 +82,17 @@ def _text(name: str) -> str:
     return files("nanogs.scoring").joinpath(name).read_text(encoding="utf-8")
 
 
-def rate_distortion_plot(models: Sequence[ModelScore]) -> str:
+def rate_distortion_plot(models: Sequence[ModelScore], title: str = "") -> str:
     """Plot PSNR over the number of splats as an SVG element, with a line for each name.
 
     Models whose PSNR is infinite are left out; the result is empty if none is left.
+
+    Args:
+        models: Their scores, all on the same views.
+        title: Title of the plot, such as the text of these views' protocol.
     """
     lines: dict[str, list[tuple[float, float]]] = {}
     for model in models:
         if math.isfinite(model.psnr):
             lines.setdefault(model.name, []).append((model.splats, model.psnr))
-    return svg([Chart("", "splats", lines)]) if lines else ""
+    return svg([Chart(title, "splats", lines)]) if lines else ""
