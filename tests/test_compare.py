@@ -358,6 +358,29 @@ def opened(browser, report):
         context.close()
 
 
+@pytest.mark.filterwarnings("default")  # warnings of the browser's driver
+def test_many_rows_are_a_table_below_the_picture_and_lists_on_a_phone(browser, files, tmp_path):
+    tests = [(f"model {number}", files / "small_0.1.ply") for number in range(5)]
+    page = tmp_path / "many.html"
+    compare_files(
+        ("all", files / "scene.ply"), tests, views=1, sizes=[(64, 64)], report=page,
+        interactive=False,
+    )  # fmt: skip
+    opened = browser.new_page()
+    opened.goto(page.as_uri())
+    for width, rows in ((390, "grid"), (768, "grid"), (1024, "table-row"), (1920, "table-row")):
+        opened.set_viewport_size({"width": width, "height": 800})
+        style = "getComputedStyle(document.querySelector('tbody tr')).display"
+        assert opened.evaluate(style) == rows
+        assert opened.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+        assert opened.locator("td").evaluate_all(
+            "cells => cells.every((cell) => cell.scrollWidth <= cell.clientWidth)"
+        )
+        picture, table = (opened.locator(name).bounding_box() for name in (".look", "table"))
+        assert table["y"] > picture["y"] + picture["height"]
+    opened.close()
+
+
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 driver_may_warn = pytest.mark.filterwarnings("default")  # warnings of the browser's driver
 
