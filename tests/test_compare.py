@@ -20,7 +20,7 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.images import color_image
 from nanogs.raster.rendering import render
 from nanogs.scoring.comparison import NamedModel, compare_models
-from nanogs.scoring.page import rate_distortion_plot
+from nanogs.scoring.page import rate_distortion_plot, render_page
 from nanogs.scoring.pictures import error_map
 from nanogs.scoring.run import compare_files
 from nanogs.scoring.scores import mean_psnr
@@ -379,6 +379,33 @@ def test_many_rows_are_a_table_below_the_picture_and_lists_on_a_phone(browser, f
         picture, table = (opened.locator(name).bounding_box() for name in (".look", "table"))
         assert table["y"] > picture["y"] + picture["height"]
     opened.close()
+
+
+@pytest.mark.filterwarnings("default")  # warnings of the browser's driver
+def test_pictures_of_any_shape_are_seen_whole(browser, tmp_path):
+    splats = random_splats(300)
+    views = [
+        replace(camera(name), width=width, height=height, cx=width / 2, cy=height / 2)
+        for name, width, height in (("wide", 160, 80), ("high", 60, 120))
+    ]
+    found, sheets = compare_models(
+        NamedModel("all", splats), [NamedModel("small", simplified(splats, 0.5))], views,
+        pictures=True,
+    )  # fmt: skip
+    (tmp_path / "page.html").write_text(render_page(found, sheets, "Shapes"), encoding="utf-8")
+    page = browser.new_page(viewport={"width": 1000, "height": 600})
+    page.goto((tmp_path / "page.html").as_uri())
+    stage = page.locator("#stage")
+    for shape in (2, 0.5, 2):
+        page.evaluate(
+            "document.querySelector('#stage img').decode()"
+            ".then(() => new Promise(requestAnimationFrame))"
+        )
+        box = stage.bounding_box()
+        assert box["width"] / box["height"] == pytest.approx(shape, rel=0.01)
+        assert 300 < box["height"] < 0.79 * 600
+        page.click("#after")
+    page.close()
 
 
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}

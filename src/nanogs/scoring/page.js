@@ -28,6 +28,10 @@
     view = (view + by + count) % count;
     show();
   };
+  // Views may differ in shape, and each is to fit into the window.
+  under.addEventListener("load", () => {
+    stage.style.setProperty("--shape", under.naturalWidth / under.naturalHeight);
+  });
   part("before").addEventListener("click", step(-1));
   part("after").addEventListener("click", step(1));
   line.addEventListener("input", divide);
