@@ -89,6 +89,34 @@ def test_the_legend_has_a_dot_of_each_colour_before_its_name():
         assert float(names[name].get("y")) == float(dot.get("cy")) + 4
 
 
+def test_each_of_many_lines_has_a_place_in_the_legend_and_a_dot_of_its_own():
+    lines = {f"line {number}": [(1.0, 2.0 + number)] for number in range(40)}
+    drawing = drawn(Chart("", "splats", lines), Chart("", "splats", {}))
+    groups = [group for group in drawing.iter(f"{SVG}g") if group.get("fill", "").startswith("#")]
+    shapes = [list(group)[-1] for group in groups]
+    kinds = {
+        (group.get("fill"), shape.tag, (shape.get("d") or "").partition("m")[2])
+        for group, shape in zip(groups, shapes, strict=True)
+    }
+    assert len(kinds) == 40
+    assert all(len(group) == 3 for group in groups)  # line, dot, and dot of the legend
+    names = [found for found in drawing.iter(f"{SVG}text") if (found.text or "").startswith("line")]
+    heights = [float(name.get("y")) for name in names]
+    assert len(set(heights)) == 40
+    assert 40 + max(heights) + 5 < int(drawing.get("height"))
+
+
+def test_a_long_name_is_shortened_in_the_middle_and_whole_in_a_tooltip():
+    long = "a & very long name of a model/iteration_30000.ply"
+    drawing = drawn(Chart("", "splats", {long: [(1.0, 2.0)], "short": []}))
+    [shortened] = [
+        found for found in drawing.iter(f"{SVG}text") if found.find(f"{SVG}title") is not None
+    ]
+    assert shortened.text == "a & very lo…n_30000.ply"
+    assert shortened.find(f"{SVG}title").text == long
+    assert "short" in texts(drawing)
+
+
 @pytest.mark.parametrize(
     ("count", "columns", "size"),
     [(0, None, (700, 400)), (3, None, (2100, 400)), (3, 2, (1400, 800)), (4, 2, (1400, 800))],

@@ -15,7 +15,7 @@ from builders import random_splats
 from launch import run
 from nanogs.cli.options import parse_background, parse_direction, parse_pixels
 from nanogs.errors import ExistsError, ModelError, OptionError
-from nanogs.protocol import Protocol
+from nanogs.protocol import PackingLoss, Protocol
 from nanogs.raster.camera import Camera
 from nanogs.raster.images import color_image
 from nanogs.raster.rendering import render
@@ -178,6 +178,10 @@ def test_the_plot_has_a_line_for_each_name_and_omits_infinite_psnr():
     assert "ours" in svg
     assert svg.count("<polyline") == 1
     assert rate_distortion_plot(comparison.models[-1:]) == ""
+    packed = replace(
+        comparison.models[0], name="packed", packed=PackingLoss(".sog", 0.1, 0.001, 60.0, 0.999)
+    )
+    assert rate_distortion_plot([*comparison.models, packed]) == svg
 
 
 @pytest.mark.parametrize(("text", "size"), [("512", (512, 512)), ("1280x720", (1280, 720))])

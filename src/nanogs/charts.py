@@ -13,6 +13,15 @@ _COLOURS = (
     "#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f",
     "#bcbd22", "#17becf",
 )  # fmt: skip
+# Around a point: the first for the first use of the colours, the next for their second, and so on.
+_DOTS = (
+    '<circle cx="{x:.1f}" cy="{y:.1f}" r="4"/>',
+    '<path d="M{x:.1f} {y:.1f}m-4-4h8v8h-8z"/>',
+    '<path d="M{x:.1f} {y:.1f}m0-5l5 9h-10z"/>',
+    '<path d="M{x:.1f} {y:.1f}m0-5l5 5-5 5-5-5z"/>',
+)
+_ENTRY = 20  # height of a line of the legend, pixels
+_LETTERS = 23  # most characters of a name in the legend
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +59,9 @@ def svg(charts: Sequence[Chart], columns: int | None = None) -> str:
         columns: Number of charts in a row; by default all.
     """
     columns = columns or max(len(charts), 1)
-    across, down = _LEFT + _WIDTH + _LEGEND, _TOP + _HEIGHT + _BOTTOM
+    across = _LEFT + _WIDTH + _LEGEND
+    entries = max((len(chart.lines) for chart in charts), default=0)
+    down = _TOP + max(_HEIGHT + _BOTTOM, _ENTRY * (entries + 1))
     drawn = ""
     for place, chart in enumerate(charts):
         row, column = divmod(place, columns)
@@ -125,15 +136,30 @@ def _line(places: Points, name: str, number: int) -> str:
     """Draw a line with dots, and its entry in the legend."""
     colour = _COLOURS[number % len(_COLOURS)]
     points = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
-    dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4"/>' for x, y in places)
-    height = 8 + 20 * number
+    dot = _DOTS[number // len(_COLOURS) % len(_DOTS)]
+    dots = "".join(dot.format(x=x, y=y) for x, y in places)
+    height = 8 + _ENTRY * number
     return (
         f'<g fill="{colour}"><polyline points="{points}" fill="none" stroke="{colour}"'
-        f' stroke-width="1.8"/>{dots}<circle cx="{_WIDTH + 16}" cy="{height}" r="4"/></g>'
-        + _text(_WIDTH + 26, height + 4, name, anchor="start")
+        f' stroke-width="1.8"/>{dots}{dot.format(x=_WIDTH + 16, y=height)}</g>'
+        + _text(_WIDTH + 26, height + 4, name, anchor="start", letters=_LETTERS)
     )
 
 
-def _text(x: float, y: float, text: str, *, anchor: str = "middle", size: int = 13) -> str:
+def _text(
+    x: float,
+    y: float,
+    text: str,
+    *,
+    anchor: str = "middle",
+    size: int = 13,
+    letters: int | None = None,
+) -> str:
+    """Write a text; one of more than `letters` loses its middle, and a tooltip has it whole."""
+    shown, tip = text, ""
+    if letters and len(text) > letters:
+        # Names of files often differ in their last letters.
+        half = letters // 2
+        shown, tip = f"{text[:half]}…{text[-half:]}", f"<title>{escape(text)}</title>"
     placed = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"'
-    return f"<text {placed}>{escape(text)}</text>"
+    return f"<text {placed}>{escape(shown)}{tip}</text>"

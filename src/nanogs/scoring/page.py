@@ -85,7 +85,8 @@ def _text(name: str) -> str:
 def rate_distortion_plot(models: Sequence[ModelScore], title: str = "") -> str:
     """Plot PSNR over the number of splats as an SVG element, with a line for each name.
 
-    Models whose PSNR is infinite are left out; the result is empty if none is left.
+    Models whose PSNR is infinite are left out, and those as packed files, which have the splats of
+    another model and nearly its PSNR; the result is empty if none is left.
 
     Args:
         models: Their scores, all on the same views.
@@ -93,6 +94,6 @@ def rate_distortion_plot(models: Sequence[ModelScore], title: str = "") -> str:
     """
     lines: dict[str, list[tuple[float, float]]] = {}
     for model in models:
-        if math.isfinite(model.psnr):
+        if math.isfinite(model.psnr) and not model.packed:
             lines.setdefault(model.name, []).append((model.splats, model.psnr))
     return svg([Chart(title, "splats", lines)]) if lines else ""
