@@ -255,11 +255,16 @@ def test_view_shows_the_finest_level_that_fits_a_page(folder, tmp_path, monkeypa
     assert shown(2).splats == 40
     assert shown(2).input_bytes == bytes_of(stream, *stream.parent.glob("2_0/*"))
     assert shown().input_bytes == bytes_of(stream, *stream.parent.glob("0_0/*"))
-    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    page = tmp_path / "page.html"
+    text = page.read_text(encoding="utf-8")
     assert f'"{bytes_text(shown().input_bytes)}"' in text
+    assert "of 0 to 3" not in text
+    shown(2)
+    assert '"level 2 of 0 to 3"' in page.read_text(encoding="utf-8")
     monkeypatch.setattr("nanogs.scoring.viewing.PAGE_SPLATS", 150)
     assert shown().splats == 100
     assert any("`level=0`" in note for note in shown().notes)
+    assert '"level 1 of 0 to 3"' in page.read_text(encoding="utf-8")
     assert not any("`level" in note for note in shown(1).notes)
     monkeypatch.setattr("nanogs.scoring.viewing.PAGE_SPLATS", 1)
     assert shown().splats == 4

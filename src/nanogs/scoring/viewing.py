@@ -145,7 +145,8 @@ def view_files(
         packed = [pack(splats, start) for splats in each(models, tracker.part)]
     tracker.begin("write")
     with clock.time("write"):
-        text = render_page(_shown(infos, inputs, models, packed, judged), start, background)
+        shown = _shown(infos, inputs, models, packed, judged, level)
+        text = render_page(shown, start, background)
         with atomic_write(page, overwrite=overwrite) as file:
             file.write(utf8(text))
     tracker.finish()
@@ -194,12 +195,18 @@ def _affordable(levels: Sequence[int]) -> int:
     return next(fitting, len(levels) - 1)
 
 
+def _level_text(levels: Sequence[int], level: int | None) -> str:
+    """Name the level that is shown; empty for the finest, and for a model without levels."""
+    number = _affordable(levels) if level is None else level
+    return f"level {number} of 0 to {len(levels) - 1}" if levels and number else ""
+
+
 def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
-    chosen = _affordable(levels)
-    if chosen == 0:
+    shown = _level_text(levels, None)
+    if not shown:
         return splats
     note = (
-        f"level {chosen} of 0 to {len(levels) - 1} is shown, {counted(len(splats), 'splat')};"
+        f"{shown} is shown, {counted(len(splats), 'splat')};"
         f" `level=0` shows the finest, {levels[0]:,}."
     )
     return replace(splats, notes=(*splats.notes, note))
@@ -249,12 +256,15 @@ def _shown(
     models: Sequence[Splats],
     packed: Sequence[Packed],
     judged: Judged | None,
+    level: int | None,
 ) -> list[Shown]:
     shown = []
     together = zip(infos, inputs, models, packed, strict=True)
-    for place, (info, (name, _path), splats, data) in enumerate(together):
+    for place, (info, (name, path), splats, data) in enumerate(together):
         reference, score = (len(models[0]), judged) if place else (None, None)
         facts = facts_of(len(splats), info.file_bytes, reference=reference, judged=score)
+        if coarse := _level_text(open_model(path).levels, level):
+            facts = (*facts, coarse)
         shown.append(Shown(name, facts, data))
     return shown
 
