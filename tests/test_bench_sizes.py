@@ -240,7 +240,8 @@ def test_names_are_escaped_in_the_page():
 @pytest.mark.filterwarnings("default")  # warnings of the browser's driver
 def test_each_chart_of_the_page_fits_a_phone_with_its_legend(tmp_path):
     rows = [*rows_of("them", BASE, near=1), *rows_of("ours", base_plus(2), near=1)]
-    (tmp_path / "a.html").write_text(size_page(rows, ["them"], "nanogs bench x"), encoding="utf-8")
+    command = f"nanogs bench {'x' * 100}.ply"
+    (tmp_path / "a.html").write_text(size_page(rows, ["them"], command), encoding="utf-8")
     with page_at((tmp_path / "a.html").as_uri(), 390, 844) as page:
         boxes = [svg.bounding_box() for svg in page.locator("svg").all()]
         assert len(boxes) == 2

@@ -495,7 +495,20 @@ def test_a_browser_without_webgl_gets_a_message(chromium):
         page.wait_for_selector("body[data-state=failed]", timeout=TIMEOUT)
         text = page.get_by_role("alert").inner_text()
         assert text == "The studio cannot draw: this browser has no WebGL 2, or it is switched off."
+        assert page.inner_text("#said") == ""
+        enabled = page.locator("button:enabled:visible, input:enabled:visible, select:enabled")
+        assert enabled.evaluate_all("all => all.map((it) => it.ariaLabel)") == ["Close message"]
+        page.get_by_role("button", name="Close message").click()
+        assert not page.is_visible("#alert")
         page.close()
+
+
+def test_a_plot_of_one_point_has_its_size_on_the_axis(chromium):
+    with opened(chromium, answered=False) as studio:
+        studio.answer_request(bytes=1_300_000)
+        page = studio.page
+        page.wait_for_selector("#plot .present", timeout=TIMEOUT)
+        assert "1.3 MB" in page.locator("#plot text").all_text_contents()
 
 
 def test_a_failure_is_shown_as_a_message(studio):

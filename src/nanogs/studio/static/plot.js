@@ -71,7 +71,9 @@ export function makePlot(curve, fewest, choose) {
       );
       svg.append(label(value + unit, EDGE.left - 6, y(value) + 3.5, "end"));
     }
-    for (const [value, unit] of named(logarithmicTicks(across, inner.width), "MB")) {
+    let sizes = logarithmicTicks(across, inner.width);
+    if (!sizes.length) sizes = [all.at(-1).bytes / MEGA]; // no round number is near
+    for (const [value, unit] of named(sizes, "MB")) {
       svg.append(
         drawn("line", {
           x1: x(value),
@@ -177,4 +179,4 @@ function logarithmicTicks({ low, high }, pixels) {
 }
 
 const tickText = (value) =>
-  value >= 1 ? value.toLocaleString("en-US") : String(Number(value.toPrecision(1)));
+  value >= 1 ? value.toLocaleString("en-US") : String(Number(value.toPrecision(3)));

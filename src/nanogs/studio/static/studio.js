@@ -54,6 +54,10 @@ function open(scene) {
     begun = begin(scene);
   } catch (error) {
     data.state = "failed";
+    status.say("");
+    // None of them is connected with anything.
+    for (const control of document.querySelectorAll("button, input, select"))
+      control.disabled = !control.closest("#alert");
     status.complain(`The studio cannot draw: ${error.message}`);
     throw error;
   }
