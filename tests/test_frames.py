@@ -148,6 +148,10 @@ def test_frames_that_contradict_the_files_are_refused(tmp_path):
             nanogs.simplify_blocks(*files, ratio=0.5, preset="fast", **options)
     with pytest.raises(OptionError, match=r"up\.spz states the frame rub"):
         nanogs.write_levels(tmp_path / "up.spz", tmp_path / "lv", [0.5], frame=("rdf", "rub"))
+    with pytest.raises(OptionError, match=r"All \.glb files use the same frame"):
+        nanogs.write_levels(
+            tmp_path / "a.ply", tmp_path / "lv", [0.5], suffix=".glb", frame=("rdf", "ruf")
+        )
     assert sorted(tmp_path.iterdir()) == before
     nanogs.convert(tmp_path / "up.spz", tmp_path / "c.ply", frame=("rub", "rdf"))
     assert len(nanogs.load(tmp_path / "c.ply")) == 20

@@ -15,7 +15,7 @@ from nanogs.findings import join_findings
 from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
 from nanogs.io import open as open_model
-from nanogs.io.frames import keep_stated_frame, refuse_frames
+from nanogs.io.frames import keep_stated_frame, refuse_frame_read, refuse_frame_written
 from nanogs.io.parts import FileSource, level_note
 from nanogs.io.url_files import local_copies
 from nanogs.io.urls import place
@@ -125,7 +125,8 @@ def convert(
         path = there or wanted
         registry.writable(wanted).check_columns(file.columns)
         if frame is not None:
-            refuse_frames(frame, [file], wanted)
+            refuse_frame_read(frame, [file])
+            refuse_frame_written(frame, wanted)
         unturned = () if frame else (file,)
         saving["format_options"], said = keep_stated_frame(wanted, format_options, unturned)
         allowed = None if max_memory is None else as_bytes(max_memory)

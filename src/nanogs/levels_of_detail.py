@@ -18,6 +18,7 @@ from nanogs.environments import AUTO, NOTHING, EnvironmentRequest, surroundings,
 from nanogs.errors import OptionError
 from nanogs.frames import turned
 from nanogs.io import inspect, registry
+from nanogs.io.frames import refuse_frame_written
 from nanogs.io.models import Model, as_splats
 from nanogs.io.retag import in_mode
 from nanogs.io.url_files import refuse_address
@@ -207,6 +208,8 @@ def sink_of(
     options = request.format_options
     if chunks is None:
         file = Path(level_name(0, suffix))
+        if request.frame is not None:
+            refuse_frame_written(request.frame, file)
         options = registry.add_target_frame(file, options, request.frame)
     return sink(request.output, request.overwrite, name, chunks, suffix, options)
 

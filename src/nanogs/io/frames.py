@@ -14,16 +14,15 @@ from nanogs.io.format import FormatOptions
 from nanogs.io.parts import FileSource
 
 
-def refuse_frames(frame: tuple[str, str], inputs: Sequence[FileSource], output: Path) -> None:
-    """Refuse frames from and to which a model is turned if its files have others.
+def refuse_frame_read(frame: tuple[str, str], inputs: Sequence[FileSource]) -> None:
+    """Refuse frames from and to which a model is turned if its files are in another.
 
     Args:
         frame: Names of both frames, in lower case.
         inputs: The files that the model comes from.
-        output: The output; only its suffix counts.
 
     Raises:
-        OptionError: An input is in another frame, or the output's format has a frame of its own.
+        OptionError: An input is in another frame than the first.
     """
     before, after = frame
     for each in inputs:
@@ -38,6 +37,19 @@ def refuse_frames(frame: tuple[str, str], inputs: Sequence[FileSource], output: 
                 f"{each.name} states the frame {each.frame}, but `frame` says {before}; give"
                 f' frame=("{each.frame}", "{after}").'
             )
+
+
+def refuse_frame_written(frame: tuple[str, str], output: Path) -> None:
+    """Refuse frames from and to which a model is turned if its output has one of its own.
+
+    Args:
+        frame: Names of both frames, in lower case.
+        output: The output; only its suffix counts.
+
+    Raises:
+        OptionError: All files of the output's format have the same frame, and it is not the second.
+    """
+    before, after = frame
     known = registry.writable(output)
     if known.turns and after != TRAINED:
         raise OptionError(

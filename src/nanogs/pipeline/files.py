@@ -15,7 +15,7 @@ from nanogs.defaults import PATIENCE
 from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
-from nanogs.io.frames import keep_stated_frame, refuse_frames
+from nanogs.io.frames import keep_stated_frame, refuse_frame_read, refuse_frame_written
 from nanogs.io.limits import degree_left_out
 from nanogs.io.url_files import local_copies
 from nanogs.io.urls import path_text, place, places
@@ -175,6 +175,8 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
         NanogsError: The request cannot be carried out.
     """
     request.check()
+    if request.frame is not None:
+        refuse_frame_written(request.frame, request.output)
     options, notes = options_with_frame(request, request.output)
     request = replace(request, format_options=options)
     plan = plan_files(request)
@@ -228,7 +230,7 @@ def options_with_frame(
         files = [stack.enter_context(file) for file in opened]
         registry.writable(output).check_columns(joined_layout(files))
         if request.frame is not None:
-            refuse_frames(request.frame, files, output)
+            refuse_frame_read(request.frame, files)
             return request.format_options, ()
         return keep_stated_frame(output, request.format_options, files)
 
