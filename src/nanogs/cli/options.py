@@ -238,7 +238,7 @@ MaxMemory = Annotated[
     int | None,
     typer.Option(
         parser=parse_memory,
-        help="Memory that may be used, e.g. 4GB; work that needs more is refused before it starts.",
+        help="Memory that may be used, e.g. 4GB; what cannot be done in it is refused at once.",
         metavar="SIZE",
         show_default="nine tenths of the free memory",
     ),
