@@ -33,7 +33,7 @@ from nanogs.lod.usual import default_ratios
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.estimates.durations import levels_stages
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
-from nanogs.pipeline.files import limit_degree, options_with_frame
+from nanogs.pipeline.files import checked_options, limit_degree
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import import_stages
 from nanogs.pipeline.levels import checked_ratios, judged_levels
@@ -230,7 +230,7 @@ def write_levels_of_files(
     """
     refuse_device(request.device, request.preset, request.parameters, request.goal)
     plan = plan_files(request)
-    options, unstated = options_with_frame(request, _file(sink))
+    options, unstated = checked_options(request, _file(sink))
     if plan.divided:
         request.refuse_device_in_blocks()
         unstated = (*unstated, *device_notes(request.device, CPU))

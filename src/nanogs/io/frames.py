@@ -80,12 +80,12 @@ def keep_stated_frame(
     if known is None or len(stated) != 1 or stated == {""}:
         return options, ()
     [frame] = stated
-    if (asked := given.get("frame")) and asked != frame:
-        raise OptionError(
-            f"The input states the frame {frame}, but the format option `frame` says {asked}; turn"
-            f' the model, with `frame=("{frame}", "{asked}")`, or leave the option out.'
-        )
-    if asked:
+    if asked := given.get("frame"):
+        if asked != frame:
+            raise OptionError(
+                f"The input states the frame {frame}, but the format option `frame` says {asked};"
+                f' turn the model, with `frame=("{frame}", "{asked}")`, or leave the option out.'
+            )
         return options, ()
     options_with = {**given, "frame": frame}
     if known.states_frame(options_with) and frame in known.options["frame"].values:

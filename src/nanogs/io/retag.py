@@ -60,9 +60,15 @@ def in_mode(splats: Splats, mode: RenderMode | None, name: str) -> Splats:
     if mode is None or mode is splats.render_mode:
         return splats
     refuse_mode(name, splats.render_mode, mode)
-    note = f"The render mode is {mode}, as requested; it was {splats.render_mode}."
+    return _drawn_as(
+        splats, mode, f"The render mode is {mode}, as requested; it was {splats.render_mode}."
+    )
+
+
+def _drawn_as(splats: Splats, mode: RenderMode, *notes: str) -> Splats:
+    """Return a model with a render mode and further notes, without comments that state another."""
     comments = agreeing(splats.comments, mode)
-    return replace(splats, render_mode=mode, comments=comments, notes=[*splats.notes, note])
+    return replace(splats, render_mode=mode, comments=comments, notes=[*splats.notes, *notes])
 
 
 def refuse_mode(name: str, own: str, mode: RenderMode) -> None:
@@ -119,5 +125,4 @@ class Retagged(SourceWrapper):
         return (override_note(self.file.info, self._mode),)
 
     def _changed(self, splats: Splats) -> Splats:
-        comments, notes = agreeing(splats.comments, self._mode), [*splats.notes, *self.remarks]
-        return replace(splats, render_mode=self._mode, comments=comments, notes=notes)
+        return _drawn_as(splats, self._mode, *self.remarks)

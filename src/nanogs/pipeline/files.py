@@ -177,7 +177,7 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
     request.check()
     if request.frame is not None:
         refuse_frame_written(request.frame, request.output)
-    options, notes = options_with_frame(request, request.output)
+    options, notes = checked_options(request, request.output)
     request = replace(request, format_options=options)
     plan = plan_files(request)
     request, left_out = limit_degree(request, plan.sh_degree, request.output)
@@ -209,7 +209,7 @@ def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, 
     return replace(request, sh_degree=most), (degree_left_out(known.suffix, most),)
 
 
-def options_with_frame(
+def checked_options(
     request: Request, output: Path
 ) -> tuple["FormatOptions | None", tuple[str, ...]]:
     """Check that the output can hold what the inputs have, and return format options and notes.

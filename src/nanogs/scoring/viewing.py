@@ -121,13 +121,17 @@ def view_files(
     tracker.begin("read")
     with clock.time("read"):
         inputs = [(name, model_in(path)) for name, path in inputs]
-        infos = [_shown_info(path, level) for _name, path in inputs]
+        levels = [open_model(path).levels for _name, path in inputs]
+        infos = [
+            inspect(path, level=_number(counts, level))
+            for (_name, path), counts in zip(inputs, levels, strict=True)
+        ]
         needed = page_bytes(infos)
         if measured:
             needed = compare_bytes(infos, width * height, views)
         allowed = allowed_memory(max_memory, compiled=measured)
         refuse_too_large("Making this page", needed, allowed, "free some, or view smaller models")
-        models = _read(inputs, level, render_mode, tracker.part)
+        models = _read(inputs, levels, level, render_mode, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):
         found: list[Camera] = []
@@ -145,7 +149,8 @@ def view_files(
         packed = [pack(splats, start) for splats in each(models, tracker.part)]
     tracker.begin("write")
     with clock.time("write"):
-        shown = _shown(infos, inputs, models, packed, judged, level)
+        texts = [_level_text(counts, level) for counts in levels]
+        shown = _shown(infos, inputs, models, packed, judged, texts)
         text = render_page(shown, start, background)
         with atomic_write(page, overwrite=overwrite) as file:
             file.write(utf8(text))
@@ -161,32 +166,29 @@ def view_files(
 
 def _read(
     inputs: Sequence[tuple[str, Path]],
+    counts: Sequence[Sequence[int]],
     level: int | None,
     mode: str | None,
     on_progress: PartProgress,
 ) -> list[Splats]:
-    """Load the models; if `level` is None, a note names the level of a streamed model."""
-    counts = [open_model(path).levels for _name, path in inputs]
+    """Load the models, of which `counts` has the splats of each level.
+
+    If `level` is None, a note names the level of a streamed model.
+    """
     if level is not None and not any(counts):
         refuse_level(inputs[0][1], level)
     models = []
     for (_name, path), levels in each(zip(inputs, counts, strict=True), on_progress):
-        if not levels:
-            models.append(load(path, render_mode=mode))
-        elif level is not None:
-            models.append(load(path, level=level, render_mode=mode))
-        else:
-            shown = load(path, level=_affordable(levels), render_mode=mode)
-            models.append(_with_note(shown, levels))
+        shown = load(path, level=_number(levels, level), render_mode=mode)
+        models.append(_with_note(shown, levels) if levels and level is None else shown)
     return models
 
 
-def _shown_info(path: Path, level: int | None) -> FileInfo:
-    """Read the metadata of a model; for a streamed one, of the level that is shown."""
-    levels = open_model(path).levels
+def _number(levels: Sequence[int], level: int | None) -> int:
+    """Return the level that is shown of a model; 0 if it has no levels."""
     if not levels:
-        return inspect(path)
-    return inspect(path, level=_affordable(levels) if level is None else level)
+        return 0
+    return _affordable(levels) if level is None else level
 
 
 def _affordable(levels: Sequence[int]) -> int:
@@ -197,8 +199,8 @@ def _affordable(levels: Sequence[int]) -> int:
 
 def _level_text(levels: Sequence[int], level: int | None) -> str:
     """Name the level that is shown; empty for the finest, and for a model without levels."""
-    number = _affordable(levels) if level is None else level
-    return f"level {number} of 0 to {len(levels) - 1}" if levels and number else ""
+    number = _number(levels, level)
+    return f"level {number} of 0 to {len(levels) - 1}" if number else ""
 
 
 def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
@@ -256,16 +258,14 @@ def _shown(
     models: Sequence[Splats],
     packed: Sequence[Packed],
     judged: Judged | None,
-    level: int | None,
+    levels: Sequence[str],
 ) -> list[Shown]:
     shown = []
-    together = zip(infos, inputs, models, packed, strict=True)
-    for place, (info, (name, path), splats, data) in enumerate(together):
+    together = zip(infos, inputs, models, packed, levels, strict=True)
+    for place, (info, (name, _path), splats, data, coarse) in enumerate(together):
         reference, score = (len(models[0]), judged) if place else (None, None)
         facts = facts_of(len(splats), info.file_bytes, reference=reference, judged=score)
-        if coarse := _level_text(open_model(path).levels, level):
-            facts = (*facts, coarse)
-        shown.append(Shown(name, facts, data))
+        shown.append(Shown(name, (*facts, coarse) if coarse else facts, data))
     return shown
 
 
