@@ -24,7 +24,7 @@ WORKERS ?= 3
 # What `make floors` and `make newest` run.
 TESTS ?= tests
 # What `make bounds` runs: whatever calls kernels, with small models.
-BOUNDS := $(patsubst %,tests/test_%.py,kernels extremes directional growth_sheets forest knn parallel raster blocks \
+BOUNDS := $(patsubst %,tests/test_%.py,kernels extremes correct directional growth_sheets forest knn parallel raster blocks \
 	visibility distances refit metrics simplify scale sog_write)
 
 # Python keeps compiled modules, whatever it is told elsewhere: tests start hundreds of processes.

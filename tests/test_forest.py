@@ -439,10 +439,10 @@ def test_the_candidate_of_highest_quality_is_chosen_and_marked_once(
         return dataclasses.replace(candidate, quality=given_qualities[stage, number])
 
     monkeypatch.setattr(trials, "_report", report)
-    trials.pick_balance(scene, Task("pick"))
+    trials.pick(scene, Task("pick"))
     balances = [0.5, 0.8, 1.0]
     leader = int(np.argmax(qualities[:3]))
-    assert scene.balance(0) == leader
+    assert scene.picked(0) == leader
     step = 0
     while trials.grows_on(scene, 0, step):
         trials.candidates(scene, 0, step + 1)
@@ -471,7 +471,7 @@ class ThreeBalances(OneBlock):
 
 
 def scene_with_three_balances():
-    splats, method = random_splats(8), parameters.ForestParameters(growth=1.1)
+    splats, method = random_splats(8), parameters.ForestParameters(growth=1.1, corrections=0)
     return ThreeBalances(splats, np.arange(8), whole_settings(splats, method), 1)
 
 

@@ -660,9 +660,9 @@ def test_the_preset_that_renders_nothing_has_no_fitting_steps(capsys):
 @pytest.mark.parametrize(
     ("options", "reported", "unreported"),
     [
-        ({}, set(), {"hidden", "steps", "views", "view_size"}),
-        ({"steps": 5}, {"steps", "views", "view_size"}, {"hidden"}),
-        ({"measure": True}, {"hidden", "steps", "views", "view_size"}, set()),
+        ({}, set(), {"hidden", "corrections", "steps", "views", "view_size"}),
+        ({"steps": 5}, {"steps", "views", "view_size"}, {"hidden", "corrections"}),
+        ({"measure": True}, {"hidden", "corrections", "steps", "views", "view_size"}, set()),
     ],
 )
 def test_parameters_without_effect_are_not_reported(options, reported, unreported):

@@ -133,7 +133,7 @@ def test_the_growth_limit_rises_with_coverage():
     needed, covered = np.array([4.0, 4.0, 4.0, 1.1]), np.array([0.0, 0.5, 1.0, 1.0])
     model = shell(4)
     scales = np.exp(model.log_scales)
-    groups = Groups(model, np.ones(4, bool), scales, needed, np.ones(4), covered)
+    groups = Groups(model, np.arange(4), np.ones(4, bool), scales, needed, np.ones(4), covered)
 
     def areas(growth):
         larger = np.exp(groups.grown(growth).log_scales)

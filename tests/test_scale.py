@@ -219,8 +219,9 @@ def test_keys_sort_in_the_order_of_scores(scores):
         max_size=5,
     ),
     st.integers(0, 70),
+    st.none() | st.lists(st.sampled_from([0.0, -3.0, 1.5]), min_size=5, max_size=5),
 )
-def test_the_budget_takes_the_lowest_scores_of_all_blocks(tmp_path_factory, blocks, target):
+def test_the_budget_takes_the_lowest_scores_of_all_blocks(tmp_path_factory, blocks, target, shifts):
     scratch = FolderScratch(tmp_path_factory.mktemp("budget"))
     records, pooled = [], []
     for number, each in enumerate(blocks):
@@ -229,11 +230,13 @@ def test_the_budget_takes_the_lowest_scores_of_all_blocks(tmp_path_factory, bloc
         facts = {"splats": len(scores) + 1, "fewest": 1}
         columns = {scores_of(0): scores, histogram_of(0): counts}
         records.append(write_table(scratch, f"f{number}", columns, facts))
-        pooled += [(score, number) for score in scores]
+        shift = np.float32(shifts[number] if shifts else 0)
+        pooled += [(score + shift, number) for score in scores]
     splats = sum(len(each) + 1 for each in blocks)
     merged = [number for _, number in sorted(pooled)[: max(splats - target, 0)]]
     left = [len(each) + 1 - merged.count(number) for number, each in enumerate(blocks)]
-    assert budget(scratch, records, target) == left
+    given_shifts = np.array(shifts[: len(blocks)]) if shifts else None
+    assert budget(scratch, records, target, shifts=given_shifts) == left
 
 
 @given(

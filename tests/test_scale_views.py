@@ -80,7 +80,10 @@ def test_threads_do_not_change_the_bytes(scene, blocks_result, tmp_path):
     assert (tmp_path / "a.ply").read_bytes() == blocks_result[1]
 
 
-@pytest.mark.parametrize("stage", ["coarse", "views", "look", "trial", "choose", "fit"])
+@pytest.mark.parametrize(
+    "stage",
+    ["coarse", "views", "look", "trial", "correct_1", "budget_1", "trial_1", "choose", "fit"],
+)
 def test_an_interrupted_job_gives_the_same_bytes(
     scene, blocks_result, tmp_path, monkeypatch, stage
 ):
@@ -90,7 +93,8 @@ def test_an_interrupted_job_gives_the_same_bytes(
         if (
             task.stage == stage
             and left
-            and task.number == work.partition.blocks // 2 * (stage not in ("views", "choose"))
+            and task.number
+            == work.partition.blocks // 2 * (stage not in ("views", "budget_1", "choose"))
         ):
             left.pop()
             raise KeyboardInterrupt

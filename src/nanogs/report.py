@@ -64,6 +64,8 @@ class CandidateReport:
 
     Attributes:
         balance: Balance of its cut, from groups of equal size (0) to groups of equal error (1).
+        corrections: How often the errors that the cut is guided by were corrected by those that
+            groups show in views; 0 for predicted errors.
         reassigned: Whether splats were moved between groups after the cut.
         growth: Largest factor by which the axes of a splat could grow to make up for an opacity
             that would have to exceed 1.
@@ -75,6 +77,7 @@ class CandidateReport:
     """
 
     balance: float
+    corrections: int
     reassigned: bool
     growth: float
     psnr: float

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
-from nanogs._types import F32, U8
+from nanogs._types import F32, F64, U8, Bool
 from nanogs.card.device import engine_in_use
 from nanogs.kernels import backward, gradients
-from nanogs.kernels.blocks import ALL_BLOCKS
+from nanogs.kernels.blocks import ALL_BLOCKS, SIDE, TILE
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import (
     PreparedSplats,
@@ -136,16 +137,13 @@ def as_target(rendering: Rendering, camera: Camera) -> Target:
     return Target(camera, fixed, depth / max(camera.fx, camera.fy))
 
 
-def _blend(
-    model: PreparedSplats, camera: Camera, wanted: int = ALL_BLOCKS
-) -> tuple[Projection, F32, F32]:
-    """Render four channels: return the projection, the features (N, 4) and the image (H, W, 4)."""
-    view = project(model, camera)
+def _blend(view: Projection, camera: Camera, wanted: int = ALL_BLOCKS) -> tuple[F32, F32]:
+    """Blend four channels of a projection: return the features (N, 4) and the image (H, W, 4)."""
     with np.errstate(invalid="ignore"):  # rows that are not drawn are not initialised
         features = view.features - np.array([WHITE, WHITE, WHITE, 0], np.float32)
     features[:, 3] = ALPHA
     image, _, _ = blend(view, camera, features, np.zeros(4, np.float32), wanted=wanted)
-    return view, features, image
+    return features, image
 
 
 def _weigh(target: Target, image: F32, wanted: int = ALL_BLOCKS) -> tuple[F32, F32, float]:
@@ -167,7 +165,54 @@ def squared_error(model: PreparedSplats, target: Target) -> float:
         view = view_on(engine, model, target.camera)
         image, _ = view.blend(view.tinted(WHITE, ALPHA), np.zeros(4, np.float32))
         return view.weigh(image, picture_on(engine, target), WHITE, ALPHA, ALL_BLOCKS)[2]
-    return _weigh(target, _blend(model, target.camera)[2])[2]
+    return _weigh(target, _blend(project(model, target.camera), target.camera)[1])[2]
+
+
+def errors_of_splats(model: PreparedSplats, target: Target) -> F64:
+    """Compute how large the squared error is where each splat of a model shows in a view.
+
+    It is measured at half of the view's size, and always on the CPU.
+
+    Args:
+        model: N splats.
+        target: The view of the original.
+
+    Returns:
+        (N, 2) float64, for each splat the sums over the pixels of T alpha times the squared
+        residual (see `WHITE`), and of T alpha; zeros for a view of one row or column.
+    """
+    if min(target.camera.width, target.camera.height) < 2:
+        return np.zeros((len(model), 2))
+    target = _halved(target)
+    camera = target.camera
+    view = project(model, camera)
+    features, image = _blend(view, camera)
+    residual, _, _ = _weigh(target, image)
+    probes = np.ones((2, *residual.shape[:2]), np.float32)
+    np.einsum("hwc,hwc->hw", residual, residual, out=probes[0])
+    if target.blocks != ALL_BLOCKS:
+        probes[:, ~_in_blocks(target.blocks, camera, SIDE // 2)] = 0
+    colours = np.ascontiguousarray(features[:, :1])  # one channel: the image is not needed again
+    return blend(view, camera, colours, np.zeros(1, np.float32), probes)[2]
+
+
+def _halved(target: Target) -> Target:
+    """Reduce a view to half of its size, without its last row and column if these are odd."""
+    width, height = target.camera.width // 2, target.camera.height // 2
+    camera = target.camera.cropped(0, 0, 2 * width, 2 * height).resized(width, height)
+    whole = np.ascontiguousarray(target.image[: 2 * height, : 2 * width])
+    # Four channels without a meaning: Pillow would weight the colours of RGBA by alpha.
+    image = Image.frombuffer("CMYK", (2 * width, 2 * height), whole, "raw", "CMYK", 0, 1)
+    return replace(target, camera=camera, image=np.array(image.reduce(2)))
+
+
+def _in_blocks(wanted: int, camera: Camera, side: int) -> Bool:
+    """Return (H, W) bool, the pixels of a view in wanted blocks of `side` x `side` pixels."""
+    across = TILE // SIDE
+    rows, columns = np.ogrid[: camera.height, : camera.width]
+    block = rows // side % across * across + columns // side % across
+    inside: Bool = np.asarray(wanted >> block & 1, bool)
+    return inside
 
 
 def picture_on(engine: "Engine", target: Target) -> "wp.array":
@@ -183,7 +228,8 @@ def compute_gradients(model: PreparedSplats, target: Target, wanted: int = ALL_B
         target: The view.
         wanted: Bit mask of the blocks of each tile whose pixels count.
     """
-    view, features, image = _blend(model, target.camera, wanted)
+    view = project(model, target.camera)
+    features, image = _blend(view, target.camera, wanted)
     residual, curvature_weights, error = _weigh(target, image, wanted)
     return Gradients(
         view, sum_gradients(view, features, image, residual, curvature_weights, wanted), error

@@ -72,6 +72,18 @@ def subtree_sums(children: I32, increments: F64, sums: F64) -> None:
 
 
 @kernel
+def label_nodes(children: I32, labels: I32) -> None:
+    """Give every merge the label of its children if they have the same one, or else -1.
+
+    children: (M, 2) nodes, children before parents; labels: (N + M,), the first N given, changed.
+    """
+    first = len(labels) - len(children)
+    for m in range(len(children)):
+        label = labels[children[m, 0]]
+        labels[first + m] = label if labels[children[m, 1]] == label else -1
+
+
+@kernel
 def raise_to_children(children: I32, scores: F64) -> None:
     """Raise every node's score to at least its children's; scores: (N + M,), in place."""
     first = len(scores) - len(children)

@@ -6,6 +6,7 @@ from nanogs.ranges import check_ranges, parameter
 
 USUAL_BALANCE = 0.8  # the safest if nothing is measured
 PICTURES = 64  # most views that are rendered in advance and kept: 3 MB each at 896 pixels
+MOST_CORRECTIONS = 4  # each is a stage of its own
 BALANCES = (0.5, 1.0)  # one between them is hardly ever better than both
 
 
@@ -29,6 +30,8 @@ class ForestParameters:
         growth: Largest factor by which a merged splat's two longer axes may grow if an opaque one
             would cover too little; if nothing is measured, pieces of flat sheets grow by as much as
             they need, up to 1.8.
+        corrections: How often, at most, the errors that the cut is guided by are corrected by those
+            that groups show in views, if results are measured; as long as this helps.
         measure: Render the original: weight splats by their visibility, and choose between results
             by their renders.
         steps: Number of steps of fitting the result to the original, each on one view; a long fit
@@ -52,6 +55,7 @@ class ForestParameters:
     pixels: float = parameter(512.0, above=True)
     hidden: float = parameter(0.03, 0, 1, above=True)
     growth: float = parameter(1.25, 1)
+    corrections: int = parameter(1, 0, MOST_CORRECTIONS)
     measure: bool = True
     steps: int = parameter(
         28, help="Steps of fitting the result to renders of the original; 0 fits nothing."

@@ -39,6 +39,7 @@ class Groups:
 
     Attributes:
         model: G splats without growth.
+        labels: (G,) int64, label of the group that each of them stands for.
         new: (G,) bool, groups of more than one member.
         scales: (M, 3) float32, scales of the new splats without growth, scene units.
         needed: (M,) float64, factor by which their areas must grow to block enough light.
@@ -48,6 +49,7 @@ class Groups:
     """
 
     model: Splats
+    labels: I64
     new: Bool
     scales: F32
     needed: F64
@@ -133,7 +135,7 @@ def store_groups(
         sh[alone[part]] = pick(splats.sh, sources[alone[part]])
 
     parallel.for_each(slices(len(alone)), restore)
-    return Groups(stored, new, scales, needed[new], least[new], covered)
+    return Groups(stored, order, new, scales, needed[new], least[new], covered)
 
 
 def _frames(quats: F32, new: Bool) -> F32:

@@ -1,20 +1,21 @@
 """A model in memory as it passes through the stages: one block, of which nothing is copied."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from nanogs import parallel
-from nanogs._types import F64, I32, Array, Bool
+from nanogs._types import F64, I32, Array, Bool, F
 from nanogs.activations import alphas
 from nanogs.fit.groups import Group, split
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target, as_target, make_target
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
-from nanogs.method.cut import cut
+from nanogs.method.correct import Correction, Ordering
+from nanogs.method.cut import cut, label_groups, merge_scores
 from nanogs.method.extent import Dilation, Viewers, estimate_dilation
 from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.gaussians import scene_origin
@@ -106,8 +107,9 @@ class OneBlock(Scene):
     missed_light: MissedLight = field(default_factory=MissedLight)
     _forest: Forest | None = None
     _leaves: Nodes | None = None
-    # The result in progress: labels by cut, the latest groups with their labels, splats.
+    # The result in progress: labels and scores by cut, the latest groups with their labels, splats.
     _labels: dict[str, I32] = field(default_factory=dict)
+    _corrected: dict[int, F] = field(default_factory=dict)  # scores of a cut with corrected errors
     _stored: list[tuple[I32, Groups]] = field(default_factory=list)
     _part: Splats | None = None
     _fit: RefitReport | None = None
@@ -120,7 +122,9 @@ class OneBlock(Scene):
         Args:
             count: Splats to deliver.
         """
-        return replace(self, asked=count, _records=dict(self._records), _labels={}, _stored=[])
+        return replace(
+            self, asked=count, _records=dict(self._records), _labels={}, _corrected={}, _stored=[]
+        )
 
     # What is known.
 
@@ -290,19 +294,43 @@ class OneBlock(Scene):
         """Return the splats of the model."""
         return Block(self.splats, self._placed.rows, self.visible)
 
-    def cut(self, block: int, level: int, balance: int) -> I32:
+    def cut(self, block: int, level: int, number: int) -> I32:
         """Return the group of each leaf, computed once per cut; see `Scene.cut`."""
-        key = f"cut {balance}"
+        key, forest, target = f"cut {number}", self.forest, self.target(level)
         if key not in self._labels:
-            self._labels[key] = cut(self.forest, self.target(level), self.balances[balance])
+            corrected = self._corrected.get(number)
+            self._labels[key] = (
+                cut(forest, target, self.balances[number])
+                if corrected is None
+                else label_groups(forest.splats, forest.children, corrected, target)
+            )
         return self._labels[key]
+
+    def ordering(self, own: Block, block: int, level: int, number: int) -> Ordering:
+        """Return the merges and their errors, as a cut is guided by them."""
+        assert self._leaves is not None  # noqa: S101 - an earlier stage
+        scores = self._corrected.get(number)
+        if scores is None:
+            scores = merge_scores(self.forest, self.balances[number])
+        return Ordering(self.forest.children, scores, self._leaves.weights)
+
+    def keep_correction(self, task: Task, number: int, correction: Correction) -> Record:
+        """Keep the corrected errors for the cut; see `Scene.keep_correction`."""
+        self._corrected = {
+            number: correction.scores
+        }  # those of an earlier correction are cut by now
+        return self.write(task.name, {}, {})
+
+    def compared(self, block: int, own: Block) -> Iterable[Target]:
+        """Return the original on the views that are kept for the fit."""
+        return self.fitting
 
     def settle(self, name: str, block: int, level: int) -> Record:
         """Reassign the splats after the chosen cut; see `Scene.settle`."""
         assert self._leaves is not None  # noqa: S101 - an earlier stage
-        labels = self.cut(block, level, self.balance(level))
+        labels = self.cut(block, level, self.picked(level))
         # Only the chosen cut is used from here on: free the other candidates.
-        self._labels = {f"cut {self.balance(level)}": labels}
+        self._labels, self._corrected = {f"cut {self.picked(level)}": labels}, {}
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
         found, done = reassign(self._leaves, labels, groups, rounds, self.threads)
@@ -312,7 +340,7 @@ class OneBlock(Scene):
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
         """Return the splats and groups of the chosen cut, or after reassignment."""
         own = self.open(block)
-        chosen = self.cut(block, level, self.balance(level))
+        chosen = self.cut(block, level, self.picked(level))
         labels = self._labels["settled"] if reassigned else chosen
         return Members(own.splats, own.rows, own.visible, labels)
 
@@ -357,7 +385,7 @@ class OneBlock(Scene):
 
     def keep_part(self, name: str, level: int, small: Splats) -> Record:
         """Keep the splats of a result, and free the groups they were made from."""
-        self._labels, self._stored, self._part = {}, [], small
+        self._labels, self._corrected, self._stored, self._part = {}, {}, [], small
         return self.write(name, {}, {})
 
     def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:

@@ -5,7 +5,7 @@ Each stage is written once, for a block of a scene. `one_block.OneBlock` is a mo
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from nanogs._types import F64, I32, I64, Array, Bool
 from nanogs.fit.groups import Group
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target
+from nanogs.method.correct import Correction, Ordering
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups
 from nanogs.method.visibility import MissedLight
@@ -230,14 +231,39 @@ class Scene(ABC):
         """Return the splats of a block, and their visibility if it is known."""
 
     @abstractmethod
-    def cut(self, block: int, level: int, balance: int) -> I32:
+    def cut(self, block: int, level: int, number: int) -> I32:
         """Return (M,) int32: the group of each leaf of a block in a cut.
 
         Args:
             block: Number of the block.
             level: Of the result.
-            balance: Index into `balances`.
+            number: Of the cut: first those of `balances`, then those with corrected errors.
         """
+
+    @abstractmethod
+    def ordering(self, own: Block, block: int, level: int, number: int) -> Ordering:
+        """Return the merges of a block's forest and their errors, as a cut is guided by them.
+
+        Args:
+            own: The block.
+            block: Its number.
+            level: Of the result.
+            number: Of the cut, in which no merge is favoured for its size.
+        """
+
+    @abstractmethod
+    def keep_correction(self, task: Task, number: int, correction: Correction) -> Record:
+        """Keep the corrected errors that a further cut of a block is guided by.
+
+        Args:
+            task: The task that has found them.
+            number: Of the cut.
+            correction: Of the block's merges.
+        """
+
+    @abstractmethod
+    def compared(self, block: int, own: Block) -> Iterable[Target]:
+        """Return the original on views that do not decide, or the parts that show a block."""
 
     @abstractmethod
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
@@ -337,9 +363,9 @@ class Scene(ABC):
         given = self.settings.parameters
         return given.balances if self.measures else (given.balance,)
 
-    def balance(self, level: int) -> int:
-        """Return the index of the balance chosen for a level; 0 if none was tried."""
-        return int(self.of_job("pick", level).facts["balance"]) if self.tries(level) else 0
+    def picked(self, level: int) -> int:
+        """Return the number of the cut chosen for a level; 0 if none was tried."""
+        return int(self.of_job("pick", level).facts["cut"]) if self.tries(level) else 0
 
     def tries(self, level: int) -> bool:
         """Whether several candidates of a result are made and compared."""

@@ -7,12 +7,15 @@ it can be done anywhere, at any time, and again.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
 
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.method.choose import GROWTHS
+from nanogs.method.correct import usual_change
+from nanogs.method.parameters import MOST_CORRECTIONS
 from nanogs.pipeline.estimates.memory_blocks import COARSE_SHARES
 from nanogs.pipeline.estimates.stage_weights import (
     Load,
@@ -28,9 +31,10 @@ from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.budget import budget
 from nanogs.pipeline.tasks.chunked import write_cells, write_chunks
 from nanogs.pipeline.tasks.coarse import outline_counts, write_coarse
+from nanogs.pipeline.tasks.corrections import correct, correct_stage, share_stage
 from nanogs.pipeline.tasks.cuts import write_cut
 from nanogs.pipeline.tasks.fitting import fit_part
-from nanogs.pipeline.tasks.forests import grow
+from nanogs.pipeline.tasks.forests import SUMS, grow
 from nanogs.pipeline.tasks.linked import linked_levels, write_tree
 from nanogs.pipeline.tasks.look import choose_views, look_at_block
 from nanogs.pipeline.tasks.partition import partition
@@ -38,10 +42,13 @@ from nanogs.pipeline.tasks.parts import write_rest
 from nanogs.pipeline.tasks.sorted_segments import spill
 from nanogs.pipeline.tasks.trials import (
     choose,
+    corrects_on,
     grows_on,
     growth_stage,
-    pick_balance,
+    pick,
+    trial_stage,
     try_balances,
+    try_corrected,
     try_growth,
     try_reassigned,
 )
@@ -189,7 +196,17 @@ def _budget(work: Work, task: Task) -> Record:
     cut_to = max(target, min(FEWEST * work.partition.blocks, usable))
     forests = work.of_blocks("grow")
     groups = [budget(work.scratch, forests, cut_to, number) for number in range(len(work.balances))]
-    return write_table(work.scratch, task.name, {}, {"target": target, "groups": groups})
+    facts = {"target": target, "cut_to": cut_to, "groups": groups}
+    return write_table(work.scratch, task.name, {}, facts)
+
+
+def _budget_corrected(step: int, work: Work, task: Task) -> Record:
+    scored = work.of_blocks(correct_stage(step), task.level)
+    sums = np.array([record.facts[SUMS] for record in scored])
+    # No view shows anything of some blocks: their errors change as those of the others on average.
+    shifts = np.where(sums.any(axis=1), 0.0, usual_change(sums))
+    groups = budget(work.scratch, scored, work.cut_to(task.level), shifts=shifts)
+    return write_table(work.scratch, task.name, {}, {"groups": [groups]})
 
 
 def _cut(work: Work, task: Task) -> Record:
@@ -278,6 +295,38 @@ def _grows(step: int, scene: Scene, level: int) -> bool:
     return scene.tries(level) and grows_on(scene, level, step)
 
 
+def _corrected(step: int, job: Settings | Load) -> bool:
+    return _measures(job) and step < job.parameters.corrections
+
+
+def _corrects(step: int, scene: Scene, level: int) -> bool:
+    return scene.tries(level) and corrects_on(scene, level, step)
+
+
+def _correcting(load: Load) -> float:
+    views = load.parameters.views + load.parameters.pictured
+    return views * (0.006 * (load.parameters.view_size / 512) ** 2 + 0.15 * load.left)
+
+
+def _correction(step: int) -> tuple[JobStage, ...]:
+    """Return the stages that correct errors once more, and measure the cut that follows."""
+    wanted, needed = partial(_corrected, step), partial(_corrects, step)
+    return (
+        JobStage(
+            correct_stage(step), "block", partial(correct, step), _correcting, wanted, None,
+            needed, held=True,
+        ),
+        JobStage(
+            share_stage(step), "job", partial(_budget_corrected, step), 0.02, wanted, None,
+            needed,
+        ),
+        JobStage(
+            trial_stage(step), "block", partial(try_corrected, step), _judging, wanted, None,
+            needed, held=True,
+        ),
+    )  # fmt: skip
+
+
 def _settling(load: Load) -> float:
     return (0.1 + 0.6 * load.parameters.rounds) * load.splats
 
@@ -314,7 +363,8 @@ STAGES = {
         JobStage("grow", "block", _grow, 3.3, held=True),
         JobStage("budget", "job", _budget, 0.02, levels=None),
         JobStage("trial", "block", try_balances, _trying, _measures, None, _tries, held=True),
-        JobStage("pick", "job", pick_balance, 0.0, _measures, None, _tries, held=True),
+        *chain.from_iterable(map(_correction, range(MOST_CORRECTIONS))),
+        JobStage("pick", "job", pick, 0.0, _measures, None, _tries, held=True),
         JobStage("cut", "block", _cut, 0.2, _settles, None, _merges),
         JobStage("settle", "block", _settle, _settling, _settles, None, _merges, held=True),
         JobStage("judge", "block", try_reassigned, _judging, _judges, None, _tries, held=True),

@@ -4,7 +4,7 @@ A task's bytes depend only on the job's settings, so that it can be done anywher
 again.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,9 @@ import numpy as np
 from nanogs._types import F64, I32, I64, Array
 from nanogs.errors import OutputError
 from nanogs.fit.report import RefitReport
-from nanogs.fit.targets import Target, as_target
+from nanogs.fit.targets import Target, as_target, make_target
+from nanogs.kernels.blocks import FIELDS
+from nanogs.method.correct import Correction, Ordering
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import SHOWN
@@ -27,6 +29,7 @@ from nanogs.pipeline.tasks.block_visibility import (
     VISIBLE,
     closer_views,
     hidden_weight,
+    looks_at,
     read_visible,
     shown_share,
     typical_weight,
@@ -34,9 +37,10 @@ from nanogs.pipeline.tasks.block_visibility import (
 )
 from nanogs.pipeline.tasks.blocks import Visibility, leaves_of, morton_rows, read_block, with_codes
 from nanogs.pipeline.tasks.coarse import coarse_scene, surroundings
-from nanogs.pipeline.tasks.cuts import LABELS, cut_block
+from nanogs.pipeline.tasks.corrections import correct_stage, share_stage
+from nanogs.pipeline.tasks.cuts import LABELS, cut_block, read_merges
 from nanogs.pipeline.tasks.fitting import fit_report, fit_views, notes_on_fits
-from nanogs.pipeline.tasks.forests import grow, passes_of
+from nanogs.pipeline.tasks.forests import grow, passes_of, write_correction
 from nanogs.pipeline.tasks.halo import Halo, find_halo, near_groups
 from nanogs.pipeline.tasks.partition import Partition, partition_of
 from nanogs.pipeline.tasks.parts import read_part
@@ -191,19 +195,59 @@ class Work(Scene):
         """Whether a result has fewer splats than the scene."""
         return self.target(level) < self.partition.splats
 
-    def groups(self, block: int, level: int, balance: int | None = None) -> int:
-        """Return the number of groups of a block in a cut, by default of the chosen balance."""
-        number = self.balance(level) if balance is None else balance
-        return int(self.of_job("budget", level).facts["groups"][number][block])
+    def cut_to(self, level: int) -> int:
+        """Return the number of splats that the blocks of a result are cut to, all together."""
+        return int(self.of_job("budget", level).facts["cut_to"])
 
-    def cut(self, block: int, level: int, balance: int) -> I32:
+    def groups(self, block: int, level: int, cut: int | None = None) -> int:
+        """Return the number of groups of a block in a cut, by default in the chosen one."""
+        number = self.picked(level) if cut is None else cut
+        budget, place = "budget", number
+        if number >= len(self.balances):
+            budget, place = share_stage(number - len(self.balances)), 0
+        return int(self.of_job(budget, level).facts["groups"][place][block])
+
+    def cut(self, block: int, level: int, number: int) -> I32:
         """Return the group of each leaf of a block in a cut; see `Scene.cut`."""
-        forest = self.of_block("grow", block)
-        return cut_block(self.scratch, forest, self.groups(block, level, balance), balance)
+        groups = self.groups(block, level, number)
+        forest, scores = self.of_block("grow", block), self._scores(block, level, number)
+        return cut_block(self.scratch, forest, groups, *scores)
+
+    def ordering(self, own: Block, block: int, level: int, number: int) -> Ordering:
+        """Read the merges of a block's forest and their errors; see `Scene.ordering`."""
+        weighing = self.weighing(own.visible)
+        leaves = leaves_of(own.splats, own.rows, self.units, weighing, bare=True)
+        record, place = self._scores(block, level, number)
+        children, scores = read_merges(self.scratch, self.of_block("grow", block), record, place)
+        return Ordering(children, scores, leaves.weights)
+
+    def keep_correction(self, task: Task, number: int, correction: Correction) -> Record:
+        """Write the corrected errors for a further cut; see `Scene.keep_correction`."""
+        return write_correction(
+            self.scratch, task.name, self.partition.count(task.number), correction
+        )
+
+    def compared(self, block: int, own: Block) -> Iterator[Target]:
+        """Render the part of each view that shows a block, except for the deciding views."""
+        assert own.visible is not None  # noqa: S101 - this job renders
+        drawn, views, deciding = prepare(own.splats), self.views, self.deciding
+        cameras = [camera for camera in views.kept if camera not in deciding]
+        cameras += [camera for camera, _ in looks_at(self, block)[len(views.kept) :]]
+        cameras += views.further if self.settings.parameters.pictured else ()
+        parts = parts_of(drawn, own.visible >= SHOWN, cameras)
+        whole = concatenated(drawn, self.surroundings(block)).with_buffers()
+        for number, part in enumerate(part for part in parts if part):
+            yield make_target(whole, part, depth=False, wanted=FIELDS[number % 2])
+
+    def _scores(self, block: int, level: int, number: int) -> tuple[Record, int]:
+        """Return the table that holds the scores of a cut of a block, and their number in it."""
+        if number < len(self.balances):
+            return self.of_block("grow", block), number
+        return self.of_block(correct_stage(number - len(self.balances)), block, level), 0
 
     def labels(self, block: int, level: int) -> I32:
         """Return (N,) the group of each leaf of a block in the chosen cut, before reassignment."""
-        return self.cut(block, level, self.balance(level))
+        return self.cut(block, level, self.picked(level))
 
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
         """Read the splats and groups of a block; some splats may come from other blocks.

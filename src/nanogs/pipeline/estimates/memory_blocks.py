@@ -120,6 +120,8 @@ def scratch_bytes(
     if not renders(parameters):
         return held
     held += splats * 8  # visibility
+    corrections = parameters.corrections if parameters.measure else 0
+    held += len(shares) * corrections * (4 * splats + blocks * _HISTOGRAM)  # their scores
     if blocks > 1:
         coarse = sum(most_coarse(level, block, splats) for level in (FINE, ROUGH))
         held += splats * 12 + blocks * _HISTOGRAM + coarse * row_bytes(layout.bare())

@@ -19,7 +19,14 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
         "fast": ForestParameters(rounds=1, measure=False, steps=0),
         # Roaming views find hidden splats more reliably, so that these may weigh less.
         "best": ForestParameters(
-            hidden=0.01, steps=224, views=24, further=204, halves=False, roaming=24, view_size=768
+            hidden=0.01,
+            corrections=2,
+            steps=224,
+            views=24,
+            further=204,
+            halves=False,
+            roaming=24,
+            view_size=768,
         ),
         "paper": PaperParameters(),
     }
@@ -89,7 +96,7 @@ def effective(chosen: Parameters) -> dict[str, Any]:
     if isinstance(chosen, ForestParameters):
         values["balance"] = " or ".join(f"{balance:g}" for balance in chosen.balances)
         if not chosen.measure:
-            unused |= {"hidden"}
+            unused |= {"hidden", "corrections"}
         if not chosen.steps:
             unused |= {"further", "halves"}
         if not chosen.measure and not chosen.steps:

@@ -9,13 +9,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nanogs._types import I64, Array
+from nanogs._types import F32, F64, I64, U32, Array
 from nanogs.pipeline.tasks.forests import BINS, counts_of, histogram_of, keys, scores_of
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table
 
 
-def budget(scratch: Scratch, forests: Sequence[Record], target: int, balance: int = 0) -> list[int]:
+def budget(
+    scratch: Scratch,
+    forests: Sequence[Record],
+    target: int,
+    balance: int = 0,
+    shifts: F64 | None = None,
+) -> list[int]:
     """Divide a total number of groups among the blocks by one threshold on the merge scores.
 
     Merges whose score equals the threshold are done in the order of the blocks. If `target` is less
@@ -26,6 +32,7 @@ def budget(scratch: Scratch, forests: Sequence[Record], target: int, balance: in
         forests: Their records.
         target: Number of groups of all blocks together.
         balance: Index of the balance whose scores are used.
+        shifts: (B,) added to the scores of each block; by default 0.
 
     Returns:
         Number of groups of each block.
@@ -35,12 +42,23 @@ def budget(scratch: Scratch, forests: Sequence[Record], target: int, balance: in
     wanted = int(min(splats.sum() - target, merges.sum()))
     if wanted <= 0:
         return [int(n) for n in splats]
-    upper = np.stack([_read(scratch, record, histogram_of(balance)) for record in forests])
+    shifted = np.zeros(len(forests)) if shifts is None else shifts
+
+    def keys_in(row: int) -> U32:
+        scores: F32 = _read(scratch, forests[row], scores_of(balance))
+        return keys(scores + np.float32(shifted[row]))
+
+    upper = np.stack([
+        np.bincount(keys_in(row) >> 16, minlength=BINS)
+        if shifted[row]
+        else _read(scratch, record, histogram_of(balance))
+        for row, record in enumerate(forests)
+    ])  # fmt: skip
     high, done, left = _select(upper, wanted)
     lower = np.zeros((len(forests), BINS), np.int64)
-    for row, record in enumerate(forests):
+    for row in range(len(forests)):
         if upper[row, high]:
-            found = keys(_read(scratch, record, scores_of(balance)))
+            found = keys_in(row)
             lower[row] = counts_of(found[found >> 16 == high])
     low, more, left = _select(lower, left)
     ties = lower[:, low]

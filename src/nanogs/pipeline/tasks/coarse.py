@@ -37,7 +37,8 @@ def write_coarse(work: "Work", task: Task) -> Record:
     groups = int(work.of_job("outline").facts["groups"][task.level][task.number])
     units = work.units
     leaves = leaves_of(splats, rows, units)
-    labels = cut_block(work.scratch, work.of_block("rough", task.number), groups)
+    rough = work.of_block("rough", task.number)
+    labels = cut_block(work.scratch, rough, groups, rough, 0)
     stored = store_groups(leaves, labels, splats, units.centre(), units.dilation(), growth=GROWTH)
     return write_table(work.scratch, task.name, columns_of(stored.grown(GROWTH)), {})
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nanogs._types import F64, I32, Array
+from nanogs._types import F32, F64, I32, Array
 from nanogs.method.cut import label_groups
 from nanogs.method.nodes import Nodes
 from nanogs.method.reassign import NEIGHBOURS
@@ -14,17 +14,32 @@ from nanogs.store.tables import Record, Sorted, Table, write_table
 LABELS, CENTRES, REACH = "labels", "centres", "reach"
 
 
-def cut_block(scratch: Scratch, forest: Record, groups: int, balance: int = 0) -> I32:
+def read_merges(scratch: Scratch, forest: Record, scored: Record, number: int) -> tuple[I32, F32]:
+    """Read the merges of a block's forest, and their scores.
+
+    Args:
+        scratch: Storage of the forest.
+        forest: Its record.
+        scored: Record of the table that holds the scores.
+        number: Of the scores in it.
+    """
+    with Table(scratch, forest) as table:
+        children = table.read(CHILDREN)
+    with Table(scratch, scored) as table:
+        return children, table.read(scores_of(number))
+
+
+def cut_block(scratch: Scratch, forest: Record, groups: int, scored: Record, number: int) -> I32:
     """Return (N,) int32, the group of each leaf of a block's forest, in Morton order.
 
     Args:
         scratch: Storage of the forest.
         forest: Its record.
         groups: Number of groups to keep.
-        balance: Index of the balance whose scores order the merges.
+        scored: Record of the table that holds the scores of the merges.
+        number: Of the scores in it.
     """
-    with Table(scratch, forest) as table:
-        children, scores = table.read(CHILDREN), table.read(scores_of(balance))
+    children, scores = read_merges(scratch, forest, scored, number)
     if len(children) == 0:
         return np.arange(int(forest.facts["splats"]), dtype=np.int32)
     return label_groups(int(forest.facts["splats"]), children, scores, groups)

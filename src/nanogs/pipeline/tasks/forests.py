@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from nanogs._types import F32, I64, U32, Array
+from nanogs.method.correct import Correction
 from nanogs.method.cut import merge_scores
 from nanogs.method.forest import grow_forest
 from nanogs.method.nodes import Nodes
@@ -16,6 +17,7 @@ from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Sorted, write_table
 
 CHILDREN = "children"
+SUMS = "sums"  # fact of a correction
 BINS = 1 << 16
 
 
@@ -53,16 +55,37 @@ def grow(
         # Errors are not divided by the block's own median, so that the scores of all blocks are
         # comparable. Rounding to float32 is monotonic: no merge's score falls below its children's.
         scores = merge_scores(forest, balance, 1.0).astype(np.float32)
-        columns[scores_of(number)] = scores
-        columns[histogram_of(number)] = np.bincount(keys(scores) >> 16, minlength=BINS)
+        columns |= _scores(scores, number)
     facts = {
-        "splats": forest.splats,
-        "fewest": forest.fewest,
+        **_size(forest.splats, forest.fewest),
         "stop": str(forest.stop),
         # Without seconds, which would differ from run to run: tables are the same byte for byte.
         "passes": [asdict(replace(each, seconds={})) for each in forest.passes],
     }
     return write_table(scratch, name, columns, facts)
+
+
+def write_correction(scratch: Scratch, name: str, splats: int, correction: Correction) -> Record:
+    """Write the corrected scores of a block's merges, with their histogram, as `grow` does.
+
+    Args:
+        scratch: Storage to write to.
+        name: Name of the table.
+        splats: Number of splats of the block.
+        correction: The scores.
+    """
+    scores = correction.scores.astype(np.float32)
+    facts = {**_size(splats, splats - len(scores)), SUMS: correction.sums.tolist()}
+    return write_table(scratch, name, _scores(scores, 0), facts)
+
+
+def _scores(scores: F32, number: int) -> dict[str, Array]:
+    histogram = np.bincount(keys(scores) >> 16, minlength=BINS)
+    return {scores_of(number): scores, histogram_of(number): histogram}
+
+
+def _size(splats: int, fewest: int) -> dict[str, int]:
+    return {"splats": splats, "fewest": fewest}
 
 
 def passes_of(forests: Sequence[Record]) -> tuple[PassReport, ...]:

@@ -1,8 +1,9 @@
 """Comparison of candidates with the original on the deciding views; the best one is chosen.
 
-Cuts of several balances are tried, the best one with its splats reassigned, and the best of these
-with more growth. One choice is made for the whole scene: errors are added up over the blocks. Each
-block is measured by itself, with the same surroundings in both images.
+Cuts of several balances are tried, then cuts whose errors are corrected by those that the best one
+shows, the best of all with its splats reassigned, and the best of these with more growth. One
+choice is made for the whole scene: errors are added up over the blocks. Each block is measured by
+itself, with the same surroundings in both images.
 """
 
 from collections.abc import Sequence
@@ -12,9 +13,10 @@ import numpy as np
 
 from nanogs.fit.targets import Target
 from nanogs.method.choose import GROWTH_MARGIN, further_growths, quality
+from nanogs.method.store import Groups
 from nanogs.method.visibility import LUMA
 from nanogs.metrics import ssim
-from nanogs.pipeline.scene import Members, Scene, Task
+from nanogs.pipeline.scene import Block, Members, Scene, Task
 from nanogs.raster.rendering import PreparedSplats, concatenated, prepare, render
 from nanogs.report import CandidateReport
 from nanogs.splats import Splats
@@ -28,21 +30,53 @@ def try_balances(scene: Scene, task: Task) -> Record:
     """Measure a block's cuts of all balances, and write their errors."""
     block = scene.open(task.number)
     wanted, others = scene.pictures(task.number, block), scene.surroundings(task.number)
-    growth = scene.settings.parameters.growth
     errors = []
-    for balance in range(len(scene.balances)):
-        labels = scene.cut(task.number, task.level, balance)
-        groups = scene.stored(Members(block.splats, block.rows, block.visible, labels))
-        errors.append(_errors(groups.grown(growth), wanted, others))
+    for number in range(len(scene.balances)):
+        groups = groups_of(scene, block, task, number)
+        errors.append(_errors(grown(scene, groups), wanted, others))
         scene.on_progress(len(errors), len(scene.balances))
     return scene.write(task.name, {}, {"errors": errors})
 
 
-def pick_balance(scene: Scene, task: Task) -> Record:
-    """Write the index of the best balance for the whole scene, the first of equal ones."""
-    reports = _cuts(scene, task.level)
-    best = max(range(len(reports)), key=lambda number: reports[number].quality)
-    return scene.write(task.name, {}, {"balance": best})
+def try_corrected(step: int, scene: Scene, task: Task) -> Record:
+    """Measure a block's cut with corrected errors, and write its errors."""
+    block = scene.open(task.number)
+    wanted, others = scene.pictures(task.number, block), scene.surroundings(task.number)
+    groups = groups_of(scene, block, task, len(scene.balances) + step)
+    return scene.write(task.name, {}, {"errors": [_errors(grown(scene, groups), wanted, others)]})
+
+
+def corrects_on(scene: Scene, level: int, step: int) -> bool:
+    """Whether a correction is worth trying: the first one, or if the one before was the best."""
+    return step == 0 or best_cut(scene, level, step) == len(scene.balances) + step - 1
+
+
+def best_cut(scene: Scene, level: int, corrections: int | None = None) -> int:
+    """Return the number of the best cut of the whole scene, the first of equal ones.
+
+    Args:
+        scene: The scene.
+        level: Of the result.
+        corrections: How many corrections may have been tried by now; by default all.
+    """
+    reports = _cuts(scene, level, corrections)
+    return max(range(len(reports)), key=lambda number: reports[number].quality)
+
+
+def pick(scene: Scene, task: Task) -> Record:
+    """Write the number of the best cut for the whole scene."""
+    return scene.write(task.name, {}, {"cut": best_cut(scene, task.level)})
+
+
+def groups_of(scene: Scene, block: Block, task: Task, number: int) -> Groups:
+    """Merge the groups of one of a block's cuts."""
+    labels = scene.cut(task.number, task.level, number)
+    return scene.stored(Members(block.splats, block.rows, block.visible, labels))
+
+
+def grown(scene: Scene, groups: Groups) -> Splats:
+    """Return the splats of groups, grown as candidates are before more growth is tried."""
+    return groups.grown(scene.settings.parameters.growth)
 
 
 def try_reassigned(scene: Scene, task: Task) -> Record:
@@ -62,7 +96,7 @@ def grows_on(scene: Scene, level: int, step: int) -> bool:
     if step >= len(further_growths(scene.settings.parameters.growth)):
         return False
     tried, best = candidates(scene, level, step)
-    return step == 0 or (best is tried[-1] and len(tried) == _before(scene) + step)
+    return step == 0 or (best is tried[-1] and len(tried) == _before(scene, level) + step)
 
 
 def choose(scene: Scene, task: Task) -> Record:
@@ -84,7 +118,7 @@ def candidates(
         steps: Number of growths that may have been tried by now; by default all.
     """
     tried = _cuts(scene, level)
-    best = tried[scene.balance(level)]
+    best = tried[scene.picked(level)]
     if scene.settings.parameters.rounds:
         tried.append(_report(scene, level, "judge", replace(best, reassigned=True)))
         best = tried[-1] if tried[-1].quality > best.quality else best
@@ -107,19 +141,41 @@ def growth_stage(step: int) -> str:
     return f"growth_{step + 1}"
 
 
-def _before(scene: Scene) -> int:
+def trial_stage(step: int) -> str:
+    """Return the name of the stage that measures the cut with errors corrected once more."""
+    return f"trial_{step + 1}"
+
+
+def _before(scene: Scene, level: int) -> int:
     """Return the number of candidates that are tried before growths are."""
-    return len(scene.balances) + (scene.settings.parameters.rounds > 0)
+    return len(_cuts(scene, level)) + (scene.settings.parameters.rounds > 0)
 
 
-def _cuts(scene: Scene, level: int) -> list[CandidateReport]:
+def _cuts(scene: Scene, level: int, corrections: int | None = None) -> list[CandidateReport]:
+    """Return the scores of the cuts that were tried, those of all balances first.
+
+    Args:
+        scene: The scene.
+        level: Of the result.
+        corrections: How many corrections may have been tried by now; by default all.
+    """
     growth = scene.settings.parameters.growth
-    return [
+    tried = [
         _report(
-            scene, level, "trial", CandidateReport(balance, False, growth, 0.0, 0.0, 0.0, False), n
+            scene, level, "trial",
+            CandidateReport(balance, 0, False, growth, 0.0, 0.0, 0.0, False), n,
         )
         for n, balance in enumerate(scene.balances)
-    ]
+    ]  # fmt: skip
+    best = max(tried, key=lambda report: report.quality)
+    most = scene.settings.parameters.corrections if corrections is None else corrections
+    for step in range(most):
+        corrected = replace(tried[-1], balance=1.0, corrections=step + 1)
+        tried.append(_report(scene, level, trial_stage(step), corrected))
+        if tried[-1].quality <= best.quality:
+            break
+        best = tried[-1]
+    return tried
 
 
 def _try(scene: Scene, task: Task, growth: float, *, reassigned: bool) -> Record:

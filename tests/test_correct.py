@@ -1,0 +1,198 @@
+"""Correction of the errors that cuts are guided by: against plain versions, and its promises."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import nanogs
+import reference_kernels as reference
+from builders import random_splats
+from nanogs.errors import OptionError
+from nanogs.fit.targets import Target, errors_of_splats, make_target
+from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
+from nanogs.method.correct import LIT, TYPICAL, GroupErrors, Ordering, correct_errors, usual_change
+from nanogs.method.cut import label_groups
+from nanogs.raster.rendering import prepare
+from reference_raster import render_reference
+from test_kernels import random_forest
+from test_refit import make_camera, make_splats
+
+COUNT = 30
+
+
+def random_ordering(seed, count=COUNT):
+    """A random forest; the scores grow towards the roots, as logarithms of sums do."""
+    children, rng = random_forest(count, seed), np.random.default_rng(seed)
+    increments = rng.uniform(0.1, 1, len(children))
+    errors = [
+        increments[reference.merges_below(children, count + m, count)].sum()
+        for m in range(len(children))
+    ]
+    return Ordering(children, np.log2(errors), rng.uniform(0.1, 2, count))
+
+
+def typical_mean(sums, weights):
+    typical = np.quantile(weights[weights > 0], TYPICAL)
+    return (sums + sums.sum() / weights.sum() * typical) / (weights + typical)
+
+
+def corrected_reference(ordering, labels, shown):
+    """Compute the scores of `correct_errors`, node by node."""
+    children, weights, count = ordering.children, ordering.weights, len(labels)
+    leaves = [reference.leaves_below(children, count + m, count) for m in range(len(children))]
+    groups = range(labels.max() + 1)
+    own = {g: np.flatnonzero(labels == g).tolist() for g in groups}
+    predicted = np.array([
+        sum(2 ** ordering.scores[m] for m, below in enumerate(leaves) if sorted(below) == own[g])
+        for g in groups
+    ])  # fmt: skip
+    of_groups = np.array([weights[own[g]].sum() for g in groups])
+    ratios = typical_mean(shown.squared, shown.light) / typical_mean(predicted, of_groups)
+    usual = shown.squared.sum() / shown.light.sum() / (predicted.sum() / of_groups.sum())
+    lights = shown.light / shown.light.sum() / (of_groups / of_groups.sum())
+    ratios = np.where(lights < LIT, usual, ratios)
+    scores = []
+    for m, below in enumerate(leaves):
+        mean = (weights[below] * ratios[labels[below]]).sum() / weights[below].sum()
+        under = [scores[child - count] for child in children[m] if child >= count]
+        scores.append(max(ordering.scores[m] + np.log2(mean), *under, -np.inf))
+    return np.array(scores)
+
+
+@pytest.mark.parametrize("groups", [2, 9, 25])
+def test_scores_equal_their_reference(groups):
+    ordering, rng = random_ordering(groups), np.random.default_rng(groups)
+    labels = label_groups(COUNT, ordering.children, ordering.scores, groups)
+    shown = GroupErrors(rng.uniform(size=groups), rng.uniform(0.1, 1, groups))
+    shown.light[0] = shown.squared[0] = 0  # no view shows this group
+    found = correct_errors(ordering, labels, shown).scores
+    expected = corrected_reference(ordering, labels, shown)
+    # Only differences matter: predicted errors may have any common factor.
+    np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-12)
+
+
+@given(st.integers(0, 10**6), st.integers(2, COUNT), st.floats(1e-6, 1e6))
+def test_no_score_is_below_those_under_it(seed, groups, spread):
+    ordering, rng = random_ordering(seed), np.random.default_rng(seed)
+    labels = label_groups(COUNT, ordering.children, ordering.scores, groups)
+    shown = GroupErrors(spread ** rng.normal(size=groups), spread ** rng.normal(size=groups))
+    scores = correct_errors(ordering, labels, shown).scores
+    assert np.isfinite(scores).all()
+    for merge, pair in enumerate(ordering.children):
+        assert all(scores[child - COUNT] <= scores[merge] for child in pair if child >= COUNT)
+    for target in (2, groups, COUNT):
+        assert label_groups(COUNT, ordering.children, scores, target).max() + 1 == target
+
+
+def test_forests_that_no_view_shows_change_as_the_others_do():
+    sums = np.array([[2.0, 4.0, 3.0, 6.0], [0.0, 0.0, 0.0, 0.0], [6.0, 4.0, 1.0, 2.0]])
+    assert usual_change(sums) == pytest.approx(np.log2((8 / 8) / (4 / 8)))
+    assert usual_change(np.zeros((2, 4))) == 0
+
+
+def test_errors_as_predicted_or_not_shown_change_no_order():
+    ordering, groups = random_ordering(1), 9
+    labels = label_groups(COUNT, ordering.children, ordering.scores, groups)
+    weights, predicted = np.bincount(labels, ordering.weights), np.zeros(groups)
+    for merge, score in enumerate(ordering.scores):
+        below = reference.leaves_below(ordering.children, COUNT + merge, COUNT)
+        if len(set(labels[below])) == 1:
+            predicted[labels[below[0]]] = 2**score
+    as_predicted = correct_errors(ordering, labels, GroupErrors(7 * predicted, 3 * weights)).scores
+    np.testing.assert_allclose(np.diff(as_predicted - ordering.scores), 0, atol=1e-12)
+    nothing = np.zeros(groups)
+    for shown in (GroupErrors(nothing, nothing), GroupErrors(nothing, weights)):
+        assert correct_errors(ordering, labels, shown).scores.tolist() == ordering.scores.tolist()
+    alone = np.arange(COUNT, dtype=np.int32)  # no merge was done, so no error was predicted
+    shown = GroupErrors(np.ones(COUNT), np.ones(COUNT))
+    assert correct_errors(ordering, alone, shown).scores.tolist() == ordering.scores.tolist()
+
+
+def test_groups_with_larger_errors_than_predicted_are_divided():
+    """Two equal halves of a scene; the errors in one of them are ten times as large."""
+    half = random_ordering(2, 64)
+    children = np.concatenate([
+        np.where(half.children < 64, half.children, half.children + 64),
+        np.where(half.children < 64, half.children + 64, half.children + 64 + len(half.children)),
+    ]).astype(np.int32)  # fmt: skip
+    scores = np.concatenate([half.scores, half.scores])
+    ordering = Ordering(children, scores, np.concatenate([half.weights, half.weights]))
+    labels = label_groups(128, children, scores, 32)
+    before = [len(set(labels[part])) for part in (slice(64), slice(64, 128))]
+    assert before == [16, 16]
+    factors = np.where(np.arange(32) < 16, 10.0, 1.0)
+    light = np.bincount(labels, ordering.weights)
+    shown = GroupErrors(factors * light * 2 ** scores.mean(), light)
+    found = label_groups(128, children, correct_errors(ordering, labels, shown).scores, 32)
+    after = [len(set(found[part])) for part in (slice(64), slice(64, 128))]
+    assert sum(after) == 32
+    assert after[0] > 20
+
+
+@pytest.mark.parametrize("blocks", [ALL_BLOCKS, FIELDS[0], FIELDS[1]])
+@pytest.mark.parametrize("size", [(64, 48), (37, 21), (2, 30)])
+def test_errors_of_splats_equal_their_reference(blocks, size):
+    """The squared error over black and over white, at half of the size, where each splat shows."""
+    original, camera = make_splats(20, 3), make_camera(*size)
+    changed = dataclasses.replace(original, sh=original.sh + np.float32(0.2))
+    whole = make_target(prepare(original), camera, depth=False)
+    target = make_target(prepare(original), camera, depth=False, wanted=blocks)
+    found = errors_of_splats(prepare(changed), target)
+    width, height = size[0] // 2, size[1] // 2
+    small = camera.cropped(0, 0, 2 * width, 2 * height).resized(width, height)
+    wanted = whole.image[: 2 * height, : 2 * width] / 255
+    wanted = wanted.reshape(height, 2, width, 2, 4).mean(axis=(1, 3))
+    color, alpha, _, _, sure = render_reference(changed, small)
+    assert sure.mean() > 0.99
+    over_black = wanted[..., :3] - np.minimum(color, 1)
+    over_white = over_black - (wanted[..., 3:] - alpha[..., None])
+    squared = ((over_black**2 + over_white**2) / 2).sum(axis=-1)
+    rows, columns = np.indices((height, width)) * 2 // 4 % 4
+    counted = (blocks >> (4 * rows + columns)) & 1
+    expected = render_reference(changed, small, probes=np.stack([squared * counted, counted]))[3]
+    assert counted.mean() > 0.4
+    np.testing.assert_allclose(found, expected, rtol=0.02, atol=0.01 * expected.max())
+
+
+def test_a_view_of_one_row_tells_nothing():
+    prepared = prepare(make_splats(20, 3))
+    target = make_target(prepared, make_camera(40, 1), depth=False)
+    assert not errors_of_splats(prepared, target).any()
+
+
+@pytest.mark.filterwarnings("error")
+def test_colours_beyond_any_screen_give_the_error_that_a_screen_shows():
+    """Black in place of white everywhere: an error of 1 over black in each of three channels."""
+    splats, camera = make_splats(20, 4), make_camera(32, 32)
+    black, bright = np.zeros((32, 32, 4), np.uint8), np.full_like(splats.sh, 3e38)
+    target = Target(camera, black, np.inf)
+    squared, light = errors_of_splats(
+        prepare(dataclasses.replace(splats, sh=bright)), target
+    ).T  # fmt: skip
+    assert light.max() > 1
+    assert (squared <= 3 * light * (1 + 1e-5)).all()
+    assert (squared > 1.5 * light * (1 - 1e-5)).all()
+
+
+@pytest.mark.parametrize("corrections", [0, 1, 2])
+def test_the_report_tells_which_cuts_were_corrected(corrections):
+    splats = random_splats(400, seed=3)
+    given = {"ratio": 0.1, "views": 8, "view_size": 64, "steps": 0, "corrections": corrections}
+    small, report = nanogs.simplify(splats, **given)
+    tried = [each.corrections for each in report.candidates if not each.reassigned]
+    assert len(small) == 40
+    assert tried[:2] == [0, 0]
+    assert set(tried[2:]) <= set(range(corrections + 1))
+    assert (max(tried) > 0) == (corrections > 0)
+    cuts = [each for each in report.candidates if not each.reassigned and each.growth == 1.25]
+    best = max(cuts, key=lambda each: each.quality)
+    judged = next(each for each in report.candidates if each.reassigned)
+    assert (judged.balance, judged.corrections) == (best.balance, best.corrections)
+
+
+def test_corrections_are_limited():
+    with pytest.raises(OptionError, match="corrections must be from 0 to 4"):
+        nanogs.simplify(random_splats(20), ratio=0.5, corrections=5)
