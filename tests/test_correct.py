@@ -13,7 +13,15 @@ from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.fit.targets import Target, errors_of_splats, make_target
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
-from nanogs.method.correct import LIT, TYPICAL, GroupErrors, Ordering, correct_errors, usual_change
+from nanogs.method.correct import (
+    LIT,
+    TYPICAL,
+    GroupErrors,
+    Ordering,
+    correct_errors,
+    unseen_changes,
+    usual_change,
+)
 from nanogs.method.cut import label_groups
 from nanogs.raster.rendering import prepare
 from reference_raster import render_reference
@@ -91,6 +99,12 @@ def test_forests_that_no_view_shows_change_as_the_others_do():
     sums = np.array([[2.0, 4.0, 3.0, 6.0], [0.0, 0.0, 0.0, 0.0], [6.0, 4.0, 1.0, 2.0]])
     assert usual_change(sums) == pytest.approx(np.log2((8 / 8) / (4 / 8)))
     assert usual_change(np.zeros((2, 4))) == 0
+    twice = sums * np.array([4.0, 1.0, 1.0, 1.0])
+    change = usual_change(sums)
+    assert unseen_changes([sums]).tolist() == [0, change, 0]
+    assert unseen_changes([sums, twice]).tolist() == [0, pytest.approx(2 * change + 2), 0]
+    twice[1] = 1  # a view shows it after all
+    assert not unseen_changes([sums, twice]).any()
 
 
 def test_errors_as_predicted_or_not_shown_change_no_order():

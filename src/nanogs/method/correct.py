@@ -1,5 +1,6 @@
 """Correction of the errors that the forest predicts, by those that the groups of a cut show."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,21 @@ def usual_change(sums: F64) -> float:
     """
     squared, light, predicted, weight = sums.sum(axis=0)
     return float(np.log2(squared / light * weight / predicted)) if squared else 0.0
+
+
+def unseen_changes(corrections: Sequence[F64]) -> F64:
+    """Return (B,) by how much the scores of forests must rise that no view shows, else 0.
+
+    Their scores are unchanged, so that they cannot be compared with those of the others, which rise
+    with each correction.
+
+    Args:
+        corrections: (B, 4) `Correction.sums` of all forests, of each correction in turn.
+    """
+    changes = np.zeros(len(corrections[0]))
+    for sums in corrections:
+        changes = np.where(sums.any(axis=1), 0.0, changes + usual_change(sums))
+    return changes
 
 
 def _predicted(ordering: Ordering, labels: I32, groups: int) -> F64:

@@ -14,7 +14,7 @@ import numpy as np
 
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.method.choose import GROWTHS
-from nanogs.method.correct import usual_change
+from nanogs.method.correct import unseen_changes
 from nanogs.method.parameters import MOST_CORRECTIONS
 from nanogs.pipeline.estimates.memory_blocks import COARSE_SHARES
 from nanogs.pipeline.estimates.stage_weights import (
@@ -201,11 +201,10 @@ def _budget(work: Work, task: Task) -> Record:
 
 
 def _budget_corrected(step: int, work: Work, task: Task) -> Record:
-    scored = work.of_blocks(correct_stage(step), task.level)
-    sums = np.array([record.facts[SUMS] for record in scored])
-    # No view shows anything of some blocks: their errors change as those of the others on average.
-    shifts = np.where(sums.any(axis=1), 0.0, usual_change(sums))
-    groups = budget(work.scratch, scored, work.cut_to(task.level), shifts=shifts)
+    scored = [work.of_blocks(correct_stage(past), task.level) for past in range(step + 1)]
+    sums = [np.array([record.facts[SUMS] for record in records]) for records in scored]
+    shifts, cut_to = unseen_changes(sums), work.cut_to(task.level)
+    groups = budget(work.scratch, scored[step], cut_to, shifts=shifts)
     return write_table(work.scratch, task.name, {}, {"groups": [groups]})
 
 
