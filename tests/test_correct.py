@@ -191,6 +191,38 @@ def test_colours_beyond_any_screen_give_the_error_that_a_screen_shows():
     assert (squared > 1.5 * light * (1 - 1e-5)).all()
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("copies", [5, 400])
+@pytest.mark.parametrize("blocks", [False, True])
+def test_merges_of_equal_splats_cost_nothing(tmp_path, copies, blocks):
+    """Errors of next to nothing are neither infinite nor larger than others when corrected."""
+    splats = random_splats(400 // copies, seed=3)
+    splats = splats.take(np.repeat(np.arange(len(splats)), copies))
+    given = {"count": 40, "views": 8, "view_size": 64, "steps": 0, "corrections": 3}
+    if blocks:
+        nanogs.save(splats, tmp_path / "in.ply")
+        out = tmp_path / "out.ply"
+        block = 150 if copies < 150 else 500  # splats in one place cannot be divided
+        report = nanogs.simplify_blocks(tmp_path / "in.ply", out, block=block, **given)
+        small = nanogs.load(out)
+    else:
+        small, report = nanogs.simplify(splats, **given)
+    assert len(small) == 40
+    assert all(np.isfinite(each.quality) for each in report.candidates)
+    ordering = random_ordering(4)
+    free = dataclasses.replace(ordering, scores=np.full(len(ordering.scores), -1022.0))
+    labels = label_groups(COUNT, ordering.children, ordering.scores, 9)
+    shown = GroupErrors(np.ones(9), np.ones(9))
+    assert np.isfinite(correct_errors(free, labels, shown).scores).all()
+
+
+def test_nothing_is_tried_if_there_is_nothing_to_compare():
+    """The only view decides."""
+    given = {"ratio": 0.1, "views": 1, "view_size": 64, "steps": 0}
+    _, report = nanogs.simplify(random_splats(400, seed=3), **given)
+    assert {each.corrections for each in report.candidates} == {0}
+
+
 @pytest.mark.parametrize("corrections", [0, 1, 2])
 def test_the_report_tells_which_cuts_were_corrected(corrections):
     splats = random_splats(400, seed=3)

@@ -1,7 +1,7 @@
 """Correction of the errors that the forest predicts, by those that the groups of a cut show."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from nanogs.kernels.forest import label_nodes, raise_to_children, subtree_sums
 # Groups that views hardly show tell little, and groups of nearly equal splats have nearly no
 # predicted error: both get the mean of all groups as well, with the weight of this quantile.
 TYPICAL = 0.3
+LEAST = -200.0  # score of merges of equal splats, which cost nothing: a ratio to it is finite
 LIT = 0.01  # light of a group, relative to all for their weights, from which views tell its error
 
 
@@ -20,8 +21,8 @@ class Ordering:
 
     Attributes:
         children: (M, 2) int32, the two nodes of each merge; see `nanogs.method.forest.Forest`.
-        scores: (M,) the binary logarithm of each merge's error, plus any constant; never below
-            those of the merges under it.
+        scores: (M,) the binary logarithm of each merge's error; never below those of the merges
+            under it.
         weights: (N,) float64, weights of the splats.
     """
 
@@ -48,9 +49,10 @@ class Correction:
     """Scores by corrected errors.
 
     Attributes:
-        scores: (M,) float64, as those of an `Ordering`; unchanged if no view shows a group.
+        scores: (M,) float64, as those of an `Ordering`. They are not corrected if no view shows a
+            group, or if no group has several members.
         sums: (4,) float64, over all groups: the squared errors that they show, their light, their
-            predicted errors and their weights; zeros if the scores are unchanged.
+            predicted errors and their weights; zeros if the scores are not corrected.
     """
 
     scores: F64
@@ -62,7 +64,8 @@ def correct_errors(ordering: Ordering, labels: I32, shown: GroupErrors) -> Corre
 
     The error of a group over its light, divided by its predicted error over its weight, says how
     much larger its error is than predicted. The predicted error of each node is multiplied by the
-    weighted mean of this ratio over its splats, so that a cut makes groups of equal measured error.
+    weighted mean of this ratio over its splats, so that a cut makes groups of about equal measured
+    error.
     Groups that views hardly show have the ratio of all groups together.
 
     Args:
@@ -70,7 +73,8 @@ def correct_errors(ordering: Ordering, labels: I32, shown: GroupErrors) -> Corre
         labels: (N,) the group of each splat in a cut of this forest, in [0, G).
         shown: The errors of these groups.
     """
-    scores = ordering.scores.astype(np.float64)
+    scores = np.maximum(ordering.scores.astype(np.float64), LEAST)
+    ordering = replace(ordering, scores=scores)
     weights = np.bincount(labels, ordering.weights).astype(np.float64, copy=False)
     predicted = _predicted(ordering, labels, len(weights))
     sums = np.array([each.sum() for each in (shown.squared, shown.light, predicted, weights)])
@@ -79,8 +83,8 @@ def correct_errors(ordering: Ordering, labels: I32, shown: GroupErrors) -> Corre
     ratios = _typical_mean(shown.squared, shown.light) / _typical_mean(predicted, weights)
     lit = shown.light / shown.light.sum() >= LIT * weights / weights.sum()
     ratios[~lit] = 2.0 ** usual_change(sums[None])
-    scores += np.log2(_means(ordering, ratios[labels]))
-    nodes = np.concatenate([np.full(len(labels), -np.inf), scores])
+    changes = np.log2(_means(ordering, ratios[labels]))
+    nodes = np.concatenate([np.full(len(labels), -np.inf), scores + changes])
     raise_to_children(ordering.children, nodes)
     return Correction(nodes[len(labels) :], sums)
 
@@ -96,10 +100,10 @@ def usual_change(sums: F64) -> float:
 
 
 def unseen_changes(corrections: Sequence[F64]) -> F64:
-    """Return (B,) by how much the scores of forests must rise that no view shows, else 0.
+    """Return (B,) by how much scores must rise that could not be corrected, 0 for the others.
 
-    Their scores are unchanged, so that they cannot be compared with those of the others, which rise
-    with each correction.
+    They could not be compared with the scores of the other forests, which change with each
+    correction.
 
     Args:
         corrections: (B, 4) `Correction.sums` of all forests, of each correction in turn.

@@ -29,6 +29,7 @@ from nanogs.pipeline.options.settings import Access, InputFile, Segment, Setting
 from nanogs.pipeline.scene import (
     LIGHT,
     ROUNDS,
+    SUMS,
     Block,
     FitViews,
     Look,
@@ -311,15 +312,15 @@ class OneBlock(Scene):
         assert self._leaves is not None  # noqa: S101 - an earlier stage
         scores = self._corrected.get(number)
         if scores is None:
-            scores = merge_scores(self.forest, self.balances[number])
+            # Not divided by the median error, which is next to nothing if most splats are equal.
+            scores = merge_scores(self.forest, self.balances[number], 1.0)
         return Ordering(self.forest.children, scores, self._leaves.weights)
 
     def keep_correction(self, task: Task, number: int, correction: Correction) -> Record:
         """Keep the corrected errors for the cut; see `Scene.keep_correction`."""
-        self._corrected = {
-            number: correction.scores
-        }  # those of an earlier correction are cut by now
-        return self.write(task.name, {}, {})
+        # Scores of an earlier correction are not needed any more: its cut is made.
+        self._corrected = {number: correction.scores}
+        return self.write(task.name, {}, {SUMS: correction.sums.tolist()})
 
     def compared(self, block: int, own: Block) -> Iterable[Target]:
         """Return the original on the views that are kept for the fit."""

@@ -29,6 +29,7 @@ from nanogs.splats import Splats
 from nanogs.store.tables import Record
 
 LIGHT = "light"  # fact of stage `look`: how much of a block each view shows
+SUMS = "sums"  # fact of a correction: `Correction.sums`; zeros if nothing could be corrected
 ROUNDS = "rounds"  # fact of reassignment: number of rounds in which splats moved
 
 
@@ -248,7 +249,7 @@ class Scene(ABC):
             own: The block.
             block: Its number.
             level: Of the result.
-            number: Of the cut, in which no merge is favoured for its size.
+            number: Of the cut: that of balance 1, or one with corrected errors.
         """
 
     @abstractmethod

@@ -26,22 +26,25 @@ from nanogs.pipeline.estimates.stage_weights import (
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.options.target import target_count
-from nanogs.pipeline.scene import Scene, Task
+from nanogs.pipeline.scene import SUMS, Scene, Task
 from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.budget import budget
 from nanogs.pipeline.tasks.chunked import write_cells, write_chunks
 from nanogs.pipeline.tasks.coarse import outline_counts, write_coarse
-from nanogs.pipeline.tasks.corrections import correct, correct_stage, share_stage
+from nanogs.pipeline.tasks.corrections import correct
 from nanogs.pipeline.tasks.cuts import write_cut
 from nanogs.pipeline.tasks.fitting import fit_part
-from nanogs.pipeline.tasks.forests import SUMS, grow
+from nanogs.pipeline.tasks.forests import grow
 from nanogs.pipeline.tasks.linked import linked_levels, write_tree
 from nanogs.pipeline.tasks.look import choose_views, look_at_block
 from nanogs.pipeline.tasks.partition import partition
 from nanogs.pipeline.tasks.parts import write_rest
 from nanogs.pipeline.tasks.sorted_segments import spill
 from nanogs.pipeline.tasks.trials import (
+    budget_stage,
     choose,
+    correct_stage,
+    corrected,
     corrects_on,
     grows_on,
     growth_stage,
@@ -294,12 +297,16 @@ def _grows(step: int, scene: Scene, level: int) -> bool:
     return scene.tries(level) and grows_on(scene, level, step)
 
 
-def _corrected(step: int, job: Settings | Load) -> bool:
+def _within(step: int, job: Settings | Load) -> bool:
     return _measures(job) and step < job.parameters.corrections
 
 
 def _corrects(step: int, scene: Scene, level: int) -> bool:
     return scene.tries(level) and corrects_on(scene, level, step)
+
+
+def _corrected(step: int, scene: Scene, level: int) -> bool:
+    return _corrects(step, scene, level) and corrected(scene, level, step)
 
 
 def _correcting(load: Load) -> float:
@@ -309,19 +316,19 @@ def _correcting(load: Load) -> float:
 
 def _correction(step: int) -> tuple[JobStage, ...]:
     """Return the stages that correct errors once more, and measure the cut that follows."""
-    wanted, needed = partial(_corrected, step), partial(_corrects, step)
+    wanted, found = partial(_within, step), partial(_corrected, step)
     return (
         JobStage(
             correct_stage(step), "block", partial(correct, step), _correcting, wanted, None,
-            needed, held=True,
+            partial(_corrects, step), held=True,
         ),
         JobStage(
-            share_stage(step), "job", partial(_budget_corrected, step), 0.02, wanted, None,
-            needed,
+            budget_stage(step), "job", partial(_budget_corrected, step), 0.02, wanted, None,
+            found,
         ),
         JobStage(
             trial_stage(step), "block", partial(try_corrected, step), _judging, wanted, None,
-            needed, held=True,
+            found, held=True,
         ),
     )  # fmt: skip
 

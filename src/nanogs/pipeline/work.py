@@ -37,7 +37,6 @@ from nanogs.pipeline.tasks.block_visibility import (
 )
 from nanogs.pipeline.tasks.blocks import Visibility, leaves_of, morton_rows, read_block, with_codes
 from nanogs.pipeline.tasks.coarse import coarse_scene, surroundings
-from nanogs.pipeline.tasks.corrections import correct_stage, share_stage
 from nanogs.pipeline.tasks.cuts import LABELS, cut_block, read_merges
 from nanogs.pipeline.tasks.fitting import fit_report, fit_views, notes_on_fits
 from nanogs.pipeline.tasks.forests import grow, passes_of, write_correction
@@ -53,6 +52,7 @@ from nanogs.pipeline.tasks.settle import (
     settled_cover,
     write_settled,
 )
+from nanogs.pipeline.tasks.trials import budget_stage, correct_stage
 from nanogs.pipeline.tasks.units import Units, survey, units_of
 from nanogs.pipeline.tasks.unpack import Unpacked
 from nanogs.pipeline.tasks.views import Views, parts_of, views_of
@@ -204,7 +204,7 @@ class Work(Scene):
         number = self.picked(level) if cut is None else cut
         budget, place = "budget", number
         if number >= len(self.balances):
-            budget, place = share_stage(number - len(self.balances)), 0
+            budget, place = budget_stage(number - len(self.balances)), 0
         return int(self.of_job(budget, level).facts["groups"][place][block])
 
     def cut(self, block: int, level: int, number: int) -> I32:
@@ -231,7 +231,7 @@ class Work(Scene):
         """Render the part of each view that shows a block, except for the deciding views."""
         assert own.visible is not None  # noqa: S101 - this job renders
         drawn, views, deciding = prepare(own.splats), self.views, self.deciding
-        cameras = [camera for camera in views.kept if camera not in deciding]
+        cameras = [camera for camera in views.kept if camera not in deciding]  # by identity
         cameras += [camera for camera, _ in looks_at(self, block)[len(views.kept) :]]
         cameras += views.further if self.settings.parameters.pictured else ()
         parts = parts_of(drawn, own.visible >= SHOWN, cameras)

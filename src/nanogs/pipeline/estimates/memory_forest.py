@@ -18,8 +18,9 @@ _TREE = 3 * _F8 + _I4 + 12 + 1  # the nearest-neighbour tree: scaled centre, row
 _PAIRS_PER_NEIGHBOUR = 0.67
 _LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
 _CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
-# Scores; two sums of all nodes; two values of each splat; labels of all nodes.
-_CORRECT = _F8 + 2 * 2 * _F8 + 2 * _F8 + 2 * _I4
+# Scores of all nodes, two copies of those of merges; sums and increments; two values of each splat;
+# labels of all nodes.
+_CORRECT = 2 * _F8 + 2 * _F8 + 2 * 2 * _F8 + _F8 + 2 * _F8 + 2 * _I4
 _TILES = 3  # tiles that a splat overlaps in a view of 560 pixels, on average: 2.3 to 3.2
 _IMAGES = VIEWS * PIXELS**2 * 3 * _F4  # all images of the original by which results are scored
 PIXEL = 80  # bytes of a pixel while a view is rendered with contributions and depths
@@ -75,7 +76,9 @@ def forest_stages(
     forest = leaves + count * _MERGE
     best = target * row if drawn else 0  # the best candidate so far
     draw = target * (PREPARED + DRAWN) + pixels * COMPARED if drawn else 0
-    labels = 2 * count * _I4 if looked else count * _I4
+    corrections = parameters.corrections if parameters.measure else 0
+    labels = (2 + corrections) * count * _I4 if looked else count * _I4
+    labels += count * _F8 if corrections else 0  # scores of the latest correction
     stages = {
         "measure": 2 * _IMAGES + count * (_I4 + PREPARED + DRAWN) if judged else 0,
         "look": images + pixels * PIXEL + count * (_I4 + PREPARED + DRAWN + SHARES)
@@ -84,9 +87,7 @@ def forest_stages(
         "activate": leaves,
         **{stage: beside + held for stage, held in _growing(count, features, k).items()},
         "cut": forest + count * _CUT + labels + best,
-        "correct": forest + count * _CORRECT + labels + best + draw
-        if parameters.measure and parameters.corrections
-        else 0,
+        "correct": forest + count * _CORRECT + labels + best + draw if corrections else 0,
         "reassign": forest + labels + best + _reassign(count, target, features)
         if parameters.rounds
         else 0,

@@ -21,25 +21,16 @@ def correct(step: int, scene: Scene, task: Task) -> Record:
     """
     balances, block = len(scene.balances), scene.open(task.number)
     number = best_cut(scene, task.level, step)
-    groups = groups_of(scene, block, task, number)
+    labels = scene.cut(task.number, task.level, number)
+    groups = groups_of(scene, block, labels)
     drawn = concatenated(prepare(grown(scene, groups)), scene.surroundings(task.number))
     drawn, sums = drawn.with_buffers(), np.zeros((len(drawn), 2))
+    views = len(scene.views.kept) + scene.settings.parameters.pictured  # about as many are compared
     for done, target in enumerate(scene.compared(task.number, block)):
-        scene.on_progress(done, len(scene.views.kept) + len(scene.pictured))
+        scene.on_progress(done, views)
         sums += errors_of_splats(drawn, target)
     by_label = np.empty((len(groups.labels), 2))
     by_label[groups.labels] = sums[: len(groups.labels)]
     ordering = scene.ordering(block, task.number, task.level, balances + step - 1)
-    labels = scene.cut(task.number, task.level, number)
     correction = correct_errors(ordering, labels, GroupErrors(*by_label.T.copy()))
     return scene.keep_correction(task, balances + step, correction)
-
-
-def correct_stage(step: int) -> str:
-    """Return the name of the stage that corrects errors once more."""
-    return f"correct_{step + 1}"
-
-
-def share_stage(step: int) -> str:
-    """Return the name of the stage that divides splats among blocks by corrected errors."""
-    return f"budget_{step + 1}"

@@ -11,13 +11,13 @@ from nanogs.method.cut import merge_scores
 from nanogs.method.forest import grow_forest
 from nanogs.method.nodes import Nodes
 from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.scene import SUMS
 from nanogs.progress import ignore_progress
 from nanogs.report import PassReport
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Sorted, write_table
 
 CHILDREN = "children"
-SUMS = "sums"  # fact of a correction
 BINS = 1 << 16
 
 

@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from nanogs._types import I32
 from nanogs.fit.targets import Target
 from nanogs.method.choose import GROWTH_MARGIN, further_growths, quality
 from nanogs.method.store import Groups
 from nanogs.method.visibility import LUMA
 from nanogs.metrics import ssim
-from nanogs.pipeline.scene import Block, Members, Scene, Task
+from nanogs.pipeline.scene import SUMS, Block, Members, Scene, Task
 from nanogs.raster.rendering import PreparedSplats, concatenated, prepare, render
 from nanogs.report import CandidateReport
 from nanogs.splats import Splats
@@ -32,7 +33,7 @@ def try_balances(scene: Scene, task: Task) -> Record:
     wanted, others = scene.pictures(task.number, block), scene.surroundings(task.number)
     errors = []
     for number in range(len(scene.balances)):
-        groups = groups_of(scene, block, task, number)
+        groups = groups_of(scene, block, scene.cut(task.number, task.level, number))
         errors.append(_errors(grown(scene, groups), wanted, others))
         scene.on_progress(len(errors), len(scene.balances))
     return scene.write(task.name, {}, {"errors": errors})
@@ -42,13 +43,19 @@ def try_corrected(step: int, scene: Scene, task: Task) -> Record:
     """Measure a block's cut with corrected errors, and write its errors."""
     block = scene.open(task.number)
     wanted, others = scene.pictures(task.number, block), scene.surroundings(task.number)
-    groups = groups_of(scene, block, task, len(scene.balances) + step)
+    labels = scene.cut(task.number, task.level, len(scene.balances) + step)
+    groups = groups_of(scene, block, labels)
     return scene.write(task.name, {}, {"errors": [_errors(grown(scene, groups), wanted, others)]})
 
 
 def corrects_on(scene: Scene, level: int, step: int) -> bool:
     """Whether a correction is worth trying: the first one, or if the one before was the best."""
     return step == 0 or best_cut(scene, level, step) == len(scene.balances) + step - 1
+
+
+def corrected(scene: Scene, level: int, step: int) -> bool:
+    """Whether a correction found errors to correct in any block; its stage must be done."""
+    return any(any(record.facts[SUMS]) for record in scene.of_blocks(correct_stage(step), level))
 
 
 def best_cut(scene: Scene, level: int, corrections: int | None = None) -> int:
@@ -68,9 +75,8 @@ def pick(scene: Scene, task: Task) -> Record:
     return scene.write(task.name, {}, {"cut": best_cut(scene, task.level)})
 
 
-def groups_of(scene: Scene, block: Block, task: Task, number: int) -> Groups:
+def groups_of(scene: Scene, block: Block, labels: I32) -> Groups:
     """Merge the groups of one of a block's cuts."""
-    labels = scene.cut(task.number, task.level, number)
     return scene.stored(Members(block.splats, block.rows, block.visible, labels))
 
 
@@ -141,6 +147,16 @@ def growth_stage(step: int) -> str:
     return f"growth_{step + 1}"
 
 
+def correct_stage(step: int) -> str:
+    """Return the name of the stage that corrects errors once more."""
+    return f"correct_{step + 1}"
+
+
+def budget_stage(step: int) -> str:
+    """Return the name of the stage that divides splats among blocks by corrected errors."""
+    return f"budget_{step + 1}"
+
+
 def trial_stage(step: int) -> str:
     """Return the name of the stage that measures the cut with errors corrected once more."""
     return f"trial_{step + 1}"
@@ -170,8 +186,10 @@ def _cuts(scene: Scene, level: int, corrections: int | None = None) -> list[Cand
     best = max(tried, key=lambda report: report.quality)
     most = scene.settings.parameters.corrections if corrections is None else corrections
     for step in range(most):
-        corrected = replace(tried[-1], balance=1.0, corrections=step + 1)
-        tried.append(_report(scene, level, trial_stage(step), corrected))
+        if not corrected(scene, level, step):
+            break
+        report = replace(tried[-1], balance=scene.balances[-1], corrections=step + 1)
+        tried.append(_report(scene, level, trial_stage(step), report))
         if tried[-1].quality <= best.quality:
             break
         best = tried[-1]
