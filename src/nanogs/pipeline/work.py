@@ -14,7 +14,7 @@ import numpy as np
 from nanogs._types import F64, I32, I64, Array
 from nanogs.errors import OutputError
 from nanogs.fit.report import RefitReport
-from nanogs.fit.targets import Target, as_target, make_target
+from nanogs.fit.targets import Target, make_target
 from nanogs.kernels.blocks import FIELDS
 from nanogs.method.correct import Correction, Ordering
 from nanogs.method.growth import Cover
@@ -229,15 +229,13 @@ class Work(Scene):
 
     def compared(self, block: int, own: Block) -> Iterator[Target]:
         """Render the part of each view that shows a block, except for the deciding views."""
-        assert own.visible is not None  # noqa: S101 - this job renders
-        drawn, views, deciding = prepare(own.splats), self.views, self.deciding
+        views, deciding = self.views, self.deciding
         cameras = [camera for camera in views.kept if camera not in deciding]  # by identity
         cameras += [camera for camera, _ in looks_at(self, block)[len(views.kept) :]]
         cameras += views.further if self.settings.parameters.pictured else ()
-        parts = parts_of(drawn, own.visible >= SHOWN, cameras)
-        whole = concatenated(drawn, self.surroundings(block)).with_buffers()
+        drawn, parts = self._crops(block, own, cameras)
         for number, part in enumerate(part for part in parts if part):
-            yield make_target(whole, part, depth=False, wanted=FIELDS[number % 2])
+            yield make_target(drawn, part, depth=False, wanted=FIELDS[number % 2])
 
     def _scores(self, block: int, level: int, number: int) -> tuple[Record, int]:
         """Return the table that holds the scores of a cut of a block, and their number in it."""
@@ -386,11 +384,17 @@ class Work(Scene):
 
     def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
         """Render the part of each deciding view that shows a block, or None if none does."""
+        drawn, parts = self._crops(block, own, self.deciding)
+        return [make_target(drawn, part, depth=False) if part else None for part in parts]
+
+    def _crops(
+        self, block: int, own: Block, cameras: Sequence[Camera]
+    ) -> tuple[PreparedSplats, list[Camera | None]]:
+        """Return a block with its surroundings, and the part of each view that shows the block."""
         assert own.visible is not None  # noqa: S101 - this job renders
         drawn = prepare(own.splats)
-        parts = parts_of(drawn, own.visible >= SHOWN, self.deciding)
-        whole = concatenated(drawn, self.surroundings(block))
-        return [as_target(render(whole, part), part) if part else None for part in parts]
+        parts = parts_of(drawn, own.visible >= SHOWN, cameras)
+        return concatenated(drawn, self.surroundings(block)).with_buffers(), parts
 
     def fit_views(self, block: int, level: int) -> FitViews | None:
         """Return the views to fit a block to; None if too few show it."""

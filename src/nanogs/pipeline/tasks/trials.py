@@ -29,23 +29,12 @@ Errors = list[tuple[float, float]]  # of each view, summed up: squared error a c
 
 def try_balances(scene: Scene, task: Task) -> Record:
     """Measure a block's cuts of all balances, and write their errors."""
-    block = scene.open(task.number)
-    wanted, others = scene.pictures(task.number, block), scene.surroundings(task.number)
-    errors = []
-    for number in range(len(scene.balances)):
-        groups = groups_of(scene, block, scene.cut(task.number, task.level, number))
-        errors.append(_errors(grown(scene, groups), wanted, others))
-        scene.on_progress(len(errors), len(scene.balances))
-    return scene.write(task.name, {}, {"errors": errors})
+    return _try_cuts(scene, task, range(len(scene.balances)))
 
 
 def try_corrected(step: int, scene: Scene, task: Task) -> Record:
     """Measure a block's cut with corrected errors, and write its errors."""
-    block = scene.open(task.number)
-    wanted, others = scene.pictures(task.number, block), scene.surroundings(task.number)
-    labels = scene.cut(task.number, task.level, len(scene.balances) + step)
-    groups = groups_of(scene, block, labels)
-    return scene.write(task.name, {}, {"errors": [_errors(grown(scene, groups), wanted, others)]})
+    return _try_cuts(scene, task, [len(scene.balances) + step])
 
 
 def corrects_on(scene: Scene, level: int, step: int) -> bool:
@@ -194,6 +183,18 @@ def _cuts(scene: Scene, level: int, corrections: int | None = None) -> list[Cand
             break
         best = tried[-1]
     return tried
+
+
+def _try_cuts(scene: Scene, task: Task, numbers: Sequence[int]) -> Record:
+    """Measure some of a block's cuts, and write their errors."""
+    block = scene.open(task.number)
+    wanted, others = scene.pictures(task.number, block), scene.surroundings(task.number)
+    errors = []
+    for number in numbers:
+        groups = groups_of(scene, block, scene.cut(task.number, task.level, number))
+        errors.append(_errors(grown(scene, groups), wanted, others))
+        scene.on_progress(len(errors), len(numbers))
+    return scene.write(task.name, {}, {"errors": errors})
 
 
 def _try(scene: Scene, task: Task, growth: float, *, reassigned: bool) -> Record:
