@@ -18,7 +18,7 @@ from PIL import Image
 import launch
 import nanogs
 from builders import random_splats
-from nanogs.bench import measuring, protocol
+from nanogs.bench import measuring, output, protocol
 from nanogs.bench.baselines import MethodContext
 from nanogs.bench.gsplat import gsplat_fps
 from nanogs.bench.methods import ABLATIONS, find_method
@@ -38,6 +38,7 @@ from nanogs.bench.settings import BenchSettings
 from nanogs.bench.worker import Job, Outcome, peak_memory, run_job
 from nanogs.errors import OptionError, OutputError
 from nanogs.io import load
+from nanogs.io.atomic import atomic_write
 from nanogs.method.graph import random_pairs
 from nanogs.pipeline.options.presets import PRESETS, parameters
 from nanogs.raster.camera import Camera
@@ -173,6 +174,40 @@ def test_an_unfinished_run_continues_where_it_ended(tmp_path):
     with pytest.raises(OutputError, match=r"other models or settings; .* to begin anew"):
         ResultFolder(tmp_path, run="that")
     assert ResultFolder(tmp_path, run="that", overwrite=True).done == []
+
+
+def test_a_run_that_cannot_write_its_results_continues(tmp_path, monkeypatch):
+    """On a full disk nothing that was measured is lost, and the run needs no new measurement."""
+    rows = [BenchRow("a", "x", 0.1, psnr=20.0), BenchRow("a", "y", 0.1, psnr=21.0)]
+    results = ResultFolder(tmp_path, run="this")
+    for row in rows:
+        results.add(row)
+
+    def full(path, **_):
+        if path.name == "results.md":
+            raise OutputError(f"{path}: the disk or quota is full.")
+        return atomic_write(path, overwrite=True)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(output, "atomic_write", full)
+        with pytest.raises(OutputError, match="full"):
+            results.finish(rows)
+    assert (tmp_path / "results.jsonl").exists()
+    again = ResultFolder(tmp_path, run="this")
+    assert again.done == rows
+    again.finish(rows)
+    assert (tmp_path / "results.md").exists()
+    assert not (tmp_path / "unfinished.jsonl").exists()
+
+
+def test_results_of_which_no_plot_can_be_made_stay_those_of_a_finished_run(tmp_path, monkeypatch):
+    row = BenchRow("a", "x", 0.1, psnr=20.0)
+    ResultFolder(tmp_path, run="this").finish([row])
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    monkeypatch.setattr(output, "plot", lambda _: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        ResultFolder(tmp_path, run="this", overwrite=True).finish([row])
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def external(folder, name):

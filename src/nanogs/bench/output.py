@@ -19,6 +19,7 @@ from nanogs.bench.size_tables import size_page
 from nanogs.bench.tables import json_line, markdown
 from nanogs.errors import ExistsError, OutputError
 from nanogs.formatting import utf8
+from nanogs.io.atomic import atomic_write
 from nanogs.io.folder import make_folders, remove_empty
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
@@ -97,11 +98,11 @@ class ResultFolder:
             OutputError: It cannot be written.
         """
         unfinished = self.path / UNFINISHED
+        if not self._begun:
+            known = "".join(map(json_line, self.done))
+            _replace(unfinished, f"{self._run or '{}'}\n{known}".encode())
+        self._begun = True
         with _writing(unfinished):
-            if not self._begun:
-                known = "".join(map(json_line, self.done))
-                unfinished.write_text(f"{self._run or '{}'}\n{known}", encoding="utf-8")
-            self._begun = True
             if row.key not in {known.key for known in self.done}:
                 with unfinished.open("a", encoding="utf-8") as file:
                     file.write(json_line(row))
@@ -119,8 +120,6 @@ class ResultFolder:
         Raises:
             OutputError: They cannot be written.
         """
-        with _writing(self.path / RUN):  # no run stands beside rows of another, even if killed
-            (self.path / RUN).unlink(missing_ok=True)
         texts = {
             LINES: "".join(map(json_line, rows)),
             TABLE: preamble + markdown(rows, others=others),
@@ -133,9 +132,10 @@ class ResultFolder:
             contents[PAGE] = utf8(size_page(rows, others, preamble))
         if self._run is not None:
             contents[RUN] = utf8(f"{self._run}\n")
+        with _writing(self.path / RUN):  # no run stands beside rows of another, even if killed
+            (self.path / RUN).unlink(missing_ok=True)
         for name, content in contents.items():
-            with _writing(self.path / name):
-                (self.path / name).write_bytes(content)
+            _replace(self.path / name, content)
         with _writing(self.path / UNFINISHED):
             (self.path / UNFINISHED).unlink(missing_ok=True)
 
@@ -151,7 +151,13 @@ class ResultFolder:
         remove_empty(self._made)
 
     def _finished_rows(self) -> list[BenchRow]:
-        """Read the rows of a finished run to which this one adds."""
+        """Read the rows of a finished run to which this one adds.
+
+        A run that failed or was killed while its results were written is no finished one: all its
+        rows are those of the unfinished run.
+        """
+        if (self.path / UNFINISHED).exists() and not (self.path / RUN).exists():
+            return []
         there = [self.path / name for name in (TABLE, LINES, PLOT, PAGE, PICTURE)]
         there = [path for path in there if path.exists()]
         if not there:
@@ -228,6 +234,12 @@ def _stamp(path: Path) -> list[int]:
     except OSError:
         return []
     return [found.st_size, found.st_mtime_ns]
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file that appears whole or, on a full disk, leaves what was there before."""
+    with atomic_write(path, overwrite=True) as file:
+        file.write(content)
 
 
 @contextmanager
