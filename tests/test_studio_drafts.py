@@ -1,8 +1,11 @@
 """Answers without a server: drafts of newer requests, and counts found for sizes and PSNRs."""
 
+import gc
 import math
 import threading
+import weakref
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,12 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from builders import cloud_pair
+from nanogs.io import encoded_bytes, save
 from nanogs.pipeline.options.target import Goal
 from nanogs.studio import asking
 from nanogs.studio.asking import QUICK, TRIES, UNSEEN, RequestHandler
-from nanogs.studio.cache import FilteredScene
-from nanogs.studio.choice import choice_of
+from nanogs.studio.cache import FilteredScene, WorkerCache
+from nanogs.studio.choice import Choice, choice_of
 from nanogs.studio.curve import Curve, Point
+from nanogs.studio.scene import StudioSettings
 from nanogs.views.opening import opening_for
 
 
@@ -280,3 +285,20 @@ def test_of_several_results_the_one_that_meets_the_psnr_is_shown(answers, forest
     answers.ask(choice_of({"wish": {"psnr": 30.0}}), job)
     assert job.events == ["draft", *["made", "point"] * 3, "measured"]
     assert job.said[-1]["psnr"] == 31.0
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".glb", ".npz", ".compressed.ply", ".splat"])
+def test_a_curve_keeps_no_model_alive(suffix, tmp_path):
+    """A studio holds up to 32 curves, and frees the scene between two saves."""
+    path = tmp_path / "scene.ply"
+    splats = replace(cloud_pair()[0], comments=("a line",))
+    save(splats, path)
+    cache = WorkerCache(SimpleNamespace(path=path), StudioSettings())
+    choice = Choice(goal=Goal(count=9), format=suffix, sh_degree=1)
+    held = weakref.ref(cache.sifted(choice).splats.means)
+    curve = cache.curve(choice, Forest(splats))
+    cache.forget()
+    gc.collect()
+    assert held() is None
+    smaller = splats.with_sh_degree(1).take(slice(0, 100))
+    assert curve.bytes_of(100) == encoded_bytes(smaller, tmp_path / f"out{suffix}")

@@ -156,7 +156,9 @@ class WorkerCache:
         if choice.sh_degree is not None:
             splats = splats.with_sh_degree(choice.sh_degree)
         if (sizer := known.file_bytes) is not None:
-            return Curve(grown.available, grown.fewest, lambda n: sizer(splats, n), exact=True)
+            # Sizes follow from the columns; a copied row, so that the curve keeps no model alive.
+            first = splats.take([0])
+            return Curve(grown.available, grown.fewest, lambda n: sizer(first, n), exact=True)
         every = -(-len(splats) // _SAMPLE)
         some = splats.take(slice(None, None, every))
         share = encoded_bytes(some, Path(f"model{suffix}")) / len(some)
