@@ -187,6 +187,19 @@ def test_alphas_above_1_are_opaque_and_larger(tmp_path):
 # ---- round trips
 
 
+def test_long_comments_beyond_ascii_are_read_back(tmp_path):
+    lines = [300 * "ä"] * 1000
+    io.save(replace(random_splats(3), comments=lines), tmp_path / "a.rad")
+    assert list(io.load(tmp_path / "a.rad").comments) == lines
+
+
+def test_comments_that_could_not_be_read_back_are_refused_before_any_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(write, "_chunks", None)
+    with pytest.raises(OutputError, match="no more than 1048576 can be read back; shorten the com"):
+        io.save(replace(random_splats(3), comments=["a" * (1 << 20)]), tmp_path / "a.rad")
+    assert not [*tmp_path.iterdir()]
+
+
 @given(splats())
 def test_models_survive_a_round_trip(tmp_path_factory, model):
     path = tmp_path_factory.mktemp("rad") / "a.rad"

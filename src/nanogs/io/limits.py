@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from nanogs._types import Bool
-from nanogs.errors import UnstorableError
+from nanogs.errors import OutputError, UnstorableError
 from nanogs.findings import Finding, Names
 from nanogs.formatting import counted
 from nanogs.io import render_tag
@@ -39,6 +39,19 @@ def refuse_empty(source: Source, suffix: str) -> None:
         raise UnstorableError(
             f"The model has no splats, but a {suffix} file needs at least one; give a model with"
             " splats."
+        )
+
+
+def refuse_long_json(size: int, most: int) -> None:
+    """Refuse a JSON header of `size` bytes if readers take no more than `most`.
+
+    Raises:
+        OutputError: It is longer.
+    """
+    if size > most:
+        raise OutputError(
+            f"The JSON would have {size} bytes, and no more than {most} can be read back; shorten"
+            " the comments."
         )
 
 

@@ -163,11 +163,7 @@ def _json_bytes(splats: Splats) -> int:
     """Return the padded size of the JSON for any count: a multiple of 4, as chunks must be."""
     longest = [_LONGEST] * 3
     size = len(_text(_document(splats, _MAX_BYTES, longest, longest))) + 3 & ~3
-    if size > MAX_JSON_BYTES:
-        raise OutputError(
-            f"The JSON would have {size} bytes, and no more than {MAX_JSON_BYTES} can be read"
-            " back; shorten the comments."
-        )
+    limits.refuse_long_json(size, MAX_JSON_BYTES)
     return size
 
 

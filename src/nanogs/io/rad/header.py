@@ -54,7 +54,7 @@ LABEL = "sh_label"
 CHILD_COUNT, CHILD_START = "child_count", "child_start"
 _PLAIN = ("center", "alpha", "rgb", "scales", "orientation")
 _KNOWN = frozenset((*_PLAIN, *BANDS, *CODES, LABEL, CHILD_COUNT, CHILD_START))
-_MAX_JSON = 1 << 20  # the viewer's limit; a chunk takes some 50 bytes
+MAX_JSON = 1 << 20  # the viewer's limit; a chunk takes some 50 bytes
 _MAX_CHUNK_JSON = 1 << 16
 _MAX_ROWS = 1 << 32
 _RANGED = frozenset(("r8", "r8_delta", "ln_0r8"))
@@ -134,7 +134,7 @@ def read_header(path: Path) -> Header:
         FormatError: It cannot be read, is no `.rad` file, or is damaged.
     """
     whole = whole_file(path)
-    data, end = _description(whole, MAGIC, _MAX_JSON)
+    data, end = _description(whole, MAGIC, MAX_JSON)
     where = str(path)
     _check_version(data, where)
     if data.get("type") != "gsplat":

@@ -28,6 +28,7 @@ from nanogs.io.rad.header import (
     CHUNK_ROWS,
     MAGIC,
     MAX_DEGREE,
+    MAX_JSON,
     PAYLOAD,
     START,
     VERSION,
@@ -111,7 +112,8 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
         tree: The level-of-detail tree of these nodes; by default there is none.
 
     Raises:
-        OutputError: A value is NaN or infinite; nothing has been written then.
+        OutputError: A value is NaN or infinite, or the comments are too long; nothing has been
+            written then.
         OSError: The system refuses to write, here or to a temporary file.
     """
     source = source_of(model)
@@ -121,26 +123,28 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
         if block.finite().all():  # otherwise `storable` raises at the end
             ranges.add(block, degree)
     encoding = ranges.encoding(tree=tree is not None)
+    lines = render_tag.tagged(source.columns.comments, RenderMode(source.columns.render_mode))
+    chunks = list[dict[str, int]]()
+    head = {
+        "version": VERSION,
+        "type": "gsplat",
+        "count": source.count,
+        "maxSh": degree,
+        **({"lodTree": True} if tree else {}),
+        "chunkSize": CHUNK_ROWS,
+        "allChunkBytes": 0,
+        "chunks": chunks,
+        "splatEncoding": encoding,
+        **({"comment": "\n".join(map(as_utf8, lines))} if lines else {}),
+    }
+    _described(MAGIC, head)  # refuses comments that are too long before anything is packed
     with TemporaryFile(prefix="nanogs-") as body:
-        chunks, at = [], 0
+        at = 0
         for chunk in _chunks(source, degree, tree, encoding):
             body.write(chunk)
             chunks.append({"offset": at, "bytes": len(chunk)})
             at += len(chunk)
-        lines = render_tag.tagged(source.columns.comments, RenderMode(source.columns.render_mode))
-        head = {
-            "version": VERSION,
-            "type": "gsplat",
-            "count": source.count,
-            "maxSh": degree,
-            **({"lodTree": True} if tree else {}),
-            "chunkSize": CHUNK_ROWS,
-            "allChunkBytes": at,
-            "chunks": chunks,
-            "splatEncoding": encoding,
-            **({"comment": "\n".join(map(as_utf8, lines))} if lines else {}),
-        }
-        file.write(_described(MAGIC, head))
+        file.write(_described(MAGIC, head | {"allChunkBytes": at}))
         body.seek(0)
         shutil.copyfileobj(body, file, 1 << 20)
 
@@ -158,8 +162,13 @@ def losses(splats: Splats) -> tuple[str, ...]:
 
 
 def _described(magic: bytes, content: dict[str, Any]) -> bytes:
-    """Encode the JSON header of a file or a chunk, padding included."""
-    text = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+    """Encode the JSON header of a file or a chunk, padding included.
+
+    Raises:
+        OutputError: It is too long to be read back.
+    """
+    text = json.dumps(content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
+    limits.refuse_long_json(len(text), MAX_JSON)
     return (START.pack(magic, len(text)) + text).ljust(padded(START.size + len(text)), b"\0")
 
 
