@@ -33,6 +33,14 @@ def rest(*indices):
     return ply(("vertex", vertex(3, [*BASE, *(f"f_rest_{i}" for i in indices)])))
 
 
+@pytest.mark.parametrize("line", [b"element e%d 0\n", b"property uchar e%d\n"])
+def test_a_second_name_is_found_among_many_at_once(line, tmp_path):
+    """A search through all names before it would take a minute for a header of a megabyte."""
+    many = b"".join(line % number for number in [*range(40_000), 0])
+    (tmp_path / "a.ply").write_bytes(GOOD.replace(b"end_header", many + b"end_header"))
+    assert_refused(tmp_path / "a.ply", "a second")
+
+
 def test_a_missing_file_is_refused(tmp_path):
     assert_refused(tmp_path / "none.ply", "no such file")
 

@@ -72,10 +72,18 @@ class Header:
     comments: list[str] = field(default_factory=list)
     obj_info: list[str] = field(default_factory=list)
     size: int = 0
+    # Names of elements, and with them of their properties: a search for each line would be slow.
+    _names: set[tuple[str, ...]] = field(default_factory=set, repr=False)
 
     def element(self, name: str) -> Element | None:
         """Return the element of that name, or None."""
         return next((element for element in self.elements if element.name == name), None)
+
+    def is_new(self, *names: str) -> bool:
+        """Whether no element, or property of an element, has this name; it counts as taken then."""
+        new = names not in self._names
+        self._names.add(names)
+        return new
 
     @property
     def order(self) -> str:
@@ -197,7 +205,7 @@ class _Line:
         if len(self.words) != 3:
             raise self.error("an element needs a name and a count")
         name = decode(self.words[1])
-        if self.header.element(name) is not None:
+        if not self.header.is_new(name):
             raise self.error(f"a second element {_quote(self.words[1])}")
         if not _COUNT.fullmatch(self.words[2]):
             raise self.error(
@@ -217,7 +225,7 @@ class _Line:
                     f"unknown type {_quote(word)} of property {_quote(self.words[-1])}"
                 )
         element, name = self.header.elements[-1], decode(self.words[-1])
-        if any(prop.name == name for prop in element.properties):
+        if not self.header.is_new(element.name, name):
             raise self.error(f"a second property {_quote(self.words[-1])} of {element.name!r}")
         element.properties.append(Property(name, None if is_list else TYPES[decode(self.words[1])]))
 
