@@ -469,6 +469,16 @@ def test_opacities_out_of_range_are_noted(load):
     assert load(document(table)).notes == ("1 opacity is not from 0 to 1 and became NaN.",)
 
 
+def test_a_single_row_may_state_any_stride(tmp_path):
+    content, body = document(columns(random_splats(1, degree=1)))
+    (tmp_path / "a.glb").write_bytes(glb(content, body))
+    expected = io.load(tmp_path / "a.glb")
+    for view in content["bufferViews"]:
+        view["byteStride"] = 10**30
+    (tmp_path / "a.glb").write_bytes(glb(content, body))
+    assert_same(io.load(tmp_path / "a.glb"), expected)
+
+
 def broken(path, value):
     """Return a function that makes a small file with a JSON entry replaced, or removed if None."""
 

@@ -1,6 +1,7 @@
 """Reading and writing `.npz`."""
 
 import io as bytes_io
+import tempfile
 import zipfile
 from dataclasses import replace
 
@@ -8,11 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
+import nanogs
 from builders import random_splats
 from damage import mutate, outcome
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
-from nanogs.io import registry
+from nanogs.io import parts, registry
 from nanogs.io.npz import read as npz
 from nanogs.splats import ExtraElement, RenderMode
 from strategies import assert_same, splats
@@ -156,6 +158,44 @@ def test_stated_sizes_beyond_the_data_are_refused(tmp_path):
         archive.writestr("extra:a.npy", member)
     with pytest.raises(FormatError, match="does not have the size"):
         io.load(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("shape", [f"({10**20}, 0)", f"({2**62}, {2**62}, 0)"])
+def test_shapes_that_no_array_can_have_are_refused(tmp_path, shape):
+    write_arrays(tmp_path / "a.npz", random_splats(1))
+    header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+        archive.writestr("extra:a.npy", b"\x93NUMPY\1\0" + bytes([len(header), 0]) + header)
+    with pytest.raises(FormatError, match="unknown type or shape"):
+        io.load(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("kind", ["M8[s]", "m8[ns]", "U3", "S2", "c8", "?"])
+def test_columns_of_every_plain_type_are_read_in_parts(tmp_path, kind):
+    column = np.arange(5).astype(kind)
+    io.save(random_splats(5, extras={"a": column}), tmp_path / "a.npz")
+    assert_same(io.open(tmp_path / "a.npz").read(1, 3), io.load(tmp_path / "a.npz").span(1, 3))
+    nanogs.convert(tmp_path / "a.npz", tmp_path / "b.npz")
+    assert_same(io.load(tmp_path / "b.npz"), io.load(tmp_path / "a.npz"))
+
+
+def test_no_file_stays_open_if_unpacking_fails(tmp_path, monkeypatch):
+    io.save(random_splats(5000, extras={"a": np.arange(5000)}), tmp_path / "a.npz")
+    data = (tmp_path / "a.npz").read_bytes()
+    at = data.index(np.arange(5000).tobytes())
+    (tmp_path / "a.npz").write_bytes(data[:at] + b"\1" + data[at + 1 :])
+    files = []
+
+    def opened(**options):
+        files.append(tempfile.TemporaryFile(**options))  # noqa: SIM115 - closed by the source
+        return files[-1]
+
+    monkeypatch.setattr(parts, "TemporaryFile", opened)
+    source = io.open(tmp_path / "a.npz")
+    for _ in range(2):
+        with pytest.raises(FormatError, match="damaged"):
+            source.read(1, 3)
+    assert [file.closed for file in files] == [True, True]
 
 
 def test_a_stored_member_cannot_be_larger_than_the_file(tmp_path):

@@ -7,6 +7,7 @@ rows can be read. `Whole`: the file can only be loaded whole.
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
@@ -248,13 +249,14 @@ def _unpacked(packed: Packed) -> UnpackedColumns:
     places = dict(zip(packed.stored, ends, strict=False))
     notes: list[str] = []
     try:
-        file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed with the source
-        finalize(packed, file.close)  # on garbage collection, if `close` is not called
-        for piece in packed.unpack(notes):
-            file.write(np.ascontiguousarray(piece).data)
+        with ExitStack() as stack:
+            file: IO[bytes] = stack.enter_context(TemporaryFile(prefix="nanogs-"))
+            for piece in packed.unpack(notes):
+                file.write(_as_bytes(np.ascontiguousarray(piece)))
+            stack.pop_all()
     except OSError as error:
         raise temporary_file_error(f"{packed.path} cannot be unpacked", error) from error
-
+    finalize(packed, file.close)  # on garbage collection, if `close` is not called
     lock = Lock()  # threads share the position in the file
 
     def column(name: str, start: int, stop: int) -> Array:
@@ -333,10 +335,15 @@ def fill(path: Path, file: BinaryIO, values: Array) -> None:
     Raises:
         FormatError: The file ends before the array is full.
     """
-    left = values.reshape(-1).view(np.uint8).data
+    left = _as_bytes(values)
     while left:
         if not (count := file.readinto(left)):  # type: ignore[attr-defined]
             raise FormatError(
                 f"{path} became shorter while it was read; export or download it again."
             )
         left = left[count:]
+
+
+def _as_bytes(values: Array) -> memoryview:
+    """Return the memory of a contiguous array; dates, unlike numbers, give no buffer themselves."""
+    return values.reshape(-1).view(np.uint8).data

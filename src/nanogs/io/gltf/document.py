@@ -180,7 +180,8 @@ class Document:
         if count < 1 or stride < width or offset + (count - 1) * stride + width > end:
             raise part.error(f"with {count} rows does not fit into its buffer view")
         normalized = part.data.get("normalized") is True
-        return Accessor(count, components, kind, normalized, buffer, offset, stride, (start, end))
+        step = stride if count > 1 else width  # a single row may state any stride
+        return Accessor(count, components, kind, normalized, buffer, offset, step, (start, end))
 
     def view(self, index: int) -> Section:
         """Return the section of a file that a buffer view covers.

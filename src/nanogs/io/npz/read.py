@@ -214,6 +214,7 @@ def _parse(where: str, file: IO[bytes]) -> tuple[np.dtype[np.generic], tuple[int
     try:
         dtype = np.dtype(match[1])
         shape = tuple(int(part) for part in match[3].split(",") if part.strip())
+        np.broadcast_to(np.zeros((), dtype), shape)  # raises for what no array can have
     except (TypeError, ValueError):
         raise FormatError(f"{where} has an unknown type or shape; save it again.") from None
     return dtype, shape, match[2] == "True", 8 + width + size
