@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from base64 import b64decode
 from contextlib import contextmanager
 from functools import partial
 from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -21,6 +22,7 @@ from hypothesis import strategies as st
 
 import launch
 import nanogs
+import radfiles
 from builders import random_splats
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io.urls import Address, UrlFile, is_url, place, redacted
@@ -131,6 +133,26 @@ def test_a_sog_folder_is_downloaded_through_its_meta_json(folder, host, temporar
         assert_refused(
             launch.run("info", f"{host}/{name}"), f"{host}/{name}", "download the whole folder"
         )
+
+
+def test_files_that_a_model_names_are_downloaded(folder, host, temporary, tmp_path):
+    """A `.gltf` with its buffer in another file, and a `.rad` with its chunks in others."""
+    nanogs.save(random_splats(30), folder / "packed.gltf")
+    content = json.loads((folder / "packed.gltf").read_text())
+    body = content["buffers"][0]["uri"].partition(",")[2]
+    (folder / "parts" / "b").mkdir(parents=True)
+    (folder / "parts" / "b" / "my buffer.bin").write_bytes(b64decode(body))
+    content["buffers"][0]["uri"] = "b/my%20buffer.bin"
+    (folder / "parts" / "a.gltf").write_text(json.dumps(content))
+    chunks = radfiles.small_tree()[0]
+    entries = [{"filename": f"a-{number}.radc"} for number in range(len(chunks))]
+    (folder / "parts" / "a.rad").write_bytes(radfiles.rad([], 8, chunks=entries, lodTree=True))
+    for entry, chunk in zip(entries, chunks, strict=True):
+        (folder / "parts" / entry["filename"]).write_bytes(chunk)
+    for name in ("a.gltf", "a.rad"):
+        run_checked("convert", f"{host}/parts/{name}{QUERY}", tmp_path / "url.ply", "-w")
+        nanogs.convert(folder / "parts" / name, tmp_path / "file.ply", overwrite=True)
+        assert (tmp_path / "url.ply").read_bytes() == (tmp_path / "file.ply").read_bytes()
 
 
 def test_levels_in_one_file_are_downloaded(folder, host, temporary, tmp_path):

@@ -1,6 +1,6 @@
 """The description of a file format, its entry in the registry."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -117,6 +117,7 @@ class Format:
             can be written in the same way.
         magic: First bytes, by which a file without a name is recognised.
         zip_member: Name of a file by which a zip without a name is recognised.
+        named_files: Lists the other files that a file names, before they are there: for downloads.
         overhead_bytes: Number of bytes that every file has in addition to its splats, where it is
             large.
     """
@@ -145,6 +146,7 @@ class Format:
     derived_options: Callable[[Source, FormatOptions], FormatOptions] = lambda _source, _options: {}
     magic: tuple[bytes, ...] = ()
     zip_member: str = ""
+    named_files: Callable[[Path], Sequence[Path]] = lambda _path: ()
     overhead_bytes: Callable[[], int] = lambda: 0
 
     @property

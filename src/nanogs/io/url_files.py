@@ -178,7 +178,7 @@ def _fetched(
         suffix = detect_suffix(raw, str(path), format, remedy)
         raw = raw.rename(raw.with_name(f"{raw.name}{suffix}"))
     model = UrlFile(raw, str(path))
-    for file in registry.reader(model).open(model).files[1:]:
+    for file in registry.reader(model).named_files(model):
         name = PurePosixPath(file.relative_to(own).as_posix())
         file.parent.mkdir(parents=True, exist_ok=True)
         with transfer("fetch") as on_progress:

@@ -6,7 +6,7 @@ from nanogs.io.format import Format
 from nanogs.io.gltf import tileset, write
 from nanogs.io.gltf.glb import MAGIC
 from nanogs.io.gltf.primitives import MAX_DEGREE
-from nanogs.io.gltf.read import open_gltf
+from nanogs.io.gltf.read import named_files, open_gltf
 from nanogs.io.registry import TILESET
 
 _FRAME = "y up (luf) in the file, turned to y down (rdf) when read"
@@ -23,6 +23,7 @@ FORMATS = (
         streams=True,
         max_degree=MAX_DEGREE,
         magic=(MAGIC,),
+        named_files=named_files,
     ),
     Format(
         ".gltf",
@@ -34,6 +35,7 @@ FORMATS = (
         turns=True,
         streams=True,
         max_degree=MAX_DEGREE,
+        named_files=named_files,
     ),
     Format(
         TILESET,

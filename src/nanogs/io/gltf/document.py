@@ -154,6 +154,16 @@ class Document:
         """Return the file and the files of the buffers used so far."""
         return [*dict.fromkeys([self.path, *(each.path for each in self._buffers.values())])]
 
+    def named_files(self) -> list[Path]:
+        """Return the files of all buffers that have one of their own; they need not exist.
+
+        Raises:
+            FormatError: One is outside the file's folder.
+        """
+        count = len(self.root.items("buffers"))
+        found = [self._own_file(self.root.at("buffers", number)) for number in range(count)]
+        return list(dict.fromkeys(path for path in found if path is not None))
+
     def buffers(self) -> dict[int, Section]:
         """Return the buffers used so far, by their index."""
         return self._buffers
@@ -207,18 +217,23 @@ class Document:
 
     def _located(self, buffer: JsonObject, *, first: bool) -> Section:
         """Return the section of the file that holds a buffer, or its decoded bytes."""
-        uri = buffer.text("uri")
-        if not uri:
+        if (path := self._own_file(buffer)) is not None:
+            return Section(path, 0, input_size(path))
+        if not (uri := buffer.text("uri")):
             if self.body is None or not first:
                 raise buffer.error("has no URI")
             return self.body
         if (lifted := self.lifted.get(uri)) is not None:
             return _skipped_uri_section(self.path, buffer, lifted)
-        if uri.startswith(DATA):
-            data = _decoded(buffer, uri.encode("utf-8", "replace"))
-            return Section(self.path, 0, len(data), data)
-        path = local_path(self.path.parent, uri, f"{self.path}: {buffer.where}.uri")
-        return Section(path, 0, input_size(path))
+        data = _decoded(buffer, uri.encode("utf-8", "replace"))
+        return Section(self.path, 0, len(data), data)
+
+    def _own_file(self, buffer: JsonObject) -> Path | None:
+        """Return the file that holds only this buffer; None if it is in the document."""
+        uri = buffer.text("uri")
+        if not uri or uri.startswith(DATA):  # as placeholders of skipped URIs do too
+            return None
+        return local_path(self.path.parent, uri, f"{self.path}: {buffer.where}.uri")
 
 
 def _skipped_uri_section(path: Path, buffer: JsonObject, lifted: SkippedUri) -> Section:

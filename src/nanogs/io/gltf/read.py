@@ -101,6 +101,15 @@ def open_gltf(path: Path, above: F64 | None = None) -> FileSource:
     return (_Packed if scene.packed else _Rows)(scene)
 
 
+def named_files(path: Path) -> list[Path]:
+    """Return the files of the buffers of a `.glb` or `.gltf` file, which need not be there yet.
+
+    Raises:
+        FormatError: The file cannot be read, is damaged, or refers to files elsewhere.
+    """
+    return read_document(path).named_files()
+
+
 class _Rows(FileSource):
     """A source of the splats of all primitives, for files in which none are packed."""
 

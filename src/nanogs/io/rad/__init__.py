@@ -2,7 +2,7 @@
 
 from nanogs.io.format import Format
 from nanogs.io.rad import write
-from nanogs.io.rad.header import MAGIC, MAX_DEGREE
+from nanogs.io.rad.header import MAGIC, MAX_DEGREE, named_files
 from nanogs.io.rad.read import RadFile
 
 FORMATS = (
@@ -16,5 +16,6 @@ FORMATS = (
         max_degree=MAX_DEGREE,
         rounds=True,
         magic=(MAGIC,),
+        named_files=named_files,
     ),
 )

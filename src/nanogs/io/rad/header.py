@@ -195,6 +195,27 @@ def _check_version(data: dict[str, Any], where: str) -> None:
         raise refused(f"{where}, version", f"is not {VERSION}, the only one that nanogs reads")
 
 
+def named_files(path: Path) -> list[Path]:
+    """Return the separate files of the chunks, which need not be there yet.
+
+    Raises:
+        FormatError: The file cannot be read, or its header is damaged.
+    """
+    data, _ = _description(whole_file(path), MAGIC, MAX_JSON)
+    found = []
+    for number, entry in enumerate(rows(data.get("chunks"), f"{path}, chunks")):
+        where = f"{path}, chunks[{number}]"
+        if (name := _separate_file(table(entry, where), where)) is not None:
+            found.append(path.parent / name)
+    return found
+
+
+def _separate_file(given: dict[str, Any], where: str) -> str | None:
+    """Return the name of a chunk's own file; None for a chunk in the file itself."""
+    name = given.get("filename")
+    return None if name is None else plain_name(name, where)
+
+
 def _sections(whole: Section, end: int, entries: Sequence[object]) -> list[Section]:
     """Return the section of each chunk, after checking that chunks do not overlap."""
     found: list[Section] = []
@@ -202,8 +223,8 @@ def _sections(whole: Section, end: int, entries: Sequence[object]) -> list[Secti
     for number, entry in enumerate(entries):
         where = f"{whole.path}, chunks[{number}]"
         given = table(entry, where)
-        if (name := given.get("filename")) is not None:
-            if plain_name(name, where) in names:
+        if (name := _separate_file(given, where)) is not None:
+            if name in names:
                 raise refused(where, f"names {name} twice")
             names.add(name)
             found.append(whole_file(whole.path.parent / name))

@@ -50,6 +50,7 @@ FORMATS = (
         max_degree=write.MAX_DEGREE,
         rounds=True,
         write_folder=write.write_folder,
+        named_files=lambda path: SogSource(path).files[1:],
         ours=write.ours,
     ),
     Format(LEVELS, open_level, open_level=open_level, rounds=True),
