@@ -152,3 +152,19 @@ def test_a_job_waits_until_its_model_was_drawn():
         threading.Timer(0.1, tell, ("cancel", (later.id, None))).start()
         assert seconds_of(inbox.rest, later, "newer", 60.0, 60.0) < 30
         assert inbox.dropped(later)
+
+
+def test_a_request_may_be_cancelled_while_records_of_older_ones_are_removed():
+    class SlowRecords(dict):
+        def __iter__(self):
+            for number in super().__iter__():
+                yield number
+                cancelling.start()
+                cancelling.join(0.2)
+
+    with listening_inbox() as (inbox, tell):
+        inbox._dropped = SlowRecords({1: None})
+        cancelling = threading.Thread(target=tell, args=("cancel", (9, None)))
+        inbox.begin(Job("ask", "a", 7))
+        cancelling.join(20)
+        assert dict(inbox._dropped.items()) == {9: None}

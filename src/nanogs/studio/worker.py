@@ -77,8 +77,9 @@ class Inbox:
 
     def begin(self, job: Job) -> None:
         """Remove the records of cancelled jobs before this one."""
-        for each in [each for each in self._dropped if each < job.id]:
-            del self._dropped[each]
+        with self._news:  # the reading thread adds to them
+            for each in [each for each in self._dropped if each < job.id]:
+                del self._dropped[each]
 
     def rest(self, job: Job, model: str, least: float, most: float) -> None:
         """Wait `least` to `most` seconds for a job's model to be drawn, or until it is dropped."""
