@@ -363,6 +363,16 @@ def test_node_scales_may_differ_between_axes(load):
     assert np.allclose(np.linalg.norm(scaled.quats, axis=1), 1, atol=1e-6)
 
 
+@pytest.mark.parametrize("scale", [[1, 1, 1], [2, 0.5, 3]])
+def test_a_zero_quaternion_is_the_identity_under_every_transform(load, scale):
+    table = columns(random_splats(5, degree=1))
+    table[PREFIX + "ROTATION"][:] = [0, 0, 0, 1]
+    node = {"mesh": 0, "scale": scale, "rotation": unit([0.3, -0.2, 0.5, 0.7]).tolist()}
+    expected = load(document(table, nodes=[node]))
+    table[PREFIX + "ROTATION"][:] = 0
+    assert_same(load(document(table, nodes=[node])), expected)
+
+
 @pytest.mark.parametrize("colour_space", ["BT.709-sRGB", "BT.709-linear", None])
 def test_colour_space_names_of_drafts_are_accepted(load, colour_space):
     model = random_splats(4, seed=7)

@@ -56,13 +56,14 @@ class Pose:
         If the scaling is not uniform, the axes of the results are sorted, the longest first.
 
         Args:
-            quats: (R, 4) wxyz, not necessarily of unit length.
+            quats: (R, 4) wxyz, not necessarily of unit length; zero is the identity.
             log_scales: (R, 3).
 
         Returns:
             Both for the transformed splats; NaN for splats with a NaN or an infinite value where
             the scaling is not uniform.
         """
+        quats = np.where(quats.any(axis=1, keepdims=True), quats, (1.0, 0.0, 0.0, 0.0))
         if (self.scale == self.scale[0]).all():
             return self._turned(quats), log_scales + np.log(self.scale[0])
         unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
