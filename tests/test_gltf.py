@@ -261,6 +261,13 @@ def test_comments_too_long_to_be_read_back_are_refused():
         gltf_write.file_bytes(model, 1)
 
 
+@pytest.mark.parametrize("line", ["two\nlines", "one\r"])
+def test_a_comment_that_would_not_be_read_back_is_refused(tmp_path, line):
+    model = dataclasses.replace(random_splats(1), comments=["", line])
+    with pytest.raises(OutputError, match="holds a line break; split it in two"):
+        io.save(model, tmp_path / "a.glb")
+
+
 def test_losses_are_reported():
     model = random_splats(2, degree=4, extras={"label": np.zeros(2)})
     tag = ExtraElement("tag", np.zeros(1, [("id", "i4")]))

@@ -47,6 +47,22 @@ def as_utf8(text: str) -> str:
         return data.decode("latin-1")
 
 
+def is_line(text: str) -> bool:
+    """Whether a comment is one line, so that it can be read back from the header of a `.ply`."""
+    return "\n" not in text and not text.endswith("\r")
+
+
+def one_line(text: str) -> str:
+    """Return a comment that is one line.
+
+    Raises:
+        OutputError: It holds a line break.
+    """
+    if not is_line(text):
+        raise OutputError(f"The comment {text[:40]!r} holds a line break; split it in two.")
+    return text
+
+
 def reason(error: Exception) -> str:
     """Return a library's error message, cut to `_LONGEST` characters: some quote pages of input."""
     text = printable(str(error))

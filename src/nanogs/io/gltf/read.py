@@ -38,7 +38,7 @@ from nanogs.io.gltf.primitives import (
 from nanogs.io.gltf.scene import EXTENSION, placed_splats
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, Whole
-from nanogs.io.texts import is_utf8
+from nanogs.io.texts import is_line, is_utf8
 from nanogs.splats import RenderMode, Splats, empty_arrays
 
 COLOUR_SPACE = "srgb_rec709_display"
@@ -273,6 +273,4 @@ def _describe(scene: _Scene, primitive: JsonObject, info: FileInfo) -> None:
 
 
 def _is_line(text: object) -> bool:
-    if not isinstance(text, str) or "\n" in text or text.endswith("\r"):
-        return False
-    return is_utf8(text)
+    return isinstance(text, str) and is_line(text) and is_utf8(text)

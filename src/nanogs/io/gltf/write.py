@@ -29,7 +29,7 @@ from nanogs.io.gltf.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
 from nanogs.io.gltf.primitives import MAX_DEGREE, attribute, coefficients
 from nanogs.io.gltf.read import COLOUR_SPACE, COMMENTS_KEY, MODE_KEY
 from nanogs.io.gltf.scene import EXTENSION, HALF_TURN
-from nanogs.io.texts import as_utf8
+from nanogs.io.texts import as_utf8, one_line
 from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
 
@@ -45,7 +45,8 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
     """Write a `.glb`, holding only some rows in memory; rotations are normalised.
 
     Raises:
-        OutputError: A splat holds a value that glTF cannot, or the file would be too large.
+        OutputError: A splat holds a value that glTF cannot, a comment a line break, or the file
+            would be too large.
         OSError: The system refuses to write.
     """
     source = source_of(model)
@@ -272,5 +273,5 @@ def _extras(splats: Splats) -> dict[str, Any]:
     if splats.render_mode is not RenderMode.DEFAULT:
         extras[MODE_KEY] = splats.render_mode.value
     if splats.comments:
-        extras[COMMENTS_KEY] = [as_utf8(text) for text in splats.comments]
+        extras[COMMENTS_KEY] = [as_utf8(one_line(text)) for text in splats.comments]
     return extras

@@ -11,7 +11,7 @@ from nanogs.errors import OutputError
 from nanogs.io import columns, limits, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.ply.header import MAX_HEADER_BYTES, TYPE_NAMES
-from nanogs.io.texts import encode
+from nanogs.io.texts import encode, one_line
 from nanogs.slices import slices
 from nanogs.source import Layout, Source, source_of
 from nanogs.splats import Splats
@@ -139,9 +139,7 @@ def header(comments: Sequence[str], elements: Iterable[ElementRows]) -> bytes:
 
 
 def _comment(text: str) -> bytes:
-    if "\n" in text or text.endswith("\r"):
-        raise OutputError(f"The comment {text[:40]!r} holds a line break; split it in two.")
-    return b"comment " + encode(text) if text else b"comment"
+    return b"comment " + encode(one_line(text)) if text else b"comment"
 
 
 def _word(name: str) -> bytes:
