@@ -130,6 +130,26 @@ def test_text_outside_the_range_of_an_integer_type_is_refused(tmp_path, value):
     assert_refused(path, "is no value of type u1 for 'label'")
 
 
+@pytest.mark.parametrize(
+    ("kind", "value", "held"),
+    [
+        ("float", "1e39", False), ("float", "-3.5e38", False), ("double", "1e999", False),
+        ("float", "3.4e38", True), ("float", "-inf", True), ("float", "Infinity", True),
+        ("float", "nan", True), ("double", "1e300", True), ("float", "1e-400", True),
+    ],
+)  # fmt: skip
+def test_text_beyond_the_range_of_a_float_type_is_refused(tmp_path, kind, value, held):
+    """It would become infinite, which is only what it says if the file says so."""
+    columns = [*vertex(1), ("label", kind, np.array([7.0]))]
+    data = ply(("vertex", columns), encoding="ascii")
+    path = tmp_path / "a.ply"
+    path.write_bytes(data[: data.rindex(b"7.0")] + value.encode() + b"\n")
+    if held:
+        assert io.load(path).extras["label"].astype(str) == str(float(value))
+    else:
+        assert_refused(path, f"is no value of type {'f4' if kind == 'float' else 'f8'} for 'label'")
+
+
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_every_truncation_is_refused(tmp_path, encoding):
     data = ply(("vertex", vertex(2)), encoding=encoding)

@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isinf
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from nanogs._types import F64, Array
+from nanogs._types import F64, Array, Bool
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
 from nanogs.io.files import BLOCK_ROWS, reading
@@ -185,25 +186,32 @@ def _numbers(path: Path, element: Element, span: slice, tokens: list[list[bytes]
 
 
 def _number(token: bytes) -> float:
-    if b"_" in token:  # Python reads 1_000 as a number, no PLY writer means it
+    value = float(token)
+    # Python reads 1_000 as a number and 1e999 as infinity, no PLY writer means that.
+    if b"_" in token or (isinf(value) and b"i" not in token.lower()):
         raise ValueError(token)
-    return float(token)
+    return value
 
 
 def _structured(path: Path, element: Element, span: slice, numbers: F64) -> Array:
     out = np.empty(len(numbers), element.dtype())
     for column, prop in zip(numbers.T, element.properties, strict=True):
-        kind = np.dtype(prop.code)
-        if kind.kind in "iu":
-            limits = np.iinfo(kind)
-            good = (column >= limits.min) & (column <= limits.max) & (column == np.floor(column))
-            if not good.all():
-                row = int(np.argmin(good))
-                token = str(column[row]).encode()
-                raise _bad_value(path, element, span.start + row, prop.name, token)
-        with np.errstate(over="ignore"):
-            out[prop.name] = column
+        good = _storable(column, np.dtype(prop.code))
+        if not good.all():
+            row = int(np.argmin(good))
+            token = str(column[row]).encode()
+            raise _bad_value(path, element, span.start + row, prop.name, token)
+        out[prop.name] = column
     return out
+
+
+def _storable(column: F64, kind: np.dtype[np.generic]) -> Bool:
+    """Return an (R,) mask of the numbers that a type holds, whole or rounded to its precision."""
+    if kind.kind in "iu":
+        limits = np.iinfo(kind)
+        return (column >= limits.min) & (column <= limits.max) & (column == np.floor(column))
+    with np.errstate(over="ignore"):
+        return np.isfinite(column.astype(kind)) | ~np.isfinite(column)
 
 
 def _bad_value(path: Path, element: Element, row: int, name: str, token: bytes) -> FormatError:
