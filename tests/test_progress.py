@@ -235,7 +235,7 @@ def test_renders_and_comparisons_report_their_parts(tmp_path):
 def test_writing_sog_reports_the_progress_of_its_palette(tmp_path):
     reported = []
     splats = random_splats(3000)
-    for name, steps in (("a.sog", 6), ("a.ply", 1)):
+    for name, steps in (("a.sog", 6), ("sog/meta.json", 6), ("a.ply", 1)):
         reported.clear()
         nanogs.save(splats, tmp_path / name, progress=reported.append)
         assert_consistent(reported)

@@ -189,15 +189,16 @@ def save(
         with local_copies([], path, overwrite=overwrite, format=format) as (_, file):
             save(splats, file or path, format=format, **options)
         return
-    if known.write_folder:
-        folder, chosen = _folder_of(path, known), registry.keywords(known, format_options)
-        known.write_folder(source_of(splats).load(), folder, overwrite=overwrite, **chosen)
-        return
-    write = registry.writer(named, format_options)
     tracker = Tracker(progress, [Stage("write", 1.0)])
-    callback = {"on_progress": tracker.part} if known.reports_progress else {}
-    with atomic.atomic_write(path, overwrite=overwrite) as file:
-        write(splats, file, **callback)
+    given: dict[str, Any] = {"on_progress": tracker.part} if known.reports_progress else {}
+    if known.write_folder:
+        folder = _folder_of(path, known)
+        given |= registry.keywords(known, format_options)
+        known.write_folder(source_of(splats).load(), folder, overwrite=overwrite, **given)
+    else:
+        write = registry.writer(named, format_options)
+        with atomic.atomic_write(path, overwrite=overwrite) as file:
+            write(splats, file, **given)
     tracker.finish()
 
 

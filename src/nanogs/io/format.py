@@ -103,7 +103,8 @@ class Format:
         states_frame: Whether a file that is written with given options can state its frame, by
             the option `frame`.
         write_folder: Writes a model as a folder, for a format whose model is one.
-        reports_progress: Whether `write` takes a callback `on_progress`, because it takes long.
+        reports_progress: Whether `write` or `write_folder` takes a callback `on_progress`, because
+            it takes long.
         streams: Whether `write` takes a source too and holds only some rows of it at a time, apart
             from options with `whole`.
         max_degree: Highest SH degree that files hold.

@@ -44,6 +44,7 @@ FORMATS = (
     Format(
         META,
         SogSource,
+        reports_progress=True,
         losses=write.losses,
         options=_OPTIONS,
         derived_options=_derived_options,

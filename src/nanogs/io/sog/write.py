@@ -108,6 +108,7 @@ def write(
 def write_folder(
     splats: Splats,
     path: Path,
+    on_progress: PartProgress = ignore_progress,
     *,
     overwrite: bool = False,
     palette_size: int | None = None,
@@ -119,6 +120,7 @@ def write_folder(
     Args:
         splats: The model.
         path: The folder.
+        on_progress: As for `write`.
         overwrite: Replace a folder that nanogs wrote.
         palette_size: As for `write`.
         bits: As for `write`.
@@ -130,7 +132,7 @@ def write_folder(
     """
     packing = Packing(palette_size, Precision(bits, spare))
     with atomic_folder(path, ours, overwrite=overwrite) as folder:
-        for name, data in contents(splats, packing=packing).items():
+        for name, data in contents(splats, on_progress, packing).items():
             (folder / name).write_bytes(data)
 
 
