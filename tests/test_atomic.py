@@ -9,7 +9,8 @@ import pytest
 
 from nanogs.cli.wording import wording
 from nanogs.errors import ExistsError, OptionError, OutputError
-from nanogs.io.atomic import atomic_write, check_writable
+from nanogs.io.atomic import atomic_write, check_writable, move_into_place
+from nanogs.sink import move_file
 
 
 @pytest.fixture
@@ -26,6 +27,10 @@ def fail_half_way(path, error, **options):
     with atomic_write(path, **options) as file:
         file.write(b"half")
         raise error
+
+
+def raise_error(code):
+    raise OSError(code, os.strerror(code))
 
 
 def names(folder):
@@ -92,6 +97,44 @@ def test_a_file_that_appears_during_writing_is_kept(target):
         target.write_bytes(b"other")
     assert target.read_bytes() == b"other"
     assert names(target.parent) == ["out.ply"]
+
+
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("move", [move_into_place, move_file])
+def test_a_finished_file_is_moved(tmp_path, target, move, links, monkeypatch):
+    """Also on file systems that have no links, such as FAT."""
+    if not links:
+        monkeypatch.setattr(os, "link", lambda *_: raise_error(errno.EPERM))
+    for overwrite in (False, True):
+        made = tmp_path / "made"
+        made.write_bytes(b"new")
+        move(made, target, overwrite=overwrite)
+        assert names(tmp_path) == ["out.ply"]
+        assert target.read_bytes() == b"new"
+        target.write_bytes(b"old")
+
+
+@pytest.mark.parametrize("move", [move_into_place, move_file])
+def test_a_file_that_appears_at_the_last_moment_is_kept(tmp_path, target, move, monkeypatch):
+    made, link = tmp_path / "made", os.link
+    made.write_bytes(b"new")
+
+    def link_late(*paths):
+        target.write_bytes(b"other")
+        link(*paths)
+
+    monkeypatch.setattr(os, "link", link_late)
+    with pytest.raises(ExistsError, match="exists already"):
+        move(made, target, overwrite=False)
+    assert (made.read_bytes(), target.read_bytes()) == (b"new", b"other")
+
+
+def test_a_moved_file_reaches_the_disk_before_it_has_its_name(tmp_path, target, monkeypatch):
+    made, flushed = tmp_path / "made", []
+    made.write_bytes(b"new")
+    monkeypatch.setattr(os, "fsync", lambda _: flushed.append(target.exists()))
+    move_file(made, target, overwrite=False)
+    assert flushed == [False]
 
 
 @pytest.mark.parametrize("check", [write_file, check_writable])

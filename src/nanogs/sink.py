@@ -18,7 +18,7 @@ from nanogs.block_layouts import BlockChunks, BlockTree, Chunked, Linked
 from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
 from nanogs.io import check_writable, losses, registry, save
-from nanogs.io.atomic import atomic_write, writing
+from nanogs.io.atomic import atomic_write, move_into_place, writing
 from nanogs.io.format import FormatOptions
 from nanogs.io.temporary import temporary
 from nanogs.progress import PartProgress, ignore_progress
@@ -350,9 +350,8 @@ def move_file(made: Path, place: Path, *, overwrite: bool) -> None:
     Raises:
         OutputError: A file exists there that is not replaced, or it cannot be written.
     """
-    target = Path(os.path.realpath(place))
-    if not target.exists() and made.stat().st_dev == target.parent.stat().st_dev:
-        made.replace(target)
+    if made.stat().st_dev == Path(os.path.realpath(place)).parent.stat().st_dev:
+        move_into_place(made, place, overwrite=overwrite)
         return
     with atomic_write(place, overwrite=overwrite) as out, made.open("rb") as source:
         shutil.copyfileobj(source, out, 1 << 22)

@@ -37,6 +37,24 @@ def atomic_write(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
         _take_place(made, target, path, overwrite=overwrite)
 
 
+def move_into_place(made: Path, path: Path, *, overwrite: bool = False) -> None:
+    """Give a finished file its final name, in a folder of the same file system.
+
+    Args:
+        made: The file, of which all bytes reach the disk first.
+        path: Its final path.
+        overwrite: Replace a file that exists.
+
+    Raises:
+        OutputError: As for `atomic_write`; the file is then still where it was.
+    """
+    target = _target(path, overwrite=overwrite)
+    with writing(path):
+        with made.open("r+b") as file:
+            os.fsync(file.fileno())
+        _take_place(made, target, path, overwrite=overwrite)
+
+
 def check_writable(path: Path, *, overwrite: bool = False) -> None:
     """Fail now if `atomic_write` would fail later, short of a full disk.
 
@@ -83,7 +101,20 @@ def _take_place(made: Path, target: Path, path: Path, *, overwrite: bool) -> Non
     _check_target(path, target, overwrite=overwrite)
     if target.exists():
         made.chmod(stat.S_IMODE(target.stat().st_mode))
-    made.replace(target)
+    if overwrite or not _linked(made, target, path):
+        made.replace(target)
+
+
+def _linked(made: Path, target: Path, path: Path) -> bool:
+    """Rename a file by a link, which never replaces another; False if the system makes no links."""
+    try:
+        os.link(made, target)
+    except FileExistsError:
+        raise ExistsError(f"{path} exists already") from None
+    except OSError:
+        return False
+    made.unlink()
+    return True
 
 
 @contextmanager
