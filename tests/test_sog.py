@@ -153,7 +153,24 @@ def test_bad_descriptions_are_refused(tmp_path, case):
 
 @pytest.mark.parametrize(
     "name",
-    ["../quats.webp", "/etc/passwd", "a/quats.webp", "..", ".", "", "C:x", "a\\b", "a\0b", 7],
+    [
+        "../quats.webp",
+        "/etc/passwd",
+        "a/quats.webp",
+        "..",
+        ".",
+        "",
+        "C:x",
+        "a\\b",
+        "a\0b",
+        7,
+        "NUL",
+        "aux.webp",
+        "com1 .webp",
+        "LPT².b",
+        "a.",
+        "a ",
+    ],
 )
 def test_file_names_outside_the_folder_are_refused(tmp_path, name):
     (tmp_path / "quats.webp").write_bytes(sogfiles.textures()["quats.webp"])

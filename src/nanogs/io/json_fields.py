@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -11,6 +12,8 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size, reading
+
+_DEVICE = re.compile(r"(?i:con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³])")
 
 
 def parse(data: bytes, where: str) -> dict[str, Any]:
@@ -90,7 +93,10 @@ def plain_name(value: object, where: str) -> str:
 
 def is_plain(name: str) -> bool:
     """Whether a name is a plain file name, and on no system a path, a drive or a device."""
-    return name not in ("", ".", "..") and not set(name) & set('/\\:*?"<>|') and name.isprintable()
+    # Windows drops dots and spaces at the end, and opens a device whatever suffix its name has.
+    device = _DEVICE.fullmatch(name.partition(".")[0].rstrip(" "))
+    plain = name.isprintable() and not set(name) & set('/\\:*?"<>|')
+    return plain and not name.endswith((".", " ")) and bool(name) and not device
 
 
 def local_path(folder: Path, uri: object, where: str) -> Path:
