@@ -170,6 +170,25 @@ def test_packed_splats_are_those_of_an_spz_file(tmp_path, degree):
     assert sum(map(len, io.open(path).blocks())) == 500
 
 
+def test_bounds_of_packed_splats_are_single_precision_as_their_type_says(tmp_path):
+    model = random_splats(40)
+    model = replace(model, means=model.means.astype(np.float64) + 1e-9)
+    data = packed(tmp_path / "a.glb", model).read_bytes()
+    position = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])["accessors"][0]
+    bounds = np.array([position["min"], position["max"]])
+    np.testing.assert_array_equal(bounds, bounds.astype(np.float32))
+    np.testing.assert_array_equal(bounds[0], model.means.min(axis=0).astype(np.float32))
+
+
+def test_losses_of_packed_splats_name_the_file_that_is_written():
+    model = replace(random_splats(5, degree=4, extras={"a": np.ones(5)}), comments=["one"])
+    assert gltf_spz.losses(model)[:3] == (
+        "Spherical harmonics above degree 3 are left out, .glb holds no more.",
+        "Extra columns are left out, .glb has no room for them: a.",
+        "1 comment line is left out, .glb has no room for them.",
+    )
+
+
 def test_the_extension_name_of_the_earlier_draft_is_accepted(tmp_path):
     data = packed(tmp_path / "a.glb", random_splats(40, degree=1)).read_bytes()
     length = int.from_bytes(data[12:16], "little")

@@ -8,9 +8,6 @@ from typing import BinaryIO
 
 from nanogs.errors import FormatError
 
-# Rows decoded or encoded at a time: bounds the memory used beside the model. With 250 bytes per row
-# a block of this size fits into the cache and is encoded twice as fast as one of 64 K rows.
-BLOCK_ROWS = 8192
 # Bytes in memory of a model that is never refused as a decompression bomb, however small its file:
 # a model of many equal splats compresses to almost nothing.
 _SMALL_MODEL = 128 << 20

@@ -22,9 +22,10 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import FormatError, OptionError
-from nanogs.io.files import BLOCK_ROWS, reading
+from nanogs.io.files import reading
 from nanogs.io.info import FileInfo
 from nanogs.io.temporary import temporary_file_error
+from nanogs.slices import BLOCK_ROWS
 from nanogs.source import Layout, Source
 from nanogs.splats import Splats
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.activations import rotations
-from nanogs.io.files import BLOCK_ROWS
+from nanogs.slices import BLOCK_ROWS
 from nanogs.splats import Splats
 
 

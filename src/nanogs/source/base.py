@@ -12,9 +12,9 @@ from nanogs._types import I64
 from nanogs.errors import OptionError
 from nanogs.findings import join_findings
 from nanogs.formatting import counted
+from nanogs.slices import BLOCK_ROWS
 from nanogs.splats import ExtraElement, Splats, concatenate
 
-BLOCK_ROWS = 8192  # rows of a block by default
 PAGE_ROWS = 1 << 13  # rows for each count of a filter, and that `take` reads at a time
 
 

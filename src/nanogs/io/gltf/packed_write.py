@@ -12,15 +12,19 @@ import json
 from dataclasses import replace
 from typing import Any, BinaryIO
 
+import numpy as np
+
+from nanogs.io import limits
 from nanogs.io.gltf.primitives import MAX_DEGREE, PACKED, attribute, coefficients
-from nanogs.io.gltf.scene import EXTENSION
+from nanogs.io.gltf.scene import EXTENSION, TO_PLY
 from nanogs.io.gltf.write import document_of, head, primitive_of
 from nanogs.io.spz import write as spz_write
 from nanogs.splats import Splats
 
+_SUFFIX = ".glb"
 _FLOAT, _BYTE = 5126, 5121
-# Half a turn about z, from y down to y up; a matrix because CesiumJS reads no other transform here.
-_HALF_TURN = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+# A matrix because CesiumJS reads no other transform here.
+_HALF_TURN = TO_PLY.astype(int).ravel().tolist()
 
 
 def write(splats: Splats, file: BinaryIO) -> None:
@@ -43,13 +47,10 @@ def write(splats: Splats, file: BinaryIO) -> None:
 def losses(splats: Splats) -> tuple[str, ...]:
     """Name what the file leaves out or clamps, one sentence each."""
     cut = splats.with_sh_degree(MAX_DEGREE)
-    found = spz_write.losses(cut, records=False)
+    found = spz_write.losses(cut, records=False, suffix=_SUFFIX)
     if cut.sh_degree == splats.sh_degree:
         return found
-    return (
-        f"Spherical harmonics above degree {MAX_DEGREE} are left out, .glb holds no more.",
-        *found,
-    )
+    return (limits.degree_left_out(_SUFFIX, MAX_DEGREE), *found)
 
 
 def _padded(data: bytes, fill: bytes) -> bytes:
@@ -58,7 +59,8 @@ def _padded(data: bytes, fill: bytes) -> bytes:
 
 def _document(splats: Splats, size: int) -> dict[str, Any]:
     """Return the JSON of a model whose SPZ data has `size` bytes."""
-    bounds = {"min": splats.means.min(axis=0).tolist(), "max": splats.means.max(axis=0).tolist()}
+    low, high = splats.means.min(axis=0), splats.means.max(axis=0)
+    bounds = {"min": low.astype(np.float32).tolist(), "max": high.astype(np.float32).tolist()}
     columns: list[tuple[str, int, str, dict[str, Any]]] = [
         ("POSITION", _FLOAT, "VEC3", bounds),
         ("COLOR_0", _BYTE, "VEC4", {"normalized": True}),

@@ -12,7 +12,6 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.activations import logit
-from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.gltf.colours import to_display
 from nanogs.io.gltf.document import Document, JsonObject
 from nanogs.io.gltf.rows import Accessor, BufferReader
@@ -20,6 +19,7 @@ from nanogs.io.gltf.scene import EXTENSION, PlacedPrimitive, Pose
 from nanogs.io.info import FileInfo
 from nanogs.io.spz import read as spz
 from nanogs.io.spz.header import read_header
+from nanogs.slices import BLOCK_ROWS
 
 MAX_DEGREE = 3
 PACKED = "KHR_gaussian_splatting_compression_spz_2"

@@ -20,7 +20,9 @@ from nanogs.sh import basis
 EXTENSION = "KHR_gaussian_splatting"
 # glTF is y-up, 3DGS files are y-down by convention: half a turn about z converts between them.
 HALF_TURN = (0.0, 0.0, 1.0, 0.0)  # xyzw
-_TO_PLY = np.diag([-1.0, -1.0, 1.0, 1.0])
+TO_PLY = np.diag([-1.0, -1.0, 1.0, 1.0])  # the same, and its own inverse
+# From y up to z up, as in 3D Tiles; the transpose is the inverse.
+Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _IDENTITY = tuple(np.eye(4).ravel().tolist())
 _MAX_PRIMITIVES = 4096
 _CLOSE = 1e-4  # tolerance for rounding in single precision, accumulated over a few nodes
@@ -202,7 +204,7 @@ def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
             " written as columns"
         )
     with np.errstate(all="ignore"):
-        matrix = _TO_PLY @ matrix
+        matrix = TO_PLY @ matrix
         linear = matrix[:3, :3]
         same = np.cbrt(np.linalg.det(linear))
         scale = np.full(3, same)

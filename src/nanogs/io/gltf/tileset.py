@@ -22,6 +22,7 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.gltf import read as gltf
+from nanogs.io.gltf.scene import Z_UP
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import local_path, numbers, read_json, refused, rows, table
 from nanogs.io.parts import Whole, check_level, level_note
@@ -32,7 +33,6 @@ from nanogs.splats import Splats, concatenate
 MAX_BYTES = 8 << 20  # of a tileset.json; a tile takes some 300 bytes for 10 K splats or more
 _MAX_TILESETS = 1000
 _IDENTITY = np.eye(4)
-_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from glTF's y up
 # Distance in scene units from the origin at which float32 has steps of a hundredth of a unit.
 _FAR = 1e5
 
@@ -202,7 +202,7 @@ class _Reader:
         step = replace(inner, depth=place.depth + 1)
         children = rows(data.get("children") or [], f"{where}, children")
         below += [self.tile(table(child, where), step) for child in children]
-        above = _Z_UP.T @ inner.above @ _Z_UP
+        above = Z_UP.T @ inner.above @ Z_UP
         return _Tile(place.depth, tuple(contents), above, adds, tuple(below))
 
     def _contents(self, data: dict[str, Any], path: Path) -> Iterator[Path]:
@@ -250,7 +250,7 @@ def _read(path: Path) -> _Tileset:
         raise refused(str(path), "has tiles that are nested too deeply") from None
     except np.linalg.LinAlgError:
         raise refused(f"{path}, tile", "flattens the splats with its transform") from None
-    note = f"The position of the scene on Earth was left out: {text_of(_Z_UP @ place @ _Z_UP.T)}."
+    note = f"The position of the scene on Earth was left out: {text_of(Z_UP @ place @ Z_UP.T)}."
     return _Tileset(path, near, (note,))
 
 

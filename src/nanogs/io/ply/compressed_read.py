@@ -16,12 +16,12 @@ from nanogs.activations import base_colour, logit
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
 from nanogs.io import columns, render_tag
-from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, Whole
 from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes
 from nanogs.io.ply.rows import iter_blocks, iter_span, read_element
 from nanogs.io.rotations import whole_quats
+from nanogs.slices import BLOCK_ROWS
 from nanogs.splats import ExtraElement, Splats, empty_arrays
 
 CHUNK_ROWS = 256

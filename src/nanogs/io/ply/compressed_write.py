@@ -15,12 +15,12 @@ from nanogs.activations import SH_C0
 from nanogs.findings import Finding
 from nanogs.io import columns, limits, render_tag
 from nanogs.io.activated import LEAST_COLOUR_RANGE, rounded_colours
-from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.in_order import in_order
 from nanogs.io.ply.compressed_read import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED, decoded
 from nanogs.io.ply.write import header
 from nanogs.io.rotations import Rounding, place_left_out, split_quats
 from nanogs.morton import interleaved_bits
+from nanogs.slices import BLOCK_ROWS
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 

@@ -14,14 +14,13 @@ from nanogs.errors import FormatError
 from nanogs.findings import became_infinite
 from nanogs.formatting import counted
 from nanogs.io import columns, render_tag
-from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, FileSource, Packed
 from nanogs.io.ply import compressed_read
 from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes, read_header
 from nanogs.io.ply.rows import Block, check_body, iter_blocks, iter_span, read_element
 from nanogs.io.texts import printable
-from nanogs.slices import slices
+from nanogs.slices import BLOCK_ROWS, slices
 from nanogs.splats import ExtraElement, Splats
 
 _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exactly

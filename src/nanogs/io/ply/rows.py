@@ -11,10 +11,10 @@ import numpy as np
 from nanogs._types import F64, Array, Bool
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
-from nanogs.io.files import BLOCK_ROWS, reading
+from nanogs.io.files import reading
 from nanogs.io.parts import row_blocks
 from nanogs.io.ply.header import Element, Header
-from nanogs.slices import slices
+from nanogs.slices import BLOCK_ROWS, slices
 
 _MAX_TOKEN = 400  # characters; the longest double in plain decimals has about 330
 _AGAIN = "export or download it again."

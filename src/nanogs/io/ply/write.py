@@ -9,10 +9,9 @@ import numpy as np
 from nanogs._types import Array
 from nanogs.errors import OutputError
 from nanogs.io import columns, limits, render_tag
-from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.ply.header import MAX_HEADER_BYTES, TYPE_NAMES
 from nanogs.io.texts import encode, one_line
-from nanogs.slices import slices
+from nanogs.slices import BLOCK_ROWS, slices
 from nanogs.source import Layout, Source, source_of
 from nanogs.splats import Splats
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from nanogs._types import F32, U8, U16, Array
 from nanogs.io.container import Bundle, Folder, damaged
-from nanogs.io.files import BLOCK_ROWS, check_expansion, input_size, reading, splat_bytes
+from nanogs.io.files import check_expansion, input_size, reading, splat_bytes
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import parse
 from nanogs.io.parts import Column, ColumnReader, Packed
@@ -31,6 +31,7 @@ from nanogs.io.sog.meta import (
     read_meta,
 )
 from nanogs.io.sog.texture import HEAD_BYTES, decode, size
+from nanogs.slices import BLOCK_ROWS
 from nanogs.splats import Splats
 
 META = "meta.json"

@@ -21,7 +21,6 @@ import numpy as np
 
 from nanogs._types import F32, F64, I32, U8, Array
 from nanogs.activations import BYTE_LOGITS
-from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.rotations import whole_quats
@@ -29,6 +28,7 @@ from nanogs.io.section import whole_file
 from nanogs.io.spz.body import body_pieces, read_records, stated_frame, window_bytes
 from nanogs.io.spz.header import ANTIALIASED, LAST_GZIP, Header, read_header
 from nanogs.io.spz.records import elements_of
+from nanogs.slices import BLOCK_ROWS
 from nanogs.splats import ExtraElement, RenderMode, Splats, empty_arrays
 
 COLOUR_SCALE = 0.15

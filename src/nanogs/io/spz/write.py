@@ -210,18 +210,19 @@ def usual_version(bits: int = MOST_BITS, *, stating: bool = False) -> int:
     return DEFAULT_VERSION if bits == MOST_BITS else VERSION_SHORT_ROTATIONS
 
 
-def losses(splats: Splats, *, records: bool = True) -> tuple[str, ...]:
+def losses(splats: Splats, *, records: bool = True, suffix: str = SUFFIX) -> tuple[str, ...]:
     """Name what the file leaves out or clamps, one sentence each.
 
     Args:
         splats: The model.
         records: Whether its extension records go into the file.
+        suffix: Name of the format in the sentences, if it contains this one.
     """
     step = 0.5 / SCALE_STEPS
     low, high = SCALE_LOW, SCALE_LOW + 255 / SCALE_STEPS
     scales = splats.log_scales
-    out = limits.left_out(without_records(splats) if records else splats, SUFFIX)
-    out += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)
+    out = limits.left_out(without_records(splats) if records else splats, suffix)
+    out += limits.lost_mode(splats, suffix, RenderMode.MIP)
     out += limits.clamped(
         (scales < low - step) | (scales > high + step),
         f"log-scales outside {low:g} to {high:.2f}, the range of {SUFFIX}",

@@ -18,11 +18,12 @@ from nanogs.activations import logit
 from nanogs.errors import FormatError
 from nanogs.findings import Finding, negative_scales
 from nanogs.formatting import counted
-from nanogs.io.files import BLOCK_ROWS, input_size, reading
-from nanogs.io.gltf.scene import pose_of
+from nanogs.io.files import input_size, reading
+from nanogs.io.gltf.scene import Z_UP, pose_of
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
 from nanogs.io.usda.text import Layer, Prim, read_layer
+from nanogs.slices import BLOCK_ROWS
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate, empty_arrays
 
 PRIM = "ParticleField3DGaussianSplat"
@@ -30,7 +31,6 @@ DEGREE = "radiance:sphericalHarmonicsDegree"
 COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
 _WIDTHS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, COEFFICIENTS: 3}
 _BRACKETS = bytes.maketrans(b"(),[]\r\n\t", b" " * 8)
-_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z up
 _AXES = {"rotateX": 0, "rotateY": 1, "rotateZ": 2}
 
 
@@ -180,7 +180,7 @@ def _to_stage(layer: Layer, prim: Prim) -> F64:
         with np.errstate(all="ignore"):  # overflow is refused by `pose_of`
             matrix = _local(layer, inner) @ matrix
         inner = inner.parent
-    return _Y_UP @ matrix if up == "Z" else matrix
+    return Z_UP.T @ matrix if up == "Z" else matrix
 
 
 def _local(layer: Layer, prim: Prim) -> F64:

@@ -15,7 +15,7 @@ import numpy as np
 from nanogs._types import F32, Array
 from nanogs._version import __version__
 from nanogs.io import activated, limits
-from nanogs.io.files import BLOCK_ROWS
+from nanogs.slices import BLOCK_ROWS
 from nanogs.source import InMemory
 from nanogs.splats import Splats
 
