@@ -256,6 +256,13 @@ def test_ours_lists_no_files_outside_the_folder(tmp_path):
     assert sog_write.ours(tmp_path) == {"meta.json", "b.webp", "5"}
 
 
+def test_a_folder_of_another_program_is_not_ours(tmp_path):
+    for name in ("nanogs2 1.0", "nanogs-viewer", "NanoGS 1.0"):
+        described = {"asset": {"generator": name}, "means": {"files": ["b.webp"]}}
+        (tmp_path / "meta.json").write_text(json.dumps(described))
+        assert sog_write.ours(tmp_path) is None
+
+
 def test_groups_stay_together_and_in_their_order(tmp_path):
     model = random_model(60, 0)
     groups = np.arange(60) * 7 % 3

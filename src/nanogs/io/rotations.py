@@ -33,6 +33,12 @@ def whole_quats(small: F64, largest: I64) -> F64:
     return quats
 
 
+def with_w(xyz: F64) -> F64:
+    """Restore (R, 4) unit quaternions, wxyz, from (R, 3) xyz; w is not negative."""
+    w = np.sqrt(np.maximum(0, 1 - (xyz**2).sum(axis=1)))
+    return np.column_stack([w, xyz])
+
+
 def split_quats(quats: Array, left_out: I64 | None = None) -> tuple[I64, Array]:
     """Return the index of the component to leave out, (R,), and the other three in order, (R, 3).
 

@@ -1,16 +1,13 @@
 """The base of layouts that divide levels into chunks: sorting splats by cell, and the interface."""
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from nanogs._types import I64, Array, F
-from nanogs._version import __version__
 from nanogs.block_layouts import PLACED, BlockChunks, Encoding
 from nanogs.errors import OptionError
 from nanogs.io.json_fields import is_plain
@@ -18,7 +15,6 @@ from nanogs.lod.cells import Cells, divide
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.splats import Splats
 
-GENERATOR = "nanogs"
 Made = Iterator[tuple[Any, Mapping[str, bytes]]]
 """Yields chunks: the plain data that describe a chunk, and the contents of its files by name."""
 _OUTSIDE = 12_000_000  # bytes that libraries take for a file, besides those for each splat
@@ -190,23 +186,6 @@ class ChunkLayout(ABC):
     def environment_files(self, splats: Splats) -> Mapping[str, bytes]:
         """Make the files of the environment, by name; only for layouts that support one."""
         raise NotImplementedError
-
-
-def generator() -> str:
-    """Return the program's name and version, as written into files."""
-    return f"{GENERATOR} {__version__}"
-
-
-def read_own(path: Path, *keys: str) -> dict[str, Any] | None:
-    """Read a JSON file if nanogs wrote it: if the text at these nested keys names it; else None."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        named: Any = data
-        for key in keys:
-            named = named[key]
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return None
-    return data if isinstance(named, str) and named.startswith(GENERATOR) else None
 
 
 def plain_paths(names: Iterable[object]) -> list[str]:

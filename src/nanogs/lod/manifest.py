@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from nanogs._version import __version__
+from nanogs.io.generator import GENERATOR
 from nanogs.io.json_fields import is_plain
 from nanogs.io.registry import LEVEL_LIST
 from nanogs.protocol import Protocol
@@ -148,7 +148,7 @@ def describe_levels(
             notes.append(_seen_note(level, each.switched))
     *beside, taken = written[0].environment or (0,)
     return Manifest(
-        generator=f"nanogs {__version__}",
+        generator=GENERATOR,
         source=source,
         source_count=first.input_count + taken,
         preset=first.preset,

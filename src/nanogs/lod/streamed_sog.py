@@ -17,6 +17,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from nanogs._types import F64, I64
+from nanogs.io.generator import GENERATOR, read_own
 from nanogs.io.registry import LEVELS
 from nanogs.lod.boxes import box_around, union
 from nanogs.lod.cells import Cells
@@ -25,9 +26,7 @@ from nanogs.lod.chunks import (
     ChunkTree,
     Made,
     SortedLevel,
-    generator,
     plain_paths,
-    read_own,
 )
 from nanogs.progress import PartProgress
 from nanogs.splats import Splats
@@ -119,7 +118,7 @@ class StreamedSog(ChunkLayout):
         data = {
             "version": 1,
             "asset": {
-                "generator": generator(),
+                "generator": GENERATOR,
                 "chunkGaussians": self.most,
                 "chunkMinGaussians": self.least,
             },

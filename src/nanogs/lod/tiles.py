@@ -21,6 +21,7 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from nanogs.errors import UnstorableError
+from nanogs.io.generator import read_own
 from nanogs.io.registry import TILESET
 from nanogs.lod.boxes import box_around
 from nanogs.lod.chunks import (
@@ -29,7 +30,6 @@ from nanogs.lod.chunks import (
     Made,
     SortedLevel,
     plain_paths,
-    read_own,
 )
 from nanogs.lod.tileset import describe
 from nanogs.place import from_columns

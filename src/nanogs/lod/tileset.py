@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nanogs._types import F64, I64
+from nanogs.io.generator import GENERATOR
 from nanogs.lod.boxes import union
 from nanogs.lod.cells import Cells
-from nanogs.lod.chunks import ChunkTree, generator
+from nanogs.lod.chunks import ChunkTree
 from nanogs.place import columns
 
 # Lists the glTF extensions that contents use; glTF contents themselves need no extension in 1.1.
@@ -82,7 +83,7 @@ def describe(
         root = _described(box, max(diagonal, _error(children))) | {"children": children}
     transform = np.eye(4) if place is None else place
     data = {
-        "asset": {"version": "1.1", "extras": {"generator": generator()}},
+        "asset": {"version": "1.1", "extras": {"generator": GENERATOR}},
         "extensionsUsed": [_CONTENT],
         "extensions": {_CONTENT: extensions},
         # Viewers scale the errors of tiles by the transforms above them, but not this one.

@@ -19,11 +19,11 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nanogs._types import F32, Array
-from nanogs._version import __version__
 from nanogs.activations import SH_C0
 from nanogs.errors import OutputError
 from nanogs.io import activated, limits
 from nanogs.io.by_column import Encoder, encoded_columns
+from nanogs.io.generator import GENERATOR
 from nanogs.io.gltf.document import MAX_JSON_BYTES
 from nanogs.io.gltf.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
 from nanogs.io.gltf.primitives import MAX_DEGREE, attribute, coefficients
@@ -259,7 +259,7 @@ def document_of(
         placed: The transform of the node, as its JSON fields.
     """
     return {
-        "asset": {"version": "2.0", "generator": f"nanogs {__version__}"},
+        "asset": {"version": "2.0", "generator": GENERATOR},
         **extensions,
         "scene": 0,
         "scenes": [{"nodes": [0]}],

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isinf
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -205,13 +205,14 @@ def _structured(path: Path, element: Element, span: slice, numbers: F64) -> Arra
     return out
 
 
-def _storable(column: F64, kind: np.dtype[np.generic]) -> Bool:
+def _storable(column: F64, kind: "np.dtype[Any]") -> Bool:
     """Return an (R,) mask of the numbers that a type holds, whole or rounded to its precision."""
     if kind.kind in "iu":
         limits = np.iinfo(kind)
-        return (column >= limits.min) & (column <= limits.max) & (column == np.floor(column))
+        good = (column >= limits.min) & (column <= limits.max) & (column == np.floor(column))
+        return np.asarray(good)
     with np.errstate(over="ignore"):
-        return np.isfinite(column.astype(kind)) | ~np.isfinite(column)
+        return np.asarray(np.isfinite(column.astype(kind)) | ~np.isfinite(column))
 
 
 def _bad_value(path: Path, element: Element, row: int, name: str, token: bytes) -> FormatError:

@@ -18,7 +18,7 @@ from nanogs._types import F32, F64, U8, Array
 from nanogs.errors import FormatError
 from nanogs.io.files import reading
 from nanogs.io.rad.header import Property
-from nanogs.io.rotations import Rounding
+from nanogs.io.rotations import Rounding, with_w
 
 MOST_STEPS = 254  # steps of a logarithm in a byte, because byte 0 is a scale of zero
 _RIM = 1e-6  # distance from the rim of the unfolded octahedron that is due to rounding
@@ -184,8 +184,7 @@ def rotations(column: Property, count: int) -> F64:
     """
     parts = components(column, count, 3)
     if column.encoding != "oct88r8":
-        w = np.sqrt(np.maximum(0, 1 - (parts**2).sum(axis=1)))
-        return np.column_stack([w, parts])
+        return with_w(parts)
     return decode_oct88r8(parts)
 
 

@@ -19,13 +19,13 @@ import numpy as np
 
 from nanogs import parallel
 from nanogs._types import F32, F64, I64, U8, U16
-from nanogs._version import __version__
 from nanogs.activations import BYTE_LOGITS
 from nanogs.errors import UnstorableError
 from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.container import plain_entry
 from nanogs.io.folder import atomic_folder
+from nanogs.io.generator import GENERATOR, read_own
 from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
 from nanogs.io.precision import Precision, visibility
@@ -42,7 +42,6 @@ from nanogs.splats import RenderMode, Splats
 MAX_DEGREE = 3
 USUAL_BITS = 7  # default; files then look no worse than those of PlayCanvas' own tool
 _BLOCK = 4  # width and height of textures are multiples of it
-_GENERATOR = "nanogs"
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
 # Entries of the codebook for an exact palette, and for one of merged values, which needs fewer.
 _EXACT, _ROUNDED = 64, 32
@@ -224,18 +223,11 @@ def _refuse_unstorable(splats: Splats) -> None:
 
 def ours(folder: Path) -> frozenset[str] | None:
     """Return the names of the files in a folder that nanogs wrote, or None for other folders."""
-    try:
-        data = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
-        if not str(data["asset"]["generator"]).startswith(_GENERATOR):
-            return None
-        named = [
-            str(name)
-            for own in data.values()
-            if isinstance(own, dict)
-            for name in own.get("files", [])
-        ]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+    data = read_own(folder / "meta.json", "asset", "generator")
+    if data is None:
         return None
+    lists = [own.get("files") for own in data.values() if isinstance(own, dict)]
+    named = [str(name) for each in lists if isinstance(each, list) for name in each]
     # Plain names only: a manipulated meta.json must not name files outside its folder.
     return frozenset({"meta.json", *filter(is_plain, named)})
 
@@ -259,7 +251,7 @@ def _encode(
     submit("sh0.webp", _picture(rgba))
     meta: dict[str, Any] = {
         "version": 2,
-        "asset": {"generator": f"{_GENERATOR} {__version__}"},
+        "asset": {"generator": GENERATOR},
         "count": len(rows),
         "model": _MODELS[splats.render_mode],
         "means": bounds | {"files": ["means_l.webp", "means_u.webp"]},

@@ -23,7 +23,7 @@ from nanogs._types import F32, F64, I32, U8, Array
 from nanogs.activations import BYTE_LOGITS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
-from nanogs.io.rotations import whole_quats
+from nanogs.io.rotations import whole_quats, with_w
 from nanogs.io.section import whole_file
 from nanogs.io.spz.body import body_pieces, read_records, stated_frame, window_bytes
 from nanogs.io.spz.header import ANTIALIASED, LAST_GZIP, Header, read_header
@@ -176,9 +176,7 @@ def whole_numbers(stored: U8) -> I32:
 
 def _xyz_quats(stored: U8) -> F64:
     """Decode the rotations of versions 1 and 2 to (R, 4) wxyz; w follows from unit length."""
-    xyz = stored / 127.5 - 1
-    w = np.sqrt(np.maximum(0, 1 - (xyz**2).sum(axis=1)))
-    return np.column_stack([w, xyz])
+    return with_w(stored / 127.5 - 1)
 
 
 def _quats(stored: U8) -> F64:

@@ -1,0 +1,29 @@
+"""The name of the program in the files that it writes, and recognising these files by it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from nanogs._version import __version__
+
+_NAME = "nanogs"
+GENERATOR = f"{_NAME} {__version__}"
+"""The program's name and version, as written into files."""
+
+
+def read_own(path: Path, *keys: str) -> dict[str, Any] | None:
+    """Read a JSON file if nanogs wrote it, in whatever version; None for other files.
+
+    Args:
+        path: The file.
+        keys: Names of the nested fields that lead to the name of the program.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        named: Any = data
+        for key in keys:
+            named = named[key]
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return None
+    own = isinstance(named, str) and named.partition(" ")[0] == _NAME
+    return data if own and isinstance(data, dict) else None
