@@ -11,6 +11,7 @@ from builders import random_splats
 from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
+from nanogs.io.gltf import read as gltf
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod.layout import Layout
 
@@ -47,6 +48,18 @@ def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, unpacked):
     read = io.open(path).files
     assert info.file_bytes == sum(file.stat().st_size for file in read)
     assert {file.name[0] for file in read} == {"t", "0"}
+
+
+def test_each_tile_is_opened_once_to_describe_a_tileset(splats, tmp_path, monkeypatch):
+    options = {"source": "a", "preset": "fast", "layout": Layout.TILES, "chunk": 100}
+    write_levels(splats, tmp_path / "t", RATIOS, **options)
+    opened, open_gltf = [], gltf.open_gltf
+    monkeypatch.setattr(gltf, "open_gltf", lambda path: opened.append(path) or open_gltf(path))
+    source = io.open(tmp_path / "t" / "tileset.json")
+    for _ in range(2):
+        assert (source.info.splats, source.packed, len(source.levels)) == (450, True, 3)
+        assert len(source.files) > 2
+    assert sorted(opened) == sorted((tmp_path / "t").glob("*.glb"))
 
 
 def test_commands_read_what_lod_packs_as_spz(splats, tmp_path):

@@ -25,7 +25,7 @@ from nanogs.io.gltf import read as gltf
 from nanogs.io.gltf.scene import Z_UP
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import local_path, numbers, read_json, refused, rows, table
-from nanogs.io.parts import Whole, check_level, level_note
+from nanogs.io.parts import FileSource, Whole, check_level, level_note
 from nanogs.io.sog.levels import common_mode, joined_info, joined_notes, mode_notes
 from nanogs.place import text_of
 from nanogs.splats import Splats, concatenate
@@ -100,31 +100,38 @@ class TilesLevel(Whole):
     def __init__(self, tileset: _Tileset, level: int, tiles: list[_Tile]) -> None:
         super().__init__(tileset.path)
         self._tileset, self._level, self._tiles = tileset, level, tiles
+        self._opened: dict[Path, FileSource] = {}
+
+    def _content(self, file: Path) -> FileSource:
+        """Open a content to describe it; only `load` knows the transform of its tile."""
+        if file not in self._opened:
+            self._opened[file] = gltf.open_gltf(file)
+        return self._opened[file]
 
     @property
     def files(self) -> Sequence[Path]:
         """The `tileset.json` and the files of the level's contents; see `FileSource`."""
         contents = [file for tile in self._tiles for file in tile.contents]
-        return [self.path, *(each for file in contents for each in gltf.open_gltf(file).files)]
+        return [self.path, *(each for file in contents for each in self._content(file).files)]
 
     @property
     def levels(self) -> tuple[int, ...]:
         """Number of splats of each level, from the headers of the contents; see `FileSource`."""
         tileset = self._tileset
         every = {file for tile in _all(tileset.root) for file in tile.contents}
-        counts = {file: gltf.open_gltf(file).count for file in every}
+        counts = {file: self._content(file).count for file in every}
         drawn = (tileset.level(number) for number in range(tileset.levels()))
         return tuple(sum(counts[f] for tile in level for f in tile.contents) for level in drawn)
 
     @property
     def packed(self) -> bool:
         """Whether some of its contents are packed as SPZ; see `FileSource`."""
-        return any(gltf.open_gltf(file).packed for tile in self._tiles for file in tile.contents)
+        return any(self._content(file).packed for tile in self._tiles for file in tile.contents)
 
     @cached_property
     def info(self) -> FileInfo:
         """The description of the level, combined from those of the contents."""
-        infos = [gltf.open_gltf(file).info for tile in self._tiles for file in tile.contents]
+        infos = [self._content(file).info for tile in self._tiles for file in tile.contents]
         return joined_info(self.path, "3d tiles", infos, sum(info.splats for info in infos))
 
     def load(self) -> Splats:
