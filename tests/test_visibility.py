@@ -194,6 +194,17 @@ def test_further_views_differ_from_the_other_views():
     assert len(few_views.views.further) == 1
 
 
+@pytest.mark.parametrize("asked", [("auto", (0, 0, 1)), ("orbit", None), ("roam", None)])
+def test_views_of_a_kind_are_as_many_as_automatic_ones(asked):
+    splats = box_with_something_inside()
+    parameters = view_parameters(views=4, view_size=48, further=3, roaming=2)
+    found = scene_with_views(splats, asked[0], parameters, up=asked[1]).views
+    assert (len(found.kept), len(found.further), len(found.roaming)) == (4, 3, 2)
+    assert len({camera.name for camera in (*found.kept, *found.further)}) == 7
+    still = dataclasses.replace(parameters, steps=0)
+    assert len(scene_with_views(splats, asked[0], still, up=asked[1]).views.further) == 0
+
+
 def test_few_further_views_are_kept_in_halves_and_many_are_not_kept():
     splats = box_with_something_inside()
     few_views = scene_with_views(splats, None, view_parameters(views=6, view_size=48, further=4))
@@ -258,6 +269,19 @@ def test_an_invisible_model_is_noted_and_still_reduced_to_the_count():
     assert report.candidates == ()
     assert any(note.startswith("Nothing was measured: ") for note in report.notes)
     assert nanogs.simplify(splats, count=13, preset="fast")[1].notes == ()
+
+
+@pytest.mark.parametrize("asked", [{"cameras": "roam"}, {"up": (0, 0, 1)}])
+def test_a_model_without_views_of_the_kind_is_still_reduced_to_the_count(asked, tmp_path):
+    splats = random_splats(100)
+    splats.opacity_logits[:] = -7  # alpha 0.0009
+    nanogs.save(splats, tmp_path / "in.ply")
+    for blocks in ({}, {"block": 50}):
+        report = nanogs.simplify_blocks(
+            tmp_path / "in.ply", tmp_path / f"{len(blocks)}.ply", count=13, **asked, **blocks
+        )
+        assert report.achieved_count == 13
+        assert any(note.startswith("Nothing was measured: ") for note in report.notes)
 
 
 def test_splats_seen_from_free_space_are_not_hidden():

@@ -1,10 +1,13 @@
 """Scenes after the stages that render views, scores of results, and the viewer's first camera."""
 
+import dataclasses
+
 import numpy as np
 
 import nanogs
 from nanogs.metrics import psnr, ssim
 from nanogs.pipeline.one_block import OneBlock, whole_settings
+from nanogs.pipeline.options.views import requested_views
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.stages import do
 from nanogs.raster.camera import Camera
@@ -13,10 +16,11 @@ from nanogs.views.opening import opening_for
 from nanogs.views.poses import look_at
 
 
-def scene_with_views(splats, cameras, parameters):
+def scene_with_views(splats, cameras, parameters, up=None):
     """Return the scene of a model after the stages frame, views and look."""
-    settings = whole_settings(splats, parameters)
-    scene = OneBlock(splats, np.arange(len(splats), dtype=np.int32), settings, 1, cameras)
+    asked = requested_views(cameras, up)
+    settings = dataclasses.replace(whole_settings(splats, parameters), asked=asked)
+    scene = OneBlock(splats, np.arange(len(splats), dtype=np.int32), settings, 1)
     for stage in ("frame", "views", "look"):
         do(scene, Task(stage))
     return scene

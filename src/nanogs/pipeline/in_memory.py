@@ -16,9 +16,10 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.estimates.memory import plan_memory
 from nanogs.pipeline.job.rows import check_nan
-from nanogs.pipeline.options.cameras import are_automatic, asked_cameras, refuse_unused_views
+from nanogs.pipeline.options.cameras import are_automatic, refuse_unused_views
 from nanogs.pipeline.options.presets import Parameters, parameters, renders
 from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.options.views import RequestedViews, requested_views
 from nanogs.pipeline.outcome import Outcome
 from nanogs.progress import Tracker
 from nanogs.quantities import as_bytes
@@ -27,7 +28,6 @@ from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.pipeline.one_block import OneBlock
-    from nanogs.raster.camera import Camera
     from nanogs.views.cameras import Cameras
 
 NanPolicy = Literal["drop", "error"]
@@ -44,7 +44,7 @@ class CheckedModel:
         rows: (M,) int32, its usable rows, ascending.
         preset: Name of the preset.
         parameters: Parameters of the method.
-        cameras: As `OneBlock` takes them.
+        asked: The views that the user asks for.
         sh_degree: Degree of the result's harmonics, or None if none is asked for.
     """
 
@@ -52,7 +52,7 @@ class CheckedModel:
     rows: I32
     preset: str
     parameters: Parameters
-    cameras: "Sequence[Camera] | None"
+    asked: RequestedViews
     sh_degree: int | None = None
 
     def refuse_too_large(
@@ -97,8 +97,8 @@ class CheckedModel:
 
         assert isinstance(self.parameters, ForestParameters)  # noqa: S101 - the caller's choice
         settings = whole_settings(self.splats, self.parameters)
-        settings = replace(settings, sh_degree=self.sh_degree)
-        scene = OneBlock(self.splats, self.rows, settings, threads, self.cameras)
+        settings = replace(settings, asked=self.asked, sh_degree=self.sh_degree)
+        scene = OneBlock(self.splats, self.rows, settings, threads)
         build(scene, clock, progress)
         return scene
 
@@ -199,8 +199,8 @@ def check_model(
     refuse_unused_views(preset, chosen, given=up is not None or not are_automatic(cameras))
     if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(sh_degree)
-    rows, views = usable_rows(splats, nan), asked_cameras(splats, cameras, up, chosen)
-    return CheckedModel(splats, rows, preset, chosen, views, sh_degree)
+    rows, asked = usable_rows(splats, nan), requested_views(cameras, up)
+    return CheckedModel(splats, rows, preset, chosen, asked, sh_degree)
 
 
 def import_stages(chosen: Parameters) -> None:

@@ -26,6 +26,7 @@ from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import DECIDING, MissedLight, shown_share, visible_weights
 from nanogs.pipeline.options.settings import Access, InputFile, Segment, Settings
+from nanogs.pipeline.options.views import AUTOMATIC
 from nanogs.pipeline.scene import (
     LIGHT,
     ROUNDS,
@@ -48,7 +49,6 @@ from nanogs.slices import SLICE_STEPS, slices
 from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
-from nanogs.views.cameras import FoundCameras
 from nanogs.views.decimated import AFAR, decimated
 
 
@@ -76,8 +76,6 @@ class OneBlock(Scene):
         usable: (M,) int32, its usable rows, ascending.
         settings: Settings of the simplification.
         threads: Number of threads in use.
-        cameras: The user's views, or `FoundCameras` of a kind that the user chose, or None for
-            automatic ones.
         on_progress: Progress callback for the parts of the current task.
         asked: Number of splats asked for.
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
@@ -93,7 +91,6 @@ class OneBlock(Scene):
     usable: I32
     settings: Settings
     threads: int
-    cameras: Sequence[Camera] | None = None
     on_progress: PartProgress = ignore_progress
     asked: int = 0
     _records: dict[str, Record] = field(default_factory=dict)
@@ -195,8 +192,8 @@ class OneBlock(Scene):
         pixels = self.settings.parameters.pixels
         dilation = estimate_dilation(means, opacities, splats.render_mode, pixels)
         viewers: Dilation | Viewers = dilation
-        if self.cameras and not isinstance(self.cameras, FoundCameras):
-            viewers = viewers_of(self.cameras, origin, means)
+        if given := self.settings.asked.given():
+            viewers = viewers_of(given, origin, means)
         self._survey = _Placed(self.usable[morton_order(means)], origin, dilation, viewers)
         return self.write(name, {}, {})
 
@@ -207,10 +204,6 @@ class OneBlock(Scene):
     def from_afar(self) -> Splats:
         """Return the model, or evenly spread splats of it if it is large."""
         return decimated(self.splats, AFAR)
-
-    def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
-        """Return the cameras that the user asks for; None for automatic ones."""
-        return self.cameras
 
     def keep_views(self, name: str, views: Views) -> Record:
         """Keep the views that were chosen."""
@@ -235,7 +228,8 @@ class OneBlock(Scene):
         """Render a view, and keep it for choosing results and for the fit."""
         # With depth, the user's views can be divided into near and far ones; automatic views differ
         # little in their distances.
-        view = render(drawn, camera, contributions=True, depth=bool(self.cameras))
+        depth = self.settings.asked != AUTOMATIC
+        view = render(drawn, camera, contributions=True, depth=depth)
         self._shots.append(as_target(view, camera))
         return view
 

@@ -176,10 +176,6 @@ class Scene(ABC):
         """Return splats spread over the scene, for placing cameras."""
 
     @abstractmethod
-    def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
-        """Return the cameras that the user asks for; None for automatic ones."""
-
-    @abstractmethod
     def from_afar(self) -> Splats:
         """Return the scene, or a coarse level of it, for finding roaming views."""
 

@@ -22,7 +22,6 @@ from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import SHOWN
 from nanogs.pipeline.estimates.memory_blocks import FINE, ROUGH
 from nanogs.pipeline.job.rows import sample
-from nanogs.pipeline.options.cameras import asked_cameras
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.scene import Block, FitViews, Look, Members, Scene, Task
 from nanogs.pipeline.tasks.block_visibility import (
@@ -310,11 +309,6 @@ class Work(Scene):
     def sample(self) -> Splats:
         """Read evenly spread splats of the inputs, for placing cameras."""
         return sample(self.settings, self.unpacked(), rows=SAMPLE, span=SPAN)
-
-    def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
-        """Return the cameras that the user asks for; None for automatic ones."""
-        asked, chosen = self.settings.asked, self.settings.parameters
-        return asked.given() or asked_cameras(some, asked.source, asked.up, chosen)
 
     def from_afar(self) -> Splats:
         """Read the coarse level `FINE` of the scene, or the block if there is only one."""

@@ -22,10 +22,6 @@ AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "insid
 FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all kinds of automatic cameras
 
 
-class FoundCameras(list[Camera]):
-    """Automatic cameras: unlike given ones, they are no evidence of viewers' positions."""
-
-
 def cameras_for(
     model: Splats | Source,
     source: str,
@@ -48,26 +44,21 @@ def cameras_for(
         split: Split of automatic views; `fit` and `test` have none in common.
 
     Returns:
-        The cameras, as `FoundCameras` unless the source is a file; fewer than `count` if not enough
-        roaming ones are found.
+        The cameras; fewer than `count` if not enough roaming ones are found.
 
     Raises:
         NanogsError: The source is neither, or cannot be read.
     """
     if source in AUTOMATIC:
         kind = AUTOMATIC[source]
-        return FoundCameras(
-            automatic_cameras(
-                model, count, width=width, height=height, kind=kind, up=up, split=split
-            )
+        return automatic_cameras(
+            model, count, width=width, height=height, kind=kind, up=up, split=split
         )
     if source == "roam":
         from nanogs.views.roam import roaming_cameras  # imports Numba
 
         some = decimated(model)
-        return FoundCameras(
-            roaming_cameras(some, count, width=width, height=height, up=up, split=split)
-        )
+        return roaming_cameras(some, count, width=width, height=height, up=up, split=split)
     return cameras_from(source)
 
 
@@ -148,13 +139,11 @@ def known_cameras(cameras: Cameras) -> str | list[Camera]:
 
 
 def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
-    """Convert one camera or several to a list; `FoundCameras` are returned unchanged.
+    """Convert one camera or several to a list.
 
     Raises:
         OptionError: They are no cameras, there are none, or one is invalid.
     """
-    if isinstance(cameras, FoundCameras) and cameras:
-        return cameras
     given = one_or_several(cameras)
     if not given or not all(isinstance(camera, Camera) for camera in given):
         raise OptionError(

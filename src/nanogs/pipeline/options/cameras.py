@@ -1,12 +1,9 @@
 """Cameras that the user asks for, for presets that render. Numba is imported only if needed."""
 
-import os
 from collections.abc import Sequence
-from os import PathLike
 from typing import TYPE_CHECKING
 
 from nanogs.errors import OptionError
-from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.presets import Parameters, renders
 
 if TYPE_CHECKING:
@@ -37,33 +34,6 @@ def fit_cameras(
     from nanogs.views.cameras import cameras_for
 
     return cameras_for(splats, source, count=count, width=size, height=size, up=up, split="fit")
-
-
-def asked_cameras(
-    splats: "Splats",
-    given: "Cameras | None",
-    up: Sequence[float] | None,
-    chosen: Parameters,
-) -> "Sequence[Camera] | None":
-    """Return the cameras that a caller of the library names or gives; None for the preset's own.
-
-    Args:
-        splats: The model.
-        given: As `nanogs.simplify` takes them.
-        up: Up direction of automatic views, or None.
-        chosen: Parameters of the method; if it does not render, no camera is looked for.
-
-    Raises:
-        NanogsError: They are not cameras, there are none, or they cannot be read.
-    """
-    if given is not None and not isinstance(given, str | PathLike):
-        from nanogs.views.cameras import given_cameras
-
-        return given_cameras(given)
-    if not isinstance(chosen, ForestParameters) or not renders(chosen):
-        return None
-    source = os.fspath(given or AUTO)
-    return fit_cameras(splats, source, up, chosen.views, chosen.view_size)
 
 
 def are_automatic(cameras: "Cameras | None") -> bool:

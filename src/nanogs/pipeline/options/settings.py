@@ -15,7 +15,7 @@ from nanogs.source import Layout
 
 # Most splats of a block's halo, as a share of its own, to bound memory; the nearest are kept.
 MOST_SEEN = 0.1
-VERSION = 15  # of the job folder's format; a folder of another version is not continued
+VERSION = 16  # of the job folder's format; a folder of another version is not continued
 
 _WISH = "the request (ratio, count, size, PSNR, draw cost)"
 _SIZE = "the memory for blocks, or their size"

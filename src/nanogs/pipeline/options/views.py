@@ -1,10 +1,8 @@
 """The views that the user asked for, as plain data that a job can store as JSON."""
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,20 +47,19 @@ def requested_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Re
     Raises:
         NanogsError: A file holds no cameras, or `up` is not a direction.
     """
-    from nanogs.views.cameras import FOUND, cameras_from, given_cameras
-
     direction = None
     if up is not None:
         from nanogs.views.automatic import unit_up
 
         unit_up(up)
         direction = tuple(map(float, up))
-    if cameras is None or (isinstance(cameras, str) and cameras in FOUND):
-        return RequestedViews(cameras or AUTO, direction)
-    if isinstance(cameras, str | PathLike):
-        found = cameras_from(os.fspath(cameras))
-    else:
-        found = given_cameras(cameras)
+    if cameras is None:
+        return RequestedViews(up=direction)
+    from nanogs.views.cameras import known_cameras
+
+    found = known_cameras(cameras)
+    if isinstance(found, str):
+        return RequestedViews(found, direction)
     return RequestedViews(cameras=tuple(json.dumps(plain_camera(camera)) for camera in found))
 
 

@@ -17,6 +17,7 @@ from nanogs.method.visibility import (
     visibility_of,
 )
 from nanogs.metrics._ssim import LEAST
+from nanogs.pipeline.options.cameras import fit_cameras
 from nanogs.pipeline.scene import Look, Scene, Task, ViewLight
 from nanogs.pipeline.tasks.views import Views
 from nanogs.raster.lens import lens_notes
@@ -28,22 +29,23 @@ if TYPE_CHECKING:
 
 
 def choose_views(scene: Scene) -> Views:
-    """Choose the views of the whole scene, or take those that the user asked for.
+    """Choose the views of the whole scene, or take those that the user gives.
+
+    Views of a kind or up direction that the user asks for are as many as automatic ones.
 
     Args:
         scene: The scene, with its coarse levels if it has several blocks.
     """
-    parameters, some = scene.settings.parameters, scene.sample()
+    parameters, asked, some = scene.settings.parameters, scene.settings.asked, scene.sample()
+    given, size = asked.given(), parameters.view_size
+    more = parameters.further if parameters.steps else 0
     try:
-        given = scene.given_cameras(some)
-        kept, further = choose_cameras(
-            some, given, parameters.views, parameters.further if parameters.steps else 0,
-            parameters.view_size,
-        )  # fmt: skip
+        cameras = given or fit_cameras(some, asked.source, asked.up, parameters.views + more, size)
+        kept, further = choose_cameras(some, cameras, parameters.views, more, size)
     except ModelError as error:
         return Views((), (), (), (f"Nothing was measured: {error}",))
     roaming: list[Camera] = []
-    notes: tuple[str, ...] = tuple(lens_notes(given or ()))
+    notes: tuple[str, ...] = tuple(lens_notes(given))
     if parameters.roaming and not given:
         roaming, notes = roaming_views(scene.from_afar(), parameters.roaming)
     return Views(tuple(kept), tuple(further), tuple(roaming), notes)
