@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import nanogs
 from builders import cloud_pair, random_splats
 from nanogs.errors import ModelError, OptionError
+from nanogs.splats import ExtraElement
 from strategies import assert_same
 from viewer_bundle import require_bundle
 
@@ -177,6 +178,15 @@ def test_counts_out_of_range_are_refused(grown, count, message):
         grown.draft(count)
     with pytest.raises(OptionError, match=message):
         grown.simplify(count)
+
+
+@pytest.mark.parametrize("deliver", ["draft", "simplify"])
+def test_elements_with_a_row_for_each_splat_are_refused_before_anything_is_made(model, deliver):
+    rows = np.zeros(len(model), [("a", "<f4")])
+    grown = nanogs.grow(replace(model, elements=[ExtraElement("each", rows)]), preset="fast")
+    with pytest.raises(ModelError, match="'each' has one row for each splat"):
+        getattr(grown, deliver)(40)
+    assert len(grown.draft(len(model))) == len(model)
 
 
 def test_paper_and_unknown_options_are_refused(model):

@@ -100,6 +100,7 @@ class Grown:
 
         Raises:
             OptionError: The count is below 1, or above the number of usable splats.
+            ModelError: Other elements of the file have a row for each splat, which would be lost.
         """
         self._check(count)
         if count == self.available:
@@ -127,7 +128,6 @@ class Grown:
 
         self._check(count)
         checked, start, clock = self._checked, time.perf_counter(), StageClock()
-        refuse_misaligned_elements(checked.splats, count)
         stages = delivery_stages(checked.parameters, self.available, count)
         with show_progress(progress) as on_step, self._alone() as (device, threads):
             tracker = Tracker(on_step, stages)
@@ -208,8 +208,10 @@ class Grown:
 
         Raises:
             OptionError: It is below 1, or above the number of usable splats.
+            ModelError: Other elements of the file have a row for each splat, which would be lost.
         """
         target_count(self.available, None, count)
+        refuse_misaligned_elements(self._checked.splats, count)
 
 
 def grow(
