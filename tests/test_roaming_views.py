@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import nanogs
 from conftest import CARD
 from nanogs.card.device import engine_in_use, use_device
 from nanogs.errors import ModelError, OptionError
@@ -198,6 +199,13 @@ def test_distant_splats_do_not_mislead_the_cameras():
     assert len(cameras) == 4
     for camera in cameras:  # all are within one of the two scenes, which reach 30 units
         assert min(np.abs(camera.position - shift).max() for shift in (0.0, 1e5)) < 30
+
+
+def test_a_model_without_splats_is_refused():
+    empty = SCENE.take(np.arange(0))
+    for measured in (nanogs.render, nanogs.draw_cost):
+        with pytest.raises(ModelError, match="nothing"):
+            measured(empty, "roam")
 
 
 def test_a_scene_without_suitable_views_is_refused():

@@ -25,7 +25,7 @@ def decimated(model: Splats | Source, limit: int | None = None) -> Splats:
     Raises:
         FormatError: The source cannot be read.
     """
-    every = -(-len(model) // (limit or LIMIT))
+    every = max(-(-len(model) // (limit or LIMIT)), 1)
     some = joined_rows(list(_rows(model, every)))
     if every == 1:
         return some
