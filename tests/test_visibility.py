@@ -174,6 +174,21 @@ def test_given_cameras_are_the_ones_rendered():
     assert len(both) == 3
 
 
+def test_given_views_that_show_nothing_neither_decide_nor_are_fitted_to():
+    splats = box_with_something_inside()
+    cameras = automatic_cameras(splats, 16, width=64, height=64)
+    away = np.diag([-1.0, 1, -1, 1])
+    for index in range(0, 16, 2):
+        turned = away @ cameras[index].world_to_camera
+        cameras[index] = dataclasses.replace(cameras[index], world_to_camera=turned)
+    views = scene_with_views(splats, cameras, view_parameters(views=8, view_size=48, further=8))
+    used = [*views.fitting, *(view for group in views.groups for view in group.targets)]
+    assert {view.camera.name for view in used} == {camera.name for camera in cameras[1::2]}
+    blind = [camera for camera in cameras if camera.name not in {v.camera.name for v in used}]
+    none = scene_with_views(splats, blind, view_parameters(views=8, view_size=48))
+    assert len(none.groups) == 1  # nothing is better than the others
+
+
 def test_further_views_differ_from_the_other_views():
     splats = box_with_something_inside()
     for cameras in (None, automatic_cameras(splats, 90, width=64, height=64)):

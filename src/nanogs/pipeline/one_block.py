@@ -24,7 +24,7 @@ from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
-from nanogs.method.visibility import DECIDING, MissedLight, shown_share, visible_weights
+from nanogs.method.visibility import MissedLight, shown_share, visible_weights
 from nanogs.pipeline.options.settings import Access, InputFile, Segment, Settings
 from nanogs.pipeline.options.views import AUTOMATIC
 from nanogs.pipeline.scene import (
@@ -40,7 +40,7 @@ from nanogs.pipeline.scene import (
 )
 from nanogs.pipeline.tasks.partition import Partition
 from nanogs.pipeline.tasks.units import viewers_of
-from nanogs.pipeline.tasks.views import Views
+from nanogs.pipeline.tasks.views import Views, deciding_count
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
@@ -248,8 +248,10 @@ class OneBlock(Scene):
         """Keep the visibility, and divide the views into fitted and deciding ones."""
         own, self.missed, lights, self.missed_light = look
         self.visible = own.visible
-        looked, self.groups = split(self._shots, max(1, len(self._shots) // DECIDING))
-        self.fitting = (*looked, *self._pictures)
+        # Views that show nothing cannot decide, and steps of the fit on them would be lost.
+        shots = _showing(self._shots) or self._shots
+        looked, self.groups = split(shots, deciding_count(len(shots)))
+        self.fitting = (*looked, *_showing(self._pictures))
         self._shots, self._pictures = [], []
         return self.write(name, {}, {LIGHT: [light for _, light in lights]})
 
@@ -404,6 +406,11 @@ class OneBlock(Scene):
         return (
             "The result was not fitted, because a single view cannot show whether a fit helps.",
         )
+
+
+def _showing(targets: Sequence[Target]) -> list[Target]:
+    """Return the views of the original in which anything is drawn."""
+    return [target for target in targets if target.image[..., 3].any()]
 
 
 def whole_settings(splats: Splats, parameters: ForestParameters) -> Settings:

@@ -51,7 +51,7 @@ class Views:
 
 def deciding_count(views: int) -> int:
     """Return the number of deciding views among `views` views."""
-    return min(max(1, views // DECIDING), max(1, views // 4))
+    return max(1, views // DECIDING)
 
 
 def views_of(data: Mapping[str, Any]) -> Views:
