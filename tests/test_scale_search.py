@@ -10,11 +10,12 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
 from nanogs.pipeline.search.file_size import ENOUGH
-from nanogs.pipeline.search.in_blocks import TRIED
+from nanogs.pipeline.search.in_blocks import TRIED, Search
 from nanogs.pipeline.search.job_results import COUNT, MEASURED, JobResults
 from nanogs.pipeline.search.psnr import SPAN
 from nanogs.report import StopReason
 from nanogs.scoring.file_judge import file_judge
+from nanogs.source import InMemory
 from viewer_bundle import require_bundle
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -330,3 +331,14 @@ def test_a_result_too_large_to_be_written_whole_is_refused(scene, tmp_path, monk
     monkeypatch.undo()
     report = nanogs.simplify_blocks(scene, tmp_path / "a.sog", resume=True, **options)
     assert report.blocks.resumed > 0
+
+
+def test_a_file_to_be_measured_is_removed_whatever_happens(tmp_path):
+    search = Search(tmp_path / "out.spz", None, tmp_path, None)
+    with (
+        pytest.raises(ZeroDivisionError),
+        search.written(InMemory(random_splats(10)), {}) as path,
+    ):
+        assert path.exists()
+        _ = 1 / 0
+    assert list(tmp_path.iterdir()) == []

@@ -182,9 +182,11 @@ class Search:
         """Write a file of a result, with further options of the format; delete it afterwards."""
         self._refuse_large(source, options)
         path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
-        save(source, path, overwrite=True, format_options=self.with_given(options))
-        yield path
-        path.unlink()
+        try:
+            save(source, path, overwrite=True, format_options=self.with_given(options))
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
 
     def _refuse_large(self, source: Source, options: Mapping[str, Any]) -> None:
         """Refuse a result whose file would have to be written from more memory than is allowed."""
