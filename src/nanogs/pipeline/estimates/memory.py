@@ -10,6 +10,11 @@ from nanogs.block_layouts import PLACED, Chunked, Linked
 from nanogs.io.format import Format
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.estimates.memory_forest import (
+    F4,
+    F8,
+    I4,
+    I8,
+    LEFT,
     forest_stages,
     graph_bytes,
     match_bytes,
@@ -18,9 +23,7 @@ from nanogs.pipeline.estimates.memory_forest import (
 from nanogs.pipeline.options.presets import Parameters
 from nanogs.slices import pairs_in_flight
 
-_F4, _F8, _I4, _I8 = 4, 8, 4, 8
-_GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # a Gaussian; features are in the model
-_LEFT = 0.55  # assumed share of the splats that a pass leaves; the method leaves half or more
+_GEOMETRY = 3 * F8 + 3 * F4 + 4 * F4 + F8 + I4 + 1  # a Gaussian; features are in the model
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +62,11 @@ def plan_memory(
         target: Number of splats in the largest result.
         judged: Whether results are compared with the original on held-out views.
     """
-    features = 3 * (sh_degree + 1) ** 2 * _F4
-    row = 11 * _F4 + features + extra_bytes
+    features = 3 * (sh_degree + 1) ** 2 * F4
+    row = 11 * F4 + features + extra_bytes
     neighbours = min(parameters.k, max(count - 1, 0))
     if isinstance(parameters, PaperParameters):
-        working_set = count * (_I4 + _GEOMETRY)
+        working_set = count * (I4 + _GEOMETRY)
         held = _paper_stages(count, row, features, neighbours, target)
     else:
         working_set, held = forest_stages(
@@ -116,18 +119,18 @@ def plan_chunks(
 
 
 def _paper_stages(count: int, row: int, features: int, k: int, target: int) -> dict[str, int]:
-    pairs, masses = pairs_of(k), 6 * _F8  # including logarithms of scales and opacity
+    pairs, masses = pairs_of(k), 6 * F8  # including logarithms of scales and opacity
     # Second pass: merged pairs, which refer to features of the model; third: with own features.
-    second = _LEFT * (_GEOMETRY + 2 * _I4 + 2 * _F8)
-    third = _LEFT**2 * (_GEOMETRY + _I4 + features)
-    lists = 3 * _I4 + _I8 + 1 + 2 * _F8
+    second = LEFT * (_GEOMETRY + 2 * I4 + 2 * F8)
+    third = LEFT**2 * (_GEOMETRY + I4 + features)
+    lists = 3 * I4 + I8 + 1 + 2 * F8
     splats = {
-        "activate": max(_GEOMETRY, 9 * _F8),
+        "activate": max(_GEOMETRY, 9 * F8),
         "graph": _GEOMETRY + graph_bytes(k),
-        "cost": _GEOMETRY + 2 * _I4 * pairs + max(_F4 * pairs + _F8, masses),
+        "cost": _GEOMETRY + 2 * I4 * pairs + max(F4 * pairs + F8, masses),
         "match": _GEOMETRY + match_bytes(k),
-        "merge": max(_GEOMETRY + masses + lists + second, second + _LEFT * lists + third),
+        "merge": max(_GEOMETRY + masses + lists + second, second + LEFT * lists + third),
     }
-    held = {stage: int(count * (_I4 + bytes_each)) for stage, bytes_each in splats.items()}
-    held["cost"] += min(int(count * pairs), pairs_in_flight()) * 2 * _I4
-    return held | {"store": count * _I4 + target * (_GEOMETRY + features + row + 2 * _I8)}
+    held = {stage: int(count * (I4 + bytes_each)) for stage, bytes_each in splats.items()}
+    held["cost"] += min(int(count * pairs), pairs_in_flight()) * 2 * I4
+    return held | {"store": count * I4 + target * (_GEOMETRY + features + row + 2 * I8)}

@@ -6,38 +6,38 @@ from nanogs.pipeline.options.presets import renders
 from nanogs.protocol import PIXELS, VIEWS
 from nanogs.slices import pairs_in_flight
 
-_F4, _F8, _I4, _I8 = 4, 8, 4, 8
+F4, F8, I4, I8 = 4, 8, 4, 8  # bytes of a float32, float64, int32 and int64
 # Bytes of a node, a merge, a pair or a splat, unless a comment says otherwise:
-_BARE = _F8 + 3 * _F8 + 6 * _F8 + _I4  # a node for growing: weight, mean, covariance, row
-_NODE = _BARE + _F8  # a node with its coverage
-_MIXED = _I4 + 2 * _F8  # a pair in place of its features: its second row and the two shares
-_MERGE = 2 * _I4 + _I4 + 2 * _F4  # a merge: children, level and increments of error
-_TREE = 3 * _F8 + _I4 + 12 + 1  # the nearest-neighbour tree: scaled centre, row, boxes, a flag
+_BARE = F8 + 3 * F8 + 6 * F8 + I4  # a node for growing: weight, mean, covariance, row
+_NODE = _BARE + F8  # a node with its coverage
+_MIXED = I4 + 2 * F8  # a pair in place of its features: its second row and the two shares
+_MERGE = 2 * I4 + I4 + 2 * F4  # a merge: children, level and increments of error
+_TREE = 3 * F8 + I4 + 12 + 1  # the nearest-neighbour tree: scaled centre, row, boxes, a flag
 # Candidate pairs divided by splats times k: most neighbours are mutual and give one pair. Measured
 # 0.55 to 0.67 on trained scenes at k = 5 to 16; the estimate takes the upper end.
 _PAIRS_PER_NEIGHBOUR = 0.67
-_LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
-_CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
+LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
+_CUT = 2 * F8 + F8 + F8 + 1  # sums and scores of all nodes, a copy for the median, flags
 # Scores of all nodes, two copies of those of merges; sums and increments; two values of each splat;
 # labels of all nodes.
-_CORRECT = 2 * _F8 + 2 * _F8 + 2 * 2 * _F8 + _F8 + 2 * _F8 + 2 * _I4
+_CORRECT = 2 * F8 + 2 * F8 + 2 * 2 * F8 + F8 + 2 * F8 + 2 * I4
 _TILES = 3  # tiles that a splat overlaps in a view of 560 pixels, on average: 2.3 to 3.2
-_IMAGES = VIEWS * PIXELS**2 * 3 * _F4  # all images of the original by which results are scored
+_IMAGES = VIEWS * PIXELS**2 * 3 * F4  # all images of the original by which results are scored
 PIXEL = 80  # bytes of a pixel while a view is rendered with contributions and depths
 COMPARED = 64  # bytes of a pixel while it is compared with the original's, or for its gradients
-_BATCH = 2 * _I4 + 2 * _F4 + 2 * _F8  # a pair in a batch whose costs are computed
-PREPARED = 9 * _F4 + 2 * _F4 + 1  # rasteriser input: factors, alpha, reach (`reaches`), mask
-DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # in one view: projection, order, tile lists
-SHARES = 6 * _F8 + _TILES * _F4  # contributions of a splat in one view and in all
+_BATCH = 2 * I4 + 2 * F4 + 2 * F8  # a pair in a batch whose costs are computed
+PREPARED = 9 * F4 + 2 * F4 + 1  # rasteriser input: factors, alpha, reach (`reaches`), mask
+DRAWN = 8 * F8 + 7 * F4 + 4 * I8 + _TILES * I4  # in one view: projection, order, tile lists
+SHARES = 6 * F8 + _TILES * F4  # contributions of a splat in one view and in all
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
 # Tiles that a splat of the result overlaps. In views of 560 pixels it is 3 to 8, for results of
 # half and of a tenth of the splats. As measured, the rest of the estimate is large enough to make
 # up for that, but not in larger views.
 _FIT_TILES = 2
 # A splat that is rendered in a step of the fit: its projection, its sums, and those of its tiles.
-FIT_STEP = 8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F4 + _FIT_TILES * (25 * _F4 + _I4)
+FIT_STEP = 8 * F8 + 8 * F4 + 2 * I8 + 25 * F4 + _FIT_TILES * (25 * F4 + I4)
 # A splat that is fitted: Hessian entries, number of views it was in, `fit.state.displacements_of`.
-_CURVATURES = (55 + 1 + 12) * _F4 + _I4
+_CURVATURES = (55 + 1 + 12) * F4 + I4
 
 
 def forest_stages(
@@ -65,25 +65,23 @@ def forest_stages(
     """
     looked = renders(parameters)
     drawn = looked or judged
-    kept = count * (_I4 + (_F8 if looked else 0))  # the usable rows, the visibility of each splat
+    kept = count * (I4 + (F8 if looked else 0))  # the usable rows, the visibility of each splat
     pictures = parameters.views + parameters.pictured
     images = pictures * parameters.view_size**2 * 4 if looked else 0
     images += _IMAGES if judged else 0
     pixels = parameters.view_size**2 if looked else 0
     kept += images
-    beside = kept + count * _F8  # coverages of the leaves, kept during the passes
+    beside = kept + count * F8  # coverages of the leaves, kept during the passes
     leaves = kept + count * _NODE  # without features, which are those of the model
     forest = leaves + count * _MERGE
     best = target * row if drawn else 0  # the best candidate so far
     draw = target * (PREPARED + DRAWN) + pixels * COMPARED if drawn else 0
     corrections = parameters.corrections if parameters.measure else 0
-    labels = (2 + corrections) * count * _I4 if looked else count * _I4
-    labels += count * _F8 if corrections else 0  # scores of the latest correction
+    labels = (2 + corrections) * count * I4 if looked else count * I4
+    labels += count * F8 if corrections else 0  # scores of the latest correction
     stages = {
-        "measure": 2 * _IMAGES + count * (_I4 + PREPARED + DRAWN) if judged else 0,
-        "look": images + pixels * PIXEL + count * (_I4 + PREPARED + DRAWN + SHARES)
-        if looked
-        else 0,
+        "measure": 2 * _IMAGES + count * (I4 + PREPARED + DRAWN) if judged else 0,
+        "look": images + pixels * PIXEL + count * (I4 + PREPARED + DRAWN + SHARES) if looked else 0,
         "activate": leaves,
         **{stage: beside + held for stage, held in _growing(count, features, k).items()},
         "cut": forest + count * _CUT + labels + best,
@@ -101,9 +99,9 @@ def forest_stages(
 
 def graph_bytes(k: int) -> float:
     """Return the bytes per splat of finding the nearest neighbours and making pairs of them."""
-    pairs, neighbours = pairs_of(k), k * _I4
-    starts = 2 * _I8
-    return max(_TREE + neighbours, neighbours + starts + _I4 * pairs, _I8 + 2 * _I4 * pairs)
+    pairs, neighbours = pairs_of(k), k * I4
+    starts = 2 * I8
+    return max(_TREE + neighbours, neighbours + starts + I4 * pairs, I8 + 2 * I4 * pairs)
 
 
 def match_bytes(k: int) -> float:
@@ -113,7 +111,7 @@ def match_bytes(k: int) -> float:
     was joined in. The steps after that, with sorted batches of keys and the matched pairs, take no
     more.
     """
-    return pairs_of(k) * (2 * _I4 + _F4) + 1 + 2 * _I8
+    return pairs_of(k) * (2 * I4 + F4) + 1 + 2 * I8
 
 
 def pairs_of(k: int) -> float:
@@ -127,21 +125,21 @@ def _growing(count: int, features: int, k: int) -> dict[str, int]:
     In the first pass nodes are splats and in the second pairs of splats, both of which refer to
     features of the model; in the third, nodes have features of their own.
     """
-    nodes = (_BARE, _LEFT * (_BARE + _MIXED), _LEFT**2 * (_BARE + features))
-    left = (1.0, _LEFT, _LEFT**2)
+    nodes = (_BARE, LEFT * (_BARE + _MIXED), LEFT**2 * (_BARE + features))
+    left = (1.0, LEFT, LEFT**2)
     # In the first pass the row order is part of the nodes; later it is kept beside them.
-    held = [n + (1 - x) * _MERGE + (_I4 if x < 1 else 0) for n, x in zip(nodes, left, strict=True)]
+    held = [n + (1 - x) * _MERGE + (I4 if x < 1 else 0) for n, x in zip(nodes, left, strict=True)]
     during = {
         "graph": graph_bytes(k),
-        "cost": pairs_of(k) * (2 * _I4 + _F4) + _F8,
-        "match": match_bytes(k) + _F8,
+        "cost": pairs_of(k) * (2 * I4 + F4) + F8,
+        "match": match_bytes(k) + F8,
     }
     stages = {
         stage: max(h + x * more for h, x in zip(held, left, strict=True))
         for stage, more in during.items()
     }
     # The chosen pairs and their merges; numbers, labels and flags of the nodes; member lists.
-    lists = (1 - _LEFT) * (6 * _I4 + 2 * _F4) + 3 * _I4 + 1 + _LEFT * 2 * _I8
+    lists = (1 - LEFT) * (6 * I4 + 2 * F4) + 3 * I4 + 1 + LEFT * 2 * I8
     stages["merge"] = max(
         h + x * lists + n for h, x, n in zip(held, left, nodes[1:], strict=False)
     )  # fmt: skip
@@ -151,13 +149,13 @@ def _growing(count: int, features: int, k: int) -> dict[str, int]:
 
 
 def _reassign(count: int, target: int, features: int) -> int:
-    merged = target * (_NODE + features + 7 * _F8 + _GROUPS * _I4 + _TREE + _I8)
-    return merged + count * (_I4 + 2 * _F8 + _F8 // 2)
+    merged = target * (_NODE + features + 7 * F8 + _GROUPS * I4 + _TREE + I8)
+    return merged + count * (I4 + 2 * F8 + F8 // 2)
 
 
 def _store(count: int, target: int) -> int:
     """Return the bytes of storing: ordered labels, members, and nodes without features."""
-    return count * (2 * _I4 + _I8) + target * (_NODE + 2 * 6 * _F8 + 7 * _F4 + 3 * _I8)
+    return count * (2 * I4 + I8) + target * (_NODE + 2 * 6 * F8 + 7 * F4 + 3 * I8)
 
 
 def _fit(count: int, target: int, features: int, parameters: ForestParameters) -> int:
@@ -174,4 +172,4 @@ def fit_state(target: int, features: int, parameters: ForestParameters) -> int:
     The best state so far is only kept if there is more than one round.
     """
     states = 2 + (fit_parameters(parameters).rounds > 1)
-    return target * (states * (features + 11 * _F8 + 1) + 22 * _F4 + _CURVATURES)
+    return target * (states * (features + 11 * F8 + 1) + 22 * F4 + _CURVATURES)
