@@ -177,7 +177,7 @@ class Scene(ABC):
 
     @abstractmethod
     def from_afar(self) -> Splats:
-        """Return the scene, or a coarse level of it, for finding roaming views."""
+        """Return the scene, or some splats or a coarse level of it, for finding roaming views."""
 
     @abstractmethod
     def keep_views(self, name: str, views: Views) -> Record:

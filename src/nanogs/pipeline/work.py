@@ -34,7 +34,7 @@ from nanogs.pipeline.tasks.block_visibility import (
     typical_weight,
     write_look,
 )
-from nanogs.pipeline.tasks.blocks import Visibility, leaves_of, morton_rows, read_block, with_codes
+from nanogs.pipeline.tasks.blocks import Visibility, leaves_of, read_block, with_codes
 from nanogs.pipeline.tasks.coarse import coarse_scene, surroundings
 from nanogs.pipeline.tasks.cuts import LABELS, cut_block, read_merges
 from nanogs.pipeline.tasks.fitting import fit_report, fit_views, notes_on_fits
@@ -59,6 +59,7 @@ from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, concatenated, prepare, render
 from nanogs.report import PassReport
+from nanogs.sorting import stable_order
 from nanogs.source import Layout
 from nanogs.splats import Splats
 from nanogs.store.columns import (
@@ -71,6 +72,7 @@ from nanogs.store.columns import (
 )
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table, read_record, write_table
+from nanogs.views.decimated import AFAR, decimated
 
 UNPACK = "unpack"
 BEGUN = Task("job")  # written by the caller: a worker that cannot read it sees another folder
@@ -165,7 +167,7 @@ class Work(Scene):
             columns["sh"][:] = 0
             del wanted["sh"]
         self.read(block, wanted)
-        return splats_of(columns, layout), morton_rows(columns[CODES])
+        return splats_of(columns, layout), stable_order(columns[CODES])
 
     def open(self, block: int) -> Block:
         """Read the splats of a block, and their visibility if it is known."""
@@ -278,7 +280,7 @@ class Work(Scene):
             for name in columns:  # one by one, so that no two copies of all are held
                 columns[name] = columns[name][~gone]
             by_row = by_row[~gone]
-        rows = morton_rows(columns[CODES])
+        rows = stable_order(columns[CODES])
         splats = splats_of(columns, self.settings.layout)
         others = [] if self.measures else self._near_cover(block, level)
         return Members(splats, rows, columns.get(VISIBLE), by_row[rows], others)
@@ -311,8 +313,9 @@ class Work(Scene):
         return sample(self.settings, self.unpacked(), rows=SAMPLE, span=SPAN)
 
     def from_afar(self) -> Splats:
-        """Read the coarse level `FINE` of the scene, or the block if there is only one."""
-        return coarse_scene(self, FINE) or self.block(0)[0]
+        """Read the coarse level `FINE` of the scene, or evenly spread splats of a single block."""
+        coarse = coarse_scene(self, FINE)
+        return decimated(self.block(0)[0], AFAR) if coarse is None else coarse
 
     def keep_views(self, name: str, views: Views) -> Record:
         """Write the views that were chosen."""
@@ -364,7 +367,7 @@ class Work(Scene):
             labels = table.read(LABELS)
         splats = splats_of(columns, settings.layout)
         weighing = self.weighing(columns.get(VISIBLE))
-        leaves = leaves_of(splats, morton_rows(columns[CODES]), self.units, weighing)
+        leaves = leaves_of(splats, stable_order(columns[CODES]), self.units, weighing)
         area = block_with_halo(leaves, labels, own, self.groups(block, level), halo)
         found = settled(area, settings.parameters.rounds, self.threads)
         # If results are measured, growth does not depend on covers.
@@ -419,7 +422,7 @@ class Work(Scene):
 
     def keep_part(self, name: str, level: int, small: Splats) -> Record:
         """Write the splats of a block in a result, before the fit, in Morton order."""
-        order = morton_rows(self.units.codes(small))
+        order = stable_order(self.units.codes(small))
         return write_table(self.scratch, name, sorted_columns(small, order), {})
 
     def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:

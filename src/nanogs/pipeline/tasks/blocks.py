@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import F64, I32, I64, U64, Array
+from nanogs._types import F64, I32, I64, Array
 from nanogs.method.nodes import LIGHTEST, Nodes, activate_nodes, prominence, without_coverages
 from nanogs.method.visibility import visible_weights
 from nanogs.pipeline.tasks.partition import Partition
@@ -65,11 +65,6 @@ def read_block(
         with ThreadPoolExecutor(scratch.at_once) as pool:
             list(pool.map(fill, found))
     return at
-
-
-def morton_rows(codes: U64) -> I64:
-    """Return (N,) the rows sorted by Morton code, ties by row."""
-    return np.argsort(codes, kind="stable")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from nanogs.frames import change_between, turned
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.scene import Task
+from nanogs.sorting import stable_order
 from nanogs.source import Layout, Source
 from nanogs.splats import Splats, concatenate
 from nanogs.store.columns import (
@@ -93,7 +94,7 @@ def write_rest(work: "Work", task: Task) -> Record:
     parts = [read_part(work.scratch, work.settings.result_layout, record) for record in records]
     small = simplify_further(concatenate(parts), target, work.settings, work.threads)
     codes = work.units.codes(small)
-    order = np.argsort(codes, kind="stable")
+    order = stable_order(codes)
     blocks = _filled(work, task.level)
     found = np.searchsorted(_first_codes(work)[blocks], codes[order], side="right") - 1
     places = blocks[np.maximum(found, 0)]

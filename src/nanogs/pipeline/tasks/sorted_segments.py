@@ -5,10 +5,9 @@ Any block is then one contiguous range of a sorted segment, so blocks can be cho
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from nanogs.findings import to_plain
 from nanogs.pipeline.job.rows import read_segment
+from nanogs.sorting import stable_order
 from nanogs.store.columns import CODES, sorted_columns
 from nanogs.store.tables import Record, Sorted, write_table
 
@@ -31,7 +30,7 @@ def spill(work: "Work", task: "Task") -> Record:
     segment = settings.segments[task.number]
     splats = read_segment(settings, segment, work.unpacked())
     codes = work.units.codes(splats)
-    order = np.argsort(codes, kind="stable")
+    order = stable_order(codes)
     digest = codes[order[:: settings.rows_per_code]]
     columns = sorted_columns(splats, order) | {CODES: Sorted(codes, order), DIGEST: digest}
     facts = {
