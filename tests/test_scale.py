@@ -239,6 +239,17 @@ def test_the_budget_takes_the_lowest_scores_of_all_blocks(tmp_path_factory, bloc
     assert budget(scratch, records, target, shifts=given_shifts) == left
 
 
+@pytest.mark.parametrize(("block", "blocks"), [(4, 67), (15, 15), (25, 9), (40, 6)])
+def test_small_blocks_are_as_few_as_their_size_allows(tmp_path, block, blocks):
+    """A job with a small block has many segments: all their codes are known then."""
+    nanogs.save(random_splats(200), tmp_path / "a.ply")
+    report = nanogs.simplify_blocks(
+        tmp_path / "a.ply", tmp_path / "b.ply", ratio=0.5, preset="fast", block=block
+    )
+    assert report.blocks.blocks == blocks
+    assert report.achieved_count == 100
+
+
 @given(
     st.lists(st.integers(0, 300), min_size=1, max_size=6),
     st.integers(20, 200),

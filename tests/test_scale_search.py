@@ -1,6 +1,7 @@
 """Searches in blocks: for the count of a PSNR, and for that of a compressed file's size."""
 
 import json
+from contextlib import suppress
 from functools import cache
 from types import SimpleNamespace
 
@@ -335,10 +336,7 @@ def test_a_result_too_large_to_be_written_whole_is_refused(scene, tmp_path, monk
 
 def test_a_file_to_be_measured_is_removed_whatever_happens(tmp_path):
     search = Search(tmp_path / "out.spz", None, tmp_path, None)
-    with (
-        pytest.raises(ZeroDivisionError),
-        search.written(InMemory(random_splats(10)), {}) as path,
-    ):
+    with suppress(ZeroDivisionError), search.written(InMemory(random_splats(10)), {}) as path:
         assert path.exists()
-        _ = 1 / 0
+        raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []

@@ -215,8 +215,8 @@ class Settings:
     def rows_per_code(self) -> int:
         """Number of rows of a sorted segment for each code of its digest.
 
-        A block's count can be off by two of these for every segment: a sixteenth of a block at
-        most.
+        If it is above 1, a block's count can be off by two of these for every segment: a sixteenth
+        of a block at most.
         """
         return max(min(256, self.block // (32 * len(self.segments))), 1)
 

@@ -75,8 +75,10 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
     splats = sum(int(record.facts["splats"]) for record in segments)
     if splats == 0:
         raise ModelError(NONE_USABLE)
-    # A range may be off by half of it at either end.
-    slack = 2 * settings.rows_per_code * len(segments)
+    # A range may be off by half of it at either end. Digests of every code divide exactly, but for
+    # the last block, which may have a row more.
+    coarse = settings.rows_per_code > 1
+    slack = 2 * settings.rows_per_code * len(segments) if coarse else 1
     room = max(settings.block - slack, 1)
     splitters = _splitters(scratch, segments, settings.rows_per_code, -(-splats // room))
     bounds = []
