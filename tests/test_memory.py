@@ -2,15 +2,24 @@
 
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+import nanogs
+from builders import random_splats
+from nanogs.io import registry
 from nanogs.memory import LIBRARIES
-from nanogs.pipeline.estimates.memory import plan_memory
+from nanogs.pipeline import in_memory
+from nanogs.pipeline.estimates.memory import plan_memory, plan_search
 from nanogs.pipeline.options.presets import parameters
+from nanogs.pipeline.options.target import Goal
 from nanogs.slices import SLICE_PAIRS
 
 COUNT = 300_000
+SOG = registry.writable(Path("a.sog"))
 COLUMNS = 4 * 59  # bytes of a splat of SH degree 3
 MOST = {"fast": 2.0, "paper": 2.0, "default": 2.5}  # times the columns, without libraries and views
 # Pixels of a view while it is rendered and compared, and pictures kept; the same for any model.
@@ -95,3 +104,33 @@ def large_scene(tmp_path_factory):
     path = tmp_path_factory.mktemp("memory") / "scene.ply"
     nanogs.save(make_scene(COUNT), path)
     return path
+
+
+@pytest.fixture
+def needed(monkeypatch):
+    """The bytes that each run in memory is checked to have."""
+    found = []
+    monkeypatch.setattr(in_memory, "refuse_too_large", lambda _, needed, *__: found.append(needed))
+    return found
+
+
+def test_centres_in_double_precision_take_twelve_bytes_more(needed):
+    model = random_splats(500, degree=1)
+    for each in (model, replace(model, means=model.means.astype(np.float64))):
+        nanogs.simplify(each, ratio=0.5, preset="fast", max_memory="4GB")
+    plans = [plan_memory(500, 1, more, parameters("fast", {}), 250) for more in (0, 12)]
+    assert needed == [plan.peak for plan in plans]
+
+
+def test_a_search_that_encodes_results_has_memory_for_it(needed):
+    model = random_splats(2000, degree=3)
+    for size in (90_000, 12_000):
+        nanogs.simplify(model, size=size, format=".sog", preset="fast", max_memory="4GB")
+    planned = plan_memory(2000, 3, 0, parameters("fast", {}), 2000, judged=True)
+    sizes = [planned, *(plan_search(planned, 2000, Goal(size=n), SOG) for n in (90_000, 12_000))]
+    assert needed == [each.peak for each in sizes[1:]]
+    whole, half = (each.stages["encode"] - planned.stages["cut"] for each in sizes[1:])
+    assert whole == 2000 * COLUMNS * 8  # a palette takes seven times the result
+    assert half == 1500 * COLUMNS * 8  # no more splats fit
+    assert plan_search(planned, 2000, Goal(psnr=30.0), registry.writable(Path("a.ply"))) == planned
+    assert plan_search(planned, 2000, Goal(psnr=30.0), SOG) == sizes[1]

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -140,7 +141,8 @@ def simplify(
             splats = checked.splats
             target = target_of(goal, splats, len(checked.rows), path, checked.parameters, sh_degree)
             refuse_misaligned_elements(splats, 1 if target is None else target)
-            checked.refuse_too_large(target, max_memory, judged=target is None)
+            search = (goal, registry.writable(path)) if target is None else None
+            checked.refuse_too_large(target, max_memory, judged=target is None, search=search)
         tracker = Tracker(
             on_step,
             simplify_stages(checked.parameters, goal, len(checked.rows), target, path.suffix),
@@ -314,12 +316,12 @@ def _search_size(
     from nanogs.pipeline.search.packer import Packer
     from nanogs.pipeline.search.results import HeldResults
 
-    usable, clock = checked.splats.take(checked.rows), files.clock
+    some, clock = _sample(checked), files.clock
     known, looks = registry.writable(files.path), renders(checked.parameters)
     request = SizeRequest(size, known, files.given, checked.sh_degree, looks=looks)
-    refuse_small(request, usable, files)
+    refuse_small(request, some, files)
     results = HeldResults(checked.build(threads, clock, progress), clock)
-    outcome, found = fill_size(Packer(results, request, usable, files, progress))
+    outcome, found = fill_size(Packer(results, request, some, files, progress))
     fitted, packed = found.fitted, found.packed
     left_over = fitted.leap(size, results.available, known.overhead_bytes())
     return replace(
@@ -330,6 +332,14 @@ def _search_size(
         notes=(*outcome.notes, *left_over, *packed.notes),
         **packed.entries(len(outcome.splats)),
     )
+
+
+def _sample(checked: CheckedModel) -> Splats:
+    """Return evenly spread usable splats, all that are encoded to guess the size of files."""
+    from nanogs.pipeline.search.file_size import SAMPLE
+
+    every = -(-len(checked.rows) // SAMPLE)
+    return checked.splats.take(checked.rows[::every])
 
 
 def _search_psnr(
@@ -355,9 +365,7 @@ def _search_psnr(
 
     results = HeldResults(checked.build(threads, clock, progress), clock)
     request = SizeRequest(0, registry.writable(files.path), files.given, checked.sh_degree)
-    pack = PackingForPsnr(
-        results, request, lambda: checked.splats.take(checked.rows), files, progress
-    )
+    pack = PackingForPsnr(results, request, partial(_sample, checked), files, progress)
     outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack)
     if found.stop is StopReason.UNREACHED:  # then the whole model is written unchanged
         pack.packed = None

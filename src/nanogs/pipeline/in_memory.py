@@ -11,10 +11,12 @@ from nanogs._types import I32
 from nanogs.clock import StageClock
 from nanogs.errors import NONE_USABLE, ModelError
 from nanogs.formatting import counted
+from nanogs.io.files import splat_bytes
+from nanogs.io.format import Format
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.estimates.memory import plan_memory
+from nanogs.pipeline.estimates.memory import plan_memory, plan_search
 from nanogs.pipeline.job.rows import check_nan
 from nanogs.pipeline.options.cameras import are_automatic, refuse_unused_views
 from nanogs.pipeline.options.presets import Parameters, parameters, renders
@@ -24,7 +26,9 @@ from nanogs.pipeline.outcome import Outcome
 from nanogs.progress import Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport, StopReason
+from nanogs.source import InMemory
 from nanogs.splats import Splats
+from nanogs.store.columns import row_bytes
 
 if TYPE_CHECKING:
     from nanogs.pipeline.one_block import OneBlock
@@ -56,7 +60,12 @@ class CheckedModel:
     sh_degree: int | None = None
 
     def refuse_too_large(
-        self, target: int | None, max_memory: int | str | None, *, judged: bool = False
+        self,
+        target: int | None,
+        max_memory: int | str | None,
+        *,
+        judged: bool = False,
+        search: tuple[Goal, Format] | None = None,
     ) -> None:
         """Raise if there is not enough memory; the model itself is in memory already.
 
@@ -64,6 +73,7 @@ class CheckedModel:
             target: Number of splats of the largest result, or None if not known beforehand.
             max_memory: Bytes that this process may take, or text; None for what is free.
             judged: Whether results are compared with views of the original, whatever the preset.
+            search: What is searched for by writing results, and in which format.
 
         Raises:
             NotEnoughMemoryError: There is not enough memory.
@@ -71,11 +81,13 @@ class CheckedModel:
         """
         splats = self.splats
         allowed = None if max_memory is None else as_bytes(max_memory)
-        extra = sum(column.itemsize for column in splats.extras.values())
+        extra = row_bytes(InMemory(splats).columns) - splat_bytes(splats.sh_degree)
         most = len(splats) if target is None else target
         plan = plan_memory(
             len(splats), splats.sh_degree, extra, self.parameters, most, judged=judged
         )
+        if search is not None:
+            plan = plan_search(plan, len(splats), *search)
         held = 0 if allowed else plan.input_columns
         refuse_too_large(
             "Simplifying this model", plan.peak - held, allowed_memory(allowed),

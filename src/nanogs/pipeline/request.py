@@ -19,7 +19,13 @@ from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.memory import allowed_memory
 from nanogs.pipeline.api import refuse_device, refuse_reduced, refuse_searches, refuse_small
-from nanogs.pipeline.estimates.memory import MemoryPlan, plan_chunks, plan_memory, plan_writing
+from nanogs.pipeline.estimates.memory import (
+    MemoryPlan,
+    plan_chunks,
+    plan_memory,
+    plan_search,
+    plan_writing,
+)
 from nanogs.pipeline.in_memory import NanPolicy
 from nanogs.pipeline.job.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job.rows import Changes, check_nan, open_parts
@@ -296,6 +302,8 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
     measured = is_measured(request) and (bool(request.ratios) or not renders(request.parameters))
     judged = measured or (not request.ratios and request.searches(degree))
     plan = plan_memory(splats, degree, extra, request.parameters, target, judged=judged)
+    if not request.ratios and request.searches(degree):
+        plan = plan_search(plan, splats, request.goal, registry.writable(request.output))
     if request.chunks is None:
         known = None if request.ratios else registry.writable(request.output)
         if known is not None and known.needs_whole_model(request.format_options or {}):

@@ -21,8 +21,10 @@ from nanogs.pipeline.estimates.memory_forest import (
     pairs_of,
 )
 from nanogs.pipeline.options.presets import Parameters
+from nanogs.pipeline.options.target import Goal
 from nanogs.slices import pairs_in_flight
 
+LEAST_BYTES = 8  # fewest bytes of a splat in a packed file
 _GEOMETRY = 3 * F8 + 3 * F4 + 4 * F4 + F8 + I4 + 1  # a Gaussian; features are in the model
 
 
@@ -88,6 +90,23 @@ def plan_writing(plan: MemoryPlan, splats: int, target: int, known: Format) -> M
     small = plan.input_columns // max(splats, 1) * target
     held = plan.input_columns + small + known.extra_memory(small)
     return replace(plan, stages=plan.stages | {"write": held}, peak=max(plan.peak, held))
+
+
+def plan_search(plan: MemoryPlan, splats: int, goal: Goal, known: Format) -> MemoryPlan:
+    """Add the memory of encoding results in a search, beside the data for further cuts.
+
+    Args:
+        plan: Plan of making the results.
+        splats: Number of splats of the model.
+        goal: The target of the search. If it is a size, it limits the splats of a result.
+        known: Format of the file.
+    """
+    if known.file_bytes is not None:  # written by rows, if at all
+        return plan
+    most = splats if goal.size is None else min(splats, goal.size // LEAST_BYTES)
+    small = plan.input_columns // max(splats, 1) * most
+    held = plan.stages.get("cut", plan.input_columns) + small + known.extra_memory(small)
+    return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
 
 
 def plan_chunks(

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from nanogs.io.format import Format
+from nanogs.pipeline.estimates.memory import LEAST_BYTES
 from nanogs.pipeline.options.settings import Sharing
 from nanogs.pipeline.search.packing import PALETTE, SMALLER, Bits, Choices, Packing
 from nanogs.report import PackingReport
@@ -11,7 +12,6 @@ from nanogs.splats import Splats
 
 R_contra = TypeVar("R_contra", contravariant=True)
 SH_BITS = "sh_bits"
-LEAST_BYTES = 8  # fewest bytes of a splat in a packed file
 Options = Mapping[str, Any]
 
 
