@@ -15,9 +15,10 @@ from conftest import peer_path, scene_path
 from nanogs import RefitParameters, refit
 from nanogs.errors import ModelError, OptionError
 from nanogs.fit.descent import Descent
-from nanogs.fit.groups import grouped, hold_out, split
+from nanogs.fit.groups import Group, grouped, hold_out, split
 from nanogs.fit.report import RefitStop
-from nanogs.fit.state import MeanState, activate, start, store
+from nanogs.fit.shared import PaletteSize, fit_shared
+from nanogs.fit.state import MeanState, activate, range_notes, start, store
 from nanogs.fit.targets import (
     ALPHA,
     WHITE,
@@ -32,6 +33,7 @@ from nanogs.kernels import backward, damped
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.chain import SHAPE, resolved_share
 from nanogs.kernels.damped import LANES
+from nanogs.progress import ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, project, render
 from nanogs.scoring.scores import reference_views, score
@@ -477,9 +479,30 @@ def test_splats_whose_parameters_overflow_keep_their_bytes():
     state.touched[:] = True
     state.means[:] += 1
     state.sh[0, 0, 1], state.means[1, 2] = np.nan, 1e39
+    assert range_notes(start(small)) == ()
+    assert range_notes(state) == (
+        "2 splats keep their values of before the fit, which would have left the range of float32.",
+    )
     stored, two = store(state, small), np.arange(2)
     assert model_bytes(stored.take(two)) == model_bytes(small.take(two))
     np.testing.assert_allclose(stored.means[2:], small.means[2:] + 1, atol=1e-6)
+
+
+def test_the_model_with_a_palette_is_validated_as_it_is_delivered():
+    """Splats that no fitted view shows get the fitted entry of their palette too."""
+    original, small = cloud_pair(degree=2)
+    small.sh[:, 1:] += np.random.default_rng(0).normal(0, 0.1, small.sh[:, 1:].shape)
+    cameras = automatic_cameras(original, 4, width=64, height=64)
+    prepared = prepare(original).with_buffers()
+    part = make_target(prepared, cameras[0].cropped(0, 0, 32, 32))
+    deciding = [Group("all", tuple(make_target(prepared, camera) for camera in cameras[1:]))]
+    palette_size = PaletteSize(3, np.ones(len(small)))
+    fitted, outcome = fit_shared(
+        small, palette_size, Fitting((part,)), deciding, QUICK, ignore_progress
+    )
+    assert outcome.improved
+    assert outcome.psnr_after == deciding[0].psnr(prepare(fitted))
+    assert len(np.unique(fitted.sh[:, 1:].reshape(len(fitted), -1), axis=0)) == 3
 
 
 @pytest.mark.parametrize("mode", [RenderMode.MIP, RenderMode.SURFEL])

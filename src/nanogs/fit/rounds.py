@@ -13,7 +13,7 @@ from nanogs.fit.groups import Group, pixels_text
 from nanogs.fit.on_card import descent_for
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import GroupReport, RefitStop, RoundReport
-from nanogs.fit.state import State, start, store
+from nanogs.fit.state import State, range_notes, start, store
 from nanogs.fit.targets import Fitting
 from nanogs.progress import PartProgress
 from nanogs.raster.rendering import PreparedSplats, concatenated, prepare
@@ -54,25 +54,36 @@ class Validator:
         small: The input.
         groups: The validation views.
         surroundings: Splats that are drawn together with every model, if any.
+        shared: Which splats share their higher harmonics, if any do.
     """
 
     def __init__(
-        self, small: Splats, groups: Sequence[Group], surroundings: PreparedSplats | None = None
+        self,
+        small: Splats,
+        groups: Sequence[Group],
+        surroundings: PreparedSplats | None = None,
+        shared: "SharedHarmonics | None" = None,
     ) -> None:
         self.small = small
         self.surroundings = surroundings
+        self.shared = shared
         self.groups = groups
         self.before = self._psnrs(small)
         self.best = self.before
 
     def accepts(self, state: State) -> bool:
         """Return whether the state is better than the best so far; if so, remember its PSNRs."""
-        psnrs = self._psnrs(store(state, self.small))
+        psnrs = self._psnrs(self.delivered(state))
         better = _mean(psnrs) > _mean(self.best)
         if better and all(new >= old for new, old in zip(psnrs, self.before, strict=True)):
             self.best = psnrs
             return True
         return False
+
+    def delivered(self, state: State) -> Splats:
+        """Return the model of a state as it would be delivered."""
+        fitted = store(state, self.small)
+        return self.shared.spread(fitted, self.small) if self.shared else fitted
 
     def reports(self) -> tuple[GroupReport, ...]:
         """Report the PSNR of each group before and after."""
@@ -114,7 +125,7 @@ def fit(
     Returns:
         The fitted model, or the input itself if nothing improved it, and the outcome.
     """
-    guard = Validator(small, deciding, fitting.surroundings)
+    guard = Validator(small, deciding, fitting.surroundings, shared)
     descent = descent_for(small, fitting, parameters, shared)
     best: State | None = None  # None is the input
     rate = parameters.rate
@@ -141,7 +152,7 @@ def fit(
             break
     improved = any(report.share for report in reports)
     nothing = "No step of the fit improved the validation views, so the model was not changed."
-    notes = () if improved else (nothing,)
+    notes = range_notes(best) if best else (nothing,)
     outcome = FitOutcome(
         guard.reports(),
         _mean(guard.before),
@@ -151,7 +162,7 @@ def fit(
         stop,
         notes,
     )
-    return store(best, small) if best else small, outcome
+    return guard.delivered(best) if best else small, outcome
 
 
 def _line_search(
@@ -180,7 +191,8 @@ def _round(
 ) -> tuple[State, list[float]]:
     """Take the steps of one round; return the state at its end, and the error at each step.
 
-    The learning-rate schedule spans all rounds; the last states of the last round are averaged.
+    The learning-rate schedule spans all rounds. The states after the last fifth of all steps are
+    averaged, of the last round at most; of fewer than 5 steps in all, none are.
     """
     steps = descent.parameters.steps
     total = steps * descent.parameters.rounds

@@ -68,6 +68,20 @@ class SharedHarmonics:
         weighted_means(points, self.weights, self.starts, self.order, means, squares)
         sh[:, 1:] = means.T[self.labels].reshape(len(sh), -1, 3)
 
+    def spread(self, fitted: Splats, begun: Splats) -> Splats:
+        """Return a fitted model in which all splats of an entry have its fitted harmonics.
+
+        Those that no step moved still have the entry of before the fit.
+
+        Args:
+            fitted: The model after the fit.
+            begun: The model before it, in which splats share their harmonics.
+        """
+        moved = np.flatnonzero((fitted.sh[:, 1:] != begun.sh[:, 1:]).any(axis=(1, 2)))
+        entries = begun.sh[self.order[self.starts[:-1]], 1:]  # a copy
+        entries[self.labels[moved]] = fitted.sh[moved, 1:]
+        return _with(fitted, entries[self.labels])
+
 
 def fit_shared(
     small: Splats,
@@ -95,16 +109,11 @@ def fit_shared(
     )
     shared = SharedHarmonics.of(found.labels, len(found.entries), palette_size.weights)
     begun = _with(small, found.entries[found.labels])
-    fitted, outcome = fit(begun, fitting, deciding, parameters, on_progress, shared)
-    # Rows that never moved still have the entry of before the fit: all get the fitted one.
-    moved = np.flatnonzero((fitted.sh[:, 1:] != begun.sh[:, 1:]).any(axis=(1, 2)))
-    last = found.entries.copy()
-    last[found.labels[moved]] = fitted.sh[moved, 1:].reshape(-1, last.shape[1])
-    return _with(fitted, last[found.labels]), outcome
+    return fit(begun, fitting, deciding, parameters, on_progress, shared)
 
 
 def _with(splats: Splats, harmonics: F32) -> Splats:
-    """Return the model with its higher harmonics replaced by (N, 3 * (K - 1)) others."""
+    """Return the model with its higher harmonics replaced by (N, K - 1, 3) others, of any shape."""
     sh = splats.sh.copy()
     sh[:, 1:] = harmonics.reshape(len(splats), -1, 3)
     return replace(splats, sh=sh)

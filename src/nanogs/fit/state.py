@@ -7,6 +7,7 @@ import numpy as np
 
 from nanogs._types import F32, F64, Array, Bool
 from nanogs.activations import alphas, rotations
+from nanogs.findings import Finding
 from nanogs.kernels.advance import DISPLACEMENT
 from nanogs.kernels.project import MIN_ALPHA, reaches_of
 from nanogs.raster.rendering import PreparedSplats
@@ -169,23 +170,43 @@ def store(state: State, splats: Splats) -> Splats:
     Rows that never moved keep their bytes. So do rows that left the range of float32: these would
     not be drawn at all, which could pass for an improvement.
     """
-    columns: dict[str, Array] = {
-        "means": state.means,
-        "log_scales": state.log_scales,
-        "quats": state.quats,
-        "opacity_logits": state.logits,
-        "sh": state.sh,
-    }
-    rows = state.touched.copy()
-    for values in columns.values():
-        within = np.abs(values) <= np.finfo(np.float32).max
-        rows &= within.reshape(len(rows), -1).all(axis=1)
+    columns = _columns(state)
+    rows = state.touched & _storable(state)
     stored: dict[str, Any] = {}
     for name, values in columns.items():
         column: Array = getattr(splats, name).copy()
         column[rows] = values[rows]
         stored[name] = column
     return replace(splats, **stored)
+
+
+def range_notes(state: State) -> tuple[str, ...]:
+    """Return a note on the rows that `store` leaves as they were although they moved, if any."""
+    count = int((state.touched & ~_storable(state)).sum())
+    text = (
+        "{:splat keeps its values|splats keep their values} of before the fit, which would have"
+        " left the range of float32."
+    )
+    return (Finding(text, count),) if count else ()
+
+
+def _columns(state: State) -> dict[str, Array]:
+    return {
+        "means": state.means,
+        "log_scales": state.log_scales,
+        "quats": state.quats,
+        "opacity_logits": state.logits,
+        "sh": state.sh,
+    }
+
+
+def _storable(state: State) -> Bool:
+    """Return the (N,) bool mask of the rows whose values are in the range of float32."""
+    rows: Bool = np.ones(len(state.means), np.bool_)
+    for values in _columns(state).values():
+        within = np.abs(values) <= np.finfo(np.float32).max
+        rows &= within.reshape(len(rows), -1).all(axis=1)
+    return rows
 
 
 def _facing(quats: F64, others: F64) -> F64:
