@@ -12,6 +12,7 @@ from builders import model_bytes, random_splats
 from nanogs.errors import OptionError
 from nanogs.fit.groups import Group
 from nanogs.fit.parameters import RefitParameters
+from nanogs.fit.report import RefitStop
 from nanogs.fit.rounds import fit
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.pipeline import run, stages, work
@@ -73,6 +74,28 @@ def test_the_report_has_visibility_candidates_and_the_fit(blocks_result):
     assert report.refit.psnr_after > report.refit.psnr_before
     assert all(each.psnr_after >= each.psnr_before for each in report.refit.groups)
     assert report.refit.count == report.achieved_count
+
+
+@pytest.mark.parametrize("reached", [0, 1, 9])
+def test_the_fit_of_blocks_reports_why_it_stopped_and_what_it_noted(
+    scene, tmp_path, monkeypatch, reached
+):
+    left, fit = [reached], fitting.fit_to_views
+
+    def fit_to_views(*given):
+        fitted, report = fit(*given)
+        left[0] -= 1
+        if left[0] < 0:
+            return fitted, report
+        notes = ("Nothing improved.",)
+        stop = RefitStop.OPTIMUM
+        return given[0], dataclasses.replace(report, stop=stop, improved=False, notes=notes)
+
+    monkeypatch.setattr(fitting, "fit_to_views", fit_to_views)
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **BLOCKS)
+    assert report.refit.stop is (RefitStop.OPTIMUM if reached == 9 else RefitStop.ROUNDS)
+    assert report.refit.improved == (reached < 9)
+    assert report.refit.notes == (("Nothing improved.",) if reached == 9 else ())
 
 
 def test_threads_do_not_change_the_bytes(scene, blocks_result, tmp_path):

@@ -37,7 +37,13 @@ from nanogs.pipeline.tasks.block_visibility import (
 from nanogs.pipeline.tasks.blocks import Visibility, leaves_of, read_block, with_codes
 from nanogs.pipeline.tasks.coarse import coarse_scene, surroundings
 from nanogs.pipeline.tasks.cuts import LABELS, cut_block, read_merges
-from nanogs.pipeline.tasks.fitting import fit_report, fit_views, notes_on_fits
+from nanogs.pipeline.tasks.fitting import (
+    FITTED,
+    facts_of_fit,
+    fit_report,
+    fit_views,
+    notes_on_fits,
+)
 from nanogs.pipeline.tasks.forests import grow, passes_of, write_correction
 from nanogs.pipeline.tasks.halo import Halo, find_halo, near_groups
 from nanogs.pipeline.tasks.partition import Partition, partition_of
@@ -426,8 +432,8 @@ class Work(Scene):
         return write_table(self.scratch, name, sorted_columns(small, order), {})
 
     def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
-        """Write the splats of a block in a result after the fit, and the PSNR it gained."""
-        facts = {"gained": [report.psnr_before, report.psnr_after] if report else None}
+        """Write the splats of a block in a result after the fit, and what of it is reported."""
+        facts = {FITTED: facts_of_fit(report) if report else None}
         return self.write(name, columns_of(fitted), facts)
 
     def _near_cover(self, block: int, level: int) -> list[Cover]:

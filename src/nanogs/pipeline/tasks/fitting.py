@@ -5,11 +5,12 @@ a part corrects its own errors alone, and two neighbours do not both correct the
 """
 
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.findings import join_findings, of_plain, to_plain
 from nanogs.fit.api import fit_to_views
 from nanogs.fit.groups import Group
 from nanogs.fit.report import GroupReport, RefitReport, RefitStop
@@ -30,6 +31,7 @@ from nanogs.store.tables import Record
 if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
+FITTED = "fitted"  # fact of stage `fit`: `facts_of_fit`, or None if the block was not fitted
 LEAST = 16.0  # pixels of a block that a view has to show
 # Number of views by which colours are weighted, and their pixels along the longer side. They do not
 # show everything: a splat hidden in all of them has this share of the weight of a visible one.
@@ -83,10 +85,12 @@ def weights_of_colours(part: Splats, fitting: Fitting) -> F64:
 def fit_report(work: "Work", level: int) -> RefitReport | None:
     """Report the gains of the fits of all blocks, one group each; None if none was fitted."""
     records = work.of_blocks("fit", level)
-    gains = [(number, record.facts["gained"]) for number, record in enumerate(records)]
-    groups = tuple(GroupReport(f"block {n}", (), *gained) for n, gained in gains if gained)
-    if not groups:
+    fits = {n: record.facts[FITTED] for n, record in enumerate(records) if record.facts[FITTED]}
+    if not fits:
         return None
+    groups = tuple(GroupReport(f"block {n}", (), *each["gained"]) for n, each in fits.items())
+    improved = [each for each in fits.values() if each["improved"]]
+    optimal = all(each["stop"] == RefitStop.OPTIMUM for each in fits.values())
     before, after = (
         float(np.mean([getattr(each, name) for each in groups]))
         for name in ("psnr_before", "psnr_after")
@@ -100,20 +104,31 @@ def fit_report(work: "Work", level: int) -> RefitReport | None:
         groups=groups,
         psnr_before=before,
         psnr_after=after,
-        improved=any(each.psnr_after > each.psnr_before for each in groups),
+        improved=bool(improved),
         rounds=(),
-        stop=RefitStop.ROUNDS,
+        stop=RefitStop.OPTIMUM if optimal else RefitStop.ROUNDS,
         seconds={},
         total_seconds=0.0,
         threads=work.threads,
-        notes=(),
+        # That nothing improved a block is not worth a note if something improved another.
+        notes=join_findings(map(of_plain, each["notes"]) for each in improved or fits.values()),
     )
+
+
+def facts_of_fit(report: RefitReport) -> dict[str, Any]:
+    """Return what `fit_report` needs of a block's report, as plain data for JSON."""
+    return {
+        "gained": [report.psnr_before, report.psnr_after],
+        "improved": report.improved,
+        "stop": report.stop.value,
+        "notes": list(map(to_plain, report.notes)),
+    }
 
 
 def notes_on_fits(work: "Work", level: int) -> list[str]:
     """Return a note on the blocks that were not fitted; none if all were."""
     records = work.of_blocks("fit", level)
-    left = sum(record.facts["gained"] is None for record in records)
+    left = sum(record.facts[FITTED] is None for record in records)
     if not left:
         return []
     if len(records) == 1:
