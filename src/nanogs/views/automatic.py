@@ -88,7 +88,8 @@ def automatic_cameras(
         split: `fit` and `test` give disjoint sets that cover the same ground.
 
     Returns:
-        `count` cameras named `fit_000` and so on; `near` is set to the scale of the scene.
+        `count` cameras named `fit_000` and so on, after `split`; `near` is set to the scale of the
+        scene.
 
     Raises:
         FormatError: The source cannot be read.

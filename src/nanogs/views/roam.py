@@ -128,8 +128,8 @@ def roaming_cameras(
         on_progress: Progress callback for the cameras found.
 
     Returns:
-        At most `count` cameras named `fit_roam_000` and so on: fewer if not enough were found in
-        `TRIES` tries for each.
+        At most `count` cameras named `fit_roam_000` and so on, after `split`: fewer if not enough
+        were found in `TRIES` tries for each.
 
     Raises:
         ModelError: No splat is visible, or no camera was found.

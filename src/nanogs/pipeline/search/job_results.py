@@ -13,7 +13,7 @@ from nanogs.pipeline.stages import level_stages
 from nanogs.pipeline.work import Work
 from nanogs.progress import Stage, Tracker
 
-MEASURED, COUNT, VALUE = "marked", "count", "mark"  # names in the job's tables
+MEASURED, COUNT, VALUE = "measured", "count", "value"  # names in the job's tables
 
 
 @dataclass(frozen=True, slots=True, eq=False)
