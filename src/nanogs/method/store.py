@@ -94,8 +94,9 @@ def store_groups(
         dilation: The rasteriser's dilation; see `activate_nodes`.
         growth: Largest growth of most groups, while groups on flat sheets, and those that others
             cover on all sides, may grow more (`growth.growth_on_sheets`, `growth.covered_around`).
-            None for results that are measured or fitted: all may grow alike, and colours are the
-            weighted means; else they are fitted to directions (`directional.fit_colours`).
+            None for results that are measured: all may grow alike, and colours are the weighted
+            means; else they are fitted to directions (`directional.fit_colours`), and what may
+            follow, a fit to views, starts from there.
         others: Neighbouring groups that are stored elsewhere and may cover these.
     """
     groups = int(labels.max()) + 1
