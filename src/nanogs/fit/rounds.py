@@ -191,8 +191,8 @@ def _round(
 ) -> tuple[State, list[float]]:
     """Take the steps of one round; return the state at its end, and the error at each step.
 
-    The learning-rate schedule spans all rounds. The states after the last fifth of all steps are
-    averaged, of the last round at most; of fewer than 5 steps in all, none are.
+    The learning-rate schedule spans all rounds. The states of the last fifth of all steps are
+    averaged, those of the last round at most; with fewer than 5 steps in all there are none.
     """
     steps = descent.parameters.steps
     total = steps * descent.parameters.rounds

@@ -113,7 +113,7 @@ def fit_shared(
 
 
 def _with(splats: Splats, harmonics: F32) -> Splats:
-    """Return the model with its higher harmonics replaced by (N, K - 1, 3) others, of any shape."""
+    """Return the model with its higher harmonics replaced, by (N, K - 1, 3) in any shape."""
     sh = splats.sh.copy()
     sh[:, 1:] = harmonics.reshape(len(splats), -1, 3)
     return replace(splats, sh=sh)
