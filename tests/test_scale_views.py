@@ -366,7 +366,7 @@ def test_blocks_that_are_small_in_every_view_get_nearer_cameras(tmp_path):
         found.append(work.of_block("look", block).facts)
         return fit_cameras(work, block)
 
-    options = BLOCKS | {"block": 110, "view_size": 256}
+    options = BLOCKS | {"block": 76, "view_size": 256}
     fit_cameras = fitting.looks_at
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fitting, "looks_at", noted)
