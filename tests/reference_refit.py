@@ -154,6 +154,18 @@ def resolved_share(row):
     return (eigenvalues.real**2).mean()
 
 
+def unoccluded_share(row, weight):
+    """Compute the share of a step of a splat of which other splats hide a part, 0 to 1.
+
+    `weight` is compared with the integral of alpha² over half of the plane.
+    """
+    area = (
+        2 * np.pi / (row[2] * np.sqrt(row[4]))
+    )  # of exp(-(p² + q²) / 2); that of its square is half
+    shown = min(1.0, weight / (0.5 * row[6] ** 2 * area / 2))
+    return 1.2 * shown / (shown + 0.2)
+
+
 class ReferenceFit:
     """A state of a fit that takes steps as `nanogs.kernels.advance` does, in float64."""
 
@@ -167,7 +179,7 @@ class ReferenceFit:
         )  # fmt: skip
         self.quats = splats.unit_quats().astype(np.float64)
         self.initial = [each.copy() for each in self._state()]
-        self.seen, self.most_resolved = np.zeros(len(splats), int), np.zeros(len(splats))
+        self.seen, self.most_determined = np.zeros(len(splats), int), np.zeros(len(splats))
         self.blocks, self.weights = np.zeros((len(splats), 55)), np.zeros(len(splats))
 
     def step(self, view, camera, rate):
@@ -181,9 +193,10 @@ class ReferenceFit:
             self.blocks[i] += share * (block - self.blocks[i])
             self.weights[i] += share * (sums[3] - self.weights[i])
             excess = max(1.0, sums[3] / self.weights[i])
-            share = resolved_share(view.view.geometry[i])
-            self.most_resolved[i] = max(self.most_resolved[i], share)
-            step_rate, return_rate = rate * share, rate * 0.2 * (1 - self.most_resolved[i]) ** 2
+            row = view.view.geometry[i]
+            share = resolved_share(row) * unoccluded_share(row, sums[3])
+            self.most_determined[i] = max(self.most_determined[i], share)
+            step_rate, return_rate = rate * share, rate * 0.2 * (1 - self.most_determined[i]) ** 2
             old = self.sh[i].copy()
             self._recolour(
                 i, sums, view.view.features[i], camera, excess * self.weights[i], step_rate

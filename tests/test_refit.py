@@ -31,7 +31,7 @@ from nanogs.fit.targets import (
 from nanogs.io import load
 from nanogs.kernels import backward, damped
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
-from nanogs.kernels.chain import SHAPE, resolved_share
+from nanogs.kernels.chain import ELSEWHERE, SHAPE, resolved_share, unoccluded_share
 from nanogs.kernels.damped import LANES
 from nanogs.progress import ignore_progress
 from nanogs.raster.camera import Camera
@@ -361,6 +361,54 @@ def test_the_resolved_share_of_a_needle_is_that_of_its_long_axis():
     assert resolved_share(needle) == pytest.approx(0.5, abs=1e-3)
     leaning = np.array([0.0, 0.0, 0.4, -1.3, 0.9])
     assert resolved_share(leaning) == pytest.approx(reference_refit.resolved_share(leaning))
+
+
+def ball_behind_sheets(*alphas):
+    """Return a ball of ten pixels and, in front of it, sheets that fill the view."""
+    splats = make_splats(1 + len(alphas), 5)
+    splats.means[:], splats.means[0] = (0, 0, 2), (0, 0, 4)
+    splats.log_scales[:], splats.log_scales[0] = 5.0, -0.7
+    splats.opacity_logits[:] = [1.0, *(math.log(alpha / (1 - alpha)) for alpha in alphas)]
+    return splats
+
+
+@pytest.mark.parametrize("alpha", [0.9, 0.95, 0.98])
+def test_the_unoccluded_share_follows_the_light_that_passes(alpha):
+    model = prepare(ball_behind_sheets(alpha))
+    view = compute_gradients(model, make_target(model, make_camera()))
+    row, weight = view.view.geometry[0], float(view.totals[0, 3])
+    share = unoccluded_share(row, weight)
+    assert share == pytest.approx(reference_refit.unoccluded_share(row, weight))
+    # With A nearly 1, the weight is the light that passes: 2 pi opacity times both deviations.
+    passes = min(4 * (1 - alpha) / row[6], 1)
+    assert share == pytest.approx((1 + ELSEWHERE) * passes / (passes + ELSEWHERE), rel=0.05)
+
+
+@pytest.mark.parametrize("wanted", [ALL_BLOCKS, *FIELDS])
+@pytest.mark.parametrize("logit", [-3.0, 0.0, 6.0])
+def test_splats_in_full_sight_have_an_unoccluded_share_of_one(wanted, logit):
+    ball = make_splats(1, 5)
+    ball.means[:], ball.log_scales[:], ball.opacity_logits[:] = (0, 0, 4), -0.7, logit
+    model = prepare(ball)
+    view = compute_gradients(model, make_target(model, make_camera()), wanted)
+    assert unoccluded_share(view.view.geometry[0], float(view.totals[0, 3])) > 0.98
+
+
+def test_many_steps_hardly_move_a_hidden_splat():
+    moved = []
+    for alphas in ((0.5,), (0.9, 0.98)):
+        splats = ball_behind_sheets(*alphas)
+        shift = np.zeros_like(splats.means)
+        shift[0, 0] = 0.3
+        other = dataclasses.replace(splats, means=splats.means + shift)
+        descent = Descent(
+            splats, Fitting([make_target(prepare(other), make_camera())]), RefitParameters()
+        )
+        for _ in range(100):
+            descent.step(1.0, 0.0)
+        moved.append(descent.state.means[0, 0])
+    assert moved[0] > 0.25
+    assert abs(moved[1]) < 0.05
 
 
 def test_a_step_on_a_view_from_far_away_hardly_changes_scales():

@@ -4,6 +4,8 @@ There is one thread for each splat. Formulas and sources are in `nanogs.kernels.
 `advance`.
 """
 
+import math
+
 import warp as wp
 
 from nanogs.card.gradients import SCALES
@@ -16,12 +18,14 @@ wp.set_module_options({"max_unroll": 4, "enable_backward": False})
 SHAPE, PACKED, SCREEN = (wp.constant(n) for n in (chain.SHAPE, chain.PACKED, chain.SCREEN))
 CENTRE, OPACITY = wp.constant(chain.CENTRE), wp.constant(chain.OPACITY)
 SUMS = wp.constant(gradients.SUMS)
-LOGIT, MOST_RESOLVED = wp.constant(advance.LOGIT), wp.constant(advance.MOST_RESOLVED)
+LOGIT, MOST_DETERMINED = wp.constant(advance.LOGIT), wp.constant(advance.MOST_DETERMINED)
 LEAST_WEIGHT = wp.constant(wp.float32(advance.LEAST_WEIGHT))
 MIN_ALPHA = wp.constant(wp.float64(project.MIN_ALPHA))
 SLACK = wp.constant(wp.float64(project.SLACK))
 DILATION = wp.constant(wp.float64(project.DILATION))
 RESTORING = wp.constant(wp.float64(chain.RESTORING))
+ELSEWHERE = wp.constant(wp.float64(chain.ELSEWHERE))
+PI = wp.constant(wp.float64(math.pi))
 ZERO, HALF = wp.constant(wp.float64(0.0)), wp.constant(wp.float64(0.5))
 ONE, TWO = wp.constant(wp.float64(1.0)), wp.constant(wp.float64(2.0))
 SMALLEST = wp.constant(wp.float64(1e-9))  # radians; below it, the sine is taken as the angle
@@ -37,7 +41,7 @@ PRODUCTS = wp.constant(wp.types.matrix(chain.PRODUCTS.shape, wp.int32)(*chain.PR
 
 @wp.func
 def resolved_share(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
-    """Return how well a view determines a splat, in [0, 1]; see `chain.resolved_share`."""
+    """Return how well a view determines a small splat; see `chain.resolved_share`."""
     slope = geometry[i, 3]
     square = geometry[i, 2] * geometry[i, 2]
     middle = HALF * DILATION * (square * (ONE + slope * slope) + geometry[i, 4])
@@ -46,10 +50,21 @@ def resolved_share(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
 
 
 @wp.func
-def restoring_share(most_resolved: wp.float64) -> wp.float64:
+def unoccluded_share(
+    geometry: wp.array2d[wp.float64], i: wp.int32, weight: wp.float64
+) -> wp.float64:
+    """Return how well a view determines a splat behind others; see `chain.unoccluded_share`."""
+    opacity = geometry[i, 6]
+    least = HALF * PI * opacity * opacity / (geometry[i, 2] * wp.sqrt(geometry[i, 4]))
+    shown = wp.min(weight / least, ONE)
+    return (ONE + ELSEWHERE) * shown / (shown + ELSEWHERE)
+
+
+@wp.func
+def restoring_share(most_determined: wp.float64) -> wp.float64:
     """Return the share of a displacement that a full step undoes; see `chain.restoring_share`."""
-    unresolved = ONE - most_resolved
-    return RESTORING * unresolved * unresolved
+    undetermined = ONE - most_determined
+    return RESTORING * undetermined * undetermined
 
 
 @wp.func
@@ -436,13 +451,13 @@ def advance_splats(
     moving.weights[i] = wp.float32(mean + (wp.float64(weight) - mean) * share)
     mean = wp.float64(moving.weights[i])
     excess = wp.max(wp.float64(weight) / mean, ONE)
-    shown = resolved_share(geometry, i)
-    moving.displacements[i, MOST_RESOLVED] = wp.max(
-        moving.displacements[i, MOST_RESOLVED], wp.float32(shown)
+    determined = resolved_share(geometry, i) * unoccluded_share(geometry, i, wp.float64(weight))
+    moving.displacements[i, MOST_DETERMINED] = wp.max(
+        moving.displacements[i, MOST_DETERMINED], wp.float32(determined)
     )
     rate, back = (
-        rules.rate * shown,
-        rules.rate * restoring_share(wp.float64(moving.displacements[i, MOST_RESOLVED])),
+        rules.rate * determined,
+        rules.rate * restoring_share(wp.float64(moving.displacements[i, MOST_DETERMINED])),
     )
     recolour(moving, rules, features, totals, i, way, degree, excess * mean, rate, back)
 

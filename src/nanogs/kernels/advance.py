@@ -17,6 +17,7 @@ from nanogs.kernels.chain import (
     resolved_share,
     restoring_share,
     screen_jacobian,
+    unoccluded_share,
 )
 from nanogs.kernels.damped import damped_steps, new_lanes
 from nanogs.kernels.harmonics import sh_basis
@@ -26,9 +27,9 @@ from nanogs.kernels.quaternion import rotation_matrix
 
 LEAST_WEIGHT = 1e-6  # least curvature of the colour, in pixels, at which a splat is moved
 # Columns of `displacements`: a splat's displacement since the fit began, of its centre, log-scales,
-# quaternion and logit, then the largest `resolved_share` of all views so far.
+# quaternion and logit, then how well it was determined by the view that determines it best.
 DISPLACEMENT = 12
-LOGIT, MOST_RESOLVED = 10, 11
+LOGIT, MOST_DETERMINED = 10, 11
 
 
 @inline
@@ -176,8 +177,9 @@ def advance_splats(
     A splat's curvatures are means over the views that showed it. If it has more pixels in this view
     than on average, which the weight of its colour measures, they are scaled up by that ratio, so
     that no single view moves it farther than the view's own curvatures allow. The step is also
-    shortened by how well the view determines the splat (`chain.resolved_share`); and if no view has
-    determined a splat well, each step undoes a part of all earlier steps (`chain.restoring_share`).
+    shortened by how well the view determines the splat, in view of its size on screen and of what
+    is in front of it (`chain.resolved_share`, `unoccluded_share`); and if no view has determined a
+    splat well, each step undoes a part of all earlier steps (`chain.restoring_share`).
 
     Args:
         start: First place in `order` of the range.
@@ -192,7 +194,7 @@ def advance_splats(
         mip: Whether opacities were compensated for the dilation.
         degree: Spherical-harmonic degree, of which `sh` has all coefficients.
         rate: Learning rate, 1 for the whole way to the minimum of the quadratic model;
-            `resolved_share` reduces it further for each splat.
+            the view's share of it is found for each splat.
         damping: See `damped_steps`.
         floor: See `damped_steps`.
         memory: Number of views, about, over which a splat's curvatures are averaged.
@@ -218,7 +220,7 @@ def advance_splats(
         blocks: (N, 55) in and out, mean Gauss-Newton matrix of the shape, lower triangle.
         weights: (N,) in and out, mean curvature of the colours.
         displacements: (N, DISPLACEMENT) in and out, the splat's displacement since the fit began,
-            and the largest `resolved_share` so far.
+            and the largest share of its steps that views determined so far.
     """
     bounds = guard_bounds(intrinsics)
     point, basis = np.empty(3), np.empty(25)
@@ -226,7 +228,7 @@ def advance_splats(
     jacobians, sums, products = new_chains(shape, screen, lanes)
     gradients, curvatures, moves = new_lanes(shape, lanes)
     rows, excesses, lifts = np.empty(lanes, np.int64), np.empty(lanes), np.empty(lanes)
-    rates, backs, begun = np.empty(lanes), np.empty(lanes), np.empty(MOST_RESOLVED)
+    rates, backs, begun = np.empty(lanes), np.empty(lanes), np.empty(MOST_DETERMINED)
     place = start
     while place < stop:
         lane = 0
@@ -249,13 +251,13 @@ def advance_splats(
             # Computed in float64 and rounded only at the end, so that it is never 0.
             weights[i] = weights[i] + (weight - weights[i]) / min(seen[i], memory)
             excesses[lane] = max(weight / weights[i], 1.0)
-            share = resolved_share(geometry[i])
-            displacements[i, MOST_RESOLVED] = max(
-                displacements[i, MOST_RESOLVED], np.float32(share)
+            share = resolved_share(geometry[i]) * unoccluded_share(geometry[i], weight)
+            displacements[i, MOST_DETERMINED] = max(
+                displacements[i, MOST_DETERMINED], np.float32(share)
             )
             rates[lane], backs[lane] = (
                 rate * share,
-                rate * restoring_share(displacements[i, MOST_RESOLVED]),
+                rate * restoring_share(displacements[i, MOST_DETERMINED]),
             )
             _recolour(
                 totals[i], features[i], point, degree, basis, bands, excesses[lane] * weights[i],

@@ -33,6 +33,8 @@ CENTRE, OPACITY, SPREAD = 3, 9, 3
 # Share of its displacement that each step of full length undoes if views determine nothing of a
 # splat.
 RESTORING = 0.2
+# Weight of the views from which a splat would be in full sight, relative to the view of a step.
+ELSEWHERE = 0.2
 # Which monomials each parameter changes. Only the centre moves a splat on screen, so that only it
 # changes the linear ones. The opacity changes only the constant.
 CHANGES = np.ones((SHAPE, SCREEN), np.bool_)
@@ -60,7 +62,7 @@ def new_chains(shape: int, screen: int, lanes: int) -> tuple[F64, F64, F64]:
 
 @inline
 def resolved_share(row: F64) -> float:
-    """Return how well a view determines a splat, in [0, 1]: the share of its step to take.
+    """Return how well a view determines a small splat, in [0, 1]: the share of its step to take.
 
     A view shows only the sum of the splat's own covariance on screen and the rasteriser's dilation.
     In the frame where this sum is the unit matrix, let own be the eigenvalues of the splat's part:
@@ -81,17 +83,41 @@ def resolved_share(row: F64) -> float:
 
 
 @inline
-def restoring_share(most_resolved: float) -> float:
+def unoccluded_share(row: F64, weight: float) -> float:
+    """Return how well a view determines a splat behind others, in [0, 1]: the share of its step.
+
+    Let v be the part of the splat's light that the splats in front let through. The error of a
+    change in this view is to that from where nothing is in front as v to 1. If the splat is right
+    there, and these views count as `ELSEWHERE`, all errors together are least at the share
+    v / (v + ELSEWHERE) of the step that this view alone asks for. It is scaled to 1 for v = 1.
+
+    With nothing in front of it, T is 1 and no pixel's alpha A is less than the splat's own. Then
+    the sum of T alpha A is at least that of alpha², half the area of the Gaussian times the squared
+    opacity, or half of this if every other block of pixels counts.
+
+    Args:
+        row: (8,) the projected splat.
+        weight: Sum over the pixels of T alpha A, of all or of every other block.
+    """
+    least = 0.5 * math.pi * row[6] * row[6] / (row[2] * math.sqrt(row[4]))
+    shown = min(weight / least, 1.0)
+    share: float = (1.0 + ELSEWHERE) * shown / (shown + ELSEWHERE)
+    return share
+
+
+@inline
+def restoring_share(most_determined: float) -> float:
     """Return the share of a splat's displacement since its start that a step of full length undoes.
 
     Short steps add up to long ways if there are many. Without this, parameters that no view can
-    distinguish from the dilation would drift.
+    distinguish from the dilation would drift, and so would splats that are hardly shown.
 
     Args:
-        most_resolved: The largest `resolved_share` of all views so far, in [0, 1].
+        most_determined: The largest product of `resolved_share` and `unoccluded_share` of all views
+            so far, in [0, 1].
     """
-    unresolved = 1.0 - most_resolved
-    return RESTORING * unresolved * unresolved
+    undetermined = 1.0 - most_determined
+    return RESTORING * undetermined * undetermined
 
 
 @inline
