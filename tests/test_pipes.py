@@ -232,3 +232,42 @@ def test_levels_are_made_of_a_piped_model_whose_format_is_named(scene, tmp_path)
     levels = [tmp_path / name / "level_0.ply" for name in ("piped", "named")]
     assert levels[0].read_bytes() == levels[1].read_bytes()
     assert_refused(run("lod", scene, tmp_path / "no", "--from", "ply", *fast), "leave it out")
+
+
+def with_stdout(redirection, *arguments):
+    """Run the command in a shell with a redirection of stdout, such as `>&-`."""
+    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
+    return subprocess.run(
+        ["sh", "-c", f'"$@" {redirection}', "sh", *command], capture_output=True, timeout=120
+    )
+
+
+UNWRITABLE = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
+
+
+@UNWRITABLE
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--version",),
+        ("--help",),
+        ("presets",),
+        ("info", "{}"),
+        ("info", "{}", "--json"),
+        ("convert", "{}", "-"),
+        ("simplify", "{}", "-", "--preset", "fast", "-n", "30", "-q"),
+    ],
+)
+def test_a_full_disk_at_stdout_is_named(scene, arguments):
+    result = with_stdout(">/dev/full", *(word.format(scene) for word in arguments))
+    assert_refused(result, "stdout: the disk or quota is full")
+
+
+@UNWRITABLE
+def test_a_closed_stdout_fails_only_what_writes_to_it(scene, tmp_path):
+    small = ("simplify", scene, tmp_path / "a.ply", "--preset", "fast", "-n", "30", "-w")
+    result = with_stdout(">&-", *small)
+    assert (result.returncode, result.stdout) == (0, b"")
+    assert nanogs.info(tmp_path / "a.ply").file.splats == 30
+    assert_refused(with_stdout(">&-", *small, "--json"), "stdout cannot be written")
+    assert_refused(with_stdout(">&-", "info", scene), "stdout cannot be written")

@@ -1,11 +1,11 @@
 """The command `nanogs`: it parses options, calls the library, and prints its reports."""
 
 import gc
-import os
 import sys
 
 from nanogs.cli.cancel import listen
 from nanogs.cli.importing import without_gc
+from nanogs.cli.stdout import discard, named_stdout
 
 
 def main() -> None:
@@ -31,8 +31,9 @@ def _run() -> int:
     try:
         if not {"--help", "-h", "--version"} & set(sys.argv):  # these do not need NumPy
             refuse_without_numpy()
-        code = app(prog_name="nanogs", standalone_mode=False)
-        sys.stdout.flush()
+        with named_stdout():
+            code = app(prog_name="nanogs", standalone_mode=False)
+            sys.stdout.flush()
     except NanogsError as error:
         return _refuse(wording(error))
     except BrokenPipeError:
@@ -55,14 +56,10 @@ def _run() -> int:
 
 
 def _on_closed_pipe() -> int:
-    """Handle a closed pipe: return 141, the exit code of a program ended by SIGPIPE (128 + 13).
-
-    Buffered output is redirected to /dev/null, because Python would report an error when it flushes
-    the buffers at exit.
-    """
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    """Handle a closed pipe: return 141, the exit code of a program ended by SIGPIPE (128 + 13)."""
     for stream in (sys.stdout, sys.stderr):
-        os.dup2(nowhere, stream.fileno())
+        if stream is not None:  # None: closed from the start
+            discard(stream)
     return 141
 
 

@@ -1,5 +1,6 @@
 """The Typer application: all commands of `nanogs`."""
 
+import sys
 from typing import Annotated
 
 import typer
@@ -32,7 +33,7 @@ app = typer.Typer(
 
 def _version(asked: bool) -> None:
     if asked:
-        typer.echo(f"nanogs {__version__}")
+        sys.stdout.write(f"nanogs {__version__}\n")
         raise typer.Exit
 
 

@@ -1,0 +1,70 @@
+"""stdout, whose failures become errors that name it: a disk that is full, or a closed stream."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+
+@contextmanager
+def named_stdout() -> Iterator[None]:
+    """Within the context, raise an `OutputError` if stdout cannot be written.
+
+    A pipe that its reader has closed still raises `BrokenPipeError`. A stdout that was closed from
+    the start fails only if something is written to it.
+    """
+    stream = sys.stdout
+    if stream is None:
+        unwritable = os.open(os.devnull, os.O_RDONLY)
+        stream = os.fdopen(unwritable, "w", encoding="utf-8")
+    proxy: Any = _Named(stream)
+    with redirect_stdout(proxy):
+        yield
+
+
+def discard(stream: Any) -> None:  # noqa: ANN401 - a stream of text or bytes
+    """Send all further output, and what is still buffered, to nowhere.
+
+    Python would report an error if the buffers could not be flushed at exit.
+    """
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+class _Named:
+    """A stream, and its `buffer`, whose failures raise an `OutputError`."""
+
+    def __init__(self, stream: Any) -> None:  # noqa: ANN401 - of text or bytes
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - any of the stream's
+        return getattr(self._stream, name)
+
+    @property
+    def buffer(self) -> "_Named":
+        return _Named(self._stream.buffer)
+
+    def write(self, data: Any) -> int:  # noqa: ANN401 - text or bytes
+        with self._failures():
+            return int(self._stream.write(data))
+
+    def writelines(self, lines: Any) -> None:  # noqa: ANN401 - several of them
+        with self._failures():
+            self._stream.writelines(lines)
+
+    def flush(self) -> None:
+        with self._failures():
+            self._stream.flush()
+
+    @contextmanager
+    def _failures(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            from nanogs.io.atomic import output_error
+
+            discard(self._stream)
+            raise output_error(Path("stdout"), error) from error
