@@ -97,6 +97,20 @@ def test_a_model_without_finite_splats_has_no_statistics(tmp_path):
     assert run("info", tmp_path / "a.ply").returncode == 0
 
 
+def test_formats_that_refuse_a_model_do_not_hold_it_whole(tmp_path, small_blocks):
+    model = random_splats(8)
+    model.means[[1, 6]] = np.nan
+    losses = described(tmp_path, model).losses
+    for suffix, sentences in losses.items():
+        assert io.losses(model, f"a{suffix}") == sentences
+        said = f"2 splats hold NaN or infinite values, {suffix} refuses the model."
+        assert (said in sentences) == (suffix not in (".ply", ".npz"))
+        if suffix not in (".ply", ".npz", "meta.json"):
+            with pytest.raises(nanogs.NanogsError, match="2 splats hold NaN"):
+                io.save(model, tmp_path / f"b{suffix}")
+    assert "fits whole into  .ply, .npz\n" in run("info", tmp_path / "a.ply").stdout
+
+
 def test_values_beyond_the_float32_range_are_counted_over_all_blocks(tmp_path, small_blocks):
     names = [p for p, _ in io.inspect(_saved(tmp_path, 8)).properties]
     rows = np.zeros(8, [(name, "f8") for name in names])

@@ -14,6 +14,7 @@ from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
+from nanogs.io.limits import refusal, refused_splats
 from nanogs.io.parts import FileSource
 from nanogs.io.retag import checked_mode, retagged
 from nanogs.io.url_files import check_sendable, local_copies
@@ -282,16 +283,22 @@ def derived_options(
 
 
 def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...]:
-    """Return a sentence for each thing that `save` would leave out; quantisation is not named.
+    """Return a sentence for each thing that `save` would leave out, or why it would refuse.
+
+    Quantisation is not named.
 
     A source is read once, block by block, unless the format loses nothing of any model.
 
     Raises:
         OptionError: As for `save`.
     """
-    name = registry.writable(place(path)).losses
-    if name is nothing_lost:
+    known = registry.writable(place(path))
+    if known.losses is nothing_lost:
         return ()
+
+    def name(part: Splats) -> tuple[str, ...]:
+        return (*refusal(refused_splats(part), known.suffix), *known.losses(part))
+
     if isinstance(splats, Splats):
         return name(splats)
     return join_findings(map(name, splats.blocks()))

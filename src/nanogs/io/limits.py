@@ -17,6 +17,8 @@ from nanogs.io.texts import printable
 from nanogs.source import Source, source_of
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
+_HOLD_ANY_VALUE = (".ply", ".npz")  # all other formats refuse NaN and infinite values
+
 
 def refuse_unstorable(model: Splats | Source, suffix: str) -> None:
     """Refuse values that a format cannot encode; infinite opacities and scales of zero are fine.
@@ -69,8 +71,7 @@ def storable(source: Source, suffix: str, rows: int | None = None) -> Iterator[S
     refuse_empty(source, suffix)
     first, wrong, at = 0, 0, 0
     for block in source.blocks(rows):
-        with np.errstate(over="ignore", invalid="ignore"):
-            good = block.finite() & np.isfinite(block.means.astype(np.float32)).all(axis=1)
+        good = _storable(block)
         if not good.all():
             first = first if wrong else at + int(np.argmin(good))
             wrong += int((~good).sum())
@@ -82,6 +83,24 @@ def storable(source: Source, suffix: str, rows: int | None = None) -> Iterator[S
             f" row {first}, which {suffix} cannot store; leave such splats out, for example by"
             " simplifying with `ratio=1`."
         )
+
+
+def _storable(block: Splats) -> Bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return block.finite() & np.isfinite(block.means.astype(np.float32)).all(axis=1)
+
+
+def refused_splats(splats: Splats) -> int:
+    """Return the number of splats for which `storable` raises."""
+    return int((~_storable(splats)).sum())
+
+
+def refusal(count: int, suffix: str) -> tuple[str, ...]:
+    """Return the sentence that a format refuses a model with `count` such splats, if it does."""
+    if not count or suffix in _HOLD_ANY_VALUE:
+        return ()
+    text = f"{{:splat holds|splats hold}} NaN or infinite values, {suffix} refuses the model."
+    return (Finding(text, count),)
 
 
 def left_out(

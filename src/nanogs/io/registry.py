@@ -8,6 +8,7 @@ from typing import Any, BinaryIO, NoReturn
 
 from nanogs.errors import FormatError, OptionError, did_you_mean
 from nanogs.io.format import Format, FormatOptions, Sizer, Writer, given_options
+from nanogs.io.limits import refusal, refused_splats
 from nanogs.io.urls import Address
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
@@ -232,7 +233,12 @@ def sizer(path: Path) -> Sizer:
 
 def losses_by_format(splats: Splats) -> dict[str, tuple[str, ...]]:
     """For each format that nanogs writes, return sentences on what it cannot hold of a model."""
-    return {known.suffix: known.losses(splats) for known in formats() if known.writable}
+    refused = refused_splats(splats)
+    return {
+        known.suffix: (*refusal(refused, known.suffix), *known.losses(splats))
+        for known in formats()
+        if known.writable
+    }
 
 
 def writable(path: Path) -> Format:
