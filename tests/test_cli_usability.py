@@ -16,9 +16,9 @@ from nanogs.errors import FormatError, OptionError, did_you_mean
 from nanogs.pipeline.options.presets import PRESETS, parameters
 
 
-def run(*arguments, **environment):
+def run(*arguments, cwd=None, **environment):
     clean = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "NO_COLOR", "COLUMNS")}
-    return launch.run(*arguments, env=clean | environment)
+    return launch.run(*arguments, cwd=cwd, env=clean | environment)
 
 
 @pytest.mark.parametrize(
@@ -156,3 +156,15 @@ def test_tables_in_pipes_have_no_trailing_blanks(tmp_path):
     for text in (info, small, run("presets").stdout):
         assert text.count("\n") > 4
         assert all(line == line.rstrip() for line in text.splitlines()), text
+
+
+def test_no_cell_of_a_table_is_cut_off_in_a_narrow_terminal(tmp_path):
+    model = random_splats(60)
+    names = [f"garden_small_with_a_long_name_{share}pct.ply" for share in (10, 1)]
+    for name in ("scene.ply", *names):
+        nanogs.save(model, tmp_path / name)
+    options = ("--views", "1", "--pixels", "32")
+    small = run("compare", "scene.ply", *names, *options, cwd=tmp_path, COLUMNS="60").stdout
+    wide = run("compare", "scene.ply", *names, *options, cwd=tmp_path).stdout
+    assert small == wide
+    assert "garden_small_with_a_long_name_1pct.ply" in wide

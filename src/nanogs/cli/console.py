@@ -10,6 +10,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any, TextIO
 
 from rich.console import Console
+from rich.segment import Segments
 from rich.table import Table
 from rich.text import Text
 
@@ -143,13 +144,21 @@ def _text(value: Any) -> str:  # noqa: ANN401 - whatever a report holds
 
 
 def show(console: Console, table: Table) -> None:
-    """Print a table; without trailing blanks if the output is not a terminal."""
+    """Print a table; without trailing blanks if the output is not a terminal.
+
+    A table with a heading may be wider than the terminal: no number or name of it is cut off.
+    """
+    options = console.options
+    if table.show_header:
+        needed = console.measure(table, options=options.update(width=_WIDE)).maximum
+        options = options.update(width=max(needed, console.width))
+    rendered = Segments(list(console.render(table, options)))
     with console.capture() as caught:
-        console.print(table)
+        console.print(rendered, crop=False, end="")
     # File names may hold bytes that stdout cannot encode; unlike stderr, it would raise an error.
     code = console.encoding
     text = caught.get().encode(code, "backslashreplace").decode(code)
     if console.is_terminal and text == caught.get():
-        console.print(table)
+        console.print(rendered, crop=False, end="")
         return
     console.file.writelines(f"{line.rstrip()}\n" for line in text.splitlines())
