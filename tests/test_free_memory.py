@@ -534,7 +534,10 @@ def test_commands_that_need_more_than_the_free_memory_are_refused(
 def test_max_memory_replaces_the_free_memory(scene, tmp_path, capsys, name):
     arguments, _sentence = command_and_error(name, scene, tmp_path)
     assert command(*arguments, "--max-memory", "60MB") == 2
-    assert "of the memory allowed" in capsys.readouterr().err
+    text = capsys.readouterr().err
+    assert "of the memory allowed" in text
+    assert "; raise --max-memory" in text
+    assert "free some" not in text
 
 
 def test_the_memory_for_a_picture_depends_on_its_pixels(scene, tmp_path, capsys):

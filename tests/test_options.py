@@ -100,6 +100,7 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
         (["b.ply", "-r", "0.1", "--threads", "0"], ["--threads takes 1 or more, not '0'"]),
         (["b.ply", "-r", "0.1", "--lambda-app", "x"], ["--lambda-app takes a number, not 'x'"]),
         (["b.ply", "-r", "0.1", "--max-memory", "4"], ["4 B", "--max-memory 4GB"]),
+        (["b.ply", "-r", "0.1", "--max-memory", "1KB"], ["1,000 B", "; allow more, as in"]),
         (["b.ply", "-r", "0.1", "--workers", "9" * 20], ["--workers takes 1024 or less"]),
         (["b.ply", "-r", "0.1", "--up", "nan,0,1"], ["direction is finite", "'nan,0,1'"]),
         (["b.ply", "--size", "2", "MB"], ["MB is a unit, not a file", "one word, as in 2MB"]),

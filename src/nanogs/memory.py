@@ -42,10 +42,12 @@ class Memory:
     Attributes:
         bytes: Number of bytes; below 0 if not even the libraries fit.
         limit: Source of this limit, as the end of a sentence that states the number.
+        remedy: How to get more.
     """
 
     bytes: int
     limit: str
+    remedy: str = "free some"
 
     def __str__(self) -> str:
         """Return a part of a sentence, such as `1.9 GB are free on this machine`."""
@@ -64,7 +66,8 @@ def allowed_memory(max_memory: int | None, *, compiled: bool = True) -> Memory:
     """
     if max_memory is not None:
         limit = "left of the memory allowed, after Python and its libraries"
-        return Memory(max(max_memory - (LIBRARIES if compiled else _PLAIN), 0), limit)
+        left = max(max_memory - (LIBRARIES if compiled else _PLAIN), 0)
+        return Memory(left, limit, "raise `max_memory`")
     free = free_memory(compiled=compiled)
     if free.bytes <= 0:
         raise NotEnoughMemoryError(
@@ -96,14 +99,15 @@ def refuse_too_large(what: str, needed: int, memory: Memory, remedy: str) -> Non
         what: The work, as the beginning of the message, such as `Rendering this model`.
         needed: Bytes that it needs in addition to the libraries.
         memory: Memory that it may use.
-        remedy: Advice, as the end of the message.
+        remedy: Advice, as the end of the message; "free some" in it becomes the remedy of `memory`.
 
     Raises:
         NotEnoughMemoryError: The work needs more.
     """
     if needed > memory.bytes:
         raise NotEnoughMemoryError(
-            f"{what} takes about {bytes_text(needed)} of memory, and {memory}; {remedy}."
+            f"{what} takes about {bytes_text(needed)} of memory, and {memory};"
+            f" {remedy.replace('free some', memory.remedy)}."
         )
 
 

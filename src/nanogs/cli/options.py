@@ -52,8 +52,9 @@ def parse_memory(text: str) -> int:
     """
     size = parse_bytes(text)
     if size < _LEAST_MEMORY:
+        remedy = "name the unit too" if text.strip().isdigit() else "allow more"
         raise OptionError(
-            f"--max-memory {text} is {size:,} B, too little for any model; name the unit too, as in"
+            f"--max-memory {text} is {size:,} B, too little for any model; {remedy}, as in"
             " --max-memory 4GB."
         )
     return size
