@@ -121,11 +121,23 @@ def test_a_psnr_is_reached_or_the_run_ends_with_code_3(scene, tmp_path):
     assert 23 <= report["judged"]["psnr"] <= 23.3
     [compared] = json.loads(run("compare", scene, tmp_path / "a.ply", "--json").stdout)["models"]
     assert compared["psnr"] == pytest.approx(report["judged"]["psnr"], abs=1e-9)
-    missed = run("simplify", scene, tmp_path / "b.ply", "--psnr", "100", *options)
+    missed = run("simplify", scene, tmp_path / "b.sog", "--psnr", "100", *options)
     report = json.loads(missed.stdout)
     assert (missed.returncode, report["stop"]) == (3, "unreached")
-    assert "99 % of the splats do not reach 100 dB (495 of 500 splats have" in missed.stderr
-    assert len(nanogs.load(tmp_path / "b.ply")) == 500
+    text = " dB with 495 of 500 splats is less than 100 dB, so the whole model was written"
+    assert text in missed.stderr
+    assert len(nanogs.load(tmp_path / "b.sog")) == 500
+
+
+def test_a_whole_model_that_alone_reaches_a_psnr_is_no_failure(tmp_path):
+    nanogs.save(random_splats(2), tmp_path / "a.ply")
+    arguments = ("simplify", tmp_path / "a.ply", tmp_path / "b.ply", "--psnr", "100", "-w")
+    whole = run(*arguments, "--preset", "fast")
+    assert whole.returncode == 0, whole.stderr
+    assert re.search("note: .* dB with 1 of 2 splats is less than 100 dB, so the", whole.stderr)
+    hushed = run(*arguments, "--preset", "fast", "--json")
+    assert (hushed.returncode, hushed.stderr) == (0, "")
+    assert json.loads(hushed.stdout)["stop"] == "unreached"
 
 
 def test_the_option_steps_is_passed_to_the_method(scene, tmp_path):

@@ -19,7 +19,8 @@ class StopReason(StrEnum):
     NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
     NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
     STEP = "step"  # no nearer count exists: 1 % more or fewer splats jump past the goal
-    UNREACHED = "unreached"  # 99 % of the splats miss the asked PSNR; the whole model was delivered
+    # 99 % of the splats, or all but one, miss the asked PSNR; the whole model was delivered.
+    UNREACHED = "unreached"
     PROBES = "probes"  # the number of tries ran out; a smaller count may reach the asked PSNR too
     SETTLED = "settled"  # the number of tries ran out; a larger count may fit the asked size too
 
@@ -270,6 +271,13 @@ class SimplifyReport:
     original_cost: DrawCost | None = None
     reassign_rounds: int | None = None
 
+    @property
+    def met(self) -> bool:
+        """Whether the result meets the request, if only as the whole model."""
+        if self.stop is not StopReason.UNREACHED or self.judged is None or self.asked_psnr is None:
+            return self.stop.met
+        return self.judged.psnr >= self.asked_psnr
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain dictionaries, lists, numbers and strings, for `json.dumps`."""
         return asdict(self)
@@ -293,10 +301,7 @@ def measures(report: SimplifyReport) -> list[str]:
 def stop_text(report: SimplifyReport) -> str:
     """Explain in one sentence why a result does not meet the request."""
     if report.stop == StopReason.UNREACHED:
-        return (
-            f"99 % of the splats do not reach {report.asked_psnr:g} dB{_nearest_text(report)}, so"
-            f" the whole model was written (stop: {report.stop})."
-        )
+        return f"{_nearest_text(report)}, so the whole model was written (stop: {report.stop})."
     if report.stop == StopReason.PROBES and report.asked_draw_cost is not None:
         return (
             f"The search for the most splats ended after {len(report.draw_probes)} counts; the"
@@ -312,9 +317,9 @@ def stop_text(report: SimplifyReport) -> str:
 
 
 def _nearest_text(report: SimplifyReport) -> str:
-    """Return the PSNR of the largest count that was tried, in words; empty if none was."""
+    """Return the PSNR of the largest count that was tried, beside that asked for, in words."""
     if not report.probes:
-        return ""
+        return f"No fewer splats than {report.input_count:,} can be tried"
     most = max(report.probes, key=attrgetter("count"))
-    of = counted(report.input_count, "splat has", "splats have")
-    return f" ({most.count:,} of {of} {most.psnr:.2f} dB)"
+    share = f"{most.count:,} of {counted(report.input_count, 'splat')}"
+    return f"{most.psnr:.2f} dB with {share} is less than {report.asked_psnr:g} dB"
