@@ -103,6 +103,8 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
         (["b.ply", "-r", "0.1", "--max-memory", "1KB"], ["1,000 B", "; allow more, as in"]),
         (["b.ply", "-r", "0.1", "--workers", "9" * 20], ["--workers takes 1024 or less"]),
         (["b.ply", "-r", "0.1", "--up", "nan,0,1"], ["direction is finite", "'nan,0,1'"]),
+        (["b.ply", "-r", "0.1", "--lambda-app", "-1"], ["error: --lambda-app must be 0 or more"]),
+        (["b.ply", "-r", "0.1", "--threads", "5000"], ["error: --threads must be from 1 to"]),
         (["b.ply", "--size", "2", "MB"], ["MB is a unit, not a file", "one word, as in 2MB"]),
         (["b.ply", "-r", "10", "%"], ["% is a unit", "as in 2%"]),
         ([], ["OUT is missing", "a.ply"]),
@@ -112,6 +114,13 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
 def test_each_wrong_value_has_its_own_error_message(scene, arguments, fragments):
     result = run("simplify", scene, *arguments)
     assert_refused(result, *fragments)
+
+
+def test_a_parameter_of_another_name_is_named_by_its_option(scene, tmp_path):
+    result = run("refit", scene, scene, tmp_path / "b.ply", "--pixels", "8")
+    assert_refused(result, "error: --pixels must be from 16 to 8192 pixels, not 8.")
+    with pytest.raises(OptionError, match=r"^size must be from 16 to 8192 pixels, not 8\.$"):
+        RefitParameters(size=8)
 
 
 def test_values_that_are_too_large_are_refused(scene):

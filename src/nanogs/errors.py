@@ -27,6 +27,29 @@ class OptionError(NanogsError):
     """An option or a combination of options is invalid for this input."""
 
 
+class RangeError(OptionError):
+    """A parameter is out of range.
+
+    Args:
+        name: The parameter.
+        option: Name of the command's option, in which "_" stands for "-".
+        wrong: The rest of the message, such as "must be 1 or more, not 0".
+    """
+
+    def __init__(self, name: str, option: str, wrong: str) -> None:
+        super().__init__(name, option, wrong)
+
+    def __str__(self) -> str:
+        name, _, wrong = self.args
+        return f"{name} {wrong}."
+
+    @property
+    def for_command(self) -> str:
+        """The message with the option in place of the parameter."""
+        _, option, wrong = self.args
+        return f"--{option.replace('_', '-')} {wrong}."
+
+
 class TooManyError(OptionError):
     """More splats are asked for than the model has usable ones."""
 

@@ -9,7 +9,7 @@ from numbers import Integral, Real
 from os import PathLike
 from typing import Any
 
-from nanogs.errors import OptionError
+from nanogs.errors import OptionError, RangeError
 
 MOST = 1_000_000  # of anything that is counted: more views or steps are a slip of the keyboard
 
@@ -89,12 +89,14 @@ def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
         chosen: A new instance of a dataclass whose fields are made by `parameter`.
 
     Raises:
-        OptionError: A value is out of range; the message has its name, the range, and the value.
+        RangeError: A value is out of range; the message has its name, the range, and the value.
+        OptionError: A value that must be boolean is not.
     """
     for name, known in known_parameters(chosen).items():
         value = getattr(chosen, name)
         if expected := known.expected(value):
-            raise OptionError(f"{name} must be {expected}, not {value_text(value)}.")
+            wrong = f"must be {expected}, not {value_text(value)}"
+            raise RangeError(name, known.option or name, wrong)
         if type(value) not in (int, float):
             object.__setattr__(chosen, name, int(value) if known.whole else float(value))
     for each in fields(chosen):

@@ -37,9 +37,9 @@ def use_threads(threads: int | None) -> Iterator[int]:
     most = int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     chosen = most if threads is None else threads
     if not is_number(chosen, whole=True):
-        raise OptionError(f"threads must be a whole number, not {chosen!r}.")
+        raise OptionError(f"`threads` must be a whole number, not {chosen!r}.")
     if not 1 <= chosen <= most:
-        raise OptionError(f"threads must be from 1 to {most} on this machine, not {chosen}.")
+        raise OptionError(f"`threads` must be from 1 to {most} on this machine, not {chosen}.")
     before, chosen = numba.get_num_threads(), int(chosen)  # converts a NumPy integer
     numba.set_num_threads(chosen)
     try:
