@@ -88,6 +88,13 @@ def test_an_empty_path_is_refused(folder, command):
     assert_refused(launch.run(command, "", *rest, cwd=folder), "A path is empty; name a file.")
 
 
+@pytest.mark.parametrize("command", ["info", "simplify", "compare", "render"])
+def test_empty_cameras_are_not_those_of_the_current_folder(folder, command):
+    rest = {"info": [], "simplify": ["b.ply", "-r", "0.5"]}.get(command, ["a.ply"])
+    result = launch.run(command, "a.ply", *rest, "--cameras", "", cwd=folder)
+    assert_refused(result, "--cameras is empty; name")
+
+
 def test_a_result_is_fitted_with_the_sh_degree_of_its_format(tmp_path):
     nanogs.save(random_splats(500, degree=2), tmp_path / "a.ply")
     fast_fit = ("--views", "4", "--view-size", "64", "--steps", "4")

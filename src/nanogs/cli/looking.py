@@ -81,6 +81,7 @@ class RenderOptions:
         str | None,
         _view(
             "Views to render: a file or folder of cameras, or auto, orbit, inside, roam.",
+            parser=options.parse_cameras,
             metavar="CAMERAS",
         ),
     ] = None

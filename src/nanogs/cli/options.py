@@ -128,12 +128,26 @@ Sizes = Annotated[
         show_default="512",
     ),
 ]
-Cameras = Annotated[str, _view(f"{_KINDS}{_FILES}", metavar="CAMERAS")]
+
+
+def parse_cameras(text: str) -> str:
+    """Parse kinds of views, or the path of cameras, which are left as they are.
+
+    Raises:
+        OptionError: The text is empty, which as a path would be the current folder.
+    """
+    if not text.strip():
+        raise OptionError("--cameras is empty; name a kind of views or a file, or leave it out.")
+    return text
+
+
+Cameras = Annotated[str, _view(f"{_KINDS}{_FILES}", parser=parse_cameras, metavar="CAMERAS")]
 Kinds = Annotated[
     str,
     _view(
         f"{_KINDS}or several of these, separated by commas; {_FILES}",
         "--cameras",
+        parser=parse_cameras,
         metavar="CAMERAS",
     ),
 ]
