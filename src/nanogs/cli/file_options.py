@@ -52,7 +52,8 @@ Paths = Annotated[
 From = Annotated[
     str | None,
     _pipe(
-        "Format of stdin, or of a URL whose name does not say it, e.g. splat.",
+        "Format of stdin, or of a URL whose name does not say it, e.g. splat; .splat, .ksplat and"
+        " .gltf are not recognised by their first bytes.",
         "--from",
         show_default="recognised by its first bytes",
         metavar="FORMAT",

@@ -21,6 +21,7 @@ from nanogs.io.url_files import TransferProgress, detect_suffix, local_copies
 from nanogs.io.urls import Address, UrlFile
 
 _REMEDY = "name it, as in --from splat"
+_MANIFESTS = ("meta.json", registry.TILESET, ".lcc")  # of folders; also the end of lod-meta.json
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +150,11 @@ class Streams:
         if not raw.stat().st_size:
             raise OptionError("stdin is empty; pipe a model into it.")
         suffix = detect_suffix(raw, "stdin", self.read_as, _REMEDY)
+        if suffix.endswith(_MANIFESTS):
+            raise OptionError(
+                f"A {suffix.lstrip('.')} refers to other files of its folder, which stdin does not"
+                " hold; name the file instead of -."
+            )
         named = raw.with_name(f"stdin{suffix}")
         registry.reader(named)
         return raw.rename(named)
