@@ -190,7 +190,7 @@ def test_formats_that_are_not_read_are_not_measured_in_blocks(scene, tmp_path):
     out = tmp_path / "a.html"
     report = nanogs.simplify_blocks(scene, out, ratio=0.2, block=1000, measured=True, **QUICK)
     assert report.judged is None
-    assert "Nothing was measured: nanogs does not read .html files." in report.notes
+    assert "PSNR and SSIM were not measured: nanogs does not read .html files." in report.notes
 
 
 def test_levels_made_in_blocks_are_measured_as_those_in_memory(splats, scene, tmp_path):

@@ -92,7 +92,7 @@ def test_a_format_that_is_only_written_is_not_measured(scene, tmp_path):
     require_bundle()
     result = run("simplify", scene, tmp_path / "a.html", "-r", "0.1", *FEW)
     assert result.returncode == 0
-    assert "Nothing was measured: nanogs does not read .html files." in result.stderr
+    assert "PSNR and SSIM were not measured: nanogs does not read .html files." in result.stderr
 
 
 def test_it_is_noted_why_an_invisible_result_is_not_measured(tmp_path):
@@ -130,7 +130,7 @@ def test_levels_in_a_format_that_is_only_written_are_not_measured(scene, tmp_pat
     require_bundle()
     options = ("--format", "html", "--levels", "0.1", "--measure", *FEW)
     report = report_of("lod", scene, tmp_path / "a", *options)
-    assert report["notes"] == ["Nothing was measured: nanogs does not read .html files."]
+    assert report["notes"] == ["PSNR and SSIM were not measured: nanogs does not read .html files."]
     assert report["protocol"] is None
 
 

@@ -186,7 +186,9 @@ def file_judge(
     """
     known = registry.find(Path(f"model{suffix}"))
     if known is not None and not known.readable:
-        return FileJudge(notes=(_unmeasured(f"nanogs does not read {known.suffix} files."),))
+        # A search for a draw cost has measured that of the model.
+        reason = f"PSNR and SSIM were not measured: nanogs does not read {known.suffix} files."
+        return FileJudge(notes=(reason,))
     from nanogs.scoring.held_out import held_out
     from nanogs.threads import use_threads
 
