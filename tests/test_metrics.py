@@ -28,6 +28,8 @@ def test_psnr_of_equal_images_is_infinite():
 
 def test_ssim_of_equal_images_is_one():
     assert ssim(IMAGE, IMAGE) == pytest.approx(1, abs=1e-12)
+    plain = [np.full((16, 16, 3), grey) for grey in np.linspace(0.05, 0.95, 19)]
+    assert max(ssim(each, each) for each in plain) == 1
 
 
 @pytest.mark.parametrize("shape", [(11, 11, 3), (29, 23, 3), (64, 40, 1)])

@@ -1,9 +1,11 @@
 """Running a command on one or several files: inputs and outputs, reports and failures."""
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -87,12 +89,15 @@ def refuse_units(paths: Sequence[Path]) -> None:
     """Refuse a unit among the paths, as from `--size 2 MB`, typed as two words.
 
     Raises:
-        OptionError: A path is a unit, and not an existing file.
+        OptionError: A path is a unit typed after a number, and not an existing file.
     """
-    for path in paths:
-        if is_unit(str(path)) and not path.exists():
+    for number, unit in pairwise(sys.argv):
+        path = Path(unit)
+        follows = re.fullmatch(r"[\d.]+", number) and is_unit(unit)
+        if follows and path in paths and not path.exists():
             raise OptionError(
-                f"{path} is a unit, not a file: write number and unit as one word, as in 2{path}."
+                f"{unit} is a unit, not a file: write number and unit as one word, as in"
+                f" {number}{unit}."
             )
 
 

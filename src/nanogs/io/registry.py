@@ -99,7 +99,10 @@ def reader(path: Path) -> Format:
         _refuse_list(path)
         suffixes = [known.suffix for known in formats() if known.readable]
         meant = _meant(path, suffixes)
-        raise FormatError(f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}.")
+        raise FormatError(
+            f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}; give it the suffix"
+            " of its format."
+        )
     return known
 
 
