@@ -147,6 +147,24 @@ def test_workers_end_when_their_run_is_cancelled(tmp_path):
     assert any(codes), "every run had ended before its signal"
 
 
+@posix
+def test_a_cancelled_job_is_named(tmp_path):
+    nanogs.save(random_splats(60_000), tmp_path / "in.ply")
+    out = tmp_path / "out.ply"
+    child = started(
+        "simplify", tmp_path / "in.ply", out, "--ratio", "0.1", "--preset", "fast",
+        "--max-memory", f"{int(1.09 * LIBRARIES)}B",
+    )  # fmt: skip
+    manifest = tmp_path / "out.ply.job" / "job.json"
+    end = time.monotonic() + 60
+    while not manifest.exists() and time.monotonic() < end:
+        time.sleep(0.002)
+    code, stderr = cancelled(child, signal.SIGINT, 0)
+    assert code == 128 + signal.SIGINT, stderr
+    said = f"note: {manifest.parent} is kept; --resume continues the run."
+    assert stderr.splitlines()[-2:] == [said, "cancelled"]
+
+
 @lists_processes
 def test_workers_end_when_their_run_is_killed(tmp_path):
     nanogs.save(random_splats(60_000), tmp_path / "in.ply")

@@ -7,14 +7,31 @@ Python would wait for threads to end.
 import atexit
 import os
 import signal
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from nanogs.cleanup import clean_all, exit_when_allowed
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
 _CLEAR = b"\r\x1b[K\x1b[?25h"  # clears the line of a progress bar, and shows the cursor again
+
+_manifest: "Path | None" = None  # of the job that runs
+
+
+@contextmanager
+def resumable(manifest: "Path") -> Iterator[None]:
+    """Within the context, name the job of this manifest on a request to stop, if it is kept."""
+    global _manifest  # noqa: PLW0603
+    _manifest = manifest
+    try:
+        yield
+    finally:
+        _manifest = None
 
 
 def listen() -> None:
@@ -47,5 +64,11 @@ def _ignore() -> None:
 def _end(number: int) -> None:
     clean_all()
     with suppress(OSError):
-        os.write(2, (_CLEAR if os.isatty(2) else b"") + b"cancelled\n")
+        os.write(2, (_CLEAR if os.isatty(2) else b"") + _kept() + b"cancelled\n")
     os._exit(128 + number)  # the shell's exit code for programs ended by a signal
+
+
+def _kept() -> bytes:
+    if _manifest is None or not _manifest.exists():
+        return b""
+    return b"note: %b is kept; --resume continues the run.\n" % os.fsencode(_manifest.parent)

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from nanogs.ahead import compile_ahead, nothing_compiled
 from nanogs.allocation import keep_freed_memory
+from nanogs.cli.cancel import resumable
 from nanogs.cli.console import err, key_value_table, show
 from nanogs.cli.filtering import parse_changes
 from nanogs.cli.importing import without_gc
@@ -24,6 +25,7 @@ from nanogs.pipeline.estimates.memory import MemoryPlan
 from nanogs.pipeline.in_blocks import block_memory, count_of, plan_job
 from nanogs.pipeline.in_memory import import_stages, usable_rows
 from nanogs.pipeline.job.cluster import executor_of
+from nanogs.pipeline.job.folder import MANIFEST
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, effective, renders
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.options.target import Goal
@@ -236,7 +238,7 @@ def execute(plan: Plan, do: Callable[[Request], T]) -> T:
     with without_gc():
         import_stages(request.parameters)
     if plan.divided:
-        with plan.executor() as executor:
+        with plan.executor() as executor, resumable(request.folder / MANIFEST):
             request = replace(
                 request, executor=executor, max_memory=plan.process_memory,
                 found_free=plan.found_free,
