@@ -391,6 +391,25 @@ def test_deeply_nested_json_is_not_taken_for_a_manifest(tmp_path, name):
     assert owner(tmp_path) is None
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda out: io.check_writable(out / "meta.json"),
+        lambda out: write_levels(random_splats(9), out, RATIOS, progress=fails),
+    ],
+)
+def test_a_mount_point_is_refused_before_any_work(tmp_path, monkeypatch, make):
+    out = tmp_path / "out"
+    out.mkdir()
+    monkeypatch.setattr("os.path.ismount", lambda path: os.fspath(path) == str(out))
+    with pytest.raises(OutputError, match=r"out is a mount point, .* such as .*out.web\."):
+        make(out)
+
+
+def fails(_step):
+    pytest.fail("work has begun")
+
+
 def test_an_interrupted_call_leaves_the_old_folder_unchanged(splats, tmp_path):
     folder = tmp_path / "levels"
     write_levels(splats, folder, RATIOS, source="a.ply", preset="fast")

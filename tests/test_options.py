@@ -129,6 +129,11 @@ def test_values_that_are_too_large_are_refused(scene):
     assert_refused(result, "--port takes 65535 or less, not '99999'")
 
 
+def test_the_studio_refuses_memory_that_does_not_hold_the_model(scene):
+    result = run("studio", scene, "--max-memory", "100MB", "--no-open", "--idle", "1")
+    assert_refused(result, "MB of memory in the studio", "; raise --max-memory")
+
+
 def test_errors_list_the_options_that_a_preset_has(scene, tmp_path):
     result = run(
         "simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast", "--tau", "3"

@@ -56,7 +56,7 @@ def studio(
     # Imported here because `--help` does not need it.
     from nanogs.cli.browsing import show_page
     from nanogs.cli.console import say
-    from nanogs.studio.scene import StudioSettings, scene_of
+    from nanogs.studio.scene import StudioSettings, refuse_small_memory, scene_of
     from nanogs.studio.server import Studio
     from nanogs.studio.turning import axis_of
     from nanogs.view.bundle import check_built
@@ -66,7 +66,9 @@ def studio(
         preset=preset, render_mode=render_mode, up=None if up is None else axis_of(up),
         threads=threads, max_memory=max_memory, device=device,
     )  # fmt: skip
-    serving = Studio(scene_of(model), settings, folder=Path.cwd(), port=port, idle=idle)
+    scene = scene_of(model)
+    refuse_small_memory(scene, settings)
+    serving = Studio(scene, settings, folder=Path.cwd(), port=port, idle=idle)
     record = {"url": serving.url, "input": str(model), "folder": str(Path.cwd())}
     reporting.report(record, partial(say, f"{model}: {serving.url} (Ctrl-C ends it)"))
     show_page(serving.url, "the address", open_page, quiet=reporting.json)

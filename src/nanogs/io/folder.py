@@ -89,6 +89,11 @@ def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> N
         return
     if not target.is_dir():
         raise OutputError(f"{path} is a file; name a folder as the output.")
+    if os.path.ismount(target):  # as of a container; the finished folder could not take its place
+        raise OutputError(
+            f"{path} is a mount point, which cannot be replaced; name a folder inside it, such as"
+            f" {path / 'web'}."
+        )
     if Path.cwd().is_relative_to(target):
         raise OutputError(f"{path} is the folder you are in; name another one as the output.")
     if not any(target.iterdir()):

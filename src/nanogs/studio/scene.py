@@ -3,12 +3,15 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from nanogs.errors import OptionError
+from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.formatting import bytes_text
 from nanogs.io import open as open_model
 from nanogs.io import registry
 from nanogs.io.url_files import refuse_address
-from nanogs.pipeline.options.presets import DEFAULT_PRESET
-from nanogs.studio.choice import PRESETS
+from nanogs.memory import LIBRARIES, allowed_memory
+from nanogs.pipeline.estimates.memory import plan_memory
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, PRESETS
+from nanogs.studio.choice import PRESETS as OFFERED
 from nanogs.studio.turning import stated_up, states_frame
 
 
@@ -19,6 +22,7 @@ class Scene:
     Attributes:
         path: The file, as the user named it.
         splats: Number of splats.
+        sh_degree: Degree of their spherical harmonics.
         file_bytes: Size of the file.
         render_mode: Render mode that the file states.
         up: Up axis that the file or its format states, such as "-y", or None.
@@ -27,6 +31,7 @@ class Scene:
 
     path: Path
     splats: int
+    sh_degree: int
     file_bytes: int
     render_mode: str
     up: str | None
@@ -60,9 +65,9 @@ class StudioSettings:
 
     def __post_init__(self) -> None:
         """Raise for a preset that cannot make any count quickly, because it grows no forest."""
-        if self.preset not in PRESETS:
+        if self.preset not in OFFERED:
             raise OptionError(
-                f"The studio has the presets {', '.join(PRESETS)}, not {self.preset!r}; choose one"
+                f"The studio has the presets {', '.join(OFFERED)}, not {self.preset!r}; choose one"
                 " of these."
             )
 
@@ -80,7 +85,26 @@ def scene_of(path: Path) -> Scene:
         if not info.splats:
             raise OptionError(f"{path} holds no splats; name another model.")
         return Scene(
-            path=path, splats=info.splats, file_bytes=info.file_bytes,
+            path=path, splats=info.splats, sh_degree=info.sh_degree, file_bytes=info.file_bytes,
             render_mode=str(info.render_mode), up=stated_up(source, path),
             states_frame=states_frame(source, path),
         )  # fmt: skip
+
+
+def refuse_small_memory(scene: Scene, settings: StudioSettings) -> None:
+    """Raise if the memory allowed does not even hold the model, so that no result can be made.
+
+    Raises:
+        NotEnoughMemoryError: `max_memory` is too small.
+    """
+    if settings.max_memory is None:
+        return
+    plan = plan_memory(
+        scene.splats, scene.sh_degree, 0, PRESETS[settings.preset], scene.splats, judged=True
+    )
+    allowed = allowed_memory(settings.max_memory)
+    if plan.input_columns > allowed.bytes:
+        raise NotEnoughMemoryError(
+            f"{scene.path} takes about {bytes_text(plan.peak + LIBRARIES)} of memory in the studio,"
+            " Python and its libraries included; raise `max_memory`, or leave it out."
+        )
