@@ -90,7 +90,7 @@ def test_little_memory_gives_the_same_scores(scene, temporary, monkeypatch):
     monkeypatch.setattr("nanogs.scoring.packing_cost.needed_bytes", lambda *_, **__: 10**15)
     monkeypatch.setattr(FileSource, "load", None)  # the model is not loaded whole
     assert nanogs.packing_cost(scene, [".spz"], max_memory="1GB") == expected
-    with pytest.raises(NotEnoughMemoryError, match=r"takes about .* free some"):
+    with pytest.raises(NotEnoughMemoryError, match=r"takes about .* raise `max_memory`"):
         nanogs.packing_cost(scene, [".spz"], max_memory=LIBRARIES + 1000)
 
 

@@ -166,7 +166,7 @@ def _refuse_too_large(
         f"Converting {source.name}",
         memory_estimates.convert_bytes(source, target, whole=_need_whole(filters), options=given),
         memory.allowed_memory(max_memory, compiled=compiled),
-        "free some, name a .ply file, which is written in parts, or make a smaller model with"
+        "name a .ply file, which is written in parts, or make a smaller model with"
         " `nanogs simplify` first, which works in blocks",
     )
 

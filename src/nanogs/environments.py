@@ -273,5 +273,5 @@ def _refuse_large(count: int, degree: int, max_memory: int | None) -> None:
         f"Writing the environment, {counted(count, 'splat')} in one file,",
         count * (_HELD * splat_bytes(degree) + _EACH),
         allowed_memory(max_memory),
-        'leave it in the levels with `environment="none"`, or allow more memory',
+        'leave it in the levels with `environment="none"`',
     )

@@ -92,22 +92,22 @@ def process_memory(memory: Memory, processes: int = 1) -> int:
     return max(each // step * step, 0)
 
 
-def refuse_too_large(what: str, needed: int, memory: Memory, remedy: str) -> None:
+def refuse_too_large(what: str, needed: int, memory: Memory, otherwise: str = "") -> None:
     """Refuse work before it begins if there is not enough memory for it.
 
     Args:
         what: The work, as the beginning of the message, such as `Rendering this model`.
         needed: Bytes that it needs in addition to the libraries.
         memory: Memory that it may use.
-        remedy: Advice, as the end of the message; "free some" in it becomes the remedy of `memory`.
+        otherwise: What helps besides more memory, as the end of the message.
 
     Raises:
         NotEnoughMemoryError: The work needs more.
     """
     if needed > memory.bytes:
+        remedies = ", or ".join(filter(None, (memory.remedy, otherwise)))
         raise NotEnoughMemoryError(
-            f"{what} takes about {bytes_text(needed)} of memory, and {memory};"
-            f" {remedy.replace('free some', memory.remedy)}."
+            f"{what} takes about {bytes_text(needed)} of memory, and {memory}; {remedies}."
         )
 
 

@@ -107,7 +107,6 @@ def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
             f"Describing {path}",
             info_bytes(source),
             allowed_memory(None, compiled=False),
-            "free some",
         )
         census = _Census(
             Percentiles(file.splats, _PERCENTILES), Percentiles(3 * file.splats, _PERCENTILES)

@@ -84,7 +84,7 @@ def refit(
             f"Fitting {small}",
             refit_bytes(inspect(first), inspect(second), chosen.size**2, chosen.kept + chosen.held),
             allowed_memory(run.max_memory),
-            "free some, or take fewer or smaller views (--views, --pixels)",
+            "take fewer or smaller views (--views, --pixels)",
         )
         report = _refit_files(
             first, second, made or target, cameras, up, chosen, render_mode, device, run

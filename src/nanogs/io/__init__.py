@@ -14,7 +14,7 @@ from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
-from nanogs.io.limits import refusal, refused_splats
+from nanogs.io.limits import refused_splats
 from nanogs.io.parts import FileSource
 from nanogs.io.retag import checked_mode, retagged
 from nanogs.io.url_files import check_sendable, local_copies
@@ -297,7 +297,7 @@ def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...
         return ()
 
     def name(part: Splats) -> tuple[str, ...]:
-        return (*refusal(refused_splats(part), known.suffix), *known.losses(part))
+        return registry.losses_of(known, part, refused_splats(part))
 
     if isinstance(splats, Splats):
         return name(splats)

@@ -108,6 +108,7 @@ class Format:
         streams: Whether `write` takes a source too and holds only some rows of it at a time, apart
             from options with `whole`.
         max_degree: Highest SH degree that files hold.
+        any_value: Whether files hold NaN and infinite values, which other formats refuse.
         rounds: Whether files hold quantised values. If only some do, this is False, and
             `FileSource.packed` tells of each file.
         ours: Lists the files that nanogs made in such a folder.
@@ -139,6 +140,7 @@ class Format:
     reports_progress: bool = False
     streams: bool = False
     max_degree: int = MAX_SH_DEGREE
+    any_value: bool = False
     rounds: bool = False
     ours: Ours | None = None
     check: Callable[[], None] = lambda: None

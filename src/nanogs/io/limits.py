@@ -17,8 +17,6 @@ from nanogs.io.texts import printable
 from nanogs.source import Source, source_of
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
-_HOLD_ANY_VALUE = (".ply", ".npz")  # all other formats refuse NaN and infinite values
-
 
 def refuse_unstorable(model: Splats | Source, suffix: str) -> None:
     """Refuse values that a format cannot encode; infinite opacities and scales of zero are fine.
@@ -96,8 +94,8 @@ def refused_splats(splats: Splats) -> int:
 
 
 def refusal(count: int, suffix: str) -> tuple[str, ...]:
-    """Return the sentence that a format refuses a model with `count` such splats, if it does."""
-    if not count or suffix in _HOLD_ANY_VALUE:
+    """Return the sentence that a format refuses a model with `count` such splats, if any."""
+    if not count:
         return ()
     text = f"{{:splat holds|splats hold}} NaN or infinite values, {suffix} refuses the model."
     return (Finding(text, count),)

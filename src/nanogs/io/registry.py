@@ -238,10 +238,20 @@ def losses_by_format(splats: Splats) -> dict[str, tuple[str, ...]]:
     """For each format that nanogs writes, return sentences on what it cannot hold of a model."""
     refused = refused_splats(splats)
     return {
-        known.suffix: (*refusal(refused, known.suffix), *known.losses(splats))
-        for known in formats()
-        if known.writable
+        known.suffix: losses_of(known, splats, refused) for known in formats() if known.writable
     }
+
+
+def losses_of(known: Format, splats: Splats, refused: int) -> tuple[str, ...]:
+    """Return a sentence if a format refuses a model, and what else it cannot hold of it.
+
+    Args:
+        known: The format.
+        splats: The model.
+        refused: Number of its splats with values that only formats with `any_value` hold.
+    """
+    refusals = () if known.any_value else refusal(refused, known.suffix)
+    return (*refusals, *known.losses(splats))
 
 
 def writable(path: Path) -> Format:

@@ -91,7 +91,7 @@ class CheckedModel:
         held = 0 if allowed else plan.input_columns
         refuse_too_large(
             "Simplifying this model", plan.peak - held, allowed_memory(allowed),
-            "free some, or use nanogs.simplify_blocks, which works on files block by block",
+            "use nanogs.simplify_blocks, which works on files block by block",
         )  # fmt: skip
 
     def build(self, threads: int, clock: StageClock, progress: Tracker) -> "OneBlock":

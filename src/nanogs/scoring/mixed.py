@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from nanogs.scoring.mixed_views import MixedView
 
 SEAM_LOSS = 0.3  # dB; a higher loss at seams gets a note
-_REMEDY = "free some, or look at a smaller model or at smaller pictures (`pixels`)"
+_REMEDY = "look at a smaller model or at smaller pictures (`pixels`)"
 
 
 @dataclass(frozen=True, slots=True)

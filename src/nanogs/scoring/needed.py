@@ -9,7 +9,7 @@ from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.plan import room_for_splats
 
-REMEDY = "free some, or compare fewer or smaller views (`views`, `pixels`) or smaller models"
+REMEDY = "compare fewer or smaller views (`views`, `pixels`) or smaller models"
 
 
 def room_for_comparison(

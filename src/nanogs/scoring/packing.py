@@ -120,7 +120,7 @@ def refuse_too_large_to_pack(
             f"Packing {source.name} as {suffix}",
             convert_bytes(source, Path(f"packed{suffix}"), whole=False, options=options) + others,
             allowed_memory(max_memory),
-            "free some, or name another format",
+            "name another format",
         )
 
 

@@ -49,7 +49,7 @@ def photographs(
         f"Comparing with {counted(len(frames), 'photograph')}",
         photographs_bytes(pixels),
         allowed_memory(max_memory),
-        'free some, or use smaller photographs, as with `images="images_4"`',
+        'use smaller photographs, as with `images="images_4"`',
     )
     behind = background or dataset.background(frames)
     return behind, [

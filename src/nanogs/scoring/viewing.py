@@ -130,7 +130,7 @@ def view_files(
         if measured:
             needed = compare_bytes(infos, width * height, views)
         allowed = allowed_memory(max_memory, compiled=measured)
-        refuse_too_large("Making this page", needed, allowed, "free some, or view smaller models")
+        refuse_too_large("Making this page", needed, allowed, "view smaller models")
         models = _read(inputs, levels, level, render_mode, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):

@@ -17,7 +17,7 @@ from nanogs.splats import Splats
 LEAST = 32_000_000  # least budget, bytes: a tile may draw some hundred thousand splats
 
 
-_REMEDY = "free some, or render smaller pictures (`pixels`) or a smaller model"
+_REMEDY = "render smaller pictures (`pixels`) or a smaller model"
 
 
 def room_for_pictures(

@@ -12,6 +12,7 @@ FORMATS = (
         write.file_bytes,
         write.losses,
         streams=True,
+        any_value=True,
         zip_member="means.npy",
     ),
 )

@@ -22,6 +22,7 @@ FORMATS = (
         write.write,
         write.file_bytes,
         streams=True,
+        any_value=True,
         check_columns=write.check_columns,
         magic=_STARTS,
     ),
