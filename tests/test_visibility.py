@@ -330,6 +330,16 @@ def test_too_few_roaming_views_are_noted(monkeypatch):
     assert visibility.roaming_views(model, 3) == ([camera, camera], (note,))
 
 
+def test_too_few_views_of_the_kind_asked_for_are_noted(monkeypatch):
+    splats = box_with_something_inside()
+    few = automatic_cameras(splats, 3, width=48, height=48, habit=False)
+    monkeypatch.setattr("nanogs.views.roam.roaming_cameras", lambda *_, **__: few)
+    parameters = view_parameters(views=4, view_size=48, further=3)
+    views = scene_with_views(splats, "roam", parameters).views
+    assert views.notes == ("Only 3 of 7 roaming views could be found.",)
+    assert len(views.kept) + len(views.further) == 3
+
+
 @pytest.mark.parametrize("block", [None, 150])
 def test_views_too_small_to_compare_results_are_refused_before_growing(
     block, tmp_path, monkeypatch

@@ -156,8 +156,12 @@ def roaming_views(splats: Splats, count: int) -> tuple[list[Camera], tuple[str, 
     found: list[Camera] = []
     with suppress(ModelError):  # none was found; the note says so
         found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", device=None)
-    lacking = f"Only {len(found)} of {counted(count, 'roaming view')} could be found."
-    return found, (lacking,) if len(found) < count else ()
+    return found, (lacking_views(len(found), count),) if len(found) < count else ()
+
+
+def lacking_views(found: int, wanted: int) -> str:
+    """Return a note that fewer roaming views were found than wanted."""
+    return f"Only {found} of {counted(wanted, 'roaming view')} could be found."
 
 
 def visible_weights(prominences: F64, visible: F64, hidden: float) -> F64:

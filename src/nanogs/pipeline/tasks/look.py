@@ -11,6 +11,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.fit.views import choose_cameras
 from nanogs.method.visibility import (
     SplatContributions,
+    lacking_views,
     light_in,
     missed_light_of,
     roaming_views,
@@ -39,15 +40,19 @@ def choose_views(scene: Scene) -> Views:
     parameters, asked, some = scene.settings.parameters, scene.settings.asked, scene.sample()
     given, size = asked.given(), parameters.view_size
     more = parameters.further if parameters.steps else 0
+    wanted = parameters.views + more
     try:
-        cameras = given or fit_cameras(some, asked.source, asked.up, parameters.views + more, size)
-        kept, further = choose_cameras(some, cameras, parameters.views, more, size)
+        found = None if given else fit_cameras(some, asked.source, asked.up, wanted, size)
+        kept, further = choose_cameras(some, given or found, parameters.views, more, size)
     except ModelError as error:
         return Views((), (), (), (f"Nothing was measured: {error}",))
     roaming: list[Camera] = []
     notes: tuple[str, ...] = tuple(lens_notes(given))
+    if found is not None and len(found) < wanted:
+        notes = (lacking_views(len(found), wanted),)
     if parameters.roaming and not given:
-        roaming, notes = roaming_views(scene.from_afar(), parameters.roaming)
+        roaming, lacking = roaming_views(scene.from_afar(), parameters.roaming)
+        notes += lacking
     return Views(tuple(kept), tuple(further), tuple(roaming), notes)
 
 
