@@ -126,7 +126,7 @@ def test_invalid_ratios_and_counts_are_refused(preset, ratio, count, message):
     + [("threads", 0), ("threads", 10_000)],
 )
 def test_parameters_of_paper_out_of_range_are_refused(name, value):
-    with pytest.raises(OptionError, match=rf"^`?{name}`? must be .*, not {value}\.$"):
+    with pytest.raises(OptionError, match=rf"^{name} must be .*, not {value}\.$"):
         nanogs.simplify(random_splats(10), ratio=0.5, preset="paper", **{name: value})
 
 

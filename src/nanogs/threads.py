@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from nanogs.errors import OptionError
+from nanogs.errors import RangeError
 from nanogs.ranges import is_number
 
 
@@ -29,7 +29,7 @@ def use_threads(threads: int | None) -> Iterator[int]:
         The number in use.
 
     Raises:
-        OptionError: Fewer than one, or more than the machine offers.
+        RangeError: Fewer than one, or more than the machine offers.
     """
     import numba
     from numba.core import config
@@ -37,9 +37,11 @@ def use_threads(threads: int | None) -> Iterator[int]:
     most = int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     chosen = most if threads is None else threads
     if not is_number(chosen, whole=True):
-        raise OptionError(f"`threads` must be a whole number, not {chosen!r}.")
+        raise RangeError("threads", "threads", f"must be a whole number, not {chosen!r}")
     if not 1 <= chosen <= most:
-        raise OptionError(f"`threads` must be from 1 to {most} on this machine, not {chosen}.")
+        raise RangeError(
+            "threads", "threads", f"must be from 1 to {most} on this machine, not {chosen}"
+        )
     before, chosen = numba.get_num_threads(), int(chosen)  # converts a NumPy integer
     numba.set_num_threads(chosen)
     try:

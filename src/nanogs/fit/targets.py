@@ -53,6 +53,11 @@ class Target:
     footprint: float
     blocks: int = ALL_BLOCKS
 
+    @property
+    def shows(self) -> bool:
+        """Whether anything is drawn in it."""
+        return bool(self.image[..., 3].any())
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitting:

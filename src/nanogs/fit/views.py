@@ -40,7 +40,7 @@ def view_targets(
     chosen, further = choose_cameras(original, cameras, kept, more, parameters.size)
     prepared = prepare(original).with_buffers()
     targets = [make_target(prepared, camera) for camera in each(chosen, on_progress)]
-    targets = [target for target in targets if target.image[..., 3].any()]
+    targets = [target for target in targets if target.shows]
     blind = len(chosen) - len(targets)
     if len(targets) < 2:
         raise ModelError(

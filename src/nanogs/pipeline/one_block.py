@@ -249,9 +249,9 @@ class OneBlock(Scene):
         own, self.missed, lights, self.missed_light = look
         self.visible = own.visible
         # Views that show nothing cannot decide, and steps of the fit on them would be lost.
-        shots = _showing(self._shots) or self._shots
+        shots = [shot for shot in self._shots if shot.shows] or self._shots
         looked, self.groups = split(shots, deciding_count(len(shots)))
-        self.fitting = (*looked, *_showing(self._pictures))
+        self.fitting = (*looked, *(picture for picture in self._pictures if picture.shows))
         self._shots, self._pictures = [], []
         return self.write(name, {}, {LIGHT: [light for _, light in lights]})
 
@@ -406,11 +406,6 @@ class OneBlock(Scene):
         return (
             "The result was not fitted, because a single view cannot show whether a fit helps.",
         )
-
-
-def _showing(targets: Sequence[Target]) -> list[Target]:
-    """Return the views of the original in which anything is drawn."""
-    return [target for target in targets if target.image[..., 3].any()]
 
 
 def whole_settings(splats: Splats, parameters: ForestParameters) -> Settings:

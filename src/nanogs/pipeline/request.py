@@ -300,9 +300,10 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
     """
     # A preset that renders takes as much memory before as measuring one result does.
     measured = is_measured(request) and (bool(request.ratios) or not renders(request.parameters))
-    judged = measured or (not request.ratios and request.searches(degree))
+    searched = not request.ratios and request.searches(degree)
+    judged = measured or searched
     plan = plan_memory(splats, degree, extra, request.parameters, target, judged=judged)
-    if not request.ratios and request.searches(degree):
+    if searched:
         plan = plan_search(plan, splats, request.goal, registry.writable(request.output))
     if request.chunks is None:
         known = None if request.ratios else registry.writable(request.output)
