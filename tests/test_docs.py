@@ -149,11 +149,22 @@ def test_all_options_named_in_the_text_exist(page, commands):
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
 def test_links_between_documents_have_existing_targets(page, hooks):
-    generated_pages = {(DOCS / name).resolve() for name in hooks["pages"].MADE}
-    for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", page.read_text()):
-        if not target.startswith(("https://", "mailto:")):
-            path = (page.parent / target).resolve()
-            assert path.exists() or path in generated_pages, target
+    assert missing_targets(page.read_text(), page.parent, hooks) == []
+
+
+def test_links_of_the_changelog_have_targets_in_the_repository_and_on_the_site(hooks):
+    text = (ROOT / "CHANGELOG.md").read_text()
+    assert missing_targets(text, ROOT, hooks) == []
+    assert missing_targets(hooks["pages"].PAGES["changes.md"](), DOCS, hooks) == []
+
+
+def missing_targets(text, folder, hooks):
+    """Return the link targets of a page in `folder` that neither exist nor are generated."""
+    generated = {(DOCS / name).resolve() for name in hooks["pages"].MADE}
+    targets = re.findall(r"\]\(([^)\s#]+)[^)]*\)", text)
+    local = [target for target in targets if not target.startswith(("https://", "mailto:"))]
+    paths = [(folder / target).resolve() for target in local]
+    return [str(path) for path in paths if not path.exists() and path not in generated]
 
 
 def test_every_page_is_in_the_navigation(hooks):

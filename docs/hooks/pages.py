@@ -17,6 +17,12 @@ import pictures
 ROOT = Path(__file__).resolve().parents[2]
 MARKER = re.compile(r"^<!-- made: (.+) -->$", re.MULTILINE)
 
+
+def changes() -> str:
+    """Return the changelog, with links from docs/ in place of those from the root."""
+    return (ROOT / "CHANGELOG.md").read_text("utf-8").replace("](docs/", "](")
+
+
 TEXTS: Mapping[str, Callable[[], str]] = {
     "what formats keep": formats.kept_table,
     "how precise formats are": formats.precision_table,
@@ -25,7 +31,7 @@ TEXTS: Mapping[str, Callable[[], str]] = {
 }
 PAGES: Mapping[str, Callable[[], str]] = {
     "reference/commands.md": commands.reference,
-    "changes.md": (ROOT / "CHANGELOG.md").read_text,
+    "changes.md": changes,
 }
 MADE = (*PAGES, *(f"pictures/{name}" for name in pictures.NAMES))
 """What pages may link to although no file of the name is in docs/."""
