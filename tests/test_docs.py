@@ -122,6 +122,14 @@ def test_pages_have_the_preset_summaries_of_the_command(page):
         assert f"| {name} | {summary}" in text
 
 
+def test_the_start_page_has_the_figures_of_the_readme():
+    rows = [
+        re.findall(r"^\| 113,648 splats.*$", page.read_text(), re.MULTILINE)
+        for page in (ROOT / "README.md", DOCS / "index.md")
+    ]
+    assert rows[0] == rows[1] != []
+
+
 def test_shown_commands_are_found_and_unknown_options_are_errors(commands, tmp_path):
     """Checks that the test of shown commands finds them, since it passes if it finds none."""
     assert sum(len(shown_commands(page)) for page in PAGES) > 60
