@@ -36,12 +36,12 @@ class Parameter:
 
 @pytest.fixture
 def page_names(tmp_path, monkeypatch, small_views):
-    """Names that pages may use: a scene as a file and as a model, and gsplat's dictionary."""
+    """What pages may use: the file of a scene, and names that a page says come from elsewhere."""
     monkeypatch.chdir(tmp_path)
     scene = make_scene(600, sh_degree=1)
     nanogs.save(scene, "scene.ply")
     trained = {name: Parameter(array) for name, array in scene.to_gsplat().items()}
-    return {"nanogs": nanogs, "splats": scene, "trained": trained}
+    return {"trained": trained}
 
 
 @pytest.mark.parametrize("page", SHOWN)
