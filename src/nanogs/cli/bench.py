@@ -26,7 +26,9 @@ def bench(
     models: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[MODEL...]", parser=options.parse_model, help="Models to measure on."
+            metavar="[MODEL...]",
+            parser=options.parse_model,
+            help="Models to measure on: files, or folders of models.",
         ),
     ] = None,
     scene: Annotated[

@@ -26,14 +26,15 @@ if TYPE_CHECKING:
 def compare(
     *,
     reference: Annotated[
-        str, typer.Argument(metavar="REF", help="The original model: a file or its URL.")
+        str,
+        typer.Argument(metavar="REF", help="The original model: a file, its folder or its URL."),
     ],
     tests: Annotated[
         list[str],
         typer.Argument(
             metavar="TEST...",
-            help="Models to score, files or URLs; name=path names a model, and models with the"
-            " same name form a line in the plot.",
+            help="Models to score: files, their folders or URLs; name=path names a model, and"
+            " models with the same name form a line in the plot.",
         ),
     ],
     report: Annotated[

@@ -242,7 +242,7 @@ AsMode = Annotated[
         "--render-mode",
         metavar="default|mip",
         help="Render mode of the model, regardless of its file: mip is for models trained with"
-        " antialiasing. Written files state the same mode.",
+        " antialiasing. Written models state the same mode.",
         show_default="what the file says",
     ),
 ]

@@ -35,7 +35,7 @@ def refit(
             metavar="ORIGINAL",
             parser=options.parse_model,
             help="The original model, which the result should look like; each of the three is a"
-            " file or its URL.",
+            " file or its URL; a model that is read may be its folder.",
         ),
     ],
     small: Annotated[

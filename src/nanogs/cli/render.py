@@ -22,7 +22,9 @@ def render(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="IN", parser=options.parse_model, help="Model to read: a file or its URL."
+            metavar="IN",
+            parser=options.parse_model,
+            help="Model to read: a file, its folder or its URL.",
         ),
     ],
     target: Annotated[

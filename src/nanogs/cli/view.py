@@ -26,7 +26,7 @@ def view(
             metavar="A [B]",
             help="Model to show, and optionally a second one to compare it with: both have the"
             " same camera, with a line to drag between them. name=path names a model. Each is"
-            " a file or its URL.",
+            " a file, its folder or its URL.",
         ),
     ],
     output: Annotated[
