@@ -36,7 +36,7 @@ class Parameter:
 
 @pytest.fixture
 def page_names(tmp_path, monkeypatch, small_views):
-    """What pages may use: the file of a scene, and names that a page says come from elsewhere."""
+    """The file of a scene, and names of which pages say that they come from elsewhere."""
     monkeypatch.chdir(tmp_path)
     scene = make_scene(600, sh_degree=1)
     nanogs.save(scene, "scene.ply")
