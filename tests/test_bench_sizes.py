@@ -440,4 +440,4 @@ def test_invalid_sizes_and_formats_are_refused_in_one_sentence(model, options, m
 def test_a_missing_package_is_named_with_the_command_that_installs_it(model, monkeypatch, capfd):
     monkeypatch.setitem(__import__("sys").modules, "scipy.interpolate", None)
     assert launch.run_here("bench", model, "--sizes-of-files", "5kB", "--methods", "fast") == 2
-    assert "pip install 'nanogs[bench]'" in capfd.readouterr().err
+    assert 'pip install "nanogs[bench]"' in capfd.readouterr().err

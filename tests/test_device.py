@@ -52,7 +52,7 @@ def test_without_warp_the_error_says_what_to_install(scene, tmp_path, capsys, mo
     without_warp(monkeypatch)
     monkeypatch.setattr(device, "has_driver", lambda: True)
     error = error_of(capsys, "render", scene, tmp_path / "out", "--device", "cuda")
-    assert "pip install 'nanogs[cuda]'" in error
+    assert 'pip install "nanogs[cuda]"' in error
     with use_device("auto") as used:
         assert used == "cpu"
 

@@ -152,7 +152,7 @@ def test_a_missing_package_is_named_with_the_remedy(metric, package, monkeypatch
 
     monkeypatch.setattr(builtins, "__import__", without)
     sys.modules[lpips.__module__]._network.cache_clear()
-    with pytest.raises(OptionError, match="pip install 'nanogs"):
+    with pytest.raises(OptionError, match='pip install "nanogs'):
         metric(IMAGE, NOISY)
 
 

@@ -336,7 +336,7 @@ def test_an_unreadable_scene_gives_a_one_line_error(tmp_path):
 def test_without_the_extra_an_error_says_what_to_install(folder, monkeypatch, capfd):
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     assert run_here("studio", folder / "scene.ply", "--no-open") == 2
-    assert "pip install nanogs[studio]" in capfd.readouterr().err
+    assert 'pip install "nanogs[studio]"' in capfd.readouterr().err
 
 
 def test_a_port_in_use_gives_an_error(studio, folder):

@@ -463,12 +463,12 @@ def test_missing_packages_are_named(temporary, monkeypatch, capfd):
     monkeypatch.delitem(_registry, "s3", raising=False)
     monkeypatch.setitem(sys.modules, "s3fs", None)
     assert launch.run_here("info", "s3://bucket/a.ply") == 2
-    assert "install nanogs[s3]" in capfd.readouterr().err
+    assert 'pip install "nanogs[s3]"' in capfd.readouterr().err
     monkeypatch.setitem(sys.modules, "fsspec", None)
     assert launch.run_here("info", "s3://bucket/a.ply") == 2
-    assert "install nanogs[s3]" in capfd.readouterr().err
+    assert 'pip install "nanogs[s3]"' in capfd.readouterr().err
     assert launch.run_here("info", "gs://bucket/a.ply") == 2
-    assert "install nanogs[urls]" in capfd.readouterr().err
+    assert 'pip install "nanogs[urls]"' in capfd.readouterr().err
 
 
 WORDS = st.text("abcXYZ019_-.", min_size=1, max_size=8)

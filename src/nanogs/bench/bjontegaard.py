@@ -93,4 +93,4 @@ def check_packages() -> None:
         import matplotlib.figure  # noqa: F401
         import scipy.interpolate  # noqa: F401
     except ImportError as error:
-        raise OptionError("Sizes of files need packages: pip install 'nanogs[bench]'.") from error
+        raise OptionError('Sizes of files need packages: pip install "nanogs[bench]".') from error

@@ -91,7 +91,7 @@ def _found(name: str) -> "Engine | None":
             ' `device="cpu"`, or `device="auto"`, which uses a card if there is one.'
         )
     if not _installed():
-        raise OptionError(f"`device={name}` needs the package Warp: pip install 'nanogs[cuda]'.")
+        raise OptionError(f'`device={name}` needs the package Warp: pip install "nanogs[cuda]".')
     from nanogs.card.engine import engine_of
 
     engine = engine_of("cpu" if name == WARP_CPU else CUDA)

@@ -169,13 +169,13 @@ def _store(address: Address) -> tuple[Any, str]:
     except ImportError:
         extra = "s3" if address.kind in _BUCKETS else "urls"
         raise OptionError(
-            f"{address}: {address.kind}:// needs fsspec; install nanogs[{extra}]."
+            f'{address}: {address.kind}:// needs fsspec: pip install "nanogs[{extra}]".'
         ) from None
     try:
         files, path = fsspec.core.url_to_fs(address.url)
     except ImportError as error:
         if address.kind in _BUCKETS:
-            raise OptionError(f"{address} needs s3fs; install nanogs[s3].") from None
+            raise OptionError(f'{address} needs s3fs: pip install "nanogs[s3]".') from None
         reason = address.said(str(error)).rstrip(".")
         raise OptionError(f"{address} needs another package: {reason}.") from None
     except Exception as error:

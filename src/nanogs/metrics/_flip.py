@@ -27,7 +27,7 @@ def flip(reference: Array, test: Array) -> float:
     try:
         import flip_evaluator
     except ImportError as error:
-        raise OptionError("FLIP needs a package: pip install 'nanogs[flip]'.") from error
+        raise OptionError('FLIP needs a package: pip install "nanogs[flip]".') from error
     first, second = a.astype(np.float32), b.astype(np.float32)
     _, mean, _ = flip_evaluator.evaluate(first, second, "LDR", applyMagma=False)
     return float(mean)

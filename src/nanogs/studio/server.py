@@ -363,6 +363,5 @@ def _check_installed() -> None:
         import uvicorn  # noqa: F401
     except ImportError:
         raise OptionError(
-            "The studio needs starlette and uvicorn; install them with `pip install"
-            " nanogs[studio]`."
+            'The studio needs starlette and uvicorn: pip install "nanogs[studio]".'
         ) from None

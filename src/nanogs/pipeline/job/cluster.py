@@ -87,7 +87,7 @@ def connected(scheduler: str) -> Iterator["Client"]:
     try:
         from distributed import Client
     except ImportError:
-        raise OptionError("A Dask scheduler needs Dask; install nanogs[cluster].") from None
+        raise OptionError('A Dask scheduler needs Dask: pip install "nanogs[cluster]".') from None
 
     def connect() -> "Client":
         return Client(scheduler, timeout=_PATIENCE / 2, set_as_default=False)
