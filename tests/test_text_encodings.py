@@ -6,13 +6,16 @@ import struct
 import subprocess
 import sys
 from dataclasses import replace
+from io import BytesIO, TextIOWrapper
 
 import numpy as np
 import pytest
+import typer
 
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs import io
+from nanogs.cli.stdout import named_stdout
 from nanogs.errors import OutputError
 from nanogs.splats import ExtraElement, Splats
 
@@ -107,3 +110,13 @@ def test_info_escapes_what_stdout_cannot_encode(latin, encoding):
     assert r"caf\udce9.ply (ply, " in stdout
     assert f"extra columns       {shown}" in stdout
     assert f"elements            {shown} (1 row)" in stdout
+
+
+def test_stdout_escapes_what_it_cannot_encode(monkeypatch):
+    """Tables of `nanogs bench` are plain text, with the names of files and signs such as ∞."""
+    written = BytesIO()
+    monkeypatch.setattr(sys, "stdout", TextIOWrapper(written, encoding="cp1252"))
+    with named_stdout():
+        typer.echo("PSNR ∞ of caf\udce9", nl=False)
+        sys.stdout.flush()
+    assert written.getvalue() == rb"PSNR \u221e of caf\udce9"

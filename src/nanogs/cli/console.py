@@ -153,12 +153,9 @@ def show(console: Console, table: Table) -> None:
         needed = console.measure(table, options=options.update(width=_WIDE)).maximum
         options = options.update(width=max(needed, console.width))
     rendered = Segments(list(console.render(table, options)))
-    with console.capture() as caught:
-        console.print(rendered, crop=False, end="")
-    # File names may hold bytes that stdout cannot encode; unlike stderr, it would raise an error.
-    code = console.encoding
-    text = caught.get().encode(code, "backslashreplace").decode(code)
-    if console.is_terminal and text == caught.get():
+    if console.is_terminal:
         console.print(rendered, crop=False, end="")
         return
-    console.file.writelines(f"{line.rstrip()}\n" for line in text.splitlines())
+    with console.capture() as caught:
+        console.print(rendered, crop=False, end="")
+    console.file.writelines(f"{line.rstrip()}\n" for line in caught.get().splitlines())

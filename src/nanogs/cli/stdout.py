@@ -13,7 +13,8 @@ def named_stdout() -> Iterator[None]:
     """Within the context, raise an `OutputError` if stdout cannot be written.
 
     A pipe that its reader has closed still raises `BrokenPipeError`. A stdout that was closed from
-    the start fails only if something is written to it.
+    the start fails only if something is written to it. Text that stdout cannot encode is escaped,
+    as on stderr: a file name may hold any bytes, and Windows' code pages lack signs such as ∞.
     """
     stream = sys.stdout
     if stream is None:
@@ -46,12 +47,15 @@ class _Named:
         return _Named(self._stream.buffer)
 
     def write(self, data: Any) -> int:  # noqa: ANN401 - text or bytes
+        if isinstance(data, str):
+            code = self._stream.encoding or "utf-8"
+            data = data.encode(code, "backslashreplace").decode(code)
         with self._failures():
             return int(self._stream.write(data))
 
     def writelines(self, lines: Any) -> None:  # noqa: ANN401 - several of them
-        with self._failures():
-            self._stream.writelines(lines)
+        for line in lines:
+            self.write(line)
 
     def flush(self) -> None:
         with self._failures():
