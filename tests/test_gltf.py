@@ -443,7 +443,7 @@ def test_scales_of_early_drafts_are_logarithms(load):
 
 def test_unsupported_content_is_noted(load):
     model = random_splats(4, seed=7)
-    table = columns(model) | {"_LABEL": np.zeros((4, 1), "f4")}
+    table = columns(model) | {name: np.zeros((4, 1), "f4") for name in ("_LABEL", "_AGE")}
     content, body = document(table, extras={"SplatRenderMode": "new", "comments": ["a", 3, "b\n"]})
     content["meshes"][0]["primitives"].append({"attributes": {"POSITION": 0}})
     content["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"] = {
@@ -453,7 +453,9 @@ def test_unsupported_content_is_noted(load):
     loaded = load((content, body))
     text = " ".join(loaded.notes)
     for word in (
-        "_LABEL",
+        "'_LABEL'",
+        "'_AGE'",
+        "Comments that are not one line of text were left out.",
         "'new'",
         "'box'",
         "'fish'",
@@ -465,6 +467,16 @@ def test_unsupported_content_is_noted(load):
         assert word in text
     assert loaded.comments == ("a",)
     assert loaded.render_mode is RenderMode.DEFAULT
+
+
+def test_the_format_is_that_of_the_content_not_of_the_name(tmp_path):
+    path = tmp_path / "scene.gltf"
+    path.write_bytes(glb(*document(columns(random_splats(4, seed=7)))))
+    assert nanogs.info(path).file.format == "glb"
+    path = tmp_path / "model.bin"
+    nanogs.save(random_splats(4, seed=7), tmp_path / "model.glb")
+    (tmp_path / "model.glb").rename(path)
+    assert nanogs.open(path, format="glb").info.format == "glb"
 
 
 @pytest.mark.parametrize(

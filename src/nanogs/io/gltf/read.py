@@ -119,7 +119,7 @@ class _Rows(FileSource):
         self.info = replace(
             scene.primitives[0].info,
             path=self.path,
-            format=self.path.suffix.lower().lstrip("."),
+            format="gltf" if scene.document.body is None else "glb",
             file_bytes=scene.document.file_bytes,
             splats=scene.count,
             sh_degree=scene.degree,
@@ -255,8 +255,7 @@ def _describe(scene: _Scene, primitive: JsonObject, info: FileInfo) -> None:
     known = {"POSITION", attribute("ROTATION"), attribute("SCALE"), attribute("OPACITY")}
     known |= {*coefficients(MAX_DEGREE), *_DERIVED}
     left_out = [name for name in primitive.part("attributes").data if name not in known]
-    if left_out:
-        scene.notes.append(f"The attribute {left_out[0][:40]!a} was left out.")
+    scene.notes += [f"The attribute {name[:40]!a} was left out." for name in left_out]
     extras = primitive.data.get("extras")
     extras = extras if isinstance(extras, dict) else {}  # the specification allows any JSON here
     stated = extras.get(MODE_KEY, info.render_mode)
@@ -269,7 +268,10 @@ def _describe(scene: _Scene, primitive: JsonObject, info: FileInfo) -> None:
     scene.modes.add(RenderMode(stated) if known_mode else RenderMode.DEFAULT)
     comments = extras.get(COMMENTS_KEY)
     if isinstance(comments, list):
-        scene.comments += [text for text in comments if _is_line(text)]
+        lines = [text for text in comments if _is_line(text)]
+        scene.comments += lines
+        if len(lines) < len(comments):
+            scene.notes.append("Comments that are not one line of text were left out.")
 
 
 def _is_line(text: object) -> bool:
