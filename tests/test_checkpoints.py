@@ -100,6 +100,16 @@ def test_files_of_other_ranks_are_named_in_the_notes(tmp_path):
 # Malicious and damaged files
 
 
+def test_tensors_of_the_splats_that_are_left_out_are_named(tmp_path):
+    model = random_splats(9, degree=1)
+    content = gsplat(model)
+    content["splats"] |= {"labels": np.zeros((9, 2), "f4"), "ages": np.zeros(9, "i8")}
+    content["splats"] |= {"background": np.zeros(3, "f4"), "step": np.zeros((), "i8")}
+    loaded = io.load(write_checkpoint(tmp_path / "a.pt", content))
+    assert loaded.notes == ("Left out of the checkpoint: labels, ages.",)
+    assert_same(dataclasses.replace(loaded, notes=()), model)
+
+
 def exploit(*code):
     """Return a file whose data runs `code` when it is loaded with Python's pickle."""
     return TorchFile({"means": Raw(b"".join(code))})

@@ -49,7 +49,8 @@ class Checkpoint(Whole):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._file = TorchFile(path)
-        self._found = found = _find(path, self._file.content)
+        found, self._others = _find(path, self._file.content)
+        self._found = found
         for tensor in found.values():
             self._file.check(tensor)
         self.info = FileInfo(
@@ -69,6 +70,8 @@ class Checkpoint(Whole):
     def load(self) -> Splats:
         """Read the whole model."""
         notes = list(_other_ranks(self.path))
+        if self._others:
+            notes.append(f"Left out of the checkpoint: {', '.join(map(printable, self._others))}.")
         arrays = {
             n: _floats(self.path, n, self._file.array(t), notes) for n, t in self._found.items()
         }
@@ -99,19 +102,24 @@ def _degree(path: Path, found: Mapping[str, Tensor]) -> int:
     return degrees[coefficients]
 
 
-def _find(path: Path, content: Any) -> dict[str, Tensor]:  # noqa: ANN401 - whatever was saved
-    """Find the tensors of the only model in a saved object, by the last part of their names."""
+def _find(path: Path, content: Any) -> tuple[dict[str, Tensor], list[str]]:  # noqa: ANN401 - whatever was saved
+    """Find the tensors of the only model in a saved object, by the last part of their names.
+
+    Returns:
+        The tensors, and the names of others beside them with a value for each splat.
+    """
     if captured := _captured(content):
         if captured["scales"].shape[1:] == (2,):
             raise FormatError(
                 f"{path} has two scales per splat: flat 2DGS splats cannot be merged as ellipsoids;"
                 " export the model with a third scale."
             )
-        return captured
+        return captured, []
     tensors = dict(_flatten(content, "", set()))
-    models = [found for name in tensors if (found := _model(tensors, name))]
+    models = [(found, name) for name in tensors if (found := _model(tensors, name))]
     if len(models) == 1:
-        return models[0]
+        found, name = models[0]
+        return found, _others(tensors, name, found)
     if models:
         raise FormatError(f"{path} holds {len(models)} models; save one of them alone.")
     lasts = {name.rpartition(".")[2] for name in tensors}
@@ -171,6 +179,19 @@ def _model(tensors: Mapping[str, Tensor], means: str) -> dict[str, Tensor] | Non
         if first in colours and len(shaped) == len(_SHAPED):
             return found | shaped | colours
     return None
+
+
+def _others(tensors: Mapping[str, Tensor], means: str, model: Mapping[str, Tensor]) -> list[str]:
+    """Return the names of the tensors beside a model's that have a value for each splat too."""
+    prefix, count = means.removesuffix("means"), tensors[means].shape[:1]
+    beside = {
+        name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)
+    }
+    return [
+        name
+        for name, tensor in beside.items()
+        if "." not in name and name not in model and count and tensor.shape[:1] == count
+    ]
 
 
 def _floats(path: Path, name: str, array: Array, notes: list[str]) -> Array:
