@@ -262,10 +262,11 @@ def test_comments_too_long_to_be_read_back_are_refused():
 
 
 @pytest.mark.parametrize("line", ["two\nlines", "one\r"])
-def test_a_comment_that_would_not_be_read_back_is_refused(tmp_path, line):
+@pytest.mark.parametrize("name", ["a.glb", "a.rad"])
+def test_a_comment_that_would_not_be_read_back_is_refused(tmp_path, name, line):
     model = dataclasses.replace(random_splats(1), comments=["", line])
     with pytest.raises(OutputError, match="holds a line break; split it in two"):
-        io.save(model, tmp_path / "a.glb")
+        io.save(model, tmp_path / name)
 
 
 def test_losses_are_reported():

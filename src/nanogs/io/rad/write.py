@@ -36,7 +36,7 @@ from nanogs.io.rad.header import (
 )
 from nanogs.io.rad.values import OCT88R8, by_byte, by_component, differences, encode_oct88r8
 from nanogs.io.rotations import minimise_rotation
-from nanogs.io.texts import as_utf8
+from nanogs.io.texts import as_utf8, one_line
 from nanogs.slices import slices
 from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
@@ -112,8 +112,8 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
         tree: The level-of-detail tree of these nodes; by default there is none.
 
     Raises:
-        OutputError: A value is NaN or infinite, or the comments are too long; nothing has been
-            written then.
+        OutputError: A value is NaN or infinite, the comments are too long, or one holds a line
+            break; nothing has been written then.
         OSError: The system refuses to write, here or to a temporary file.
     """
     source = source_of(model)
@@ -135,7 +135,7 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
         "allChunkBytes": 0,
         "chunks": chunks,
         "splatEncoding": encoding,
-        **({"comment": "\n".join(map(as_utf8, lines))} if lines else {}),
+        **({"comment": "\n".join(as_utf8(one_line(text)) for text in lines)} if lines else {}),
     }
     _described(MAGIC, head)  # refuses comments that are too long before anything is packed
     with TemporaryFile(prefix="nanogs-") as body:
