@@ -1,5 +1,6 @@
 """Levels of detail: `nanogs.levels`, and the folder that `nanogs lod` makes."""
 
+import errno
 import hashlib
 import json
 import os
@@ -440,6 +441,23 @@ def test_a_folder_that_appears_during_the_work_is_kept(tmp_path):
         make()
     assert names(tmp_path) == ["levels"]
     assert names(tmp_path / "levels") == ["mine.txt"]
+
+
+@pytest.mark.parametrize(
+    ("layout", "name", "file"), [("files", "levels", "level_0.ply"), ("spark tree", "a.rad", "")]
+)
+def test_an_error_names_the_output_not_the_temporary_folder(
+    splats, tmp_path, monkeypatch, layout, name, file
+):
+    def fail(_descriptor):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OutputError) as raised:
+        write_levels(splats, tmp_path / name, RATIOS, preset="fast", layout=layout)
+    full = "the disk or quota is full; free some space and run again."
+    assert str(raised.value) == f"{tmp_path / name / file}: {full}"
+    assert names(tmp_path) == []
 
 
 # What the command refuses

@@ -5,7 +5,8 @@ code 2. Any other exception that escapes is a defect of nanogs.
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 
 
 class NanogsError(Exception):
@@ -95,6 +96,23 @@ class ExistsError(OutputError):
 
 class NotEnoughMemoryError(NanogsError):
     """The work takes more memory than is free or was allowed."""
+
+
+@contextmanager
+def shown_as(names: Mapping[str, str]) -> Iterator[None]:
+    """Replace texts in the message of an error that the block raises, such as temporary paths.
+
+    Args:
+        names: What to show in place of each text; the block may add to it.
+    """
+    try:
+        yield
+    except NanogsError as error:
+        parts = [str(part) for part in error.args]
+        for text, name in names.items():
+            parts = [part.replace(text, name) for part in parts]
+        error.args = tuple(parts)
+        raise
 
 
 def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.6) -> str:

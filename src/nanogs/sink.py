@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol
 
 from nanogs.block_layouts import BlockChunks, BlockTree, Chunked, Linked
 from nanogs.costs import DrawCost
-from nanogs.errors import OptionError
+from nanogs.errors import OptionError, shown_as
 from nanogs.io import check_writable, losses, registry, save
 from nanogs.io.atomic import atomic_write, move_into_place, writing
 from nanogs.io.format import FormatOptions
@@ -340,7 +340,8 @@ def made_beside(sink: Sink, suffix: str) -> Iterator[Path]:
     target = Path(os.path.realpath(sink.place))
     with writing(sink.place), temporary(target, Path.mkdir) as folder:
         made = folder / f"levels{suffix}"
-        yield made
+        with shown_as({str(made): str(sink.place)}):
+            yield made
         sink.move(made)
 
 

@@ -14,14 +14,13 @@ from pathlib import Path
 from nanogs.cleanup import temporary_folder
 from nanogs.cli.blocks import DASH
 from nanogs.cli.fetching import transfer_bar
-from nanogs.errors import NanogsError, OptionError, OutputError
+from nanogs.errors import OptionError, OutputError, shown_as
 from nanogs.io import registry
 from nanogs.io.collect import Pair
-from nanogs.io.url_files import TransferProgress, detect_suffix, local_copies
+from nanogs.io.url_files import MANIFESTS, TransferProgress, detect_suffix, local_copies
 from nanogs.io.urls import Address, UrlFile
 
 _REMEDY = "name it, as in --from splat"
-_MANIFESTS = ("meta.json", registry.TILESET, ".lcc")  # of folders; also the end of lod-meta.json
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +67,9 @@ class Streams:
             yield pair
             return
         with temporary_folder("nanogs-") as folder:
-            try:
+            with shown_as({f"{folder}{os.sep}": ""}):
                 real = self._stand_ins(pair, folder)
                 yield real
-            except NanogsError as error:  # remove the temporary folder from its message
-                inside = f"{folder}{os.sep}"
-                error.args = tuple(str(part).replace(inside, "") for part in error.args)
-                raise
             if pair.target == DASH and real.target.exists():
                 with real.target.open("rb") as file:
                     shutil.copyfileobj(file, sys.stdout.buffer)
@@ -150,7 +145,7 @@ class Streams:
         if not raw.stat().st_size:
             raise OptionError("stdin is empty; pipe a model into it.")
         suffix = detect_suffix(raw, "stdin", self.read_as, _REMEDY)
-        if suffix.endswith(_MANIFESTS):
+        if suffix.endswith((*MANIFESTS, "meta.json")):
             raise OptionError(
                 f"A {suffix.lstrip('.')} refers to other files of its folder, which stdin does not"
                 " hold; name the file instead of -."

@@ -12,7 +12,7 @@ from tempfile import SpooledTemporaryFile
 from typing import BinaryIO, cast
 
 from nanogs.cleanup import temporary_folder
-from nanogs.errors import NanogsError, OptionError, OutputError
+from nanogs.errors import OptionError, OutputError, shown_as
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.registry import sniff
@@ -64,12 +64,8 @@ def read_file(
                 ' format=".splat").'
             )
         named = copy.rename(copy.with_name(f"stream{suffix}"))
-        try:
+        with shown_as({f"{folder}{os.sep}": ""}):
             return retagged(registry.reader(named).open(named), render_mode).load()
-        except NanogsError as error:  # leave the temporary folder out of the message
-            inside = f"{folder}{os.sep}"
-            error.args = tuple(str(part).replace(inside, "") for part in error.args)
-            raise
 
 
 def write_file(

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from nanogs.cleanup import defer_exit
-from nanogs.errors import ExistsError, OutputError
+from nanogs.errors import ExistsError, OutputError, shown_as
 from nanogs.io.atomic import writing
 from nanogs.io.temporary import left_beside, locked, name_beside, temporary
 
@@ -35,7 +35,8 @@ def atomic_folder(path: Path, ours: Ours, *, overwrite: bool = False) -> Iterato
     """
     target = _target(path, ours, overwrite=overwrite)
     with writing(path), temporary(target, Path.mkdir) as made:
-        yield made
+        with shown_as({str(made): str(path)}):
+            yield made
         # Checked again: minutes may have passed since the first check.
         _take_place(made, _target(path, ours, overwrite=overwrite), ours)
 

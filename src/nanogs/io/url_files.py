@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path, PurePosixPath
 
 from nanogs.cleanup import temporary_folder
-from nanogs.errors import FormatError, NanogsError, OptionError
+from nanogs.errors import FormatError, OptionError, shown_as
 from nanogs.io import registry
 from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 from nanogs.io.registry import sniff
@@ -22,7 +22,7 @@ TransferProgress = Callable[[str], AbstractContextManager[PartProgress]]
 """Context manager of the stage "fetch" or "send"; yields a callback for the bytes transferred."""
 # Manifests whose model cannot be downloaded file by file: their files name further files, or have
 # to be there before the manifest can be opened.
-_MANIFESTS = (registry.LEVELS, registry.TILESET, registry.LEVEL_LIST, ".lcc")
+MANIFESTS = (registry.LEVELS, registry.TILESET, registry.LEVEL_LIST, ".lcc")
 
 
 def no_transfer_progress(_stage: str) -> AbstractContextManager[PartProgress]:
@@ -68,13 +68,10 @@ def local_copies(
         check_sendable(output, overwrite=overwrite, format=format if not inputs else None)
     with temporary_folder("nanogs-") as folder:
         places: dict[str, str] = {}
-        try:
+        with shown_as(places):
             real = [_fetched(each, folder, places, format, transfer, remedy) for each in inputs]
             target = _to_send(output, folder, places) if isinstance(output, Address) else output
             yield real, target
-        except NanogsError as error:  # name URLs, not temporary folders, in the message
-            error.args = tuple(_renamed(str(part), places) for part in error.args)
-            raise
         if isinstance(output, Address) and target is not None and target.exists():
             with transfer("send") as on_progress:
                 upload(target, output, on_progress, overwrite=overwrite)
@@ -163,7 +160,7 @@ def _fetched(
     """Download the file of a URL, and the files that it refers to; other paths are unchanged."""
     if not isinstance(path, Address):
         return path
-    if path.name.lower().endswith(_MANIFESTS):
+    if path.name.lower().endswith(MANIFESTS):
         raise FormatError(
             f"{path} refers to other files of its folder, which nanogs does not download; download"
             " the whole folder and name that, or use a stream in one file (.ssog, .rad)."
@@ -184,9 +181,3 @@ def _fetched(
         with transfer("fetch") as on_progress:
             fetch(path.beside(str(name)), file, on_progress)
     return model
-
-
-def _renamed(text: str, places: dict[str, str]) -> str:
-    for place, called in places.items():
-        text = text.replace(place, called)
-    return text
