@@ -241,6 +241,13 @@ def test_demo_generates_a_scene_of_the_requested_count(tmp_path):
     assert len(nanogs.load(tmp_path / "demo.ply")) == 2000
 
 
+def test_demo_names_what_the_format_leaves_out(tmp_path):
+    result = run("demo", tmp_path / "demo.splat", "-n", "2000")
+    assert result.returncode == 0
+    assert "note: Spherical harmonics" in result.stderr
+    assert run("demo", tmp_path / "quiet.splat", "-n", "2000", "-q").stderr == ""
+
+
 def test_demo_writes_the_plant_and_names_its_author(tmp_path):
     result = run("demo", tmp_path / "plant.ply")
     assert result.returncode == 0

@@ -257,6 +257,30 @@ def test_urls_that_cannot_be_read_or_written_are_refused(host, temporary, tmp_pa
     assert not (tmp_path / "b.ply").exists()
 
 
+def test_a_url_in_place_of_a_local_file_or_folder_is_refused(folder, tmp_path, monkeypatch):
+    """It was taken for a path whose first folder is "s3:", and that folder was made."""
+    monkeypatch.chdir(tmp_path)
+    scene, out = folder / "scene.ply", tmp_path / "out.ply"
+    for arguments in (
+        ("convert", scene, "--out-dir", "s3://b/x", "--format", "ply"),
+        ("simplify", scene, out, "-r", "0.5", "--job", "s3://b/x"),
+        ("compare", scene, scene, "--photos", "s3://b/x"),
+        ("compare", scene, scene, "--report", "s3://b/x.html"),
+        ("info", scene, "--photos", "s3://b/x"),
+        ("view", scene, "-o", "s3://b/x.html"),
+        ("bench", scene, "-o", "s3://b/x"),
+    ):
+        assert_refused(launch.run(*arguments), "s3://b/x", "URL; name a file or folder of this mac")
+    for options in ({"folder": "s3://b/x"}, {"folder": "levels", "job": "s3://b/x"}):
+        with pytest.raises(OptionError, match="s3://b/x is a URL; name a file or folder"):
+            nanogs.write_levels(scene, **options)
+    with pytest.raises(OptionError, match="s3://b/x is a URL; name a file or folder"):
+        nanogs.simplify_blocks(scene, out, ratio=0.5, job="s3://b/x")
+    with pytest.raises(OptionError, match="A path or URL is needed, not int"):
+        nanogs.write_levels(scene, 3)
+    assert not [*tmp_path.iterdir()]
+
+
 def test_if_one_of_several_urls_fails_the_others_are_converted(host, temporary, tmp_path):
     out = tmp_path / "out"
     result = launch.run("convert", f"{host}/scene.ply{QUERY}", f"{host}/none.ply{QUERY}",

@@ -22,7 +22,7 @@ from nanogs.io.frames import refuse_frame_written
 from nanogs.io.models import Model, as_splats
 from nanogs.io.retag import in_mode
 from nanogs.io.url_files import refuse_address
-from nanogs.io.urls import path_text, places
+from nanogs.io.urls import local_path, path_text, places
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder, level_name
@@ -133,7 +133,7 @@ def write_levels(
     ratios = usual_levels(held, layout) if ratios is None else checked_ratios(ratios)
     read: dict[str, Callable[[Any], Any]] = {
         "max_memory": as_bytes,
-        "job": lambda given: Path(path_text("job", given)),
+        "job": lambda given: local_path(path_text("job", given)),
         "scratch": partial(path_text, "scratch"),
     }  # fmt: skip
     given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
@@ -142,7 +142,7 @@ def write_levels(
     if not isinstance(source, str | None):
         raise OptionError(f"`source` is the name of the model, not {source!r}.")
     request = Request(
-        inputs=files, output=Path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
+        inputs=files, output=local_path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
         chunks=chunks_of(layout, chunk, chunk_min, plain=plain, place=place), frame=frame,
         overwrite=overwrite, measured=measured, overrides=overrides, **given,
     )  # fmt: skip

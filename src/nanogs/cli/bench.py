@@ -127,6 +127,8 @@ def bench(
         typer.Option(
             "--out",
             "-o",
+            parser=options.parse_local,
+            metavar="FOLDER",
             help="Folder for results.md, results.jsonl and plot.svg, with --sizes-of-files also"
             " results.html and plot.png; an unfinished run in it is continued, and further methods"
             " are added to a finished one.",

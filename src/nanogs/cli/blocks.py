@@ -32,6 +32,8 @@ class Blocks:
         Path | None,
         _option(
             "Folder for intermediate results, which survive a crash; removed at the end.",
+            parser=options.parse_local,
+            metavar="FOLDER",
             show_default="OUT.job",
         ),
     ] = None

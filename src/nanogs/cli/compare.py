@@ -55,6 +55,8 @@ def compare(
     photos: Annotated[
         Path | None,
         typer.Option(
+            parser=options.parse_local,
+            metavar="FOLDER",
             help="Score REF and all TESTs against the photographs of this data set "
             "(NeRF-Synthetic or COLMAP folder).",
             rich_help_panel=options.VIEWS,

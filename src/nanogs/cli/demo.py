@@ -10,7 +10,9 @@ from nanogs.formatting import counted
 
 
 def demo(
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", parser=options.parse_output, help="File to write.")
+    ],
     count: Annotated[
         int | None,
         options.count("Generate a scene with this many splats instead, e.g. 50000 or 100k."),
@@ -23,9 +25,9 @@ def demo(
     quiet: options.Quiet = False,
 ) -> None:
     """Write a real scene to try things on: a potted plant of 113,648 splats."""
-    from nanogs.cli.console import err
+    from nanogs.cli.console import say, warn
     from nanogs.errors import OptionError
-    from nanogs.io import check_writable, save
+    from nanogs.io import check_writable, losses, save
 
     if seed and count is None:
         raise OptionError(
@@ -42,6 +44,6 @@ def demo(
         scene, about = make_scene(count, seed=seed), "made up"
     save(scene, target, overwrite=overwrite)
     if not quiet:
-        err.print(
-            f"{target}: {counted(len(scene), 'splat')}, {about}", markup=False, soft_wrap=True
-        )
+        for note in losses(scene, target):
+            warn(note)
+        say(f"{target}: {counted(len(scene), 'splat')}, {about}")

@@ -67,7 +67,12 @@ class Files:
     """Options for several models, and for pipes."""
 
     out_dir: Annotated[
-        Path | None, _several("Folder for the results; made if missing.", metavar="FOLDER")
+        Path | None,
+        _several(
+            "Folder for the results; made if missing.",
+            parser=options.parse_local,
+            metavar="FOLDER",
+        ),
     ] = None
     out_format: Annotated[
         str | None,

@@ -90,7 +90,9 @@ class RenderOptions:
         Path | None,
         _view(
             "Render the model in both modes, default and mip, and score both against the"
-            " photographs of this data set (NeRF-Synthetic or COLMAP folder)."
+            " photographs of this data set (NeRF-Synthetic or COLMAP folder).",
+            parser=options.parse_local,
+            metavar="FOLDER",
         ),
     ] = None
     images: Annotated[str | None, _view("Folder of the photographs, such as images_4.")] = None

@@ -428,6 +428,17 @@ def parse_place(text: str | Path) -> Path:
     return place(text)
 
 
+def parse_local(text: str | Path) -> Path:
+    """Parse the path of a file or folder of this machine.
+
+    Raises:
+        OptionError: It is a URL.
+    """
+    from nanogs.io.urls import local_path
+
+    return local_path(text)
+
+
 def parse_model(text: str | Path) -> Path:
     """Parse the path or URL of a model, for a command that does not read stdin.
 
@@ -456,9 +467,9 @@ def parse_page(text: str | Path) -> Path:
     """Parse the path of a page.
 
     Raises:
-        OptionError: Its suffix is not .html.
+        OptionError: Its suffix is not .html, or it is a URL.
     """
-    page = Path(text)
+    page = parse_local(text)
     if page.suffix.lower() not in (".html", ".htm"):
         raise OptionError(f"{page}: pages are written as HTML; name {page.with_suffix('.html')}.")
     return page

@@ -208,6 +208,21 @@ def place(given: object) -> Path:
     return Path(url2pathname(slash + path))
 
 
+def local_path(given: object) -> Path:
+    """Convert an argument to the path of a file or folder of this machine.
+
+    Args:
+        given: A path or a `file://` URL.
+
+    Raises:
+        OptionError: As for `place`, or it is another URL.
+    """
+    path = place(given)
+    if isinstance(path, Address):
+        raise OptionError(f"{path} is a URL; name a file or folder of this machine.")
+    return path
+
+
 def redacted(url: str) -> str:
     """Return a URL without user, password, query and fragment."""
     parts = []

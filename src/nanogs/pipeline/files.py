@@ -18,7 +18,7 @@ from nanogs.io import open as open_model
 from nanogs.io.frames import keep_stated_frame, refuse_frame_read, refuse_frame_written
 from nanogs.io.limits import degree_left_out
 from nanogs.io.url_files import local_copies
-from nanogs.io.urls import path_text, place, places
+from nanogs.io.urls import local_path, path_text, place, places
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -147,7 +147,7 @@ def simplify_blocks(
         goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr, draw_cost),
         preset=preset, overrides=overrides, measured=measured,
         max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
-        job=None if job is None else Path(path_text("job", job)),
+        job=None if job is None else local_path(path_text("job", job)),
         scratch=None if scratch is None else path_text("scratch", scratch), resume=resume,
         overwrite=overwrite, nan=nan, filters=filters, sh_degree=sh_degree, frame=frame,
         render_mode=render_mode, cameras=cameras, up=up, device=device, threads=threads,
