@@ -1,14 +1,20 @@
 """Output files appear complete or not at all."""
 
 import errno
+import io
 import os
 import pickle
 import stat
+import tempfile
+from pathlib import Path
 
 import pytest
 
+import nanogs
+from builders import random_splats
 from nanogs.cli.wording import wording
 from nanogs.errors import ExistsError, OptionError, OutputError
+from nanogs.io import file_objects, in_order, temporary
 from nanogs.io.atomic import atomic_write, check_writable, move_into_place
 from nanogs.sink import move_file
 
@@ -226,3 +232,44 @@ def test_the_target_of_a_dangling_link_is_created(tmp_path, target):
 def test_check_writable_leaves_no_file(target):
     check_writable(target)
     assert names(target.parent) == []
+
+
+def save_source(folder, name):
+    nanogs.save(nanogs.open(folder / "a.ply"), folder / name)
+
+
+NO_PLACE = r"(made|into a temporary file) \(.*\); free some space, or name another place in TMPDIR"
+
+
+@pytest.mark.parametrize("name", ["b.rad", "b.npz", "b.compressed.ply"])
+def test_the_place_for_temporary_files_is_named_if_it_is_missing(tmp_path, monkeypatch, name):
+    nanogs.save(random_splats(9), tmp_path / "a.ply")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
+    with pytest.raises(OutputError, match=NO_PLACE):
+        save_source(tmp_path, name)
+    with pytest.raises(OutputError, match=NO_PLACE):
+        nanogs.load(io.BytesIO(b"ply"))
+    assert names(tmp_path) == ["a.ply"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.parametrize("name", ["b.rad", "b.npz", "b.compressed.ply"])
+def test_the_place_for_temporary_files_is_named_if_it_is_full(tmp_path, monkeypatch, name):
+    """The file is full when it is closed too, which must not hide the message."""
+
+    def full(**_options):
+        return Path("/dev/full").open("w+b")
+
+    nanogs.save(random_splats(9), tmp_path / "a.ply")
+    for module in (temporary, in_order):
+        monkeypatch.setattr(module, "TemporaryFile", full)
+    with pytest.raises(OutputError, match=r"temporary file \(No space left.*TMPDIR"):
+        save_source(tmp_path, name)
+    assert names(tmp_path) == ["a.ply"]
+
+
+def test_the_place_for_what_an_open_file_gets_is_named_if_it_is_full(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
+    monkeypatch.setattr(file_objects, "_IN_MEMORY", 10)
+    with pytest.raises(OutputError, match="TMPDIR"):
+        nanogs.save(random_splats(9), io.BytesIO(), format="ply")

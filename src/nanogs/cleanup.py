@@ -10,6 +10,8 @@ from contextlib import contextmanager, suppress
 from threading import RLock
 from typing import TYPE_CHECKING
 
+from nanogs.errors import OutputError
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -37,7 +39,11 @@ def cleaned_up(clean: Callable[[], None]) -> Iterator[None]:
 
 @contextmanager
 def temporary_folder(prefix: str) -> Iterator["Path"]:
-    """Make an empty folder in the system's temporary folder; it is removed when the block ends."""
+    """Make an empty folder in the system's temporary folder; it is removed when the block ends.
+
+    Raises:
+        OutputError: It cannot be made.
+    """
     from pathlib import Path
     from tempfile import TemporaryDirectory  # imported late: the command imports this file at start
 
@@ -48,8 +54,14 @@ def temporary_folder(prefix: str) -> Iterator["Path"]:
             folder.cleanup()
 
     with cleaned_up(remove):
-        with defer_exit():
-            made.append(TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True))
+        try:
+            with defer_exit():
+                made.append(TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True))
+        except OSError as error:
+            raise OutputError(
+                f"No temporary folder can be made ({error.strerror or error}); free some space, or"
+                " name another place in TMPDIR."
+            ) from error
         yield Path(made[0].name)
 
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from tempfile import TemporaryFile
 
 from nanogs._types import Array
+from nanogs.io.temporary import into_temporary, nameless_file
 from nanogs.source import InMemory, Source
 from nanogs.splats import Splats
 
@@ -24,22 +24,24 @@ def encoded_columns(source: Source, encoders: Sequence[Encoder]) -> Iterator[Ite
         encoders: One for each column, in the order of the columns.
 
     Raises:
-        OSError: A temporary file cannot be written.
+        OutputError: A temporary file cannot be written.
     """
     if isinstance(source, InMemory):
         for encode in encoders:
             yield (encode(block).tobytes() for block in source.blocks())
         return
     with ExitStack() as stack:
-        files = [stack.enter_context(TemporaryFile(prefix="nanogs-")) for _ in encoders[1:]]
+        files = [stack.enter_context(nameless_file()) for _ in encoders[1:]]
 
         def first() -> Iterator[bytes]:
             for block in source.blocks():
-                for encode, file in zip(encoders[1:], files, strict=True):
-                    file.write(encode(block).tobytes())
+                with into_temporary():
+                    for encode, file in zip(encoders[1:], files, strict=True):
+                        file.write(encode(block).tobytes())
                 yield encoders[0](block).tobytes()
 
         yield first()
         for file in files:
-            file.seek(0)
+            with into_temporary():  # the last bytes are written now
+                file.seek(0)
             yield iter(lambda file=file: file.read(_PIECE), b"")  # type: ignore[misc]

@@ -17,6 +17,7 @@ from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.registry import sniff
 from nanogs.io.retag import retagged
+from nanogs.io.temporary import into_temporary
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -94,7 +95,7 @@ def write_file(
             ' format=".ply").'
         )
     write = registry.writer(Path(f"stream{suffix}"), options)
-    with SpooledTemporaryFile(_IN_MEMORY) as made:
+    with into_temporary(), SpooledTemporaryFile(_IN_MEMORY) as made:
         write(splats, cast("BinaryIO", made))
         made.seek(0)
         try:

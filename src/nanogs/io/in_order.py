@@ -7,6 +7,7 @@ from weakref import finalize
 import numpy as np
 
 from nanogs._types import I32, I64, Array
+from nanogs.io.temporary import close_quietly, into_temporary
 from nanogs.source import InMemory, Layout, Source
 from nanogs.splats import RenderMode, Splats
 
@@ -22,7 +23,7 @@ def in_order(source: Source, order: I64 | I32) -> Source:
         order: (N,) the input row of each output row.
 
     Raises:
-        OSError: The temporary file cannot be written.
+        OutputError: The temporary file cannot be written.
     """
     return _Taken(source, order) if isinstance(source, InMemory) else _Sorted(source, order)
 
@@ -51,8 +52,9 @@ class _Sorted(Source):
         self.count, self.columns = source.count, source.columns
         self._rows = max(_LEAST_ROWS, -(-len(order) // _MOST_BUCKETS))
         self._dtype = np.dtype([("place", "<i8"), *_columns(source.read(0, 1))])
-        self._file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed by `close`
-        finalize(self, self._file.close)
+        with into_temporary():
+            self._file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed by `close`
+        finalize(self, close_quietly, self._file)
         self._last: tuple[int, Array] | None = None
         self._fill(order)
 
@@ -69,10 +71,13 @@ class _Sorted(Source):
             buckets = rows["place"] // self._rows
             for bucket in np.unique(buckets):
                 some = rows[buckets == bucket]
-                self._file.seek(int(ends[bucket]) * self._dtype.itemsize)
-                self._file.write(some.tobytes())
+                with into_temporary():
+                    self._file.seek(int(ends[bucket]) * self._dtype.itemsize)
+                    self._file.write(some.tobytes())
                 ends[bucket] += len(some)
             at += len(block)
+        with into_temporary():
+            self._file.flush()
 
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop`; see `Source.read`."""
@@ -95,7 +100,7 @@ class _Sorted(Source):
 
     def close(self) -> None:
         """Remove the temporary file."""
-        self._file.close()
+        close_quietly(self._file)
 
 
 def _columns(splats: Splats) -> list[tuple[str, Any, tuple[int, ...]]]:

@@ -24,7 +24,7 @@ from nanogs._types import Array
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.files import reading
 from nanogs.io.info import FileInfo
-from nanogs.io.temporary import temporary_file_error
+from nanogs.io.temporary import into_temporary
 from nanogs.slices import BLOCK_ROWS
 from nanogs.source import Layout, Source
 from nanogs.splats import Splats
@@ -249,14 +249,12 @@ def _unpacked(packed: Packed) -> UnpackedColumns:
     ends = accumulate((column.bytes for column in packed.stored.values()), initial=0)
     places = dict(zip(packed.stored, ends, strict=False))
     notes: list[str] = []
-    try:
-        with ExitStack() as stack:
-            file: IO[bytes] = stack.enter_context(TemporaryFile(prefix="nanogs-"))
-            for piece in packed.unpack(notes):
-                file.write(_as_bytes(np.ascontiguousarray(piece)))
-            stack.pop_all()
-    except OSError as error:
-        raise temporary_file_error(f"{packed.path} cannot be unpacked", error) from error
+    with into_temporary(f"{packed.path} cannot be unpacked"), ExitStack() as stack:
+        file: IO[bytes] = stack.enter_context(TemporaryFile(prefix="nanogs-"))
+        for piece in packed.unpack(notes):
+            file.write(_as_bytes(np.ascontiguousarray(piece)))
+        file.flush()
+        stack.pop_all()
     finalize(packed, file.close)  # on garbage collection, if `close` is not called
     lock = Lock()  # threads share the position in the file
 

@@ -14,6 +14,8 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from secrets import token_hex
+from tempfile import TemporaryFile
+from typing import IO
 
 from nanogs.cleanup import cleaned_up
 from nanogs.errors import OutputError
@@ -46,6 +48,42 @@ def temporary(target: Path, make: Callable[[Path], None]) -> Iterator[Path]:
         make(path)
         with locked(path):
             yield path
+
+
+@contextmanager
+def into_temporary(what: str = "The model cannot be written") -> Iterator[None]:
+    """Convert an `OSError` of making or writing temporary files to an `OutputError`.
+
+    Without it, the output would be named, which may be on another disk.
+
+    Args:
+        what: The operation that fails; see `temporary_file_error`.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise temporary_file_error(what, error) from error
+
+
+@contextmanager
+def nameless_file() -> Iterator[IO[bytes]]:
+    """Make a file without a name in the system's temporary folder; it is gone after the block.
+
+    Raises:
+        OutputError: It cannot be made.
+    """
+    with into_temporary():
+        file = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed below
+    try:
+        yield file
+    finally:
+        close_quietly(file)
+
+
+def close_quietly(file: IO[bytes]) -> None:
+    """Close a file that is not needed any more; a full disk would raise for its last bytes."""
+    with suppress(OSError):
+        file.close()
 
 
 def temporary_file_error(what: str, error: OSError) -> OutputError:

@@ -11,7 +11,6 @@ import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
-from tempfile import TemporaryFile
 from typing import Any, BinaryIO, NamedTuple, Protocol
 
 import numpy as np
@@ -36,6 +35,7 @@ from nanogs.io.rad.header import (
 )
 from nanogs.io.rad.values import OCT88R8, by_byte, by_component, differences, encode_oct88r8
 from nanogs.io.rotations import minimise_rotation
+from nanogs.io.temporary import into_temporary, nameless_file
 from nanogs.io.texts import as_utf8, one_line
 from nanogs.slices import slices
 from nanogs.source import Source, source_of
@@ -114,7 +114,8 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
     Raises:
         OutputError: A value is NaN or infinite, the comments are too long, or one holds a line
             break; nothing has been written then.
-        OSError: The system refuses to write, here or to a temporary file.
+        OutputError: A temporary file cannot be written.
+        OSError: The system refuses to write.
     """
     source = source_of(model)
     degree = min(source.columns.sh_degree, MAX_DEGREE)
@@ -138,14 +139,16 @@ def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -
         **({"comment": "\n".join(as_utf8(one_line(text)) for text in lines)} if lines else {}),
     }
     _described(MAGIC, head)  # refuses comments that are too long before anything is packed
-    with TemporaryFile(prefix="nanogs-") as body:
+    with nameless_file() as body:
         at = 0
         for chunk in _chunks(source, degree, tree, encoding):
-            body.write(chunk)
+            with into_temporary():
+                body.write(chunk)
             chunks.append({"offset": at, "bytes": len(chunk)})
             at += len(chunk)
         file.write(_described(MAGIC, head | {"allChunkBytes": at}))
-        body.seek(0)
+        with into_temporary():  # the last bytes are written now
+            body.seek(0)
         shutil.copyfileobj(body, file, 1 << 20)
 
 
