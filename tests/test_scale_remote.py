@@ -380,6 +380,35 @@ def test_a_missing_fsspec_package_is_named():
         open_scratch("gs://bucket/job")
 
 
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("nosuch://user:secret@place/job", "nosuch://place/job cannot be reached"),
+        ("ftp://user:secret@127.0.0.1:1/job", "ftp://127.0.0.1:1/job cannot be reached"),
+    ],
+)
+def test_errors_name_the_url_without_its_password(url, shown):
+    pytest.importorskip("fsspec")
+    with pytest.raises(OptionError) as raised:
+        open_scratch(url)
+    assert str(raised.value).startswith(shown)
+    assert "secret" not in str(raised.value)
+
+
+def test_an_error_of_a_store_is_shown_without_the_password(monkeypatch):
+    pytest.importorskip("fsspec")
+    scratch = open_scratch("memory://user:secret@store/job")
+
+    def fail(_path):
+        raise OSError("no user:secret here")
+
+    monkeypatch.setattr(scratch.files, "exists", fail)
+    with pytest.raises(OutputError, match="memory://store/job cannot be written to") as raised:
+        scratch.prepare()
+    assert "secret" not in str(raised.value)
+    assert scratch.place == "memory://user:secret@store/job"  # which workers open
+
+
 @pytest.mark.parametrize("name", ["job", "threads"])
 def test_errors_name_the_url_if_a_file_disappears_meanwhile(name, monkeypatch):
     pytest.importorskip("fsspec")

@@ -14,6 +14,7 @@ from nanogs.errors import CrowdedError, ModelError, OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.io import registry
 from nanogs.io.format import Sizer
+from nanogs.io.urls import is_url
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
 from nanogs.method.parameters import ForestParameters
@@ -38,7 +39,6 @@ from nanogs.report import SimplifyReport
 from nanogs.sink import Sink, Written
 from nanogs.source import Joined, Layout
 from nanogs.store.columns import no_splats, row_bytes
-from nanogs.store.scratch import is_url
 from nanogs.views.plan import room_for_measuring
 
 if TYPE_CHECKING:

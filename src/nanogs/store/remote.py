@@ -10,6 +10,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import NanogsError, OptionError, OutputError
+from nanogs.io.urls import Address
 from nanogs.store.scratch import PARENT_MARKER, SUFFIXES, made_parents, write_hashed
 
 # Object stores: they have no folders, so none is made or removed; for a name without slashes, that
@@ -25,26 +26,34 @@ class UrlScratch:
     """Intermediate files under a URL; a table is complete once its record is there."""
 
     def __init__(self, url: str) -> None:
+        self._address = Address(url.rstrip("/"))
         try:
             import fsspec
         except ImportError:
-            raise OptionError(f'{url} needs fsspec: pip install "nanogs[cluster]".') from None
-        self.url = url.rstrip("/")
+            raise OptionError(
+                f'{self.shown} needs fsspec: pip install "nanogs[cluster]".'
+            ) from None
         try:
-            self.files, self.root = _find(fsspec, self.url)
+            self.files, self.root = _find(fsspec, self.place)
         except ImportError as error:
-            reason = str(error).rstrip(".")
-            raise OptionError(f"{url} needs another package: {reason}.") from None
-        except ValueError as error:
-            reason = str(error).rstrip(".")
-            raise OptionError(f"{url} cannot be reached ({reason}); name another place.") from None
-        kind = self.url.partition("://")[0].rpartition("::")[2]
-        self.has_folders = kind not in _STORES
+            raise OptionError(
+                f"{self.shown} needs another package: {self._reason(error)}."
+            ) from None
+        except Exception as error:
+            raise OptionError(
+                f"{self.shown} cannot be reached ({self._reason(error)}); name another place."
+            ) from None
+        self.has_folders = self._address.kind not in _STORES
 
     @property
     def place(self) -> str:
         """The URL."""
-        return self.url
+        return self._address.url
+
+    @property
+    def shown(self) -> str:
+        """The URL without user and password."""
+        return str(self._address)
 
     @property
     def at_once(self) -> int:
@@ -53,7 +62,7 @@ class UrlScratch:
 
     def prepare(self) -> None:
         """Make the folder, and try to write, read and delete there before anything is computed."""
-        with self._reached(f"{self.url} cannot be written to"):
+        with self._reached(f"{self.shown} cannot be written to"):
             if self.has_folders:
                 new = sum(not self.files.exists(parent) for parent in self._parents())
                 self.files.makedirs(self.root, exist_ok=True)
@@ -62,12 +71,12 @@ class UrlScratch:
         self.write(_PROBE, [np.zeros(1, np.uint8)])
         with self.open(_PROBE) as file:
             file.read()
-        with self._reached(f"Nothing can be deleted in {self.url}"):
+        with self._reached(f"Nothing can be deleted in {self.shown}"):
             self.files.rm_file(f"{self.root}/{_PROBE}")
 
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
         """Upload a file, whole or not at all; see `Scratch.write`."""
-        with self._reached(f"{self.url}/{name} cannot be written"):
+        with self._reached(f"{self.shown}/{name} cannot be written"):
             file = self.files.open(f"{self.root}/{name}", "wb", block_size=_UPLOAD)
             try:
                 written = write_hashed(file, parts)
@@ -82,7 +91,7 @@ class UrlScratch:
         """Open a file to read and seek in; see `Scratch.open`."""
         path = f"{self.root}/{name}"
         if size is None:
-            with self._reached(f"{self.url}/{name} cannot be read", missing=True):
+            with self._reached(f"{self.shown}/{name} cannot be read", missing=True):
                 self.files.invalidate_cache()  # other processes write too
                 size = int(self.files.size(path))
         return cast("BinaryIO", _Ranges(self, path, size))
@@ -94,14 +103,14 @@ class UrlScratch:
 
     def discard(self, beginnings: tuple[str, ...]) -> None:
         """Delete all files written here whose names begin with one of `beginnings`."""
-        with self._reached(f"Nothing can be deleted in {self.url}"):
+        with self._reached(f"Nothing can be deleted in {self.shown}"):
             for path in self._names(SUFFIXES):
                 if path.rpartition("/")[2].startswith(beginnings):
                     self.files.rm_file(path)
 
     def remove(self) -> None:
         """Delete all files written here, and the folder; see `Scratch.remove`."""
-        with self._reached(f"{self.url} cannot be emptied"):
+        with self._reached(f"{self.shown} cannot be emptied"):
             self._abort()
             paths, made = self._names(SUFFIXES), 0
             for path in paths:
@@ -116,7 +125,7 @@ class UrlScratch:
 
     def tidy(self) -> None:
         """Delete temporary files and abort unfinished uploads of killed writers."""
-        with self._reached(f"{self.url} cannot be tidied"):
+        with self._reached(f"{self.shown} cannot be tidied"):
             self._abort()
             for path in self._names((".tmp",)):
                 self.files.rm_file(path)
@@ -163,9 +172,12 @@ class UrlScratch:
         except Exception as error:
             if missing and isinstance(error, FileNotFoundError):
                 raise
-            text = str(error).strip().splitlines()
-            reason = text[0].rstrip(".") if text else type(error).__name__
-            raise OutputError(f"{otherwise} ({reason}).") from error
+            raise OutputError(f"{otherwise} ({self._reason(error)}).") from error
+
+    def _reason(self, error: Exception) -> str:
+        """Return the first line of a message, without the secrets of the URL."""
+        text = self._address.said(str(error)).strip().splitlines()
+        return text[0].rstrip(".") if text else type(error).__name__
 
 
 class _Ranges(io.RawIOBase):

@@ -16,6 +16,7 @@ import numpy as np
 from nanogs._types import Array
 from nanogs.io.atomic import output_error
 from nanogs.io.folder import make_folders, remove_empty
+from nanogs.io.urls import is_url
 
 SUFFIXES = (".npy", ".json", ".tmp")
 PARENT_MARKER = "made.json"  # holds the number of folders around that `prepare` made
@@ -28,6 +29,10 @@ class Scratch(Protocol):
     @property
     def place(self) -> str:
         """The folder or URL, as `open_scratch` takes it."""
+
+    @property
+    def shown(self) -> str:
+        """The folder or URL for messages, without secrets."""
 
     @property
     def at_once(self) -> int:
@@ -79,6 +84,11 @@ class FolderScratch:
 
     @property
     def place(self) -> str:
+        """The folder."""
+        return str(self.folder)
+
+    @property
+    def shown(self) -> str:
         """The folder."""
         return str(self.folder)
 
@@ -156,11 +166,6 @@ def open_scratch(place: str) -> Scratch:
     from nanogs.store.remote import UrlScratch
 
     return UrlScratch(place)
-
-
-def is_url(place: str) -> bool:
-    """Whether a place is a URL for fsspec, and not a folder."""
-    return "://" in place
 
 
 def hash_file(file: BinaryIO) -> tuple[int, str]:

@@ -19,6 +19,7 @@ from nanogs.errors import (
     TooSmallError,
     UnstorableError,
 )
+from nanogs.io.urls import is_url
 from nanogs.pipeline.estimates.durations import job_stages
 from nanogs.pipeline.estimates.stage_weights import measure_stage
 from nanogs.pipeline.job.folder import (
@@ -35,7 +36,7 @@ from nanogs.pipeline.options.settings import Settings, differences, in_words
 from nanogs.pipeline.run import Done, Executor, InProcess, Search, run_tasks
 from nanogs.progress import WAITING, Progress, Tracker
 from nanogs.sink import Written
-from nanogs.store.scratch import Scratch, is_url, open_scratch
+from nanogs.store.scratch import Scratch, open_scratch
 from nanogs.threads import use_threads
 
 if TYPE_CHECKING:

@@ -114,7 +114,7 @@ class JobResults:
             facts = work.record(task).facts
             if facts[COUNT] != count:
                 raise OutputError(
-                    f"{work.scratch.place} belongs to another search, which tried"
+                    f"{work.scratch.shown} belongs to another search, which tried"
                     f" {facts[COUNT]:,} splats and not {count:,}; remove the job's folder."
                 )
             self.tried.made.append(result)
