@@ -124,6 +124,12 @@ def test_info_takes_a_path_and_describes_the_file(files):
         nanogs.info("missing.ply")
 
 
+@pytest.mark.parametrize("read", [nanogs.load, nanogs.info])
+def test_a_name_that_is_too_long_for_the_system_is_no_file(read):
+    with pytest.raises(FormatError, match="no such file or folder"):
+        read(1000 * "a")
+
+
 # ---- paths in place of models ---------------------------------------------------------------
 
 

@@ -181,6 +181,14 @@ def test_cameras_are_read_from_each_layout(tmp_path, blender):
     assert len(cameras_from_file(run)) == len(cameras_from_file(run / "cameras.json")) == 1
 
 
+def test_cameras_in_a_file_with_a_byte_order_mark_are_read(tmp_path):
+    """Programs on Windows write it."""
+    path = write_json(tmp_path / "cameras.json", [trained_camera()])
+    plain = cameras_from_file(path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert str(cameras_from_file(path)) == str(plain)
+
+
 def test_cameras_of_all_transforms_files_are_listed(blender):
     train = [{"file_path": "./train/r_0", "transform_matrix": POSE}]
     write_json(blender / "transforms_train.json", transforms(train, w=8, h=6))

@@ -47,6 +47,14 @@ def test_folders_files_and_patterns_select_files(folder):
     assert collect([folder / "gar*"]) == [folder / "garden" / "meta.json"]
 
 
+def test_hidden_files_of_a_folder_are_not_selected(folder):
+    """macOS writes a ._a.ply with attributes of a.ply to disks of other systems."""
+    (folder / "._a.ply").write_bytes(b"\0\5\x16\7")
+    (folder / ".ply").write_text("")
+    assert collect([folder]) == [folder / "a.ply", folder / "b.spz"]
+    assert collect([folder / "._a.ply"]) == [folder / "._a.ply"]  # which is named
+
+
 def test_a_file_whose_name_looks_like_a_pattern_is_found(folder):
     odd = folder / "a[1].ply"
     odd.write_bytes((folder / "a.ply").read_bytes())

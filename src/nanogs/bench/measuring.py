@@ -168,7 +168,7 @@ def _producer_figures(path: Path) -> dict[str, Any]:
     if not note.exists():
         return {}
     try:
-        noted = dict(json.loads(note.read_text(encoding="utf-8")))
+        noted = dict(json.loads(note.read_text(encoding="utf-8-sig")))
         kinds = {"seconds": float, "peak_memory": int}
         return {name: kind(noted[name]) for name, kind in kinds.items() if name in noted}
     except (ValueError, TypeError, OverflowError):

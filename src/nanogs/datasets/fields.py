@@ -23,14 +23,14 @@ MAX_DISTANCE = 1e12  # scene units; squares of much larger values overflow in si
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 file.
+    """Read a UTF-8 file, which may begin with a byte order mark, as programs on Windows write.
 
     Raises:
         FormatError: The file is missing, unreadable or not UTF-8, or a placeholder such as a Git
             LFS pointer; see `refuse_stand_in`.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise FormatError(
             f"{path}: cannot be read ({error.strerror or error}); check the path"

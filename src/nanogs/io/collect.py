@@ -1,6 +1,7 @@
 """Resolving the paths, folders and patterns that a user gives to input and output files."""
 
 import glob
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +25,10 @@ class Pair:
 def collect(paths: Iterable[Path]) -> list[Path]:
     """Expand folders and patterns to the files they mean; files are returned unchanged.
 
-    A folder is replaced by the models directly in it, or by its manifest if it is a SOG model, a
-    streamed SOG model or 3D Tiles; a pattern (`*`, `?`, `[...]`, `**`) that is not the name of a
-    file by everything that matches it, as in a shell. Each file is listed once, in the order given
-    and by name within a folder.
+    A folder is replaced by the models directly in it that are not hidden, or by its manifest if it
+    is a SOG model, a streamed SOG model or 3D Tiles; a pattern (`*`, `?`, `[...]`, `**`) that is
+    not the name of a file by everything that matches it, as in a shell. Each file is listed once,
+    in the order given and by name within a folder.
 
     Raises:
         FormatError: A folder holds no model.
@@ -45,7 +46,7 @@ def model_in(path: Path) -> Path:
     Raises:
         FormatError: The folder holds no model, or several.
     """
-    if not path.is_dir():
+    if not os.path.isdir(path):  # noqa: PTH112 - a name that is too long is no folder
         return path
     inside = _files(path)
     if len(inside) > 1 and not (path / registry.LEVEL_LIST).is_file():
@@ -69,7 +70,7 @@ def _files(path: Path) -> list[Path]:
     for name in WHOLE_FOLDERS:
         if (path / name).is_file():
             return [path / name]
-    inside = [file for file in sorted(path.iterdir()) if file.is_file() and _readable(file)]
+    inside = [file for file in sorted(path.iterdir()) if file.is_file() and _seen(file)]
     if not inside:
         raise FormatError(
             f"The folder {path} holds no file of a format that nanogs reads; name one that does."
@@ -77,8 +78,9 @@ def _files(path: Path) -> list[Path]:
     return inside
 
 
-def _readable(file: Path) -> bool:
-    known = registry.find(file)
+def _seen(file: Path) -> bool:
+    """Whether a file of a folder is a model, and not hidden, as the `._a.ply` of macOS."""
+    known = None if file.name.startswith(".") else registry.find(file)
     return known is not None and known.readable
 
 

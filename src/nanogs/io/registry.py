@@ -1,5 +1,6 @@
 """Looking up formats by the suffix of a file name or by the first bytes of a file."""
 
+import os
 import zipfile
 from collections.abc import Sequence
 from functools import partial
@@ -92,9 +93,10 @@ def reader(path: Path) -> Format:
     """
     known = find(path)
     if known is None:
-        if not (path.suffix or isinstance(path, Address) or path.exists()):
+        # `os.path` takes a name that is too long for no file; `Path` raises.
+        if not (path.suffix or isinstance(path, Address) or os.path.exists(path)):  # noqa: PTH110
             raise FormatError(f"{path}: no such file or folder; check the path.")
-        if path.is_dir() and not isinstance(path, Address):
+        if os.path.isdir(path) and not isinstance(path, Address):  # noqa: PTH112
             raise FormatError(f"{path} is a folder; name the model file inside it.")
         _refuse_list(path)
         suffixes = [known.suffix for known in formats() if known.readable]
