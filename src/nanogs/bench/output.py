@@ -1,8 +1,7 @@
 """The output folder of a run: rows as they are measured, then tables and plots."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,9 @@ from nanogs.bench.settings import BenchSettings
 from nanogs.bench.size_charts import SizeCharts
 from nanogs.bench.size_tables import size_page
 from nanogs.bench.tables import json_line, markdown
-from nanogs.errors import ExistsError, OutputError
+from nanogs.errors import ExistsError
 from nanogs.formatting import utf8
-from nanogs.io.atomic import atomic_write
+from nanogs.io.atomic import atomic_write, writing
 from nanogs.io.folder import make_folders, remove_empty
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
@@ -85,7 +84,7 @@ class ResultFolder:
         """
         self.path, self.done = Path(folder), list[BenchRow]()
         self._run, self._begun = run, False
-        with _writing(self.path):
+        with writing(self.path):
             if not overwrite:
                 rows = {row.key: row for row in (*self._finished_rows(), *self._rows_so_far())}
                 self.done = list(rows.values())
@@ -102,7 +101,7 @@ class ResultFolder:
             known = "".join(map(json_line, self.done))
             _replace(unfinished, f"{self._run or '{}'}\n{known}".encode())
         self._begun = True
-        with _writing(unfinished):
+        with writing(unfinished):
             if row.key not in {known.key for known in self.done}:
                 with unfinished.open("a", encoding="utf-8") as file:
                     file.write(json_line(row))
@@ -132,11 +131,11 @@ class ResultFolder:
             contents[PAGE] = utf8(size_page(rows, others, preamble))
         if self._run is not None:
             contents[RUN] = utf8(f"{self._run}\n")
-        with _writing(self.path / RUN):  # no run stands beside rows of another, even if killed
+        with writing(self.path / RUN):  # no run stands beside rows of another, even if killed
             (self.path / RUN).unlink(missing_ok=True)
         for name, content in contents.items():
             _replace(self.path / name, content)
-        with _writing(self.path / UNFINISHED):
+        with writing(self.path / UNFINISHED):
             (self.path / UNFINISHED).unlink(missing_ok=True)
 
     def abandon(self) -> None:
@@ -145,7 +144,7 @@ class ResultFolder:
         Raises:
             OutputError: It cannot be removed.
         """
-        with _writing(self.path / UNFINISHED):
+        with writing(self.path / UNFINISHED):
             if self._begun:
                 (self.path / UNFINISHED).unlink(missing_ok=True)
         remove_empty(self._made)
@@ -240,11 +239,3 @@ def _replace(path: Path, content: bytes) -> None:
     """Write a file that appears whole or, on a full disk, leaves what was there before."""
     with atomic_write(path, overwrite=True) as file:
         file.write(content)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}.") from error
