@@ -272,6 +272,15 @@ def test_page_names_are_checked_and_many_pages_are_accepted_one_after_another(st
         assert studio.request("POST", "cancel", body)[0] == 204
 
 
+def test_only_the_models_of_the_latest_scene_are_kept_for_all_pages():
+    """A worker process that is started anew opens the scene again, with other IDs."""
+    pages = Pages()
+    pages.deliver("", {"type": "scene", "number": 1}, {"old": b"bytes"})
+    pages.deliver("", {"type": "scene", "number": 2}, {"new": b"bytes"})
+    pages.deliver("", {"type": "note"}, {})
+    assert (pages.model("old"), pages.model("new")) == (None, b"bytes")
+
+
 def test_too_many_pages_replace_the_one_that_was_closed_first_and_never_an_open_one():
     pages = Pages()
     for number in range(MOST):

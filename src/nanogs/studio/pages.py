@@ -47,7 +47,7 @@ class Pages:
 
     def __init__(self) -> None:
         self._pages: dict[str, Page] = {}
-        self._shared: dict[str, bytes] = {}
+        self._shared: dict[str, bytes] = {}  # the latest models for all pages, by ID
         self.scene: Event | None = None
         self.last_left: float | None = None  # time when a page was last closed, `time.monotonic`
 
@@ -82,8 +82,8 @@ class Pages:
         """
         if event["type"] == "scene":
             self.scene = event
-        if not name:
-            self._shared |= models
+        if not name and models:
+            self._shared = models
         elif name in self._pages:
             kept = self._pages[name].models.setdefault(
                 event["type"], deque(maxlen=KEPT.get(event["type"], 1))
