@@ -221,6 +221,13 @@ def test_layers_of_other_programs_are_read(load):
     assert loaded.sh[0, 0] == pytest.approx([0.1, 0.2, 0.3])
 
 
+def test_values_of_splats_beyond_the_schema_are_noted(load):
+    body = """float[] primvars:label = [1, 2] (interpolation = "vertex")
+    uniform token sortingModeHint = "zDepth"
+    float3[] extent"""
+    assert load(layer(prim(body))).notes == ("The attribute 'primvars:label' was left out.",)
+
+
 def test_transforms_are_applied(load):
     outer = """def Xform "A" {
     double3 xformOp:translate = (10, 0, 0)

@@ -130,6 +130,9 @@ def _decoded(layer: Layer, given: _Field) -> Splats:
     if wrong := int(np.isnan(out["opacity_logits"]).sum()):
         text = "{:opacity is|opacities are} not from 0 to 1 and became NaN."
         notes.append(Finding(text, wrong))
+    # Values of each splat beyond the schema are primvars.
+    left_out = [name for name in given.prim.values if name.startswith("primvars:")]
+    notes += [f"The attribute {name[:40]!a} was left out." for name in left_out]
     return Splats(**out, notes=notes)
 
 
