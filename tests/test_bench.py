@@ -68,6 +68,9 @@ def test_scenes_are_named_after_their_file_or_by_the_option():
     assert scene_of_file("x/biker.compressed.ply").name == "biker"
     assert parse_scene("g=a/b.ply").photos is None
     assert parse_scene("g=a/b.ply:data/g").photos.as_posix() == "data/g"
+    drives = parse_scene("g=C:\\a.ply:D:\\photos")
+    assert (str(drives.model), str(drives.photos)) == ("C:\\a.ply", "D:\\photos")
+    assert str(parse_scene("g=C:\\a.ply").model) == "C:\\a.ply"
     for text in ("g", "=a.ply", "g="):
         with pytest.raises(OptionError, match="NAME=MODEL"):
             parse_scene(text)

@@ -1,5 +1,6 @@
 """Scenes to measure on, and the reference images that results are compared with."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,6 +81,8 @@ def parse_scene(text: str) -> BenchScene:
     if is_url(rest):
         refuse_address(place(rest), _DOWNLOAD)
     model, _, folder = rest.rpartition(":")
+    if folder.startswith(("/", "\\")) and re.search(":[A-Za-z]$", model):  # a drive's colon
+        model, folder = model[:-2], f"{model[-1]}:{folder}"
     if len(model) < 2:  # no colon, or only that of a drive letter
         model, folder = rest, ""
     if not name or not model:
