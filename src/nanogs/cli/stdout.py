@@ -1,4 +1,4 @@
-"""stdout, whose failures become errors that name it: a disk that is full, or a closed stream."""
+"""stdout: its failures, such as a full disk, become errors; what it cannot encode is escaped."""
 
 import os
 import sys

@@ -1,8 +1,8 @@
-"""Temporary files and folders beside an output, and removing those that killed runs have left.
+"""Temporary files and folders beside an output, and nameless files in the system's folder for them.
 
-Each is locked by the process that fills it. The system releases the lock when the process ends, in
-whatever way; so one that is not locked, and was made on this machine for the same output, is a
-leftover.
+Those that killed runs have left beside an output are removed. Each is locked by the process that
+fills it. The system releases the lock when the process ends, in whatever way; so one that is not
+locked, and was made on this machine for the same output, is a leftover.
 """
 
 import hashlib
