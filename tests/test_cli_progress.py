@@ -178,9 +178,7 @@ def test_the_summary_is_one_line(tmp_path):
         shown = command("simplify", "in.ply", "out.ply", *options, cwd=tmp_path)
         summary_lines = [line for line in shown.splitlines() if not re.match(r"\d+/\d+ ", line)]
         assert len(summary_lines) >= least_lines
-        assert re.fullmatch(
-            r"100 (→|->) 10 splats in out.ply, .* [kM]?B, .* (s|min)", summary_lines[-1]
-        )
+        assert re.fullmatch(r"100 (→|->) 10 splats in out.ply, .* [kM]?B, .* s", summary_lines[-1])
         assert len(summary_lines) == 1 or verbose
 
 

@@ -9,20 +9,25 @@ from pathlib import Path
 import pytest
 
 import nanogs
+from builders import random_splats
 
-LOGARITHM = """
+LOCK = """
+from numba.core import caching
+
+def refuse(*_):
+    raise PermissionError("read-only")
+
+caching._CacheLocator.ensure_cache_path = refuse
+caching.IndexDataCacheFile._open_for_write = refuse
+"""
+
+LOGARITHM = f"""
 import sys
 
 import numpy as np
 
 if "locked" in sys.argv:
-    from numba.core import caching
-
-    def refuse(*_):
-        raise PermissionError("read-only")
-
-    caching._CacheLocator.ensure_cache_path = refuse
-    caching.IndexDataCacheFile._open_for_write = refuse
+    exec({LOCK!r})
 
 from nanogs.kernels.compiling import when_compiling
 from nanogs.kernels.forest import log_determinants  # soon compiled, with helpers of two files
@@ -73,6 +78,24 @@ def test_a_read_only_cache_is_still_read(package):
     assert run(package, "locked") == "0.693 compiled"
     assert run(package) == "0.693 compiled"
     assert run(package, "locked") == "0.693 loaded"
+
+
+def test_a_run_whose_kernels_cannot_be_saved_says_what_to_do(package, tmp_path):
+    nanogs.save(random_splats(200), tmp_path / "a.ply")
+    script = LOCK + "from nanogs.cli import main; main()"
+    folder = tmp_path / "nowhere"
+    result = subprocess.run(
+        [sys.executable, "-c", script, "render", "a.ply", "b.png", "--pixels", "16"],
+        env=environment(package) | {"NUMBA_CACHE_DIR": str(folder)},
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    [note] = [line for line in result.stderr.splitlines() if "NUMBA_CACHE_DIR" in line]
+    assert note.startswith(f"note: Compiled kernels cannot be saved in {folder}")
+    library = subprocess.run(
+        [sys.executable, "-c", LOGARITHM, "locked"],
+        env=environment(package), capture_output=True, text=True, check=True,
+    ).stderr  # fmt: skip
+    assert library.count("set NUMBA_CACHE_DIR") == 1
 
 
 def test_a_read_only_cache_in_a_given_folder_is_still_read(package, tmp_path):

@@ -7,6 +7,7 @@ from tempfile import TemporaryFile
 from typing import TYPE_CHECKING
 
 from nanogs.errors import NanogsError, OptionError
+from nanogs.kernels.compiling import unsaved_text
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.ranges import is_number
 from nanogs.threads import processors
@@ -89,10 +90,7 @@ def _check_writable(folder: Path) -> None:
         with TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise NanogsError(
-            f"Compiled kernels cannot be saved in {folder} ({error.strerror}); set NUMBA_CACHE_DIR"
-            " to a folder that can be written to."
-        ) from None
+        raise NanogsError(unsaved_text(str(folder), error)) from None
 
 
 def _compile(one: "Needed") -> None:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 from rich.console import RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, Task
@@ -12,7 +13,7 @@ from rich.text import Text
 
 from nanogs.cli.console import err, warn
 from nanogs.formatting import time_text
-from nanogs.kernels.compiling import watching
+from nanogs.kernels.compiling import unsaved, watching
 from nanogs.progress import WAITING, Step
 
 PATIENCE = 2.0  # seconds before anything is shown; shorter runs need no progress
@@ -128,6 +129,13 @@ def shown(*, quiet: bool) -> Iterator[Watch]:
         display = _Bar(watch) if err.is_terminal else _Lines(watch)
     with watching(watch.note_compiling), display:
         yield watch
+    if unsaved() and not quiet:
+        _warn_once(unsaved())
+
+
+@cache
+def _warn_once(message: str) -> None:
+    warn(message)
 
 
 class _Words(ProgressColumn):

@@ -122,8 +122,10 @@ class _Disk(caching.FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401
         """Save a kernel; if that is impossible, the next process compiles it again."""
-        with suppress(OSError):
+        try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        except OSError as error:
+            compiling.note_unsaved(self.cache_path, error)
 
 
 class _Cache:

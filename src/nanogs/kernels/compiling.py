@@ -11,6 +11,7 @@ _waiting: list[Callable[[], None]] = []
 _watching: list[Callable[[bool], None]] = []
 _running = 0  # number of kernels being compiled; nested if one calls another
 _logged = False
+_unsaved = ""  # why compiled kernels were not saved; empty if they were
 
 
 def when_compiling(callback: Callable[[], None]) -> None:
@@ -54,6 +55,30 @@ def end() -> None:
         last = _running == 0
     if last:
         _notify(begun=False)
+
+
+def note_unsaved(folder: str, error: OSError) -> None:
+    """Record that a compiled kernel could not be saved, so that the next run compiles it again.
+
+    It is logged once, unless `watching` is in use: then the caller is to report `unsaved`.
+    """
+    global _unsaved  # noqa: PLW0603
+    if not _unsaved and not _watching:
+        _log.warning(unsaved_text(folder, error))
+    _unsaved = unsaved_text(folder, error)
+
+
+def unsaved() -> str:
+    """Return a sentence for the user if a compiled kernel could not be saved; else an empty one."""
+    return _unsaved
+
+
+def unsaved_text(folder: str, error: OSError) -> str:
+    """Return a sentence that says why compiled kernels are not saved, and what to do."""
+    return (
+        f"Compiled kernels cannot be saved in {folder} ({error.strerror or error}); set"
+        " NUMBA_CACHE_DIR to a folder that can be written to."
+    )
 
 
 def _notify(*, begun: bool) -> None:
