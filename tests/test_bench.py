@@ -267,7 +267,8 @@ def test_a_finished_run_of_other_settings_or_methods_is_refused(change, model, t
     first = BenchSettings(ratios=(0.5,), methods=("random", "opacity"))
     scenes, _ = finished_run(tmp_path, model, first)
     other = run_of(scenes, replace(first, **change))
-    with pytest.raises(OutputError, match=r"results\.md exists already.* to replace it\.$"):
+    way = ", or give all of its scenes, .* to add to it" if change else ""
+    with pytest.raises(OutputError, match=rf"results\.md exists already.* to replace it{way}\.$"):
         ResultFolder(tmp_path, run=other)
     assert ResultFolder(tmp_path, run=other, overwrite=True).done == []
 

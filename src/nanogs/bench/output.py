@@ -166,7 +166,8 @@ class ResultFolder:
             rows = self._fitting(_text(run).rstrip("\n"), _text(lines).split("\n")[:-1])
             if rows is None:
                 fact = "with rows of other models, settings or methods than these"
-                raise ExistsError(f"{there[0]} exists already, {fact}")
+                add = "give all of its scenes, ratios and methods as well to add to it"
+                raise ExistsError(f"{there[0]} exists already, {fact}", f"replace it, or {add}")
             asked = _files_by_key(json.loads(self._run or ""))
             if {row.key for row in rows} < asked.keys():
                 return rows
