@@ -128,7 +128,7 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
         (("simplfy", "a"), "no command simplfy (did you mean 'simplify'?); `nanogs --help`"),
         (("convert", "a", "b", "--sh-degree", "x"), "--sh-degree takes a whole number, not 'x'"),
         (("simplify", "a", "b", "--nan", "x"), "'--nan': 'x' is not one of 'drop', 'error'"),
-        (("simplify", "a", "b", "--preset"), "'--preset' requires an argument"),
+        (("simplify", "a", "b", "--preset"), "an argument; see `nanogs simplify --help`"),
         (("info",), "Missing argument 'IN'; see `nanogs info --help`"),
     ],
 )

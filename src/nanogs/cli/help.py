@@ -14,6 +14,15 @@ _METAVARS = {bool: "", int: "N", float: "X", str: "TEXT", Path: "PATH"}
 class Command(TyperCommand):
     """A command whose usage line names the arguments before the options."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - click's own
+        """Parse the arguments; an error of the parser, too, knows which command it is about."""
+        try:
+            return super().parse_args(ctx, args)
+        except Exception as error:
+            if getattr(error, "ctx", ctx) is None:
+                error.ctx = ctx  # type: ignore[attr-defined]
+            raise
+
     def collect_usage_pieces(self, ctx: Any) -> list[str]:  # noqa: ANN401 - click's own
         """Return the words after the command's name in the usage line."""
         params: list[Any] = self.get_params(ctx)
