@@ -187,6 +187,8 @@ def test_invalid_options_are_refused_before_a_file_is_read():
 def test_an_argument_that_is_no_model_is_refused_with_its_type(call):
     with pytest.raises(ModelError, match=r"must be Splats, a Source or a path, not ndarray"):
         call(np.zeros((3, 3)))
+    with pytest.raises(ModelError, match=r"not dict; .*Splats\.from_gsplat of a dictionary"):
+        call(random_splats(3).to_gsplat())
     with pytest.raises(FormatError, match=r"missing\.ply: no such file"):
         call("missing.ply")
 

@@ -273,6 +273,12 @@ def test_to_gsplat_copies_the_arrays():
     np.testing.assert_array_equal(model.means, before)
 
 
+@pytest.mark.parametrize("given", [None, 3, "splats.pt", random_splats(2)])
+def test_from_gsplat_refuses_what_is_no_dictionary(given):
+    with pytest.raises(ModelError, match="dictionary of tensors is needed, not "):
+        Splats.from_gsplat(given)
+
+
 def test_from_gsplat_accepts_tensors_colours_and_missing_harmonics():
     model = random_splats(5, degree=2)
     tensors = model.to_gsplat()

@@ -321,7 +321,8 @@ def test_too_few_roaming_views_are_noted(monkeypatch):
     views = scene_with_views(
         box_with_something_inside(), None, view_parameters(views=3, view_size=32, roaming=2)
     )
-    assert views.views.notes == ("Only 0 of 2 roaming views could be found.",)
+    note = "None of 2 roaming views could be found; the other views were used alone."
+    assert views.views.notes == (note,)
     model = random_splats(3)
     camera = automatic_cameras(model, 1, width=32, height=32)[0]
     monkeypatch.setattr(visibility, "roaming_cameras", lambda *_, **__: [camera, camera])

@@ -22,7 +22,12 @@ _COLOURS = ("colors", "sh0", "shN")
 
 def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode | str) -> Splats:
     """Make a model from gsplat's dictionary; see `Splats.from_gsplat`."""
-    given = dict(tensors)
+    try:
+        given = dict(tensors)
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"gsplat's dictionary of tensors is needed, not {type(tensors).__name__}."
+        ) from None
     missing = [name for name in _NEEDED if name not in given]
     if missing or not given.keys() & {"colors", "sh0"}:
         lacks = ", ".join(missing) or "sh0 (or colors)"

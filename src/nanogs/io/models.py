@@ -53,4 +53,8 @@ def as_splats(model: Model, name: str = "the model") -> Splats:
         from nanogs.io import load  # slow to import, and not needed by `--help`
 
         return load(model)
-    raise ModelError(f"{name} must be Splats, a Source or a path, not {type(model).__name__}.")
+    raise ModelError(
+        f"{name} must be Splats, a Source or a path, not {type(model).__name__};"
+        " nanogs.Splats makes a model of arrays, and nanogs.Splats.from_gsplat of a dictionary of"
+        " tensors."
+    )

@@ -161,7 +161,10 @@ def roaming_views(splats: Splats, count: int) -> tuple[list[Camera], tuple[str, 
 
 def lacking_views(found: int, wanted: int) -> str:
     """Return a note that fewer roaming views were found than wanted."""
-    return f"Only {found} of {counted(wanted, 'roaming view')} could be found."
+    views = counted(wanted, "roaming view")
+    if not found:
+        return f"None of {views} could be found; the other views were used alone."
+    return f"Only {found} of {views} could be found."
 
 
 def visible_weights(prominences: F64, visible: F64, hidden: float) -> F64:
