@@ -4,7 +4,9 @@ import pytest
 
 from builders import random_splats
 from nanogs import io
+from nanogs.datasets.colmap_binary import read_cameras_binary
 from nanogs.datasets.dataset import cameras_from_file
+from nanogs.datasets.photos import photo_size
 from nanogs.errors import FormatError
 from nanogs.io.registry import formats
 
@@ -48,3 +50,22 @@ def test_a_pointer_in_place_of_a_file_of_a_folder_is_recognised(tmp_path):
     (tmp_path / "scene" / "sh0.webp").write_bytes(POINTER)
     with pytest.raises(FormatError, match=r"sh0\.webp is a Git LFS pointer"):
         io.load(tmp_path / "scene" / "meta.json")
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "wanted"),
+    [
+        (photo_size, "r_0.png", "a photograph"),
+        (read_cameras_binary, "cameras.bin", "a file of cameras"),
+        (cameras_from_file, "cameras.json", "a file of cameras"),
+    ],
+)
+def test_stand_ins_of_the_files_of_a_data_set_are_recognised(tmp_path, read, name, wanted):
+    """A data set that was cloned without Git LFS has its folders, but not its pictures."""
+    path = tmp_path / name
+    path.write_bytes(POINTER)
+    with pytest.raises(FormatError, match="is a Git LFS pointer, not the file itself: run git lfs"):
+        read(path)
+    path.write_bytes(PAGES[0])
+    with pytest.raises(FormatError, match=f"is a web page, not {wanted};"):
+        read(path)

@@ -12,6 +12,7 @@ from typing import Any
 
 from nanogs.datasets.colmap_models import MODELS, ColmapCamera, ColmapImage, unknown_model
 from nanogs.errors import FormatError
+from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")  # id, model, width, height
@@ -84,6 +85,7 @@ def _mapped(path: Path) -> Iterator[_Cursor]:
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     with data:
+        refuse_stand_in(path, data[:HEAD_BYTES], "file of cameras")
         yield _Cursor(path, data)
 
 

@@ -37,7 +37,7 @@ def read_text(path: Path) -> str:
         ) from error
     except ValueError as error:
         raise FormatError(f"{path}: is not UTF-8 text; export the cameras again") from error
-    refuse_stand_in(path, text[:HEAD_BYTES].encode())
+    refuse_stand_in(path, text[:HEAD_BYTES].encode(), "file of cameras")
     return text
 
 

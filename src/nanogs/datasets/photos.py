@@ -11,6 +11,7 @@ from PIL import Image
 
 from nanogs._types import F32, F
 from nanogs.errors import FormatError, OptionError
+from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")
 # Pillow's decoders raise these, and not only OSError, for damaged files.
@@ -106,11 +107,15 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     """Open an image in a context manager; pixels are decoded lazily within it.
 
     Raises:
-        FormatError: It is missing or damaged; also for errors of decoding within the block.
+        FormatError: It is missing, damaged or a placeholder such as a Git LFS pointer; also for
+            errors of decoding within the block.
     """
     try:
-        with Image.open(path) as image:
-            yield image
+        with path.open("rb") as file:
+            refuse_stand_in(path, file.read(HEAD_BYTES), "photograph")
+            file.seek(0)
+            with Image.open(file) as image:
+                yield image
     except _DAMAGED as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
         raise FormatError(

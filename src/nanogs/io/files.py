@@ -62,12 +62,13 @@ def reading(path: Path, buffering: int = -1) -> Iterator[BinaryIO]:
         raise unreadable(path, error) from error
 
 
-def refuse_stand_in(path: Path, start: bytes) -> None:
-    """Refuse a Git LFS pointer or a web page, which downloads leave in place of a model.
+def refuse_stand_in(path: Path, start: bytes, wanted: str = "model") -> None:
+    """Refuse a Git LFS pointer or a web page, which downloads leave in place of a file.
 
     Args:
         path: The file, for the message.
         start: Its first bytes.
+        wanted: What the file should be, for the message.
 
     Raises:
         FormatError: It is one of these.
@@ -75,7 +76,9 @@ def refuse_stand_in(path: Path, start: bytes) -> None:
     if start.startswith(_LFS_POINTER):
         raise FormatError(f"{path} is a Git LFS pointer, not the file itself: run git lfs pull.")
     if start.removeprefix(b"\xef\xbb\xbf").lstrip().lower().startswith(_WEB_PAGE):
-        raise FormatError(f"{path} is a web page, not a model; download the file that it links to.")
+        raise FormatError(
+            f"{path} is a web page, not a {wanted}; download the file that it links to."
+        )
 
 
 def splat_bytes(degree: int) -> int:
