@@ -87,7 +87,8 @@ def test_a_control_group_leaves_its_limit_less_usage_without_file_caches(system,
 def test_limits_of_parent_control_groups_apply_too(system):
     system.group("0::/slice/job\n", cgroup_v2(4 * GB, GB), "slice")
     system.group("0::/slice/job\n", cgroup_v2(6 * GB, GB), "slice/job")
-    assert system.free() == Memory(3 * GB, "free in this control group")
+    remedy = "free some or raise the limit"
+    assert system.free() == Memory(3 * GB, "free in this control group", remedy)
 
 
 @LINUX
@@ -117,7 +118,8 @@ def test_limits_of_version_1_control_groups_apply(system, limit, stat, free):
 def test_ulimit_leaves_the_limit_less_the_mapped_memory(system, monkeypatch, option):
     monkeypatch.setattr(memory, "set_ulimits", lambda: iter([(2 * GB, option)]))
     mapped = {"-v": 900_000_000, "-d": 300_000_000}[option]
-    assert system.free() == Memory(int(0.8 * (2 * GB - mapped)), f"left by `ulimit {option}`")
+    usable, limit = int(0.8 * (2 * GB - mapped)), f"left by `ulimit {option}`"
+    assert system.free() == Memory(usable, limit, "raise the limit")
 
 
 def test_each_thread_adds_to_the_memory_that_libraries_map(system, monkeypatch):
@@ -155,15 +157,15 @@ def test_the_libraries_map_no_more_than_planned(threads):
 
 def test_no_memory_left_is_an_error(monkeypatch):
     monkeypatch.setattr(
-        memory, "free_memory", lambda **_: Memory(-5_000_000, "left by `ulimit -v`")
+        memory, "free_memory", lambda **_: Memory(-5_000_000, "left by `ulimit -v`", "raise it")
     )
-    with pytest.raises(NotEnoughMemoryError, match=r"5\.0 MB more .* left by `ulimit -v`"):
+    with pytest.raises(NotEnoughMemoryError, match=r"5\.0 MB more .* `ulimit -v`; raise it\."):
         allowed_memory(None)
 
 
 def test_a_tenth_is_kept_free_unless_max_memory_is_given(monkeypatch):
     monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(10 * GB, "free on this machine"))
-    assert allowed_memory(None).bytes == 9 * GB
+    assert allowed_memory(None) == Memory(9 * GB, "free on this machine", "free some")
     assert allowed_memory(GB).bytes == GB - LIBRARIES
     assert allowed_memory(5).bytes == 0
 
@@ -405,6 +407,10 @@ def test_a_job_of_one_block_prints_no_note_about_blocks(
         (
             MemoryError("Unable to allocate 91.6 MiB for an array with shape (500, 16)"),
             r"Memory ran out \(91.6 MiB more were needed\);",
+        ),
+        (
+            MemoryError("Unable to allocate 183. MiB for an array with shape (1000, 48)"),
+            r"Memory ran out \(183 MiB more were needed\);",
         ),
         (RuntimeError("can't start new thread"), "Memory ran out;"),
         (OSError(36, "File name too long", "aaa"), "aaa: File name too long;"),

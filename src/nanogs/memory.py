@@ -12,7 +12,7 @@ Does not import NumPy, so that a process with too little memory for NumPy can st
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path, PurePosixPath
 
@@ -72,9 +72,9 @@ def allowed_memory(max_memory: int | None, *, compiled: bool = True) -> Memory:
     if free.bytes <= 0:
         raise NotEnoughMemoryError(
             "There is not enough memory for Python and its libraries, which need"
-            f" {bytes_text(-free.bytes)} more than is {free.limit}; free some, or raise the limit."
+            f" {bytes_text(-free.bytes)} more than is {free.limit}; {free.remedy}."
         )
-    return Memory(int(SHARE * free.bytes), free.limit)
+    return replace(free, bytes=int(SHARE * free.bytes))
 
 
 def process_memory(memory: Memory, processes: int = 1) -> int:
@@ -129,11 +129,12 @@ def free_memory(
     found = [Memory(psutil.virtual_memory().available - coming, "free on this machine")]
     if sys.platform == "linux":
         left = [limit - used for limit, used in _group_limits(proc, groups)]
-        found += [Memory(least - coming, "free in this control group") for least in left]
+        where, remedy = "free in this control group", "free some or raise the limit"
+        found += [Memory(least - coming, where, remedy) for least in left]
     for limit, option, mapped in _ulimits(held.vms, getattr(held, "data", 0), compiled):
         rest = limit - mapped
         usable = int(_UNFRAGMENTED * rest) if rest > 0 else rest
-        found.append(Memory(usable, f"left by `ulimit {option}`"))
+        found.append(Memory(usable, f"left by `ulimit {option}`", "raise the limit"))
     return min(found, key=lambda each: each.bytes)
 
 

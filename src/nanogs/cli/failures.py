@@ -29,8 +29,8 @@ def sentence_of(error: Exception) -> str | None:
 def _reason(error: Exception) -> str | None:
     if is_shortage(error):
         traceback.clear_frames(error.__traceback__)
-        asked = re.search(r"Unable to allocate ([\d.]+ \w+)", str(error))  # NumPy's message
-        wanted = f" ({asked[1]} more were needed)" if asked else ""
+        asked = re.search(r"Unable to allocate ([\d.]+) (\w+)", str(error))  # NumPy: `183. MiB`
+        wanted = f" ({asked[1].rstrip('.')} {asked[2]} more were needed)" if asked else ""
         return f"Memory ran out{wanted}; {_REMEDY}."
     if isinstance(error, OSError) and error.errno is not None and error.filename is not None:
         reason = error.strerror or type(error).__name__
