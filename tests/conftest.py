@@ -3,6 +3,7 @@
 import gc
 import importlib
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -10,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import hypothesis
+import psutil
 import pytest
 
 import nanogs
@@ -23,6 +25,16 @@ hypothesis.settings.load_profile("nanogs")
 # Processes that a shell starts in the background ignore Ctrl-C, and commands under test inherit it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Where it has room, temporary files are in memory: a run writes two gigabytes, in so many files
+# that a disk can make it a third longer. Commands under test and other test processes inherit this.
+MEMORY, ROOM = Path("/dev/shm"), 4_000_000_000
+if (
+    "TMPDIR" not in os.environ
+    and os.access(MEMORY, os.W_OK)
+    and min(shutil.disk_usage(MEMORY).free, psutil.virtual_memory().available / 2) > ROOM
+):
+    os.environ["TMPDIR"], tempfile.tempdir = str(MEMORY), None
 
 CARD = CUDA if has_driver() else WARP_CPU  # the device that runs the kernels for graphics cards
 SHARED = Path(__file__).resolve().parents[2] / "shared"
