@@ -18,30 +18,71 @@ SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftsha
 TIMEOUT = 60_000  # timeout, milliseconds
 
 
+_kept_tabs = []  # the tab of `one_tab`, while that is open
+
+
+@contextlib.contextmanager
+def browser(*more):
+    """Start Chromium with some more arguments; skip the test if it is absent."""
+    if not CHROMIUM:
+        pytest.skip("Chromium is not installed")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=[*SOFTWARE, *more])
+        try:
+            yield chromium
+        finally:
+            chromium.close()
+
+
+@contextlib.contextmanager
+def one_tab():
+    """Let `page_at` open all pages in one tab, one after the other.
+
+    A new tab starts processes and compiles programs and shaders again, which takes half of the time
+    of most pages.
+    """
+    with browser("--ignore-gpu-blocklist") as chromium:
+        _kept_tabs.append(chromium.new_page())
+        try:
+            yield
+        finally:
+            _kept_tabs.pop()
+
+
 @contextlib.contextmanager
 def page_at(address, width, height):
     """Open an address in Chromium, and yield the page.
 
     An error on the page fails the test; without Chromium, the test is skipped.
     """
-    if not CHROMIUM:
-        pytest.skip("Chromium is not installed")
-    from playwright.sync_api import sync_playwright
+    with contextlib.ExitStack() as stack:
+        if not _kept_tabs:
+            stack.enter_context(one_tab())
+        page = _kept_tabs[-1]
+        with without_errors(page):
+            page.set_viewport_size({"width": width, "height": height})
+            page.goto(address)
+            yield page
+            page.goto("about:blank")
 
+
+@contextlib.contextmanager
+def without_errors(page):
+    """Fail if the page or its console has an error before the end of the block."""
     errors = []
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(
-            executable_path=CHROMIUM, args=[*SOFTWARE, "--ignore-gpu-blocklist"]
-        )
-        page = browser.new_page(viewport={"width": width, "height": height})
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on(
-            "console",
-            lambda message: errors.append(message.text) if message.type == "error" else None,
-        )
-        page.goto(address)
-        yield page
-        browser.close()
+    listeners = {
+        "pageerror": lambda error: errors.append(str(error)),
+        "console": lambda message: message.type == "error" and errors.append(message.text),
+    }
+    for event, listener in listeners.items():
+        page.on(event, listener)
+    try:
+        yield
+    finally:
+        for event, listener in listeners.items():
+            page.remove_listener(event, listener)
     assert errors == []
 
 

@@ -131,6 +131,15 @@ def small_views():
         yield
 
 
+@pytest.fixture(scope="module")
+def one_tab():
+    """Let the pages of a module's tests be opened in one tab."""
+    import browsers
+
+    with browsers.one_tab():
+        yield
+
+
 @pytest.fixture
 def outcomes():
     """The number of files that were read and refused; at the end, there must be both."""

@@ -79,6 +79,11 @@ def serve_folders(**folders):
             requests.append(f"{name}/{rest}")
             return str(folders.get(name, Path(os.devnull)) / rest)
 
+        def end_headers(self):
+            """Keep browsers from using a file again for another server with the same port."""
+            self.send_header("Cache-Control", "no-store")
+            super().end_headers()
+
         def log_message(self, *_):
             pass
 

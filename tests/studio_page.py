@@ -1,25 +1,8 @@
 """The page of `nanogs studio` in a browser: a user's actions, and waiting for their results."""
 
-import contextlib
-
-from browsers import CHROMIUM, SOFTWARE
-
 TIMEOUT = 60_000  # timeout, milliseconds; test machines are busy
 SETTLED = "() => ['measured', 'failed'].includes(document.body.dataset.state)"
 NUMBER = "Number(document.body.dataset.number || 0)"
-
-
-@contextlib.contextmanager
-def browser():
-    """Start Chromium, which renders on the CPU."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-        try:
-            yield chromium
-        finally:
-            chromium.close()
 
 
 class StudioPage:

@@ -19,6 +19,7 @@ from views_and_scores import opening_camera
 
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.usefixtures("one_tab"),
     pytest.mark.filterwarnings("default"),  # warnings of the browser's driver
 ]
 SPLATS = 8_000  # of each scene, so few that rendering on a CPU is fast

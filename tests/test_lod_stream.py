@@ -473,6 +473,7 @@ def test_levels_of_a_real_scene_have_the_requested_counts(tmp_path):
 # The viewer
 
 
+@pytest.mark.usefixtures("one_tab")
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 def test_supersplat_streams_from_the_coarsest_to_the_finest_level(path, tmp_path):
     """The coarsest level is loaded first, the finest in the end, and the picture is not empty."""
@@ -483,6 +484,7 @@ def test_supersplat_streams_from_the_coarsest_to_the_finest_level(path, tmp_path
     assert (pixels.max(axis=2) < 0.03).mean() > 0.05  # and the background around it
 
 
+@pytest.mark.usefixtures("one_tab")
 @pytest.mark.filterwarnings("default")
 def test_supersplat_reads_palettes_of_any_size(tmp_path):
     """A .sog file with 300 palette entries looks like the .ply that nanogs converts it to."""

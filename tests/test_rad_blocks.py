@@ -110,6 +110,7 @@ def test_trees_made_in_blocks_look_like_those_made_in_memory(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_tab")
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 def test_spark_draws_trees_made_in_blocks(model, tree_in_blocks, tmp_path):
     """All splats, or no more than a limit allows, from several levels."""

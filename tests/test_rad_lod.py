@@ -376,6 +376,7 @@ def frontier(rows, counts, starts, camera, most):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_tab")
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 @pytest.mark.parametrize("paged", [False, True])
 def test_spark_draws_the_expected_rows_of_a_tree(tmp_path, paged):

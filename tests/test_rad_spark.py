@@ -14,7 +14,10 @@ from nanogs.raster.rendering import render
 from spark_page import render_in_spark
 from views_and_scores import opening_camera
 
-pytestmark = pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+pytestmark = [
+    pytest.mark.usefixtures("one_tab"),
+    pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
+]
 
 
 def three_clusters(count=400):

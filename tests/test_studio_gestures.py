@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import nanogs
 import studio_page
-from browsers import CHROMIUM
+from browsers import CHROMIUM, browser
 from builders import random_splats
 from studio import running
 from studio_page import StudioPage
@@ -66,7 +66,7 @@ def seen(tmp_path_factory):
     (folder / "sub").mkdir()
     nanogs.save(random_splats(SPLATS, degree=1), folder / "scene.ply")
     with (
-        studio_page.browser() as chromium,
+        browser() as chromium,
         running("scene.ply", "--preset", "fast", "--idle", "0", cwd=folder) as studio,
     ):
         page = StudioPage(chromium, studio.url, 700, 500)

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from browsers import CHROMIUM
+from browsers import CHROMIUM, browser, without_errors
 from builders import solid
 from fake_studio import running_fake
-from studio_page import browser
 from viewer_bundle import require_bundle
 
 pytestmark = [
@@ -47,21 +46,6 @@ class Studio:
 
     def __init__(self, page, fake):
         self.page, self.fake = page, fake
-        self.errors = []
-        self._listeners = {
-            "pageerror": lambda error: self.errors.append(str(error)),
-            "console": lambda message: message.type == "error" and self.errors.append(message.text),
-        }
-        for event, listener in self._listeners.items():
-            page.on(event, listener)
-
-    def leave(self):
-        """Leave the tab to another page; check that this one had no errors."""
-        self.page.goto("about:blank")
-        self.page.mouse.move(0, 0)
-        for event, listener in self._listeners.items():
-            self.page.remove_listener(event, listener)
-        assert self.errors == []
 
     def wait_for_state(self, name, number=None):
         numbered = "" if number is None else f'[data-number="{number}"]'
@@ -106,10 +90,7 @@ class Studio:
 
 @pytest.fixture(scope="module")
 def tab(chromium):
-    """A tab in which pages follow each other, which takes half as long as a tab for each.
-
-    They share nothing: each has a server of its own, and so another origin.
-    """
+    """A tab in which pages follow each other, which takes half as long as a tab for each."""
     context = chromium.new_context()
     yield context.new_page()
     context.close()
@@ -117,8 +98,8 @@ def tab(chromium):
 
 @contextlib.contextmanager
 def opened(tab, width=900, height=700, answered=True):
-    """Open a page, by default with its first request answered; check for errors at the end."""
-    with running_fake(MODELS) as (fake, address):
+    """Open a page, by default with its first request answered; errors on it fail the test."""
+    with running_fake(MODELS) as (fake, address), without_errors(tab):
         tab.set_viewport_size({"width": width, "height": height})
         studio = Studio(tab, fake)
         tab.goto(address)
@@ -133,7 +114,9 @@ def opened(tab, width=900, height=700, answered=True):
                 "document.querySelectorAll('#plot .point').length === 3", timeout=TIMEOUT
             )
         yield studio
-        studio.leave()
+        tab.evaluate("sessionStorage.clear()")  # a later server may have the same port
+        tab.goto("about:blank")
+        tab.mouse.move(0, 0)
 
 
 @pytest.fixture

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import nanogs
-import studio_page
-from browsers import CHROMIUM, pixels_of
+from browsers import CHROMIUM, browser, pixels_of
 from conftest import scene_path
 from launch import contents, run
 from nanogs.datasets.synthetic import make_scene
@@ -35,7 +34,7 @@ PHONE = {"has_touch": True, "is_mobile": True}
 @pytest.fixture(scope="module")
 def chromium():
     require_bundle()
-    with studio_page.browser() as found:
+    with browser() as found:
         yield found
 
 
