@@ -22,9 +22,9 @@ pytestmark = [
     pytest.mark.usefixtures("one_tab"),
     pytest.mark.filterwarnings("default"),  # warnings of the browser's driver
 ]
-SPLATS = 8_000  # of each scene, so few that rendering on a CPU is fast
+SPLATS = 3_000  # of each scene, so few that rendering on a CPU is fast
 LEVELS = (1.0, 0.25)
-WIDTH, HEIGHT = 240, 180
+WIDTH, HEIGHT = 160, 120
 MIN_PSNR = 25.0  # dB between a viewer's picture and our rendering
 CHUNKS = ("1_0/meta.json", "0_0/meta.json")
 # An object, an object in another coordinate frame, and one with view-dependent colours.
