@@ -114,7 +114,7 @@ def test_trees_made_in_blocks_look_like_those_made_in_memory(
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 def test_spark_draws_trees_made_in_blocks(model, tree_in_blocks, tmp_path):
     """All splats, or no more than a limit allows, from several levels."""
-    camera = opening_camera(model)
+    camera = opening_camera(model, 160, 120)
     whole = render(model, camera).shown()
     shown, state = render_in_spark(
         tree_in_blocks[0], camera, tmp_path, mesh={"paged": True}, lodRenderScale=0

@@ -382,7 +382,7 @@ def frontier(rows, counts, starts, camera, most):
 def test_spark_draws_the_expected_rows_of_a_tree(tmp_path, paged):
     """All splats if the limit allows it, else the expected rows of several levels."""
     model = three_clusters(3000)
-    camera = opening_camera(model)
+    camera = opening_camera(model, 160, 120)
     path, mesh = tmp_path / "a.rad", {"paged": paged}
     nanogs.write_levels(model, path, RATIOS, layout="spark tree", preset="fast")
     whole = render(model, camera).shown()
