@@ -36,7 +36,6 @@ from nanogs.metrics import ssim
 from nanogs.raster import rendering
 from nanogs.views.automatic import automatic_cameras
 
-THREADS = os.cpu_count() or 1
 RATIO = 10  # number of input splats per output splat
 
 Timed = Callable[..., Any]
@@ -65,7 +64,7 @@ def scene(splats: Splats) -> Scene:
     pixel = estimate_dilation(splats.means[rows] - origin, alphas, splats.render_mode, 720)
     rows = rows[order.morton_order(splats.means[rows] - origin)]
     leaves = nodes.activate_nodes(splats, rows, origin, pixel)
-    pairs = graph.neighbour_pairs(leaves.means, 8, THREADS)
+    pairs = graph.neighbour_pairs(leaves.means, 8)
     dets = np.empty(len(leaves))
     log_determinants(leaves.covariances, dets)
     costs = np.empty((len(pairs), 2), np.float32)
@@ -73,7 +72,7 @@ def scene(splats: Splats) -> Scene:
         np.ascontiguousarray(pairs), leaves.weights, leaves.means, leaves.covariances, dets,
         leaves.features, leaves.rows, leaves.second_rows, leaves.shares, costs,
     )  # fmt: skip
-    forest = grow_forest(leaves, ForestParameters(), THREADS, nothing)
+    forest = grow_forest(leaves, ForestParameters(), nothing)
     target = max(1, len(leaves) // RATIO)
     labels = cut.cut(forest, target, 0.8)
     merged = nodes.gather(leaves, labels, target)
@@ -141,12 +140,12 @@ def test_activate(timed: Timed, scene: Scene) -> None:
 @pytest.mark.parametrize("k", [8, 16])
 def test_neighbours(timed: Timed, scene: Scene, k: int) -> None:
     means = scene["leaves"].means
-    found = neighbours.nearest_neighbours(means, k, THREADS)
-    timed(lambda: neighbours.nearest_neighbours(means, k, THREADS), means, found)
+    found = neighbours.nearest_neighbours(means, k)
+    timed(lambda: neighbours.nearest_neighbours(means, k), means, found)
 
 
 def test_pairs(timed: Timed, scene: Scene) -> None:
-    timed(lambda: graph.neighbour_pairs(scene["leaves"].means, 8, THREADS), scene["pairs"])
+    timed(lambda: graph.neighbour_pairs(scene["leaves"].means, 8), scene["pairs"])
 
 
 def test_increments(timed: Timed, scene: Scene) -> None:
@@ -184,9 +183,7 @@ def test_gather(timed: Timed, scene: Scene) -> None:
 
 
 def test_grow_forest(timed: Timed, scene: Scene) -> None:
-    timed(
-        lambda: grow_forest(scene["leaves"], ForestParameters(), THREADS, nothing), scene["pairs"]
-    )
+    timed(lambda: grow_forest(scene["leaves"], ForestParameters(), nothing), scene["pairs"])
 
 
 def test_cut(timed: Timed, scene: Scene) -> None:
@@ -198,7 +195,7 @@ def test_cut(timed: Timed, scene: Scene) -> None:
 def test_reassign(timed: Timed, scene: Scene) -> None:
     leaves = scene["leaves"]
     timed(
-        lambda: reassign(leaves, scene["labels"], scene["target"], 1, THREADS),
+        lambda: reassign(leaves, scene["labels"], scene["target"], 1),
         leaves.means, leaves.covariances, leaves.features,
     )  # fmt: skip
 

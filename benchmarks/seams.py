@@ -52,7 +52,7 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
 
 def beside_borders(means: np.ndarray, of_block: np.ndarray, k: int) -> np.ndarray:
     """Return (N,) bool: splats with one of another block among their `k` neighbours."""
-    near = nearest_neighbours(means.astype(np.float64), k, 2)
+    near = nearest_neighbours(means.astype(np.float64), k)
     beside: np.ndarray = (of_block[near] != of_block[:, None]).any(axis=1)
     return beside
 

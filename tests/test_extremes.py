@@ -134,7 +134,7 @@ def test_the_neighbour_search_refuses_nonfinite_centres():
     means = random_splats(40).means.astype(np.float64)
     means[3, 1] = np.nan
     with pytest.raises(ValueError, match="finite"):
-        nearest_neighbours(means, 4, 1)
+        nearest_neighbours(means, 4)
 
 
 def test_a_centre_beyond_the_float32_range_counts_as_not_finite():

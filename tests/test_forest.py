@@ -51,7 +51,7 @@ def nodes_of(splats, pixel=0.0):
 
 def forest_of(count, seed=0, k=8):
     return grow_forest(
-        nodes_of(random_splats(count, seed=seed))[0], ForestParameters(k=k), 1, ignore_progress
+        nodes_of(random_splats(count, seed=seed))[0], ForestParameters(k=k), ignore_progress
     )
 
 
@@ -111,8 +111,7 @@ def test_growing_needs_no_coverages():
     assert merged.coverages is merged.weights
     assert np.array_equal(merged.weights, gather(nodes, labels, 25).weights)
     forests = [
-        grow_forest(x, ForestParameters(k=8), 1, ignore_progress)
-        for x in (nodes, without_coverages)
+        grow_forest(x, ForestParameters(k=8), ignore_progress) for x in (nodes, without_coverages)
     ]
     assert np.array_equal(forests[0].children, forests[1].children)
     assert np.array_equal(forests[0].increments, forests[1].increments)
@@ -189,7 +188,7 @@ def test_a_forest_joins_all_splats_and_merges_each_node_once(n, k, seed):
 
 def test_increments_equal_the_reference_for_the_merged_nodes():
     nodes, _ = nodes_of(random_splats(40, seed=4), 0.01)
-    forest = grow_forest(nodes, ForestParameters(k=6), 1, ignore_progress)
+    forest = grow_forest(nodes, ForestParameters(k=6), ignore_progress)
     sigmas = np.array([reference.unpack(six) for six in nodes.covariances])
 
     def moments(node):
@@ -214,7 +213,7 @@ def test_a_high_colour_weight_merges_splats_of_equal_colour(lambda_app, index_di
     splats.log_scales[:] = 0
     splats.sh[:, 0] = np.array([[0.0], [5], [0], [5]])
     nodes, rows = nodes_of(splats)
-    forest = grow_forest(nodes, ForestParameters(k=3, lambda_app=lambda_app), 1, ignore_progress)
+    forest = grow_forest(nodes, ForestParameters(k=3, lambda_app=lambda_app), ignore_progress)
     pairs = rows[forest.children[forest.levels == 1]]
     assert set(np.abs(np.diff(pairs, axis=1)).ravel().tolist()) == index_distances
     assert forest.levels.tolist() == [1, 1, 2]
@@ -353,7 +352,7 @@ def test_reassignment_keeps_every_group_and_does_not_lower_the_likelihood(n, see
     leaves, _ = nodes_of(random_splats(n, seed=seed), 0.01)
     if equal:
         leaves = dataclasses.replace(leaves, weights=np.ones(n))
-    labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, ignore_progress), n // 4, 0.8)
+    labels = cut(grow_forest(leaves, ForestParameters(k=8), ignore_progress), n // 4, 0.8)
     had_empty_groups = []
     with pytest.MonkeyPatch.context() as patch:
         original = reassign._refill
@@ -363,7 +362,7 @@ def test_reassignment_keeps_every_group_and_does_not_lower_the_likelihood(n, see
             original(new, misfits, groups)
 
         patch.setattr(reassign, "_refill", refill)
-        moved, rounds = reassign.reassign(leaves, labels, n // 4, 3, 1)
+        moved, rounds = reassign.reassign(leaves, labels, n // 4, 3)
     assert rounds <= len(had_empty_groups) <= 3
     assert sorted(set(moved.tolist())) == list(range(n // 4))
     before, after = (log_likelihood(leaves, x, n // 4) for x in (labels, moved))
@@ -372,14 +371,14 @@ def test_reassignment_keeps_every_group_and_does_not_lower_the_likelihood(n, see
 
 def test_reassignment_ends_after_the_given_rounds_or_when_nothing_moves():
     leaves, _ = nodes_of(random_splats(60, seed=5))
-    labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, ignore_progress), 12, 0.8)
-    unchanged, rounds_with_moves = reassign.reassign(leaves, labels, 12, 0, 1)
+    labels = cut(grow_forest(leaves, ForestParameters(k=8), ignore_progress), 12, 0.8)
+    unchanged, rounds_with_moves = reassign.reassign(leaves, labels, 12, 0)
     assert unchanged is labels
     assert rounds_with_moves == 0
-    settled, rounds = reassign.reassign(leaves, labels, 12, 100, 1)
+    settled, rounds = reassign.reassign(leaves, labels, 12, 100)
     assert not np.array_equal(settled, labels)
     assert 0 < rounds < 100
-    settled_again, rounds_with_moves = reassign.reassign(leaves, settled, 12, 1, 1)
+    settled_again, rounds_with_moves = reassign.reassign(leaves, settled, 12, 1)
     assert np.array_equal(settled_again, settled)
     assert rounds_with_moves == 0
 
@@ -397,7 +396,7 @@ def test_misfits_for_refilling_groups_are_weighted(monkeypatch):
     monkeypatch.setattr(
         reassign, "_refill", lambda _new, misfits, _groups: given_misfits.append(misfits)
     )
-    reassign.reassign(leaves, labels, 1, 1, 1)
+    reassign.reassign(leaves, labels, 1, 1)
     assert given_misfits[0].sum() == pytest.approx(-log_likelihood(leaves, labels, 1))
 
 
@@ -407,7 +406,7 @@ def test_a_group_that_loses_all_its_splats_is_refilled():
     splats.means[:, 0] = np.r_[np.zeros(4), 1e-3 * np.ones(4), 2e-3 * np.ones(4)]
     leaves, _ = nodes_of(splats)
     for labels in (np.arange(12) % 3, np.arange(12) % 11):
-        moved, _ = reassign.reassign(leaves, labels.astype(np.int32), labels.max() + 1, 5, 1)
+        moved, _ = reassign.reassign(leaves, labels.astype(np.int32), labels.max() + 1, 5)
         assert len(np.unique(moved)) == labels.max() + 1
 
 

@@ -146,7 +146,7 @@ def test_mass_fraction(first, second, expected):
 @pytest.mark.parametrize("degree", [0, 3])
 def test_costs_equal_the_reference(samples, degree):
     g = gaussians_of(random_splats(40, degree=degree, seed=6))
-    pairs = neighbour_pairs(g.means, 5, threads=1)
+    pairs = neighbour_pairs(g.means, 5)
     parameters = PaperParameters(samples=samples, seed=7, lambda_geo=0.7, lambda_app=1.3)
     costs = pair_costs(g, pairs, log_masses(g), parameters)
     normals = np.random.default_rng(7).standard_normal((samples, 3))
@@ -170,7 +170,7 @@ def test_merged_splats_have_the_same_costs_with_mixed_and_stored_features():
         second_rows=np.empty(0, np.int32),
         shares=np.empty((0, 2)),
     )
-    candidates = neighbour_pairs(pairs.means, 5, threads=1)
+    candidates = neighbour_pairs(pairs.means, 5)
     masses, parameters = log_masses(pairs), PaperParameters()
     costs = [pair_costs(x, candidates, masses, parameters) for x in (pairs, stored)]
     assert np.array_equal(*costs)
@@ -203,7 +203,7 @@ def test_costs_of_splats_without_volume_or_opacity_are_finite():
     splats.opacity_logits[12:20] = -np.inf
     splats.opacity_logits[20:25] = np.inf
     g = gaussians_of(splats)
-    pairs = neighbour_pairs(g.means, 29, threads=1)
+    pairs = neighbour_pairs(g.means, 29)
     assert np.isfinite(pair_costs(g, pairs, log_masses(g), PaperParameters())).all()
 
 
@@ -254,7 +254,7 @@ def test_two_equal_splats_on_a_diagonal_become_one_long_splat():
 @pytest.mark.parametrize("k", [1, 4, 16])
 def test_neighbours_are_the_nearest(k):
     means = np.random.default_rng(13).normal(size=(300, 3))
-    found = nearest_neighbours(means, k, threads=2)
+    found = nearest_neighbours(means, k)
     distances = np.linalg.norm(means[found] - means[:, None], axis=2)
     assert np.allclose(distances, reference.neighbour_distances(means, k))
     assert not (found == np.arange(300)[:, None]).any()
@@ -270,7 +270,7 @@ def test_neighbours_are_the_nearest_among_coincident_centres(n, k, positions, se
     """Fewer positions than splats: groups of coincident splats are larger or smaller than k."""
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(positions, 3))[rng.integers(0, positions, n)]
-    found = nearest_neighbours(means, k, threads=1)
+    found = nearest_neighbours(means, k)
     assert found.shape == (n, min(k, n - 1))
     distances = np.linalg.norm(means[found] - means[:, None], axis=2)
     assert np.allclose(distances, reference.neighbour_distances(means, k))
@@ -280,7 +280,7 @@ def test_neighbours_are_the_nearest_among_coincident_centres(n, k, positions, se
 
 def test_centres_so_close_that_squares_underflow_are_not_their_own_neighbours():
     means = np.random.default_rng(17).normal(size=(60, 3)) * 1e-200
-    found = nearest_neighbours(means, 4, threads=1)
+    found = nearest_neighbours(means, 4)
     assert not (found == np.arange(60)[:, None]).any()
     assert all(len(set(row)) == 4 for row in found.tolist())
 
@@ -294,8 +294,8 @@ def test_coincident_groups_exclude_centres_that_are_only_close():
 
 def test_each_pair_is_listed_once_for_both_directions():
     means = np.random.default_rng(14).normal(size=(200, 3))
-    pairs = neighbour_pairs(means, 6, threads=1)
-    assert list(map(tuple, pairs.tolist())) == reference.pairs_of(nearest_neighbours(means, 6, 1))
+    pairs = neighbour_pairs(means, 6)
+    assert list(map(tuple, pairs.tolist())) == reference.pairs_of(nearest_neighbours(means, 6))
 
 
 def test_pairs_of_a_row_that_is_a_neighbour_of_all_others():
@@ -315,8 +315,9 @@ def test_pairs_of_a_row_that_is_a_neighbour_of_all_others():
 def test_pairs_between_different_stretches_of_rows(threads):
     """The rows have no spatial order, so that most pairs connect two stretches of rows."""
     means = np.random.default_rng(41).normal(size=(20_000, 3))
-    neighbours = nearest_neighbours(means, 4, threads)
-    pairs = neighbour_pairs(means, 4, threads)
+    with use_threads(threads):
+        neighbours = nearest_neighbours(means, 4)
+        pairs = neighbour_pairs(means, 4)
     assert list(map(tuple, pairs.tolist())) == reference.pairs_of(neighbours)
 
 
@@ -379,7 +380,7 @@ def test_only_free_pairs_below_the_cost_bound_are_collected(key_bound, bound):
 
 def test_matching_in_batches_gives_the_same_pairs(monkeypatch):
     rng = np.random.default_rng(34)
-    pairs = neighbour_pairs(rng.normal(size=(400, 3)), 8, threads=1)
+    pairs = neighbour_pairs(rng.normal(size=(400, 3)), 8)
     costs = rng.choice([*rng.normal(size=90), math.nan, 0.0, -0.0], len(pairs)).astype(np.float32)
     plans, batches, original = [], [], matching._sorted_keys
     monkeypatch.setattr(
@@ -400,7 +401,7 @@ def test_matching_in_batches_gives_the_same_pairs(monkeypatch):
 @pytest.mark.parametrize("pairs_per_round", [7, 100, 1 << 16])
 def test_matching_in_rounds_gives_the_same_pairs(monkeypatch, pairs_per_round):
     rng = np.random.default_rng(36)
-    pairs = neighbour_pairs(rng.normal(size=(400, 3)), 8, threads=1)
+    pairs = neighbour_pairs(rng.normal(size=(400, 3)), 8)
     costs = rng.choice([*rng.normal(size=90), math.nan, 0.0, -0.0], len(pairs)).astype(np.float32)
     unmatched = []
     original = matching._match_sorted

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 import reference_kernels as reference
 from nanogs.kernels import lanes
 from nanogs.neighbours import nearest_neighbours, nearest_to
+from nanogs.threads import use_threads
 
 
 def outliers(rng, n):
@@ -41,13 +42,13 @@ def test_neighbours_are_the_first_by_distance_and_row(places, n, k, seed):
     means = PLACES[places](np.random.default_rng(seed), n)
     scale = 2.0 ** {"tiny": 100, "huge": -600}.get(places, 0)
     expected = reference.nearest_neighbours(means * scale, k)
-    assert nearest_neighbours(means, k, threads=1).tolist() == expected
+    assert nearest_neighbours(means, k).tolist() == expected
 
 
 def test_distances_agree_with_scipy():
     rng = np.random.default_rng(2)
     means = rng.normal(size=(20_000, 3)) * np.exp(2 * rng.normal(size=(20_000, 1)))
-    found = nearest_neighbours(means, 16, threads=1)
+    found = nearest_neighbours(means, 16)
     distances = np.linalg.norm(means[found] - means[:, None], axis=2)
     expected, _ = cKDTree(means).query(means, 17)
     assert np.allclose(distances, expected[:, 1:], rtol=1e-12)
@@ -64,7 +65,7 @@ def test_the_nearest_to_other_points_is_the_first_by_distance_and_row(places, n,
     means, other = PLACES[places](rng, n), PLACES[places](rng, others)
     x, y, z = np.moveaxis(other[:, None] - means, 2, 0)
     squares = x * x + y * y + z * z
-    distances, nearest = nearest_to(other, means, threads=1)
+    distances, nearest = nearest_to(other, means)
     assert np.array_equal(distances, np.sqrt(squares.min(axis=1)))
     assert np.array_equal(nearest, squares.argmin(axis=1))
 
@@ -75,7 +76,8 @@ def test_distances_to_other_points_agree_with_scipy():
     points = rng.normal(size=(5_000, 3)) * np.exp(2 * rng.normal(size=(5_000, 1)))
     expected = cKDTree(means).query(points)
     for threads in range(1, min(2, numba.config.NUMBA_NUM_THREADS) + 1):
-        found = nearest_to(points, means, threads)
+        with use_threads(threads):
+            found = nearest_to(points, means)
         assert np.array_equal(found[0], expected[0])
         assert np.array_equal(found[1], expected[1])
 
@@ -85,8 +87,11 @@ def test_the_thread_count_changes_nothing(layout):
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("needs two threads")
     means = PLACES[layout](np.random.default_rng(3), 5000)
-    one, two = (nearest_neighbours(means, 8, threads) for threads in (1, 2))
-    assert np.array_equal(one, two)
+    found = []
+    for threads in (1, 2):
+        with use_threads(threads):
+            found.append(nearest_neighbours(means, 8))
+    assert np.array_equal(*found)
 
 
 def test_neighbours_of_coincident_centres_are_the_next_rows_of_their_group():
@@ -94,7 +99,7 @@ def test_neighbours_of_coincident_centres_are_the_next_rows_of_their_group():
     group = np.sort(np.random.default_rng(5).permutation(60_000)[:50_000])
     means[group] = means[0]
     group = np.flatnonzero((means == means[0]).all(axis=1))
-    found = nearest_neighbours(means, 8, threads=1)
+    found = nearest_neighbours(means, 8)
     next_ones = (np.arange(len(group))[:, None] + np.arange(1, 9)) % len(group)
     assert np.array_equal(found[group], group[next_ones])
     alone = np.setdiff1d(np.arange(60_000), group)[:50]
@@ -109,7 +114,7 @@ def test_centres_whose_squared_distances_underflow_still_have_neighbours():
     means = np.zeros((40, 3))
     means[:, 0] = np.arange(40) * 5e-324
     means[0] = 1.0
-    found = nearest_neighbours(means, 4, threads=1)
+    found = nearest_neighbours(means, 4)
     assert all(len({row, *others}) == 5 for row, others in enumerate(found.tolist()))
 
 

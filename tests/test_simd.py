@@ -135,7 +135,7 @@ def test_plain_kernels_are_used_with_a_warning_if_simd_is_untried_or_broken(setu
         "from nanogs.neighbours import nearest_neighbours\n"
         "means = np.random.default_rng(0).normal(size=(500, 3))\n"
         "print(choice.chosen().value, choice.reason())\n"
-        "print(nearest_neighbours(means, 6, 1).tolist())\n"
+        "print(nearest_neighbours(means, 6).tolist())\n"
     )
     printed, warned = python(code)
     chosen, found = printed.strip().split("\n")
@@ -145,7 +145,7 @@ def test_plain_kernels_are_used_with_a_warning_if_simd_is_untried_or_broken(setu
     assert reason in warned
     assert "NANOGS_SIMD=1 forces the fast ones" in warned
     means = np.random.default_rng(0).normal(size=(500, 3))
-    assert json.loads(found) == nearest_neighbours(means, 6, 1).tolist()
+    assert json.loads(found) == nearest_neighbours(means, 6).tolist()
 
 
 LOAD = """

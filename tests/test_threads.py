@@ -26,7 +26,9 @@ def no_pool():
     [
         "simplify large.ply {out}/out.sog --count 400 --preset fast --measure",
         "simplify large.ply {out}/out.ply --count 400 --steps 2 --views 4 --view-size 64",
+        "simplify large.ply {out}/out.ply --count 400 --preset fast --drop-floaters",
         "lod large.ply {out}/lod-meta.json --levels 0.5,0.1 --preset fast --no-measure",
+        "lod large.ply {out}/lod.rad --levels 0.5,0.1 --preset fast --no-measure",
         "refit large.ply small.ply {out}/out.ply --views 2 --pixels 64 --rounds 1",
         "compare large.ply small.ply --views 1 --pixels 64",
         "render large.ply {out} --views 1 --pixels 64",

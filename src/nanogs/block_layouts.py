@@ -152,13 +152,12 @@ class Linked(Protocol):
     def weight(self) -> float:
         """Seconds that a machine takes for a million splats."""
 
-    def link(self, levels: Sequence[Source], some: Splats, threads: int, steps: int) -> BlockTree:
+    def link(self, levels: Sequence[Source], some: Splats, steps: int) -> BlockTree:
         """Build the tree of a block.
 
         Args:
             levels: The block's part of each result, the finest first, of 1 splat or more each.
             some: A sample of the finest result, the same for all blocks.
-            threads: Threads for the search.
             steps: Number of times that splats of the coarsest level are merged again, so that there
                 are few roots.
 

@@ -361,7 +361,6 @@ def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> 
 
 def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
     from nanogs.neighbours import nearest_neighbours
-    from nanogs.threads import use_threads
 
     found = np.zeros(len(splats), np.bool_)
     sizes = splats.scales().max(axis=1).astype(np.float64)
@@ -369,8 +368,7 @@ def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
     means = splats.means[rows].astype(np.float64)
     if len(rows) < 2:
         return found
-    with use_threads(None) as threads:
-        nearest = nearest_neighbours(means, neighbours, threads)
+    nearest = nearest_neighbours(means, neighbours)
     with np.errstate(over="ignore"):  # squares of distances between float64 centres may overflow
         distances: F64 = np.linalg.norm(means[nearest[:, -1]] - means, axis=1)
     apart = np.log(distances[distances > 0])

@@ -1,4 +1,4 @@
-"""Exact k-nearest-neighbour search; results are the same for any number of threads."""
+"""Exact k-nearest-neighbour search on the threads in use, of any number: results are the same."""
 
 import numba
 import numpy as np
@@ -10,14 +10,13 @@ from nanogs.kernels.knn_tree import build_tree
 from nanogs.kernels.lanes import LANES
 from nanogs.kernels.nearest import find_nearest
 from nanogs.slices import SLICE_STEPS, slices
-from nanogs.threads import use_threads
 
 # Coordinates are scaled to 2^500, so that squares of differences, from 2^-1000 times that up, are
 # within the range of float64.
 _EXPONENT = 500
 
 
-def nearest_neighbours(means: F64, k: int, threads: int | None = None) -> I32:
+def nearest_neighbours(means: F64, k: int) -> I32:
     """Find the exact nearest neighbours of every row among the others.
 
     They are the first k by (squared distance in float64, row), with one exception: in a group of
@@ -27,7 +26,6 @@ def nearest_neighbours(means: F64, k: int, threads: int | None = None) -> I32:
     Args:
         means: (N, 3) finite, scene units.
         k: Number of neighbours; at most N - 1 are returned.
-        threads: Threads for the search; by default those in use.
 
     Returns:
         (N, min(k, N - 1)) int32 rows, nearest first, never the row itself.
@@ -38,30 +36,26 @@ def nearest_neighbours(means: F64, k: int, threads: int | None = None) -> I32:
     if k <= 0:
         return neighbours
     crowded = np.empty(n, dtype=bool)
-    threads = numba.get_num_threads() if threads is None else threads
-    with use_threads(threads):
-        _search(_scaled(means), threads, neighbours, crowded)
-        if crowded.any():
-            _uncrowd(_scaled(means), np.flatnonzero(crowded), neighbours)
+    _search(_scaled(means), neighbours, crowded)
+    if crowded.any():
+        _uncrowd(_scaled(means), np.flatnonzero(crowded), neighbours)
     return neighbours
 
 
-def nearest_to(places: F64, means: F64, threads: int) -> tuple[F64, I32]:
+def nearest_to(places: F64, means: F64) -> tuple[F64, I32]:
     """Find the nearest centre to each query point: the first by (squared distance, row).
 
     Args:
         places: (Q, 3) query points, finite, scene units.
         means: (N, 3) finite, N at least 1, coordinates below 1e150.
-        threads: Threads for the search.
 
     Returns:
         (Q,) float64 distances, scene units, and (Q,) int32 rows of `means`.
     """
     distances, nearest = np.empty(len(places)), np.empty(len(places), np.int32)
     points = np.ascontiguousarray(means.T).reshape(-1)
-    with use_threads(threads):
-        rows, boxes = _tree(points, threads)
-        find_nearest(np.ascontiguousarray(places), points, rows, boxes, distances, nearest)
+    rows, boxes = _tree(points)
+    find_nearest(np.ascontiguousarray(places), points, rows, boxes, distances, nearest)
     return distances, nearest
 
 
@@ -101,19 +95,19 @@ def _scaled(means: F64) -> F64:
     return scaled
 
 
-def _search(scaled: F64, threads: int, neighbours: I32, crowded: Bool) -> None:
+def _search(scaled: F64, neighbours: I32, crowded: Bool) -> None:
     """Fill the neighbours by a search in a tree; reorders the scaled centres in place."""
     points = scaled.reshape(-1)
-    rows, boxes = _tree(points, threads)
+    rows, boxes = _tree(points)
     search_tree(points, rows, boxes, neighbours, crowded)
 
 
-def _tree(points: F64, threads: int) -> tuple[I32, F64]:
+def _tree(points: F64) -> tuple[I32, F64]:
     """Sort (3 N,) points into the leaves of a tree, in place; return rows and boxes of nodes."""
     rows = np.arange(len(points) // 3, dtype=np.int32)
     leaves = -(-len(rows) // LANES)
     boxes = np.empty((2 << (leaves - 1).bit_length(), 6))
-    build_tree(points, rows, boxes, (threads - 1).bit_length())
+    build_tree(points, rows, boxes, (numba.get_num_threads() - 1).bit_length())
     return rows, boxes
 
 

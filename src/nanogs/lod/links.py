@@ -15,7 +15,6 @@ from nanogs.kernels.nodes import covariances_of
 from nanogs.method.order import code_box, codes_in
 from nanogs.neighbours import nearest_neighbours, nearest_to
 from nanogs.source import Source
-from nanogs.threads import use_threads
 
 _NEAR = 8  # candidates besides the nearest coarser splat: that splat's nearest neighbours
 _COLOUR = 0.15  # standard deviation of the change of a base colour by merging
@@ -58,23 +57,21 @@ def shapes_of(level: Source) -> Shapes:
     return found
 
 
-def parents_of(fine: Shapes, coarse: Shapes, threads: int | None = None) -> I64:
+def parents_of(fine: Shapes, coarse: Shapes) -> I64:
     """Return (N,) the row of each fine splat's parent; each coarse splat gets at least one child.
 
     Args:
         fine: N splats.
         coarse: M splats, M from 1 to N.
-        threads: Number of threads for the search; None for all.
     """
-    with use_threads(threads) as used:
-        parents = _likeliest(fine, coarse, used)
-        _give_to_childless(parents, fine.means, coarse.means, used)
+    parents = _likeliest(fine, coarse)
+    _give_to_childless(parents, fine.means, coarse.means)
     return parents
 
 
-def _likeliest(fine: Shapes, coarse: Shapes, threads: int) -> I64:
-    _, nearest = nearest_to(fine.means, coarse.means, threads)
-    around = nearest_neighbours(coarse.means, _NEAR, threads)
+def _likeliest(fine: Shapes, coarse: Shapes) -> I64:
+    _, nearest = nearest_to(fine.means, coarse.means)
+    around = nearest_neighbours(coarse.means, _NEAR)
     parents = np.empty(len(fine.means), np.int64)
     for start in range(0, len(parents), _ROWS):
         rows = slice(start, min(start + _ROWS, len(parents)))
@@ -107,14 +104,14 @@ def _negative_log_likelihoods(deltas: F64, covariances: F64) -> F64:
     return unlikely
 
 
-def _give_to_childless(parents: I64, fine: F64, coarse: F64, threads: int = 1) -> None:
+def _give_to_childless(parents: I64, fine: F64, coarse: F64) -> None:
     """Give each childless coarse splat a nearby child whose parent has others; in place."""
     lone = np.flatnonzero(np.bincount(parents, minlength=len(coarse)) == 0)
     for _ in range(_ROUNDS):
         if not len(lone):
             return
         spare = _spare(parents, fine, coarse)
-        distances, nearest = nearest_to(coarse[lone], fine[spare], threads)
+        distances, nearest = nearest_to(coarse[lone], fine[spare])
         order = np.argsort(distances, kind="stable")
         _, first = np.unique(nearest[order], return_index=True)
         served = order[first]  # if several want the same child, the nearest one gets it

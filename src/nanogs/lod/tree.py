@@ -65,13 +65,12 @@ class Linking:
     Of the levels, only the `Shapes` of the last and the `Layer` of others are held.
 
     Args:
-        threads: Number of threads for the search; None for all.
         first: The number of the first level, for messages.
     """
 
-    def __init__(self, threads: int | None = None, first: int = 0) -> None:
+    def __init__(self, first: int = 0) -> None:
         self._layers: list[Layer] = []
-        self._threads, self._first = threads, first
+        self._first = first
         self._shapes: Shapes | None = None
 
     def add(self, level: Source) -> None:
@@ -93,7 +92,7 @@ class Linking:
         if level.count > len(fine.means):
             parents, self._shapes = np.arange(len(fine.means)), fine
         else:
-            parents = parents_of(fine, coarse, self._threads)
+            parents = parents_of(fine, coarse)
         refuse_many(np.bincount(parents), self._first + len(self._layers))
         self._layers.append(Layer(fine.means, parents))
 
@@ -125,25 +124,18 @@ def refuse_many(children: I64, level: int) -> None:
         )
 
 
-def layers_of(
-    levels: Sequence[Source],
-    threads: int | None = None,
-    *,
-    first: int = 0,
-    steps: int | None = None,
-) -> list[Layer]:
+def layers_of(levels: Sequence[Source], *, first: int = 0, steps: int | None = None) -> list[Layer]:
     """Link levels to each other, add the layers above them, and return all layers.
 
     Args:
         levels: From the finest to the coarsest, each of 1 splat or more.
-        threads: As `Linking` takes it.
         first: As `Linking` takes it.
         steps: As `above` takes it.
 
     Raises:
         OptionError: A splat would have more than `MOST_CHILDREN`.
     """
-    linking = Linking(threads, first)
+    linking = Linking(first)
     for level in levels:
         linking.add(level)
     return linking.finished(steps)

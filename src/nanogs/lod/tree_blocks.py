@@ -38,9 +38,9 @@ class Linked:
     suffix: ClassVar[str] = ".rad"
     weight: ClassVar[float] = 9.0
 
-    def link(self, levels: Sequence[Source], some: Splats, threads: int, steps: int) -> BlockTree:
+    def link(self, levels: Sequence[Source], some: Splats, steps: int) -> BlockTree:
         """Build the tree of a block; see `block_layouts.Linked`."""
-        layers = layers_of(levels, threads, steps=steps)
+        layers = layers_of(levels, steps=steps)
         leaves = InMemory(levels[0].load())
         made = build(leaves, layers, units_of(InMemory(some)))
         children = [partial(_part, counts) for counts in made.children]

@@ -49,15 +49,12 @@ class Forest:
         return self.splats - len(self.children)
 
 
-def grow_forest(
-    leaves: Nodes, parameters: ForestParameters, threads: int, on_progress: PartProgress
-) -> Forest:
+def grow_forest(leaves: Nodes, parameters: ForestParameters, on_progress: PartProgress) -> Forest:
     """Grow a forest: match nearly all nodes with a neighbour and merge them, until one is left.
 
     Args:
         leaves: N nodes, one for each splat.
         parameters: k and lambda_app are used.
-        threads: Threads for the nearest-neighbour query.
         on_progress: Progress callback for the merges done.
     """
     count = made = len(leaves)
@@ -68,7 +65,7 @@ def grow_forest(
     stop = StopReason.TARGET
     while len(nodes) > 1:
         on_share = partial(_report_within, on_progress, count, len(nodes))
-        plan, increments, report = _one_pass(nodes, parameters, threads, on_share)
+        plan, increments, report = _one_pass(nodes, parameters, on_share)
         if len(plan) == 0:
             stop = report.stop
             passes.append(report)
@@ -112,13 +109,13 @@ def _report_within(on_progress: PartProgress, splats: int, nodes: int, share: fl
 
 
 def _one_pass(
-    nodes: Nodes, parameters: ForestParameters, threads: int, on_share: Callable[[float], None]
+    nodes: Nodes, parameters: ForestParameters, on_share: Callable[[float], None]
 ) -> tuple[MergePlan, F32, PassReport]:
     """Run graph, cost and match; return the plan, its pairs' increments, and the pass's report."""
     count, clock = len(nodes), StageClock()
     on_share(0)
     with clock.time("graph"):
-        pairs = neighbour_pairs(nodes.means, parameters.k, threads)
+        pairs = neighbour_pairs(nodes.means, parameters.k)
     on_share(0.5)
     with clock.time("cost"):
         dets = np.empty(count)

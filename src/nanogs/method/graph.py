@@ -8,32 +8,29 @@ import numpy as np
 from nanogs._types import F64, I32, I64, U32
 from nanogs.kernels.pairs import count_pairs, fill_firsts, fill_seconds
 from nanogs.neighbours import nearest_neighbours
-from nanogs.threads import use_threads
 
 
-def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
+def neighbour_pairs(means: F64, k: int) -> I32:
     """List the pairs of rows of which one is among the k nearest neighbours of the other.
 
     Args:
         means: (N, 3) finite, scene units; nearby rows should be near in space.
         k: Neighbours of each row; the row itself is excluded by its index.
-        threads: Threads for the query.
 
     Returns:
         (E, 2) int32, i < j in every row, each pair once, ascending; in column-major order in
         memory.
     """
-    neighbours = nearest_neighbours(means, k, threads)
+    neighbours = nearest_neighbours(means, k)
     starts: I64 = np.empty(len(neighbours) + 1, dtype=np.int64)
-    with use_threads(threads):
-        count_pairs(neighbours, starts)
-        columns: I32 = np.empty((2, starts[-1]), dtype=np.int32)
-        # 32 bits if the number of pairs allows: peak memory is reached here.
-        width: type = np.uint32 if starts[-1] < 1 << 32 else np.int64
-        nexts: U32 | I64 = starts[:-1].astype(width)
-        fill_seconds(neighbours, starts, nexts, columns[1])
-        del neighbours, nexts  # before the first column is written and takes memory
-        fill_firsts(starts, columns[0])
+    count_pairs(neighbours, starts)
+    columns: I32 = np.empty((2, starts[-1]), dtype=np.int32)
+    # 32 bits if the number of pairs allows: peak memory is reached here.
+    width: type = np.uint32 if starts[-1] < 1 << 32 else np.int64
+    nexts: U32 | I64 = starts[:-1].astype(width)
+    fill_seconds(neighbours, starts, nexts, columns[1])
+    del neighbours, nexts  # before the first column is written and takes memory
+    fill_firsts(starts, columns[0])
     return columns.T
 
 

@@ -13,9 +13,7 @@ NEIGHBOURS = 12  # number of other groups that a splat may move to
 LAMBDA_APP = 0.2  # weight of the squared colour distance relative to the log likelihood
 
 
-def reassign(
-    leaves: Nodes, labels: I32, groups: int, rounds: int, threads: int
-) -> tuple[I32, int]:  # fmt: skip
+def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int) -> tuple[I32, int]:
     """Assign each splat to the group of highest likelihood, match moments again, and repeat.
 
     A group that loses all its splats takes the worst fitting splat of a group with several, so that
@@ -26,24 +24,23 @@ def reassign(
         labels: (N,) int32, the group of each in [0, groups), none empty.
         groups: Number of groups.
         rounds: Number of rounds; ends earlier when nothing moves.
-        threads: Threads for the nearest-neighbour query.
 
     Returns:
         (N,) int32, new labels, no group empty; and the number of rounds in which splats moved.
     """
     for done in range(rounds):
-        moved = _one_round(leaves, labels, groups, threads)
+        moved = _one_round(leaves, labels, groups)
         if np.array_equal(moved, labels):
             return labels, done
         labels = moved
     return labels, rounds
 
 
-def _one_round(leaves: Nodes, labels: I32, groups: int, threads: int) -> I32:
+def _one_round(leaves: Nodes, labels: I32, groups: int) -> I32:
     merged = gather(leaves, labels, groups)
     inverses, dets = np.empty((groups, 6)), np.empty(groups)
     invert_covariances(merged.covariances, inverses, dets)
-    candidates = nearest_neighbours(merged.means, NEIGHBOURS, threads)
+    candidates = nearest_neighbours(merged.means, NEIGHBOURS)
     moved, distances = np.empty_like(labels), np.empty(len(labels))
     assign_nearest(
         labels,

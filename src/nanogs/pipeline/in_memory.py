@@ -138,7 +138,7 @@ class CheckedModel:
             from nanogs.pipeline.published import simplify_as_published
 
             return lambda target, clock, progress: simplify_as_published(
-                self.splats, self.rows, target, chosen, threads, clock, progress
+                self.splats, self.rows, target, chosen, clock, progress
             )
         from nanogs.pipeline.run import deliver
 

@@ -266,9 +266,7 @@ class OneBlock(Scene):
         activating = time.perf_counter() - start
         # Memory peaks in the merge passes, which need no leaves after the first one. So the leaves
         # are freed there and computed again below; the coverages, an eleventh of them, are kept.
-        self._forest = grow_forest(
-            bare.pop(), self.settings.parameters, self.threads, self.on_progress
-        )
+        self._forest = grow_forest(bare.pop(), self.settings.parameters, self.on_progress)
         start = time.perf_counter()
         self._leaves = self._activated(coverages)
         seconds = [{"activate": activating + time.perf_counter() - start}]
@@ -330,7 +328,7 @@ class OneBlock(Scene):
         self._labels, self._corrected = {f"cut {self.picked(level)}": labels}, {}
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
-        found, done = reassign(self._leaves, labels, groups, rounds, self.threads)
+        found, done = reassign(self._leaves, labels, groups, rounds)
         self._labels["settled"] = found
         return self.write(name, {}, {ROUNDS: done})
 

@@ -16,7 +16,6 @@ def simplify_as_published(
     rows: I32,
     target: int,
     parameters: PaperParameters,
-    threads: int,
     clock: StageClock,
     progress: Tracker,
 ) -> Outcome:
@@ -27,7 +26,6 @@ def simplify_as_published(
         rows: (M,) its usable rows, ascending.
         target: Splats to deliver, from 1 to M.
         parameters: Of the method.
-        threads: Threads for the nearest-neighbour query.
         clock: Gets the seconds of each stage.
         progress: Notified of each stage.
     """
@@ -44,7 +42,7 @@ def simplify_as_published(
         working = [activate(splats, kept, origin)]
         del kept
     progress.begin("merge")
-    result = merge_to_count(working.pop(), target, parameters, threads, progress.part)
+    result = merge_to_count(working.pop(), target, parameters, progress.part)
     for one_pass in result.passes:
         clock.add(one_pass.seconds)
     progress.begin("store")

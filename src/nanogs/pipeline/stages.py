@@ -169,7 +169,7 @@ def _rough(work: Work, task: Task) -> Record:
     units, parameters = work.units, work.settings.parameters
     return grow(
         work.scratch, task.name, lambda: leaves_of(splats, rows, units, bare=True), parameters,
-        [parameters.balance], work.threads,
+        [parameters.balance],
     )  # fmt: skip
 
 
@@ -216,7 +216,7 @@ def _cut(work: Work, task: Task) -> Record:
     splats, rows = work.block(task.number, work.settings.layout.bare())
     leaves = leaves_of(splats, rows, work.units, work.weighing(work.visible(task.number)))
     labels, groups = work.labels(task.number, task.level), work.groups(task.number, task.level)
-    return write_cut(work.scratch, task.name, leaves, labels, groups, work.threads)
+    return write_cut(work.scratch, task.name, leaves, labels, groups)
 
 
 def _settle(scene: Scene, task: Task) -> Record:

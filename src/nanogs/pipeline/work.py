@@ -353,14 +353,14 @@ class Work(Scene):
         units, weighing = self.units, self.weighing(own.visible)
         return grow(
             self.scratch, name, lambda: leaves_of(own.splats, own.rows, units, weighing, bare=True),
-            self.settings.parameters, self.balances, self.threads,
+            self.settings.parameters, self.balances,
         )  # fmt: skip
 
     def settle(self, name: str, block: int, level: int) -> Record:
         """Reassign the splats of a block and its halo, and write the outcome for the block."""
         cuts, settings = self.of_blocks("cut", level), self.settings
         own = self.partition.count(block)
-        halo = find_halo(self.scratch, cuts, block, own, self.threads)
+        halo = find_halo(self.scratch, cuts, block, own)
         count = own + sum(len(each.rows) for each in halo)
         columns = with_codes(empty_columns(settings.layout, count), count)
         self.read(block, columns)
@@ -375,7 +375,7 @@ class Work(Scene):
         weighing = self.weighing(columns.get(VISIBLE))
         leaves = leaves_of(splats, stable_order(columns[CODES]), self.units, weighing)
         area = block_with_halo(leaves, labels, own, self.groups(block, level), halo)
-        found = settled(area, settings.parameters.rounds, self.threads)
+        found = settled(area, settings.parameters.rounds)
         # If results are measured, growth does not depend on covers.
         cover = None if self.measures else settled_cover(area, found.labels, self.units.dilation())
         return write_settled(self.scratch, name, found, area, columns, cover)
@@ -438,7 +438,7 @@ class Work(Scene):
 
     def _near_cover(self, block: int, level: int) -> list[Cover]:
         """Read the groups of other blocks that may cover those of a block, block by block."""
-        near = near_groups(self.scratch, self.of_blocks("cut", level), block, self.threads)
+        near = near_groups(self.scratch, self.of_blocks("cut", level), block)
         found = []
         for each in near:
             with self.table("settle", each.block, level) as table:

@@ -27,7 +27,6 @@ def merge_to_count(
     gaussians: Gaussians,
     target: int,
     parameters: PaperParameters,
-    threads: int,
     on_progress: PartProgress,
 ) -> Merged:
     """Merge the cheapest disjoint pairs of neighbours, pass after pass, down to the target.
@@ -36,7 +35,6 @@ def merge_to_count(
         gaussians: The splats after pruning, in Morton order.
         target: Number of splats to deliver, at least 1.
         parameters: The method's parameters.
-        threads: Threads for the nearest-neighbour query.
         on_progress: Progress callback for the merges done, and their number.
     """
     passes: list[PassReport] = []
@@ -48,7 +46,7 @@ def merge_to_count(
         def on_share(share: float, left: int = left, limit: int = limit) -> None:
             on_progress(wanted - left + share * limit, wanted)
 
-        gaussians, report = _one_pass(gaussians, limit, parameters, threads, on_share)
+        gaussians, report = _one_pass(gaussians, limit, parameters, on_share)
         passes.append(report)
         if report.merged == 0:
             return Merged(gaussians, tuple(passes), report.stop)
@@ -59,7 +57,6 @@ def _one_pass(
     gaussians: Gaussians,
     limit: int,
     parameters: PaperParameters,
-    threads: int,
     on_share: Callable[[float], None],
 ) -> tuple[Gaussians, PassReport]:
     """Run one pass: build the graph, score its pairs, match the cheapest and merge them.
@@ -72,7 +69,7 @@ def _one_pass(
         if parameters.graph == "random":
             pairs = random_pairs(count, parameters.k, parameters.seed)
         else:
-            pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
+            pairs = neighbour_pairs(gaussians.means, parameters.k)
     on_share(0.3)
     with clock.time("cost"):
         costs = pair_costs(gaussians, pairs, log_masses(gaussians), parameters)

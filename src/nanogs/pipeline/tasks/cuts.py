@@ -45,9 +45,7 @@ def cut_block(scratch: Scratch, forest: Record, groups: int, scored: Record, num
     return label_groups(int(forest.facts["splats"]), children, scores, groups)
 
 
-def write_cut(
-    scratch: Scratch, name: str, leaves: Nodes, labels: I32, groups: int, threads: int
-) -> Record:
+def write_cut(scratch: Scratch, name: str, leaves: Nodes, labels: I32, groups: int) -> Record:
     """Write the groups of a block: the group of each row, and each group's centre and reach.
 
     Args:
@@ -56,14 +54,13 @@ def write_cut(
         leaves: The block's splats; only weights and centres are used.
         labels: (N,) the group of each leaf.
         groups: Number of groups.
-        threads: Threads for the nearest-neighbour query.
     """
     totals = np.bincount(labels, leaves.weights, groups)
     centres = np.empty((groups, 3))
     for axis in range(3):
         sums = np.bincount(labels, leaves.weights * leaves.means[:, axis], groups)
         centres[:, axis] = sums / totals
-    reach = _reach(centres, threads)
+    reach = _reach(centres)
     facts = {
         "groups": groups,
         "low": [float(value) for value in centres.min(axis=0)],
@@ -76,9 +73,9 @@ def write_cut(
     return write_table(scratch, name, columns, facts)
 
 
-def _reach(centres: F64, threads: int) -> F64:
+def _reach(centres: F64) -> F64:
     """Return (G,) the distance from each group to the furthest one its splats may move to."""
-    nearest = nearest_neighbours(centres, NEIGHBOURS, threads)
+    nearest = nearest_neighbours(centres, NEIGHBOURS)
     if nearest.shape[1] == 0:
         return np.zeros(len(centres))
     distances: F64 = np.linalg.norm(centres[nearest[:, -1]] - centres, axis=1)

@@ -37,7 +37,6 @@ def grow(
     leaves: Callable[[], Nodes],
     parameters: ForestParameters,
     balances: Sequence[float],
-    threads: int,
 ) -> Record:
     """Grow a block's forest and write its merges, their scores and a histogram of the scores.
 
@@ -47,9 +46,8 @@ def grow(
         leaves: Makes the block's nodes, in units that all blocks share; no reference is kept here.
         parameters: Parameters of the method.
         balances: Balances of the cuts that will be made of the forest.
-        threads: Threads for the nearest-neighbour query.
     """
-    forest = grow_forest(leaves(), parameters, threads, ignore_progress)
+    forest = grow_forest(leaves(), parameters, ignore_progress)
     columns: dict[str, Array | Sorted] = {CHILDREN: forest.children}
     for number, balance in enumerate(balances):
         # Errors are not divided by the block's own median, so that the scores of all blocks are

@@ -51,9 +51,7 @@ class Near:
     distances: F64
 
 
-def find_halo(
-    scratch: Scratch, cuts: Sequence[Record], block: int, splats: int, threads: int
-) -> list[Halo]:
+def find_halo(scratch: Scratch, cuts: Sequence[Record], block: int, splats: int) -> list[Halo]:
     """Find the nearest groups of all other blocks, with at most `MOST_SEEN * splats` splats.
 
     Args:
@@ -61,17 +59,16 @@ def find_halo(
         cuts: Their records.
         block: Number of the block whose halo is wanted.
         splats: Number of splats of that block.
-        threads: Threads for the nearest-neighbour query.
 
     Returns:
         One halo for each other block that has any such groups, in the order of the blocks.
     """
-    found = near_groups(scratch, cuts, block, threads)
+    found = near_groups(scratch, cuts, block)
     kept = _nearest(found, _sizes(scratch, cuts, found), int(MOST_SEEN * splats))
     return [_members(scratch, cuts, each) for each in kept]
 
 
-def near_groups(scratch: Scratch, cuts: Sequence[Record], block: int, threads: int) -> list[Near]:
+def near_groups(scratch: Scratch, cuts: Sequence[Record], block: int) -> list[Near]:
     """Find all groups of other blocks near a block, without the limit of `find_halo`."""
     with Table(scratch, cuts[block]) as table:
         centres, reach = table.read(CENTRES), table.read(REACH)
@@ -84,7 +81,7 @@ def near_groups(scratch: Scratch, cuts: Sequence[Record], block: int, threads: i
         with Table(scratch, record) as table:
             theirs = table.read(CENTRES)
             inside = np.flatnonzero(((theirs >= low) & (theirs <= high)).all(axis=1))
-            distances, nearest = nearest_to(theirs[inside], centres, threads)
+            distances, nearest = nearest_to(theirs[inside], centres)
             near = distances < REACHES * reach[nearest]
             if near.any():
                 relative = distances[near] / reach[nearest[near]]

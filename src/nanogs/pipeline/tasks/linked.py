@@ -51,7 +51,7 @@ def write_tree(work: "Work", task: Task) -> Record:
     with ExitStack() as stack:
         sources = (LevelSource(work, level, task.number) for level in range(levels))
         parts = [stack.enter_context(each) for each in sources]
-        tree = linked.link([_turned(work, each) for each in parts], some, work.threads, steps)
+        tree = linked.link([_turned(work, each) for each in parts], some, steps)
     columns: dict[str, Array | Streamed] = {}
     for number, (layer, children) in enumerate(zip(tree.layers, tree.children, strict=True)):
         shape = layer.count, _dtype(layer.columns).itemsize

@@ -63,13 +63,12 @@ class Settled(NamedTuple):
     rounds: int
 
 
-def settled(area: BlockWithHalo, rounds: int, threads: int) -> Settled:
+def settled(area: BlockWithHalo, rounds: int) -> Settled:
     """Reassign, and find the group in which each of the block's splats ends.
 
     Args:
         area: The block and its halo.
         rounds: Rounds of reassignment, at most.
-        threads: Threads for the nearest-neighbour query.
     """
     own = area.leaves.rows < area.own
     rows = area.leaves.rows[own]
@@ -77,7 +76,7 @@ def settled(area: BlockWithHalo, rounds: int, threads: int) -> Settled:
     weights = np.empty(area.own)
     before[rows], weights[rows] = area.labels[own], area.leaves.weights[own]
     total = area.groups + sum(len(each.groups) for each in area.halo)
-    moved, done = reassign(area.leaves, area.labels, total, rounds, threads)
+    moved, done = reassign(area.leaves, area.labels, total, rounds)
     after[rows] = moved[own]
     keep_every_group(after, before, weights, area.groups)
     moved[own] = after[rows]
