@@ -152,6 +152,14 @@ def test_sentences_conclude_no_more_than_the_numbers_support(photographs, number
         assert verdict in sentence.rpartition("which ")[2]
 
 
+def test_evidence_alone_measures_no_draw_cost(capture, monkeypatch):
+    def measured(*_):
+        raise AssertionError("the draw cost is not part of the evidence")
+
+    monkeypatch.setattr("nanogs.views.covering.cost_on", measured)
+    assert nanogs.mode_evidence(capture / "model.ply", views=2, pixels=64).sentences
+
+
 def test_info_renders_only_if_views_are_given(capture):
     path = capture / "model.ply"
     plain = info_of(path)

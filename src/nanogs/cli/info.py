@@ -67,7 +67,8 @@ def info(
         files = [file.to_dict() for file in cost.files] if cost else []
         seen: dict[str, Any] = {"mode_evidence": None, "draw_cost": None}
         if looked:
-            seen = {"mode_evidence": looked.modes.to_dict(), "draw_cost": looked.cost.to_dict()}
+            drawn = looked.cost.to_dict() if looked.cost else None
+            seen = {"mode_evidence": looked.modes.to_dict(), "draw_cost": drawn}
         print_json(model.to_dict() | {"packed": files} | seen)
         return
     notes = [f"{model.file.path}: {note}" for note in cost.notes] if cost else []
@@ -103,8 +104,9 @@ def _looked(model: "FileSource", looking: RenderOptions, *, quiet: bool) -> "Ren
 
 
 def _looked_rows(looked: "RenderFindings") -> dict[str, str]:
-    return {
-        "to draw": f"{looked.cost.text}, on {looked.cost.protocol.text}",
+    cost = looked.cost
+    drawn = {"to draw": f"{cost.text}, on {cost.protocol.text}"} if cost else {}
+    return drawn | {
         "default or mip": "\n".join(looked.modes.sentences)
         + "\n(evidence, not proof; the renders in the two modes are"
         f" {number_text(looked.modes.between)} dB apart)",

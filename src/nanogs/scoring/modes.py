@@ -143,7 +143,7 @@ def mode_evidence(
     return render_findings(
         model, cameras, photos=photos, images=images, split=split, background=background,
         views=views, pixels=pixels, up=up, threads=threads, max_memory=max_memory,
-        progress=progress,
+        progress=progress, costs=False,
     ).modes  # fmt: skip
 
 
@@ -153,11 +153,11 @@ class RenderFindings:
 
     Attributes:
         modes: Evidence for either render mode.
-        cost: Draw cost in the model's own render mode.
+        cost: Draw cost in the model's own render mode; None if it was not measured.
     """
 
     modes: ModeEvidence
-    cost: DrawCost
+    cost: DrawCost | None
 
 
 def render_findings(
@@ -174,13 +174,18 @@ def render_findings(
     threads: int | None = None,
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
+    costs: bool = True,
 ) -> RenderFindings:
-    """Render a model in both modes, and measure its draw cost; arguments as for `mode_evidence`."""
+    """Render a model in both modes and, with `costs`, measure its draw cost.
+
+    The other arguments are those of `mode_evidence`.
+    """
     refuse_beside_views(photos, images, split)
     limit = None if max_memory is None else as_bytes(max_memory)
     background = None if background is None else plain_background(background)
     wanted = known_cameras(cameras) if photos is None else []
-    stages = [Stage("cameras", 1.0), Stage("render", 6.0), Stage("cover", 2.0)]
+    stages = [Stage("cameras", 1.0), Stage("render", 6.0)]
+    stages += [Stage("cover", 2.0)] if costs else []
     with opened(model) as source, show_progress(progress) as on_step:
         # Imported here because these import Numba.
         from nanogs.scoring.photos import photographs, room_beside_photographs
@@ -206,8 +211,10 @@ def render_findings(
             protocol = views_of(chosen, kind, split if frames else "test", behind)
             truth = [view.image for view in frames]
             modes = evidence_on(some, chosen, protocol, truth, room, tracker.part)
-            tracker.begin("cover")
-            cost = cost_on(some, chosen, protocol, tracker.part)
+            cost = None
+            if costs:
+                tracker.begin("cover")
+                cost = cost_on(some, chosen, protocol, tracker.part)
         tracker.finish()
     return RenderFindings(modes, cost)
 
