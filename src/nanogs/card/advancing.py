@@ -295,7 +295,7 @@ class FittedSplats:
     reaches: wp.array[wp.float32]
     keep: wp.array[wp.bool]
     seen: wp.array[wp.int32]
-    blocks: wp.array2d[wp.float32]
+    hessians: wp.array2d[wp.float32]
     weights: wp.array[wp.float32]
     displacements: wp.array2d[wp.float32]
 
@@ -463,9 +463,9 @@ def advance_splats(
 
     block = curvatures(jacobian, sums)
     for a in range(PACKED):
-        known = wp.float64(moving.blocks[i, a])
-        moving.blocks[i, a] = moving.blocks[i, a] + wp.float32(share * (block[a] - known))
-        block[a] = excess * wp.float64(moving.blocks[i, a])
+        known = wp.float64(moving.hessians[i, a])
+        moving.hessians[i, a] = moving.hessians[i, a] + wp.float32(share * (block[a] - known))
+        block[a] = excess * wp.float64(moving.hessians[i, a])
     gradient = Step()
     for a in range(SHAPE):
         for d in range(SCREEN):

@@ -67,7 +67,7 @@ class FittedModel:
         moving.opacities, moving.reaches = model.opacities, model.reaches
         moving.keep = model.keep
         moving.seen = put(np.zeros(n, np.int32))
-        moving.blocks = put(np.zeros((n, PACKED), np.float32))
+        moving.hessians = put(np.zeros((n, PACKED), np.float32))
         moving.weights = put(np.zeros(n, np.float32))
         moving.displacements = put(displacements)
         rules = StepConstants()

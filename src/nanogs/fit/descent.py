@@ -87,7 +87,7 @@ class Descent:
             # State and model share one array of coefficients, as they do without surroundings.
             self._state = replace(self._state, sh=model.sh[:n])
         self._seen = np.zeros(n, np.int32)
-        self._blocks = np.zeros((n, PACKED), np.float32)
+        self._hessians = np.zeros((n, PACKED), np.float32)
         self._weights = np.zeros(n, np.float32)
         self._displacements = displacements_of(state, self.splats)
         self._count = 0
@@ -98,7 +98,8 @@ class Descent:
 
     def rest(self) -> None:
         """Free the memory that only steps need; `begin` must be called before further steps."""
-        del self._state, self._active, self._seen, self._blocks, self._weights, self._displacements
+        del self._state, self._active, self._seen
+        del self._hessians, self._weights, self._displacements
 
     def step(self, rate: float, share: float) -> float:
         """Take one step, on the next view.
@@ -172,7 +173,7 @@ class Descent:
             model.reaches,
             model.keep,
             self._seen,
-            self._blocks,
+            self._hessians,
             self._weights,
             self._displacements,
         )

@@ -168,7 +168,7 @@ def advance_splats(
     reaches: F32,
     keep: Bool,
     seen: I32,
-    blocks: F32,
+    hessians: F32,
     weights: F32,
     displacements: F32,
 ) -> None:
@@ -217,7 +217,7 @@ def advance_splats(
         reaches: (N,) out, see `project.reaches_of`.
         keep: (N,) out, whether the splat is to be drawn.
         seen: (N,) in and out, number of views that have moved the splat.
-        blocks: (N, 55) in and out, mean Gauss-Newton matrix of the shape, lower triangle.
+        hessians: (N, 55) in and out, mean Gauss-Newton matrix of the shape, lower triangle.
         weights: (N,) in and out, mean curvature of the colours.
         displacements: (N, DISPLACEMENT) in and out, the splat's displacement since the fit began,
             and the largest share of its steps that views determined so far.
@@ -271,8 +271,8 @@ def advance_splats(
             i = rows[k]
             share = 1.0 / min(seen[i], memory)
             for a in range(PACKED):
-                blocks[i, a] += np.float32(share * (curvatures[a, k] - blocks[i, a]))
-                curvatures[a, k] = excesses[k] * blocks[i, a]
+                hessians[i, a] += np.float32(share * (curvatures[a, k] - hessians[i, a]))
+                curvatures[a, k] = excesses[k] * hessians[i, a]
         damped_steps(gradients, curvatures, damping, floor, limits, lifts, moves)
         for k in range(lane):
             if not moves[k]:

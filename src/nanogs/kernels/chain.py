@@ -268,7 +268,7 @@ def _clear(out: F64) -> None:
 
 @exact_inline
 def gradients_and_hessians(
-    jacobians: F64, sums: F64, products: F64, gradients: F64, blocks: F64
+    jacobians: F64, sums: F64, products: F64, gradients: F64, hessians: F64
 ) -> None:
     """Compute gradients J g and Gauss-Newton matrices J M Jᵀ of splats side by side.
 
@@ -277,7 +277,7 @@ def gradients_and_hessians(
         sums: (25, L) from `gather_entries`.
         products: (6, L) scratch.
         gradients: (10, L) out, the gradients, negative as in `sums`.
-        blocks: (55, L) out, lower triangles of the matrices.
+        hessians: (55, L) out, lower triangles of the matrices.
     """
     screen = len(products)
     for a in range(len(gradients)):
@@ -291,7 +291,7 @@ def gradients_and_hessians(
                     _add_products(products[c], jacobians[a, d], sums[PRODUCTS[d, c]])
         row = a * (a + 1) // 2
         for b in range(a + 1):
-            _clear(blocks[row + b])
+            _clear(hessians[row + b])
             for c in range(screen):
                 if CHANGES[b, c]:
-                    _add_products(blocks[row + b], products[c], jacobians[b, c])
+                    _add_products(hessians[row + b], products[c], jacobians[b, c])

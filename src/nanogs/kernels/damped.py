@@ -35,20 +35,20 @@ def new_lanes(shape: int, lanes: int) -> tuple[F64, F64, Bool]:
 
 @exact_inline
 def _lift_diagonal(
-    shape: int, blocks: F64, damping: float, floor: float, lifts: F64, moves: Bool
+    shape: int, hessians: F64, damping: float, floor: float, lifts: F64, moves: Bool
 ) -> None:
     """Damp the matrices, and store what the floor adds to each diagonal; 1 for a matrix of 0."""
     lanes = len(lifts)
     for lane in range(lanes):
         largest = 0.0
         for a in range(shape):
-            largest = max(largest, blocks[a * (a + 3) // 2, lane])
+            largest = max(largest, hessians[a * (a + 3) // 2, lane])
         moves[lane] = largest > 0.0
         lifts[lane] = floor * largest if moves[lane] else 1.0
     for a in range(shape):
         for lane in range(lanes):
-            blocks[a * (a + 3) // 2, lane] *= 1.0 + damping
-            blocks[a * (a + 3) // 2, lane] += lifts[lane]
+            hessians[a * (a + 3) // 2, lane] *= 1.0 + damping
+            hessians[a * (a + 3) // 2, lane] += lifts[lane]
 
 
 @exact_inline
@@ -105,7 +105,13 @@ def _shorten(steps: F64, limits: F64, moves: Bool) -> None:
 
 @exact_inline
 def damped_steps(
-    gradients: F64, blocks: F64, damping: float, floor: float, limits: F64, lifts: F64, moves: Bool
+    gradients: F64,
+    hessians: F64,
+    damping: float,
+    floor: float,
+    limits: F64,
+    lifts: F64,
+    moves: Bool,
 ) -> None:
     """Solve the equations of L splats, and shorten the steps to their limits.
 
@@ -114,7 +120,7 @@ def damped_steps(
 
     Args:
         gradients: (10, L) negative gradients in; the steps out.
-        blocks: (55, L) lower triangles of the matrices, row by row; overwritten.
+        hessians: (55, L) lower triangles of the matrices, row by row; overwritten.
         damping: Fraction of the diagonal that is added to it.
         floor: Fraction of the largest diagonal entry that is added to all of the diagonal, more
             than 0, so that a parameter that nothing determines does not move.
@@ -123,7 +129,7 @@ def damped_steps(
         moves: (L,) out, whether there is a step: false if the matrix is 0 or the step is not
             finite.
     """
-    _lift_diagonal(len(gradients), blocks, damping, floor, lifts, moves)
-    _factorise(len(gradients), blocks, lifts)
-    _substitute(blocks, gradients)
+    _lift_diagonal(len(gradients), hessians, damping, floor, lifts, moves)
+    _factorise(len(gradients), hessians, lifts)
+    _substitute(hessians, gradients)
     _shorten(gradients, limits, moves)
