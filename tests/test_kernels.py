@@ -23,11 +23,11 @@ from nanogs.kernels.forest import (
     root_of_each,
     subtree_sums,
 )
+from nanogs.kernels.grouping import group_members
 from nanogs.kernels.mass import mass_fraction
 from nanogs.kernels.nodes import (
     covariances_of,
     gather_moments,
-    group_members,
     heaviest_members,
     join_pairs_of_nodes,
     principal_axes,

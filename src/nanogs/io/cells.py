@@ -8,7 +8,8 @@ is the inverted file of Jegou, Douze, Schmid, "Product quantization for nearest 
 import numpy as np
 
 from nanogs._types import F32, I32, I64
-from nanogs.kernels.kmeans import group, nearest_cells, weighted_means
+from nanogs.kernels.grouping import group_members
+from nanogs.kernels.kmeans import nearest_cells, weighted_means
 
 _SAMPLES = 64  # sampled points per cell, from which the centres are computed
 _ROUNDS = 6
@@ -38,8 +39,8 @@ def nearby_cells(points: F32, count: int, near: int) -> I32:
 
 def by_label(labels: I32, count: int) -> tuple[I64, I64]:
     """Return (count + 1,) offsets of the labels 0 to `count` - 1, and (N,) points by label."""
-    starts, order = np.empty(count + 1, np.int64), np.empty(len(labels), np.int64)
-    group(np.ascontiguousarray(labels), starts, order)
+    starts, order = np.zeros(count + 1, np.int64), np.empty(len(labels), np.int64)
+    group_members(np.ascontiguousarray(labels), starts, order)
     return starts, order
 
 

@@ -5,7 +5,7 @@ import math
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.symmetric3 import Symmetric3, resolved
+from nanogs.kernels.symmetric3 import Symmetric3, adjugate, resolved
 
 _LEAST = 1e-6  # least variance over the sum of all three, as of the flattest splats
 
@@ -20,9 +20,8 @@ def _inverse(s: Symmetric3) -> tuple[Symmetric3, float]:
     if not resolved(s):
         least = _LEAST * (xx + yy + zz)
         xx, yy, zz = xx + least, yy + least, zz + least
-    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    a, b, c, d, e, f = adjugate((xx, xy, xz, yy, yz, zz))
     determinant = xx * a + xy * b + xz * c
-    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
     r = 1.0 / determinant
     return (a * r, b * r, c * r, d * r, e * r, f * r), math.log(determinant)
 

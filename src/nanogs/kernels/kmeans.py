@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from nanogs._types import F32, I32, I64
-from nanogs.kernels.policy import inline, kernel, parallel_kernel
+from nanogs.kernels.policy import inline, parallel_kernel
 
 _ROWS = 64  # least number of points of a range
 TWO = np.float32(2)
@@ -61,23 +61,6 @@ def nearest_cells(
                 cells[i, place] = c
 
 
-@kernel
-def group(labels: I32, starts: I64, order: I64) -> None:
-    """List the points of each label, ascending: a counting sort.
-
-    labels: (N,) from 0 to K - 1; starts: (K + 1,) out; order: (N,) out.
-    """
-    starts[:] = 0
-    for label in labels:
-        starts[label + 1] += 1
-    for k in range(len(starts) - 1):
-        starts[k + 1] += starts[k]
-    places = starts[:-1].copy()
-    for i in range(len(labels)):
-        order[places[labels[i]]] = i
-        places[labels[i]] += 1
-
-
 @parallel_kernel("squares", least=_ROWS)
 def weighted_means(
     start: int,
@@ -91,8 +74,8 @@ def weighted_means(
 ) -> None:
     """Move each centre to the mean of its points; one without points stays.
 
-    points: (N, D); weights: (N,) positive; starts, order: of `group`; columns: (D, K or more) in
-    and out; squares: (K,) out.
+    points: (N, D); weights: (N,) positive; starts, order: of `group_members`; columns: (D, K or
+    more) in and out; squares: (K,) out.
     """
     dimensions = points.shape[1]
     for k in range(start, stop):

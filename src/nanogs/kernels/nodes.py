@@ -39,23 +39,6 @@ def covariances_of(
 
 
 @kernel
-def group_members(labels: I32, starts: I64, members: I32) -> None:
-    """List the rows of every group, ascending, by counting sort.
-
-    labels: (N,) in [0, G); starts: (G + 1,) zeros, filled; members: (N,) filled: group g holds
-    members[starts[g]:starts[g + 1]].
-    """
-    for label in labels:
-        starts[label + 1] += 1
-    for group in range(1, len(starts)):
-        starts[group] += starts[group - 1]
-    place = starts[:-1].copy()
-    for row in range(len(labels)):
-        members[place[labels[row]]] = row
-        place[labels[row]] += 1
-
-
-@kernel
 def join_pairs_of_nodes(
     pairs: I32, made: int, ids: I32, merges: I32, children: I32, starts: I64, members: I32
 ) -> None:  # fmt: skip

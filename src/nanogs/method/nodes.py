@@ -12,12 +12,8 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Bool
 from nanogs.activations import alphas
-from nanogs.kernels.nodes import (
-    covariances_of,
-    gather_moments,
-    group_members,
-    heaviest_members,
-)
+from nanogs.kernels.grouping import group_members
+from nanogs.kernels.nodes import covariances_of, gather_moments, heaviest_members
 from nanogs.method.activation import activated
 from nanogs.method.extent import Dilation, Viewers
 from nanogs.slices import SLICE_STEPS, slices
