@@ -15,7 +15,7 @@ from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.run import InProcess, run_tasks
-from nanogs.pipeline.tasks.units import survey
+from nanogs.pipeline.tasks.units import find_units
 from nanogs.progress import Tracker
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
@@ -38,7 +38,7 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
             overrides={"rounds": rounds},
         )  # fmt: skip
         settings, _ = plan_job(request, None, size)
-        units = survey(settings)
+        units = find_units(settings)
         results = run_tasks(
             folder, settings, InProcess(), 2, StageClock(), Tracker(None, []), resumed=False
         )

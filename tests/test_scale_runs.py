@@ -30,7 +30,7 @@ from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.run import InProcess, run_tasks
-from nanogs.pipeline.tasks.units import survey
+from nanogs.pipeline.tasks.units import find_units
 from nanogs.progress import Tracker
 from nanogs.source import Layout
 from nanogs.store.scratch import FolderScratch
@@ -325,7 +325,7 @@ def in_blocks(splats, folder, ratio, rounds):
     results = run_tasks(scratch, settings, InProcess(), 1, clock, Tracker(None, []), resumed=False)
     partition = results.work.partition
     sizes = [partition.count(block) for block in range(partition.blocks)]
-    order = np.argsort(survey(settings).codes(splats), kind="stable")
+    order = np.argsort(find_units(settings).codes(splats), kind="stable")
     of_block = np.empty(len(splats), np.int64)
     of_block[order] = np.repeat(np.arange(partition.blocks), sizes)
     with result_of(results.work, 0) as result:

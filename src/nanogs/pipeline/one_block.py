@@ -52,7 +52,7 @@ from nanogs.store.tables import Record
 from nanogs.views.decimated import AFAR, decimated
 
 
-class _Placed(NamedTuple):
+class _Placement(NamedTuple):
     """The usable rows in Morton order, the origin (3,), and what depends on positions.
 
     That is the dilation that rasterisers add to splats, and where viewers are assumed to stand: at
@@ -99,7 +99,7 @@ class OneBlock(Scene):
     _pictures: list[Target] = field(default_factory=list)
     fitting: tuple[Target, ...] = ()
     groups: tuple[Group, ...] = ()
-    _survey: _Placed | None = None
+    _placement: _Placement | None = None
     visible: F64 | None = None
     missed: Bool | None = None
     missed_light: MissedLight = field(default_factory=MissedLight)
@@ -148,9 +148,10 @@ class OneBlock(Scene):
         return self._views
 
     @property
-    def _placed(self) -> _Placed:
-        assert self._survey is not None  # noqa: S101 - an earlier stage
-        return self._survey
+    def placement(self) -> _Placement:
+        """The usable rows in Morton order, and what depends on positions."""
+        assert self._placement is not None  # noqa: S101 - an earlier stage
+        return self._placement
 
     @property
     def forest(self) -> Forest:
@@ -172,13 +173,13 @@ class OneBlock(Scene):
         if self.visible is None or self.missed is None or self._leaves is None:
             return None
         leaves, rows = self._leaves, self._leaves.rows
-        prominences = prominence(leaves.coverages, leaves.means, self._placed.viewers)
+        prominences = prominence(leaves.coverages, leaves.means, self.placement.viewers)
         return shown_share(prominences, self.visible[rows], self.missed[rows])
 
     # Looking.
 
-    def survey(self, name: str) -> Record:
-        """Find Morton order, origin, dilation and viewers, and keep them as `_placed`."""
+    def find_units(self, name: str) -> Record:
+        """Find Morton order, origin, dilation and viewers, and keep them as `placement`."""
         splats, usable = self.splats, self.usable
         stored = splats.means if len(usable) == len(splats) else pick(splats.means, usable)
         origin, opacities = scene_origin(stored), np.empty(len(usable))
@@ -194,7 +195,7 @@ class OneBlock(Scene):
         viewers: Dilation | Viewers = dilation
         if given := self.settings.asked.given():
             viewers = viewers_of(given, origin, means)
-        self._survey = _Placed(self.usable[morton_order(means)], origin, dilation, viewers)
+        self._placement = _Placement(self.usable[morton_order(means)], origin, dilation, viewers)
         return self.write(name, {}, {})
 
     def sample(self) -> Splats:
@@ -274,7 +275,7 @@ class OneBlock(Scene):
         return self.write(name, {}, {"seconds": seconds})
 
     def _activated(self, coverages: F64 | None = None) -> Nodes:
-        rows, origin, dilation, viewers = self._placed
+        rows, origin, dilation, viewers = self.placement
         nodes = activate_nodes(self.splats, rows, origin, dilation, coverages=coverages)
         visible = self.visible if self.measures else None
         if viewers is dilation and visible is None:
@@ -287,7 +288,7 @@ class OneBlock(Scene):
 
     def open(self, block: int) -> Block:
         """Return the splats of the model."""
-        return Block(self.splats, self._placed.rows, self.visible)
+        return Block(self.splats, self.placement.rows, self.visible)
 
     def cut(self, block: int, level: int, number: int) -> I32:
         """Return the group of each leaf, computed once per cut; see `Scene.cut`."""
@@ -345,7 +346,7 @@ class OneBlock(Scene):
             if labels is members.labels:
                 return groups
         assert self._leaves is not None  # noqa: S101 - an earlier stage
-        origin, dilation = self._placed.origin, self._placed.dilation
+        origin, dilation = self.placement.origin, self.placement.dilation
         del self._stored[:-1]
         groups = store_groups(
             self._leaves, members.labels, self.splats, origin, dilation,

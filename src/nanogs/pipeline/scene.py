@@ -168,7 +168,7 @@ class Scene(ABC):
         """Whether a result has fewer splats than the scene."""
 
     @abstractmethod
-    def survey(self, name: str) -> Record:
+    def find_units(self, name: str) -> Record:
         """Compute and keep the units (origin, scales, Morton box) that all blocks share."""
 
     @abstractmethod

@@ -153,7 +153,7 @@ def _unpack(work: Work, task: Task) -> Record:
 
 
 def _units(scene: Scene, task: Task) -> Record:
-    return scene.survey(task.name)
+    return scene.find_units(task.name)
 
 
 def _partition(work: Work, task: Task) -> Record:

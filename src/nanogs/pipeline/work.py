@@ -58,7 +58,7 @@ from nanogs.pipeline.tasks.settle import (
     write_settled,
 )
 from nanogs.pipeline.tasks.trials import budget_stage, correct_stage
-from nanogs.pipeline.tasks.units import Units, survey, units_of
+from nanogs.pipeline.tasks.units import Units, find_units, units_of
 from nanogs.pipeline.tasks.unpack import Unpacked
 from nanogs.pipeline.tasks.views import Views, parts_of, views_of
 from nanogs.progress import PartProgress, ignore_progress
@@ -310,9 +310,9 @@ class Work(Scene):
         """Write the columns and facts of a task as a table."""
         return write_table(self.scratch, name, columns, facts)
 
-    def survey(self, name: str) -> Record:
+    def find_units(self, name: str) -> Record:
         """Compute the units that all blocks share, and write them."""
-        return self.write(name, {}, survey(self.settings, self.unpacked()).to_dict())
+        return self.write(name, {}, find_units(self.settings, self.unpacked()).to_dict())
 
     def sample(self) -> Splats:
         """Read evenly spread splats of the inputs, for placing cameras."""

@@ -19,7 +19,7 @@ def budget(
     scratch: Scratch,
     forests: Sequence[Record],
     target: int,
-    balance: int = 0,
+    number: int = 0,
     shifts: F64 | None = None,
 ) -> list[int]:
     """Divide a total number of groups among the blocks by one threshold on the merge scores.
@@ -31,7 +31,7 @@ def budget(
         scratch: Storage of the forests.
         forests: Their records.
         target: Number of groups of all blocks together.
-        balance: Index of the balance whose scores are used.
+        number: Of the balance whose scores are used.
         shifts: (B,) added to the scores of each block; by default 0.
 
     Returns:
@@ -45,13 +45,13 @@ def budget(
     shifted = np.zeros(len(forests)) if shifts is None else shifts
 
     def keys_in(row: int) -> U32:
-        scores: F32 = _read(scratch, forests[row], scores_of(balance))
+        scores: F32 = _read(scratch, forests[row], scores_of(number))
         return keys(scores + np.float32(shifted[row]))
 
     upper = np.stack([
         np.bincount(keys_in(row) >> 16, minlength=BINS)
         if shifted[row]
-        else _read(scratch, record, histogram_of(balance))
+        else _read(scratch, record, histogram_of(number))
         for row, record in enumerate(forests)
     ])  # fmt: skip
     high, done, left = _select(upper, wanted)

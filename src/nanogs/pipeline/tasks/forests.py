@@ -21,14 +21,14 @@ CHILDREN = "children"
 BINS = 1 << 16
 
 
-def scores_of(balance: int) -> str:
-    """Return the name of the column with the merge scores of a balance, by its index."""
-    return f"scores_{balance}"
+def scores_of(number: int) -> str:
+    """Return the name of the column with the merge scores of a balance, by its number."""
+    return f"scores_{number}"
 
 
-def histogram_of(balance: int) -> str:
+def histogram_of(number: int) -> str:
     """Return the name of the column with the histogram of these scores."""
-    return f"histogram_{balance}"
+    return f"histogram_{number}"
 
 
 def grow(

@@ -76,7 +76,7 @@ def units_of(data: Mapping[str, Any]) -> Units:
     return Units(**fixed)
 
 
-def survey(settings: Settings, unpacked: Unpacked | None = None) -> Units:
+def find_units(settings: Settings, unpacked: Unpacked | None = None) -> Units:
     """Compute the units from a sample of the rows of all inputs.
 
     Args:
