@@ -24,10 +24,11 @@ from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.kernels.forest import log_determinants, merge_increments
 from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.raster import blend_tiles
-from nanogs.method import cut, gaussians, graph, match, nodes, order
+from nanogs.method import cut, graph, match, nodes, order
+from nanogs.method.activation import scene_origin
 from nanogs.method.extent import estimate_dilation
 from nanogs.method.forest import grow_forest
-from nanogs.method.paper import cost, merge
+from nanogs.method.paper import cost, gaussians, merge
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
@@ -59,7 +60,7 @@ def splats() -> Splats:
 def scene(splats: Splats) -> Scene:
     """Compute the inputs of all stages, each the output of an earlier one."""
     rows = np.flatnonzero(splats.finite())
-    origin = gaussians.scene_origin(splats.means[rows])
+    origin = scene_origin(splats.means[rows])
     alphas = splats.opacities()[rows]
     pixel = estimate_dilation(splats.means[rows] - origin, alphas, splats.render_mode, 720)
     rows = rows[order.morton_order(splats.means[rows] - origin)]

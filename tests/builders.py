@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from nanogs.method.extent import Dilation
-from nanogs.method.gaussians import Gaussians
+from nanogs.method.paper.gaussians import Gaussians
 from nanogs.splats import Splats
 
 

@@ -13,8 +13,8 @@ from builders import random_splats
 from nanogs.errors import OutputError
 from nanogs.io.precision import Precision
 from nanogs.lod import tiles
+from nanogs.method.activation import scene_origin
 from nanogs.method.extent import estimate_dilation
-from nanogs.method.gaussians import scene_origin
 from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.raster.images import color_image

@@ -13,8 +13,9 @@ import numpy as np
 
 from nanogs._types import F64, I64, F
 from nanogs.activations import quaternions, rotations
-from nanogs.method.gaussians import Gaussians, activate, scene_origin, store
+from nanogs.method.activation import scene_origin
 from nanogs.method.paper.cost import log_masses
+from nanogs.method.paper.gaussians import Gaussians, activate, store
 from nanogs.splats import Splats
 
 _BISECTIONS = 40

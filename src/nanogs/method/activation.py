@@ -1,12 +1,32 @@
-"""Activation: means, scales and unit quaternions from stored values."""
+"""Activation: means, scales and unit quaternions from stored values, and the limits of these."""
 
 import numpy as np
 
 from nanogs import parallel
-from nanogs._types import F32, F64, I32
+from nanogs._types import F32, F64, I32, F
 from nanogs.activations import unit
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats, pick
+
+# Limits within which stored logarithms and logits stay finite.
+LEAST_SCALE = float(np.finfo(np.float32).tiny)
+LEAST_ALPHA = float(np.finfo(np.float32).tiny)
+_SAMPLE = 40_000  # most centres that the median is taken of
+
+
+def scene_origin(means: F) -> F64:
+    """Return the (3,) float64 median of the centres along each axis, scene units.
+
+    Subtracting it keeps the precision of centres far from zero. A few strays far away do not move
+    it.
+
+    Args:
+        means: (N, 3) finite, scene units; evenly spread rows of a large model.
+    """
+    # In float64: a median may be the mean of two values, whose sum can overflow in float32.
+    some = means[:: len(means) // _SAMPLE + 1].astype(np.float64)
+    origin: F64 = np.median(some, axis=0)
+    return origin
 
 
 def activated(splats: Splats, rows: I32, origin: F64) -> tuple[F64, F32, F32]:

@@ -14,11 +14,11 @@ from nanogs.fit.groups import Group, split
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target, as_target, make_target
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
+from nanogs.method.activation import scene_origin
 from nanogs.method.correct import Correction, Ordering
 from nanogs.method.cut import cut, label_groups, merge_scores
 from nanogs.method.extent import Dilation, Viewers, estimate_dilation
 from nanogs.method.forest import Forest, grow_forest
-from nanogs.method.gaussians import scene_origin
 from nanogs.method.nodes import Nodes, activate_nodes, normalised, prominence, without_coverages
 from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters

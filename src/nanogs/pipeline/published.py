@@ -2,7 +2,8 @@
 
 from nanogs._types import I32
 from nanogs.clock import StageClock
-from nanogs.method.gaussians import activate, scene_origin, store
+from nanogs.method.activation import scene_origin
+from nanogs.method.paper.gaussians import activate, store
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.paper.passes import merge_to_count
 from nanogs.method.paper.prune import prune

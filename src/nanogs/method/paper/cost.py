@@ -5,7 +5,7 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.cost import published_costs
-from nanogs.method.gaussians import Gaussians
+from nanogs.method.paper.gaussians import Gaussians
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.slices import SLICE_PAIRS, slices
 

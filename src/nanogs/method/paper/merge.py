@@ -6,8 +6,8 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.kernels.merge import merge_pairs
-from nanogs.method.gaussians import Gaussians
 from nanogs.method.match import MergePlan
+from nanogs.method.paper.gaussians import Gaussians
 
 
 def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from nanogs.clock import StageClock
-from nanogs.method.gaussians import Gaussians
 from nanogs.method.graph import neighbour_pairs, random_pairs
 from nanogs.method.match import match
 from nanogs.method.paper.cost import log_masses, pair_costs
+from nanogs.method.paper.gaussians import Gaussians
 from nanogs.method.paper.merge import merge
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.progress import PartProgress

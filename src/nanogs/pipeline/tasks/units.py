@@ -8,8 +8,8 @@ import numpy as np
 
 from nanogs._types import F64, U64
 from nanogs.errors import NONE_USABLE, ModelError
+from nanogs.method.activation import scene_origin
 from nanogs.method.extent import MOST_VIEWERS, Dilation, Viewers, estimate_dilation, viewers_at
-from nanogs.method.gaussians import scene_origin
 from nanogs.method.nodes import activate_nodes, prominence, thinnest_axis
 from nanogs.method.order import code_box, codes_in
 from nanogs.pipeline.job.rows import sample

@@ -4,18 +4,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64, Bool, F
+from nanogs._types import F32, F64, I32, I64, Bool
 from nanogs.activations import alphas
 from nanogs.kernels.lazy_features import mean_features
-from nanogs.method.activation import activated
+from nanogs.method.activation import LEAST_ALPHA, LEAST_SCALE, activated
 from nanogs.method.order import morton_order
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 
-_SAMPLE = 40_000  # most centres that the median is taken of
-# Limits within which stored logarithms and logits stay finite.
-LEAST_SCALE = float(np.finfo(np.float32).tiny)
-LEAST_ALPHA = float(np.finfo(np.float32).tiny)
 MOST_ALPHA = 1 - float(np.finfo(np.float64).epsneg)
 
 
@@ -85,21 +81,6 @@ class Gaussians:
             self.features, self.rows, self.second_rows, self.shares, firsts, others, weights, means
         )
         return means
-
-
-def scene_origin(means: F) -> F64:
-    """Return the (3,) float64 median of the centres along each axis, scene units.
-
-    Subtracting it keeps the precision of centres far from zero. A few strays far away do not move
-    it.
-
-    Args:
-        means: (N, 3) finite, scene units; evenly spread rows of a large model.
-    """
-    # In float64: a median may be the mean of two values, whose sum can overflow in float32.
-    some = means[:: len(means) // _SAMPLE + 1].astype(np.float64)
-    origin: F64 = np.median(some, axis=0)
-    return origin
 
 
 def activate(splats: Splats, rows: I64 | I32, origin: F64) -> Gaussians:
