@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from nanogs import parallel
+from nanogs.kernels.policy import parallel_kernel
 from nanogs.parallel import ParallelKernel, for_each
 from nanogs.threads import most_threads, use_threads
 
@@ -48,28 +49,28 @@ def test_ranges_have_the_requested_number_and_similar_sizes():
         assert ranges == [(0, 19)]
 
 
-def timed_kernel(count, pace, each=8):
+def timed_kernel(count, pace):
     """Return a kernel whose latest call had `count` iterations of `pace` seconds."""
-    run = split(add_one, each=each)
+    run = split(add_one)
     run._timed, run._pace = count, pace
     return run
 
 
-def test_calls_that_take_less_time_are_divided_into_fewer_parts():
-    seconds = 1e-5, 1e-3, 1e-2, 1.0
-    assert [timed_kernel(1000, whole / 1000)._parts(1000, 16) for whole in seconds] == [
-        1, 5, 17, 128,
+def test_calls_that_take_less_time_use_fewer_threads():
+    seconds = 1e-5, 1e-4, 1e-3, 1e-2
+    assert [timed_kernel(1000, whole / 1000)._most_threads(1000, 16) for whole in seconds] == [
+        1, 2, 7, 16,
     ]  # fmt: skip
-    assert [timed_kernel(1000, whole / 1000)._parts(1000, 2) for whole in seconds] == [
-        1, 15, 16, 16,
+    assert [timed_kernel(1000, whole / 1000)._most_threads(1000, 2) for whole in seconds] == [
+        1, 2, 2, 2,
     ]  # fmt: skip
-    assert split(add_one)._parts(1000, 16) == 128, "nothing is known yet"
-    assert split(add_one)._parts(0, 16) == 1
+    assert split(add_one)._most_threads(1000, 16) == 16, "nothing is known yet"
+    assert timed_kernel(1000, 1e-5)._most_threads(0, 16) == 16
 
 
 def test_a_much_smaller_call_is_not_judged_by_one_with_shorter_iterations():
-    assert timed_kernel(1000, 1e-9)._parts(500, 16) == 1
-    assert timed_kernel(1000, 1e-9)._parts(499, 16) == 128
+    assert timed_kernel(1000, 1e-9)._most_threads(500, 16) == 1
+    assert timed_kernel(1000, 1e-9)._most_threads(499, 16) == 16
 
 
 def burn(seconds):
@@ -120,6 +121,83 @@ def test_an_exception_in_any_thread_reaches_the_caller(threads):
 
     with use_threads(threads), pytest.raises(ZeroDivisionError):
         split(fail)(range(100))
+
+
+@parallel_kernel("values", least=1)
+def count_calls(start, stop, sums, calls, values):
+    """Add to the values of a range; calls[start]: how often a range began there."""
+    calls[start] += 1
+    for i in range(start, stop):
+        if values[i] < 0:
+            raise ValueError("below zero")
+        values[i] += sums[0]
+
+
+def compiled_calls(count):
+    return np.ones(1), np.zeros(count + 1, np.int64), np.zeros(count)
+
+
+@given(st.integers(0, 300), st.booleans())
+def test_compiled_code_takes_each_part_once(count, alone):
+    sums, calls, values = compiled_calls(count)
+    count_calls._pace = 0.0  # short calls would use one thread only
+    with use_threads(1 if alone else None) as threads:
+        count_calls(sums, calls, values)
+    assert (values == 1).all()
+    assert calls.max() == 1
+    assert calls.sum() == max(1, min(8 * threads, count))
+
+
+def test_a_kernel_can_run_on_this_thread_alone():
+    sums, calls, values = compiled_calls(100)
+    count_calls.here(sums, calls, values)
+    assert (values == 1).all()
+    assert calls.tolist() == [1, *[0] * 100]
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_compiled_code_takes_no_more_parts_than_it_may():
+    sums, calls, values = compiled_calls(100)
+    left = parallel._Range(100, 10)
+    for most in (0, 3, 1):
+        count_calls._compiled(left.address, most, sums, calls, values)
+    assert (values == 1).sum() == 40
+    assert next(left.taken()) == (40, 50)
+    count_calls._compiled(left.address, 100, sums, calls, values)
+    assert (values == 1).sum() == 90, "all but the part that Python took"
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_thread_returns_from_compiled_code_after_a_turn():
+    """Otherwise an interrupt would wait until a long call has ended."""
+    sums, calls, values = compiled_calls(1000)
+    turns = []
+
+    def counted(address, most, *args):
+        turns.append(most)
+        count_calls._compiled(address, most, *args)
+
+    run = ParallelKernel(count_calls._compiled.py_func, counted, "values", 1, 8)
+    with use_threads(1):
+        run(sums, calls, values)
+        assert turns == [1] * 8, "nothing is known yet"
+        turns.clear()
+        run._pace = 2 * parallel._TURN / 1000  # the whole would take two turns
+        run(sums, calls, values)
+        assert turns == [4, 4]
+    assert (values == 2).all()
+
+
+@pytest.mark.parametrize("threads", [1, numba.config.NUMBA_NUM_THREADS])
+def test_an_exception_in_compiled_code_reaches_the_caller(threads):
+    sums, calls, values = compiled_calls(1000)
+    values[1] = -1
+    with use_threads(threads):
+        with pytest.raises(ValueError, match="below zero"):
+            count_calls(sums, calls, values)
+        if threads == 1:
+            assert values.sum() == 0, "no part began after the one that failed"
+        count_calls(sums, calls, np.zeros(1000))
 
 
 def test_docstring_and_signatures_of_the_kernel_are_kept():

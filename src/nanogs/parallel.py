@@ -9,6 +9,7 @@ import math
 import os
 import sys
 import time
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -20,9 +21,8 @@ from nanogs.threads import most_threads
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
-# Seconds, for each thread in use, that a part of a kernel's range costs beside its work, since
-# Python's lock is handed over for it: 28 microseconds a part with sixteen threads on sixteen cores.
-_HANDOVER = 2e-6
+_STARTING = 2e-5  # seconds that a call takes longer for each further thread that it starts
+_TURN = 0.1  # seconds after which a thread returns from compiled code: interrupts wait for that
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -30,9 +30,9 @@ R = TypeVar("R")
 
 
 class ParallelKernel(Generic[P]):
-    """A compiled kernel `f(start, stop, *args)` that is called as `f(*args)`.
+    """A kernel `f(start, stop, *args)` that is called as `f(*args)`.
 
-    The range is split, and the parts are run on the thread pool.
+    The range is split into parts, which the threads of the pool take one after another.
     """
 
     def __init__(
@@ -43,8 +43,11 @@ class ParallelKernel(Generic[P]):
         least: int,
         for_each: int,
     ) -> None:
-        """Wrap a compiled kernel; see `policy.parallel_kernel` for the arguments."""
-        self._compiled = compiled
+        """Wrap a function and its compiled version: itself, or as of `kernels.taking`.
+
+        See `policy.parallel_kernel` for the other arguments.
+        """
+        self._compiled, self._takes = compiled, compiled is not function
         self._place = list(inspect.signature(function).parameters).index(over) - 2
         self._least, self._each = least, for_each
         self._timed, self._pace = 0, 0.0  # iterations of the latest call, and seconds of each
@@ -59,37 +62,89 @@ class ParallelKernel(Generic[P]):
         """Run the kernel over the whole range; takes its arguments after `stop`, by position."""
         assert not kwargs  # noqa: S101 - a kernel is called by position
         count = len(args[self._place])  # type: ignore[arg-type]
-        threads = _threads()
-        parts = self._parts(count, threads)
-        ranges = [(count * p // parts, count * (p + 1) // parts) for p in range(parts)]
+        most = self._most_threads(count, _threads())
+        parts = max(1, min(most * self._each, count // self._least))
+        left, turn = _Range(count, parts), self._turn(count, parts)
         seconds: list[float] = []
 
-        def run(part: tuple[int, int]) -> None:
+        def run(_: int) -> None:
             start = time.thread_time()  # without the time that the thread waits for the lock
-            self._compiled(*part, *args)
+            self._take(left, turn, args)
             seconds.append(time.thread_time() - start)
 
-        _on(threads, ranges, run)
+        threads = min(most, parts)
+        _on(threads, range(threads), run)
         # Half of the pace before, at least: after an easy call the next may be as hard as ever.
         self._timed, self._pace = count, max(sum(seconds) / max(count, 1), self._pace / 2)
 
-    def _parts(self, count: int, threads: int) -> int:
-        """Return the number of parts of a call with `count` iterations.
+    def _take(self, left: "_Range", turn: int, args: tuple[Any, ...]) -> None:
+        """Run parts until none is left; compiled code takes `turn` of them at a time."""
+        try:
+            if self._takes:
+                while left:
+                    self._compiled(left.address, turn, *args)
+            else:
+                for start, stop in left.taken():
+                    self._compiled(start, stop, *args)
+        except BaseException:
+            left.drop()
+            raise
 
-        A call that takes W seconds on one thread and is divided into p parts takes at least p c, if
-        a part costs c, and its last part takes W / p. The sum of both is least for p = sqrt(W / c).
-        W is estimated from the calls before, unless the latest had many more iterations: each of
-        them may have been shorter.
+    def _known(self, count: int) -> bool:
+        """Return whether the latest call tells what each of `count` iterations will take.
+
+        If it had many more, each of them may have been shorter.
         """
-        most = min(threads * self._each, count // self._least)
-        if self._pace and count >= self._timed // 2:
-            most = min(most, math.isqrt(int(count * self._pace / (threads * _HANDOVER))))
-        return max(1, most)
+        return self._pace > 0 and count > 0 and count >= self._timed // 2
+
+    def _most_threads(self, count: int, threads: int) -> int:
+        """Return the number of threads for a call with `count` iterations.
+
+        A call that takes W seconds on one thread takes W / t + t c on t threads, if starting one
+        takes c. This is least for t = sqrt(W / c).
+        """
+        if not self._known(count):
+            return threads
+        return max(1, min(threads, math.isqrt(int(count * self._pace / _STARTING))))
+
+    def _turn(self, count: int, parts: int) -> int:
+        """Return the number of parts that a thread takes at a time; 1 if their time is unknown."""
+        return max(1, int(_TURN * parts / (count * self._pace))) if self._known(count) else 1
 
     def here(self, *args: P.args, **kwargs: P.kwargs) -> None:
         """Run the whole range on this thread only, for use within work that is parallel already."""
         assert not kwargs  # noqa: S101 - as above
-        self._compiled(0, len(args[self._place]), *args)  # type: ignore[arg-type]
+        self._take(_Range(len(args[self._place]), 1), 1, args)  # type: ignore[arg-type]
+
+
+class _Range:
+    """A range of iterations in parts of similar length, each of which is taken once.
+
+    Threads may take parts at the same time, in Python or in compiled code; see `kernels.taking`.
+    """
+
+    def __init__(self, count: int, parts: int) -> None:
+        self.parts = parts
+        self._numbers, self._lock = array("q", (0, parts, count)), Lock()
+        self.address, _ = self._numbers.buffer_info()
+
+    def __bool__(self) -> bool:
+        return self._numbers[0] < self.parts
+
+    def taken(self) -> Iterator[tuple[int, int]]:
+        """Take parts until none is left; each is its first iteration and the one after its last."""
+        _, parts, count = self._numbers
+        while True:
+            with self._lock:
+                part = self._numbers[0]
+                self._numbers[0] += 1
+            if part >= parts:
+                return
+            yield count * part // parts, count * (part + 1) // parts
+
+    def drop(self) -> None:
+        """Leave the parts that were not taken."""
+        self._numbers[0] = self.parts
 
 
 def for_each(parts: Iterable[T], work: Callable[[T], None]) -> None:

@@ -19,6 +19,7 @@ from nanogs.kernels import compiling
 from nanogs.kernels.cached import SIMD_OR_PLAIN, cached
 from nanogs.kernels.inlined import OPTIONS, inlined
 from nanogs.kernels.simd.choice import Way, chosen
+from nanogs.kernels.taking import taking
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 P = ParamSpec("P")
@@ -58,10 +59,11 @@ def parallel_kernel(
         each: Ranges for each thread, so that none waits long for the others.
     """
 
-    def compiled(function: Ranged[P]) -> parallel.ParallelKernel[P]:
-        return parallel.ParallelKernel(function, kernel(function), over, least, each)
+    def wrapped(function: Ranged[P]) -> parallel.ParallelKernel[P]:
+        compiled = taking(function, fastmath=FASTMATH, **CALLED)
+        return parallel.ParallelKernel(function, compiled, over, least, each)
 
-    return compiled
+    return wrapped
 
 
 def exact_parallel_kernel(
@@ -69,10 +71,11 @@ def exact_parallel_kernel(
 ) -> Callable[[Ranged[P]], parallel.ParallelKernel[P]]:
     """Compile as `parallel_kernel` does, with strict IEEE floating point."""
 
-    def compiled(function: Ranged[P]) -> parallel.ParallelKernel[P]:
-        return parallel.ParallelKernel(function, exact_kernel(function), over, least, each)
+    def wrapped(function: Ranged[P]) -> parallel.ParallelKernel[P]:
+        compiled = taking(function, **CALLED)
+        return parallel.ParallelKernel(function, compiled, over, least, each)
 
-    return compiled
+    return wrapped
 
 
 def inline(function: Kernel) -> Kernel:
