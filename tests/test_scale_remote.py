@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
 import urllib.request
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
@@ -405,7 +406,7 @@ def test_an_error_of_a_store_is_shown_without_the_password(monkeypatch):
     monkeypatch.setattr(scratch.files, "exists", fail)
     with pytest.raises(OutputError, match="memory://store/job cannot be written to") as raised:
         scratch.prepare()
-    assert "secret" not in str(raised.value)
+    assert "secret" not in "".join(traceback.format_exception(raised.value))
     assert scratch.place == "memory://user:secret@store/job"  # which workers open
 
 

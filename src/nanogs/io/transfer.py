@@ -66,7 +66,7 @@ def check_absent(address: Address, *, overwrite: bool) -> None:
             f"{address}: the address of an output cannot have a ? or #; leave it out with what"
             " follows it."
         )
-    files, path = _store(address)
+    files, path = store_of(address)
     with _reached(address, "cannot be written", OutputError):
         files.invalidate_cache()
         there = bool(files.exists(path))
@@ -109,7 +109,7 @@ def upload(made: Path, address: Address, on_progress: PartProgress, *, overwrite
         OutputError: As for `check_absent`.
     """
     check_absent(address, overwrite=overwrite)  # again: minutes may have passed
-    files, path = _store(address)
+    files, path = store_of(address)
     size, done = made.stat().st_size, 0
     # The files of a transaction appear when it ends, and are discarded if it fails.
     with (
@@ -148,7 +148,7 @@ def _readable(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
         with web.opened(address) as opened:
             yield opened
         return
-    files, path = _store(address)
+    files, path = store_of(address)
     with _reached(address, "cannot be read", FormatError):
         files.invalidate_cache()
         if files.isdir(path) and not files.isfile(path):
@@ -158,11 +158,11 @@ def _readable(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
             yield file, size
 
 
-def _store(address: Address) -> tuple[Any, str]:
+def store_of(address: Address) -> tuple[Any, str]:
     """Return the fsspec file system of a URL, and the path in it.
 
     Raises:
-        OptionError: A package is missing, or there is no such kind of URL.
+        OptionError: A package is missing, there is no such kind of URL, or it cannot be reached.
     """
     try:
         import fsspec
@@ -176,10 +176,10 @@ def _store(address: Address) -> tuple[Any, str]:
     except ImportError as error:
         if address.kind in _BUCKETS:
             raise OptionError(f'{address} needs s3fs: pip install "nanogs[s3]".') from None
-        reason = address.said(str(error)).rstrip(".")
+        reason = reason_of(error, address)
         raise OptionError(f"{address} needs another package: {reason}.") from None
     except Exception as error:
-        reason = address.said(_in_a_line(error))
+        reason = reason_of(error, address)
         raise OptionError(f"{address} cannot be reached ({reason}); check the address.") from None
     return files, str(path)
 
@@ -198,7 +198,7 @@ def _reached(address: Address, fact: str, kind: type[NanogsError]) -> Iterator[N
         what = "there is no such file" if kind is FormatError else "there is no such place"
         raise kind(f"{address}: {what}; check the address.") from None
     except Exception as error:
-        reason = address.said(_in_a_line(error))
+        reason = reason_of(error, address)
         remedy = "check the address and your permissions"
         raise kind(f"{address} {fact} ({reason}); {remedy}.") from None
 
@@ -211,6 +211,7 @@ def _put(out: IO[bytes], data: bytes, address: Address) -> None:
         raise temporary_file_error(f"{address} cannot be put", error) from None
 
 
-def _in_a_line(error: Exception) -> str:
-    text = " ".join(str(error).split())[:_LONGEST]
+def reason_of(error: Exception, address: Address) -> str:
+    """Return the message of an error of a store in one line, without the secrets of the URL."""
+    text = " ".join(address.said(str(error)).split())[:_LONGEST]
     return text.rstrip(".") or type(error).__name__

@@ -9,7 +9,8 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.errors import NanogsError, OptionError, OutputError
+from nanogs.errors import NanogsError, OutputError
+from nanogs.io.transfer import reason_of, store_of
 from nanogs.io.urls import Address
 from nanogs.store.scratch import PARENT_MARKER, SUFFIXES, made_parents, write_hashed
 
@@ -27,22 +28,7 @@ class UrlScratch:
 
     def __init__(self, url: str) -> None:
         self._address = Address(url.rstrip("/"))
-        try:
-            import fsspec
-        except ImportError:
-            raise OptionError(
-                f'{self.shown} needs fsspec: pip install "nanogs[cluster]".'
-            ) from None
-        try:
-            self.files, self.root = _find(fsspec, self.place)
-        except ImportError as error:
-            raise OptionError(
-                f"{self.shown} needs another package: {self._reason(error)}."
-            ) from None
-        except Exception as error:
-            raise OptionError(
-                f"{self.shown} cannot be reached ({self._reason(error)}); name another place."
-            ) from None
+        self.files, self.root = store_of(self._address)
         self.has_folders = self._address.kind not in _STORES
 
     @property
@@ -159,7 +145,8 @@ class UrlScratch:
     def _reached(self, otherwise: str, *, missing: bool = False) -> Iterator[None]:
         """Turn any error of the store into an `OutputError` with a sentence.
 
-        Stores raise errors of their own besides those of the system.
+        Stores raise errors of their own besides those of the system. They are not chained, because
+        their texts may contain the secrets of the URL.
 
         Args:
             otherwise: What could not be done, as the beginning of the sentence.
@@ -172,12 +159,7 @@ class UrlScratch:
         except Exception as error:
             if missing and isinstance(error, FileNotFoundError):
                 raise
-            raise OutputError(f"{otherwise} ({self._reason(error)}).") from error
-
-    def _reason(self, error: Exception) -> str:
-        """Return the first line of a message, without the secrets of the URL."""
-        text = self._address.said(str(error)).strip().splitlines()
-        return text[0].rstrip(".") if text else type(error).__name__
+            raise OutputError(f"{otherwise} ({reason_of(error, self._address)}).") from None
 
 
 class _Ranges(io.RawIOBase):
@@ -207,8 +189,3 @@ class _Ranges(io.RawIOBase):
         data = self.read(min(len(buffer), _RANGE))
         buffer[: len(data)] = data
         return len(data)
-
-
-def _find(fsspec: Any, url: str) -> tuple[Any, str]:  # noqa: ANN401 - has no types
-    files, root = fsspec.core.url_to_fs(url)
-    return files, str(root)
