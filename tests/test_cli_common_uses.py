@@ -474,6 +474,7 @@ def test_verbose_prints_a_report_of_each_level(folder, tmp_path):
     assert "level 1" in verbose
     assert verbose.count("achieved count") == 2
     assert verbose.count("balance 0.8, ") == 2
+    assert verbose.count("passes:") == 1  # of the forest, which all levels share
     assert "view size" not in verbose  # nothing is rendered
 
 

@@ -137,7 +137,8 @@ def print_levels(run: Run, *, verbose: bool) -> None:
             )  # fmt: skip
     for number, report in enumerate(reports if verbose else []):
         err.print(f"level {number}")
-        show_report(as_tried(report))
+        known = number and report.passes == reports[0].passes  # those of the one forest
+        show_report(as_tried(replace(report, passes=()) if known else report))
     sky = manifest.environment
     if sky:
         text = _environment(sky.count, sky.source)
