@@ -112,6 +112,14 @@ def test_some_cameras_that_see_no_splats_are_noted_in_the_report(tmp_path, block
     assert "another frame" in found
 
 
+def test_automatic_views_that_show_nothing_are_not_said_to_be_in_another_frame():
+    splats = dataclasses.replace(random_splats(300), render_mode="mip")
+    dots = dataclasses.replace(splats, log_scales=np.full((300, 3), -14.0))
+    _, report = nanogs.simplify(dots, ratio=0.5, views=3, view_size=64, steps=0)
+    [note] = [note for note in report.notes if "No view shows" in note]
+    assert "may be too small or too faint" in note
+
+
 def test_the_report_gives_the_visible_share_of_the_model():
     coverages, visible = np.array([2.0, 1.0, 1.0, 1.0]), np.array([1.0, 0.5, 1.0, 0.005])
     missed = np.array([False, False, True, False])

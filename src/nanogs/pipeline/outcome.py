@@ -21,10 +21,8 @@ if TYPE_CHECKING:
     from nanogs.pipeline.one_block import OneBlock
     from nanogs.pipeline.scene import Scene
 
-UNSEEN = (
-    "No view shows the model, so nothing was chosen by how it looks; the cameras may be in"
-    " another frame than the model."
-)
+_OTHER_FRAME = "the cameras may be in another frame than the model"
+_TOO_SMALL = "its splats may be too small or too faint to be seen"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,13 +82,11 @@ def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
 
 def _unseen(scene: "Scene", shown: float) -> tuple[str, ...]:
     """Return a note if some or all of the views show nothing of the model."""
+    cause = _OTHER_FRAME if scene.settings.asked.cameras else _TOO_SMALL
     if shown == 0:
-        return (UNSEEN,)
-    blind, views = scene.blind, len(scene.views.kept)
-    if not blind:
+        fact = "No view shows the model, so nothing was chosen by how it looks"
+    elif blind := scene.blind:
+        fact = f"{blind} of the {len(scene.views.kept)} views show nothing of the model"
+    else:
         return ()
-    note = (
-        f"{blind} of the {views} views show nothing of the model; the cameras may be in another"
-        " frame than the model."
-    )
-    return (note,)
+    return (f"{fact}; {cause}.",)
