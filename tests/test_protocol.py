@@ -142,7 +142,7 @@ def test_held_out_views_are_not_used_for_fitting():
         scene, None, ForestParameters(views=14, view_size=768, further=20, roaming=4)
     )
     fit_cameras += [view.camera for view in views.fitting] + list(views.views.further)
-    fit_cameras += [view.camera for group in views.groups for view in group.targets]
+    fit_cameras += [view.camera for group in views.view_groups for view in group.targets]
     positions = {tuple(camera.position.round(6)) for camera in fit_cameras}
     assert not any(tuple(camera.position.round(6)) in positions for camera in held_out_cameras)
 

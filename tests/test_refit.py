@@ -15,7 +15,7 @@ from conftest import peer_path, scene_path
 from nanogs import RefitParameters, refit
 from nanogs.errors import ModelError, OptionError
 from nanogs.fit.descent import Descent
-from nanogs.fit.groups import Group, grouped, hold_out, split
+from nanogs.fit.groups import ViewGroup, grouped, hold_out, split
 from nanogs.fit.report import RefitStop
 from nanogs.fit.shared import PaletteSize, fit_shared
 from nanogs.fit.state import MeanState, activate, range_notes, start, store
@@ -543,7 +543,7 @@ def test_the_model_with_a_palette_is_validated_as_it_is_delivered():
     cameras = automatic_cameras(original, 4, width=64, height=64)
     prepared = prepare(original).with_buffers()
     part = make_target(prepared, cameras[0].cropped(0, 0, 32, 32))
-    deciding = [Group("all", tuple(make_target(prepared, camera) for camera in cameras[1:]))]
+    deciding = [ViewGroup("all", tuple(make_target(prepared, camera) for camera in cameras[1:]))]
     palette_size = PaletteSize(3, np.ones(len(small)))
     fitted, outcome = fit_shared(
         small, palette_size, Fitting((part,)), deciding, QUICK, ignore_progress

@@ -10,7 +10,7 @@ import pytest
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import OptionError
-from nanogs.fit.groups import Group
+from nanogs.fit.groups import ViewGroup
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import RefitStop
 from nanogs.fit.rounds import fit
@@ -281,7 +281,7 @@ def fit_among(small, original, around, cameras):
     targets = [make_target(whole, camera, depth=False) for camera in cameras]
     views = Fitting(targets[1:], surroundings=around)
     chosen = RefitParameters(rounds=1, steps=6)
-    return fit(small, views, [Group("views", tuple(targets[:1]))], chosen, ignore_progress)
+    return fit(small, views, [ViewGroup("views", tuple(targets[:1]))], chosen, ignore_progress)
 
 
 def test_surroundings_are_rendered_but_not_fitted(splats):

@@ -163,7 +163,7 @@ def test_the_original_scores_nearly_perfectly_and_one_view_in_six_validates():
     splats = box_with_something_inside()
     views = scene_with_views(splats, None, view_parameters(views=12))
     names = [f"fit_{i:03}" for i in range(12)]
-    [group] = views.groups
+    [group] = views.view_groups
     assert [view.camera.name for view in group.targets] == [names[3], names[9]]
     assert [view.camera.name for view in views.fitting] == names[:3] + names[4:9] + names[10:]
     psnr, ssim = mean_scores(splats, views)
@@ -176,7 +176,7 @@ def test_given_cameras_are_the_ones_rendered():
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=1000, height=500)
     views = scene_with_views(splats, cameras, view_parameters(view_size=256))
-    both = [*views.groups[0].targets, *views.fitting]
+    both = [*views.view_groups[0].targets, *views.fitting]
     assert {(view.camera.width, view.camera.height) for view in both} == {(256, 128)}
     assert {view.image.shape for view in both} == {(128, 256, 4)}
     assert len(both) == 3
@@ -190,11 +190,11 @@ def test_given_views_that_show_nothing_neither_decide_nor_are_fitted_to():
         turned = away @ cameras[index].world_to_camera
         cameras[index] = dataclasses.replace(cameras[index], world_to_camera=turned)
     views = scene_with_views(splats, cameras, view_parameters(views=8, view_size=48, further=8))
-    used = [*views.fitting, *(view for group in views.groups for view in group.targets)]
+    used = [*views.fitting, *(view for group in views.view_groups for view in group.targets)]
     assert {view.camera.name for view in used} == {camera.name for camera in cameras[1::2]}
     blind = [camera for camera in cameras if camera.name not in {v.camera.name for v in used}]
     none = scene_with_views(splats, blind, view_parameters(views=8, view_size=48))
-    assert len(none.groups) == 1  # nothing is better than the others
+    assert len(none.view_groups) == 1  # nothing is better than the others
 
 
 def test_further_views_differ_from_the_other_views():
@@ -203,7 +203,7 @@ def test_further_views_differ_from_the_other_views():
         for further in (9, PICTURES - 5):
             parameters = view_parameters(views=6, view_size=48, further=further)
             views = scene_with_views(splats, cameras, parameters)
-            every = [view for group in views.groups for view in group.targets]
+            every = [view for group in views.view_groups for view in group.targets]
             every += [view for view in views.fitting if view.blocks == ALL_BLOCKS]
             cameras_of = [view.camera for view in every]
             assert (len(cameras_of), len(views.views.further)) == (6, further)
@@ -254,7 +254,7 @@ def test_few_further_views_are_kept_in_halves_and_many_are_not_kept():
 
 def test_a_single_view_only_validates_and_nothing_is_fitted():
     splats = random_splats(300)
-    assert len(scene_with_views(splats, None, view_parameters(views=1)).groups) == 1
+    assert len(scene_with_views(splats, None, view_parameters(views=1)).view_groups) == 1
     _, report = nanogs.simplify(splats, ratio=0.5, views=1, further=0)
     assert report.refit is None
     assert any("not fitted" in note for note in report.notes)
@@ -317,7 +317,7 @@ def test_splats_seen_from_free_space_are_not_hidden():
     assert (wandered.visible >= alone.visible).all()
     assert (wandered.visible > alone.visible).any()
     assert (alone.missed | ~wandered.missed).all()
-    for name in ("groups", "fitting"):
+    for name in ("view_groups", "fitting"):
         assert len(getattr(wandered, name)) == len(getattr(alone, name))
 
 

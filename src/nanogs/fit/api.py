@@ -18,7 +18,7 @@ from nanogs.ranges import one_or_several
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
-    from nanogs.fit.groups import Group
+    from nanogs.fit.groups import ViewGroup
     from nanogs.fit.shared import PaletteSize
     from nanogs.fit.targets import Fitting
     from nanogs.raster.camera import Camera
@@ -103,7 +103,7 @@ def refit(
 def fit_to_views(
     small: Splats,
     fitting: "Fitting",
-    deciding: Sequence["Group"],
+    deciding: Sequence["ViewGroup"],
     parameters: RefitParameters,
     original_count: int,
     threads: int,

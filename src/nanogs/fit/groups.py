@@ -16,7 +16,7 @@ EXACT = 2e-6  # mean squared error below which a view counts as equal: rounding 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Group:
+class ViewGroup:
     """Validation views of similar picture size and distance.
 
     Attributes:
@@ -33,7 +33,7 @@ class Group:
         return float(-10 * np.log10(np.maximum(errors, EXACT)).mean())
 
 
-def grouped(targets: Sequence[Target]) -> list[Group]:
+def grouped(targets: Sequence[Target]) -> list[ViewGroup]:
     """Group views by picture size and, if distances differ much, into a near and a far half.
 
     The distance is measured by the footprint of a pixel at the median depth of the visible splats.
@@ -45,10 +45,10 @@ def grouped(targets: Sequence[Target]) -> list[Group]:
         half = len(near) // 2
         known = near[0].footprint < math.inf
         if known and half >= FEWEST and near[-1].footprint >= RANGE * near[0].footprint:
-            groups.append(Group(f"{pixels}, near", tuple(near[:half])))
-            groups.append(Group(f"{pixels}, far", tuple(near[half:])))
+            groups.append(ViewGroup(f"{pixels}, near", tuple(near[:half])))
+            groups.append(ViewGroup(f"{pixels}, far", tuple(near[half:])))
         else:
-            groups.append(Group(pixels, tuple(views)))
+            groups.append(ViewGroup(pixels, tuple(views)))
     return groups
 
 
@@ -58,7 +58,7 @@ def pixels_text(targets: Sequence[Target]) -> str:
     return " to ".join(str(size) for size in sizes[:: max(1, len(sizes) - 1)])
 
 
-def hold_out(groups: Sequence[Group], count: int) -> list[Group]:
+def hold_out(groups: Sequence[ViewGroup], count: int) -> list[ViewGroup]:
     """Select validation views from each group, together about `count`.
 
     At least one and at most a quarter of each group; two or more if that allows it.
@@ -67,11 +67,13 @@ def hold_out(groups: Sequence[Group], count: int) -> list[Group]:
     for group in groups:
         fair = max(2, count // len(groups)) if len(groups) > 1 else count
         number = min(fair, max(1, len(group.targets) // 4))
-        held.append(Group(group.name, tuple(pick_evenly(group.targets, number))))
+        held.append(ViewGroup(group.name, tuple(pick_evenly(group.targets, number))))
     return held
 
 
-def split(targets: Sequence[Target], count: int) -> tuple[tuple[Target, ...], tuple[Group, ...]]:
+def split(
+    targets: Sequence[Target], count: int
+) -> tuple[tuple[Target, ...], tuple[ViewGroup, ...]]:
     """Split views into those to fit to and about `count` validation views, in groups.
 
     Each view is in one part. If there is only one view, none is left to fit to.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs.fit.descent import FITTED, Descent
-from nanogs.fit.groups import Group, pixels_text
+from nanogs.fit.groups import ViewGroup, pixels_text
 from nanogs.fit.on_card import descent_for
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import GroupReport, RefitStop, RoundReport
@@ -60,7 +60,7 @@ class Validator:
     def __init__(
         self,
         small: Splats,
-        groups: Sequence[Group],
+        groups: Sequence[ViewGroup],
         surroundings: PreparedSplats | None = None,
         shared: "SharedHarmonics | None" = None,
     ) -> None:
@@ -106,7 +106,7 @@ class Validator:
 def fit(
     small: Splats,
     fitting: Fitting,
-    deciding: Sequence[Group],
+    deciding: Sequence[ViewGroup],
     parameters: RefitParameters,
     on_progress: PartProgress,
     shared: "SharedHarmonics | None" = None,

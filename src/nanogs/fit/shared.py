@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
-from nanogs.fit.groups import Group
+from nanogs.fit.groups import ViewGroup
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.rounds import FitOutcome, fit
 from nanogs.fit.targets import Fitting
@@ -87,7 +87,7 @@ def fit_shared(
     small: Splats,
     palette_size: PaletteSize,
     fitting: Fitting,
-    deciding: Sequence[Group],
+    deciding: Sequence[ViewGroup],
     parameters: RefitParameters,
     on_progress: PartProgress,
 ) -> tuple[Splats, FitOutcome]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nanogs.errors import ModelError, OptionError
-from nanogs.fit.groups import Group, split
+from nanogs.fit.groups import ViewGroup, split
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.targets import Fitting, Target, make_target
 from nanogs.progress import PartProgress, each
@@ -23,7 +23,7 @@ def view_targets(
     cameras: Sequence[Camera] | None,
     parameters: RefitParameters,
     on_progress: PartProgress,
-) -> tuple[Fitting, tuple[Group, ...], tuple[str, ...]]:
+) -> tuple[Fitting, tuple[ViewGroup, ...], tuple[str, ...]]:
     """Return the views to fit to, the groups of validation views, and notes for the report.
 
     Validation views are in groups by picture size and distance.

@@ -10,7 +10,7 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F64, I32, Array, Bool, F
 from nanogs.activations import alphas
-from nanogs.fit.groups import Group, split
+from nanogs.fit.groups import ViewGroup, split
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target, as_target, make_target
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
@@ -84,7 +84,7 @@ class OneBlock(Scene):
         missed_light: Estimate of how much of the model the views leave out.
         fitting: Renders of the original that are fitted to, as far as they are kept; without the
             deciding ones.
-        groups: The deciding views, in groups: results are chosen and fits are judged by them.
+        view_groups: The deciding views: results are chosen and fits are judged by them.
     """
 
     splats: Splats
@@ -98,7 +98,7 @@ class OneBlock(Scene):
     _shots: list[Target] = field(default_factory=list)
     _pictures: list[Target] = field(default_factory=list)
     fitting: tuple[Target, ...] = ()
-    groups: tuple[Group, ...] = ()
+    view_groups: tuple[ViewGroup, ...] = ()
     _placement: _Placement | None = None
     visible: F64 | None = None
     missed: Bool | None = None
@@ -251,7 +251,7 @@ class OneBlock(Scene):
         self.visible = own.visible
         # Views that show nothing cannot decide, and steps of the fit on them would be lost.
         shots = [shot for shot in self._shots if shot.shows] or self._shots
-        looked, self.groups = split(shots, deciding_count(len(shots)))
+        looked, self.view_groups = split(shots, deciding_count(len(shots)))
         self.fitting = (*looked, *(picture for picture in self._pictures if picture.shows))
         self._shots, self._pictures = [], []
         return self.write(name, {}, {LIGHT: [light for _, light in lights]})
@@ -360,11 +360,11 @@ class OneBlock(Scene):
     @property
     def deciding(self) -> Sequence[Camera]:
         """The cameras of the views that results are chosen by."""
-        return [target.camera for group in self.groups for target in group.targets]
+        return [target.camera for group in self.view_groups for target in group.targets]
 
     def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
         """Return the original on each of the deciding views."""
-        return [target for group in self.groups for target in group.targets]
+        return [target for group in self.view_groups for target in group.targets]
 
     def fit_views(self, block: int, level: int) -> FitViews | None:
         """Return the views to fit a result to; None if there are none."""
@@ -372,7 +372,7 @@ class OneBlock(Scene):
         further = self.views.further if drawn else ()
         original = prepare(self.splats).with_buffers() if further else None
         fitting = Fitting(self.fitting, original, further)
-        return FitViews(fitting, self.groups, len(self.splats)) if len(fitting) else None
+        return FitViews(fitting, self.view_groups, len(self.splats)) if len(fitting) else None
 
     def part(self, block: int, level: int) -> Splats:
         """Return the splats of a result, before the fit."""

@@ -11,7 +11,7 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 from nanogs._types import F64, I32, I64, Array, Bool
-from nanogs.fit.groups import Group
+from nanogs.fit.groups import ViewGroup
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target
 from nanogs.method.correct import Correction, Ordering
@@ -93,7 +93,7 @@ class FitViews:
     """
 
     fitting: Fitting
-    deciding: Sequence[Group]
+    deciding: Sequence[ViewGroup]
     count: int
 
 

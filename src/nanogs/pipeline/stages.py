@@ -215,7 +215,7 @@ def _cut(work: Work, task: Task) -> Record:
     # The centres and reaches of groups need no colours.
     splats, rows = work.block(task.number, work.settings.layout.bare())
     leaves = leaves_of(splats, rows, work.units, work.weighing(work.visible(task.number)))
-    labels, groups = work.labels(task.number, task.level), work.groups(task.number, task.level)
+    labels, groups = work.labels(task.number, task.level), work.group_count(task.number, task.level)
     return write_cut(work.scratch, task.name, leaves, labels, groups)
 
 

@@ -206,7 +206,7 @@ class Work(Scene):
         """Return the number of splats that the blocks of a result are cut to, all together."""
         return int(self.of_job("budget", level).facts["cut_to"])
 
-    def groups(self, block: int, level: int, cut: int | None = None) -> int:
+    def group_count(self, block: int, level: int, cut: int | None = None) -> int:
         """Return the number of groups of a block in a cut, by default in the chosen one."""
         number = self.picked(level) if cut is None else cut
         budget, place = "budget", number
@@ -216,7 +216,7 @@ class Work(Scene):
 
     def cut(self, block: int, level: int, number: int) -> I32:
         """Return the group of each leaf of a block in a cut; see `Scene.cut`."""
-        groups = self.groups(block, level, number)
+        groups = self.group_count(block, level, number)
         forest, scores = self.of_block("grow", block), self._scores(block, level, number)
         return cut_block(self.scratch, forest, groups, *scores)
 
@@ -374,7 +374,7 @@ class Work(Scene):
         splats = splats_of(columns, settings.layout)
         weighing = self.weighing(columns.get(VISIBLE))
         leaves = leaves_of(splats, stable_order(columns[CODES]), self.units, weighing)
-        area = block_with_halo(leaves, labels, own, self.groups(block, level), halo)
+        area = block_with_halo(leaves, labels, own, self.group_count(block, level), halo)
         found = settled(area, settings.parameters.rounds)
         # If results are measured, growth does not depend on covers.
         cover = None if self.measures else settled_cover(area, found.labels, self.units.dilation())

@@ -12,7 +12,7 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.findings import join_findings, of_plain, to_plain
 from nanogs.fit.api import fit_to_views
-from nanogs.fit.groups import Group
+from nanogs.fit.groups import ViewGroup
 from nanogs.fit.report import GroupReport, RefitReport, RefitStop
 from nanogs.fit.shared import PaletteSize
 from nanogs.fit.targets import Fitting, make_target
@@ -168,7 +168,7 @@ def fit_views(work: "Work", block: int, level: int) -> FitViews | None:
         others,
     )
     held = tuple(make_target(original, camera, depth=False) for camera in seen.deciding)
-    return FitViews(fitting, [Group("views", held)], count)
+    return FitViews(fitting, [ViewGroup("views", held)], count)
 
 
 def _divided(
