@@ -46,6 +46,23 @@ def test_one_thread_reads_computes_and_writes(
 @pytest.mark.parametrize(
     "call",
     [
+        lambda large, out, how: nanogs.simplify_blocks(
+            large, out / "out.ply", ratio=0.1, filters=[nanogs.filters.opaque_enough(0.1)], **how
+        ),
+        lambda large, out, how: nanogs.write_levels(
+            large, out / "lod", [0.5, 0.1], layout="streamed sog", **how
+        ),
+    ],
+    ids=["simplify_blocks", "write_levels"],
+)
+def test_one_thread_plans_and_makes_blocks(folder, tmp_path, monkeypatch, call):
+    monkeypatch.setattr("nanogs.parallel._pool", no_pool)
+    call(folder / "large.ply", tmp_path, {"block": 3000, "preset": "fast", "threads": 1})
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
         lambda large, _small: nanogs.simplify(large, ratio=0.1, preset="fast", threads=1),
         lambda large, _small: list(nanogs.levels(large, [0.1], preset="fast", threads=1)),
         lambda large, _small: nanogs.grow(large, preset="fast", threads=1),

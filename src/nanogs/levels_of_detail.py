@@ -250,14 +250,8 @@ def _written(
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make and write the levels of files by a plan; the work of `write_levels_of_files`."""
     if plan.divided:
-        request, left_out = limit_degree(request, plan.sh_degree, _file(sink))
-        request, beside = sky.in_blocks(request)
-        sink = _with(sink, beside)
-        written, made = fill_in_blocks(request, sink, on_step)
-        made = without_environment(made)
-        manifest = describe_levels(sink.source, made, written)
-        notes = (*manifest.notes, *left_out, *sky.notes(beside))
-        return replace(manifest, notes=notes), tuple(made)
+        with use_threads(request.threads):  # limits the threads of planning too
+            return _in_blocks(request, plan, sink, on_step, sky)
     sink.check()
     import_stages(request.parameters)
     stages = _stages(request, plan.splats, sink)
@@ -268,6 +262,23 @@ def _written(
             tracker.passing(), sky,
         )  # fmt: skip
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
+
+
+def _in_blocks(
+    request: Request,
+    plan: Plan,
+    sink: LevelsSink,
+    on_step: Progress | None,
+    sky: EnvironmentRequest,
+) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
+    request, left_out = limit_degree(request, plan.sh_degree, _file(sink))
+    request, beside = sky.in_blocks(request)
+    sink = _with(sink, beside)
+    written, made = fill_in_blocks(request, sink, on_step)
+    made = without_environment(made)
+    manifest = describe_levels(sink.source, made, written)
+    notes = (*manifest.notes, *left_out, *sky.notes(beside))
+    return replace(manifest, notes=notes), tuple(made)
 
 
 def _with(sink: LevelsSink, beside: Environment | None) -> LevelsSink:

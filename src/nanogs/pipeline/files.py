@@ -238,7 +238,8 @@ def checked_options(
 def _in_blocks(request: Request, on_step: Progress | None) -> SimplifyReport:
     """Simplify and write, block by block."""
     sink = OneFile(request.output, request.overwrite, request.format_options)
-    [written], [report] = fill_in_blocks(request, sink, on_step)
+    with use_threads(request.threads):  # limits the threads of planning, too
+        [written], [report] = fill_in_blocks(request, sink, on_step)
     report = replace(report, notes=(*report.notes, *written.losses))
     if request.goal.size is not None:
         notes = (*report.notes, *_size_notes(request, report))
