@@ -172,9 +172,9 @@ def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
     rows, turn = found.core.rows, found.turn[:3, :3]  # without skies and strays
     points = found.sampled.points[rows]
     extents = np.linalg.norm(found.sampled.arms[rows, 0], axis=1)
-    middle = np.median(points, axis=0)
-    radius = float(np.quantile(np.linalg.norm(points - middle, axis=1) + extents, HELD)) or 1.0
-    centre = middle @ turn
+    median = np.median(points, axis=0)
+    radius = float(np.quantile(np.linalg.norm(points - median, axis=1) + extents, HELD)) or 1.0
+    centre = median @ turn
     with np.errstate(invalid="ignore"):
         distances = np.linalg.norm(splats.means.astype(np.float64) - centre, axis=1)
         reachable = distances <= (AWAY + FARTHEST) * radius
