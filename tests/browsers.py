@@ -83,7 +83,7 @@ def without_errors(page):
     finally:
         for event, listener in listeners.items():
             page.remove_listener(event, listener)
-    assert errors == []
+    assert errors == [], errors
 
 
 def pixels_of(element, name, **options):
