@@ -97,7 +97,7 @@ def tab(chromium):
 
 
 @contextlib.contextmanager
-def opened(tab, width=900, height=700, answered=True):
+def opened(tab, width=800, height=540, answered=True):
     """Open a page, by default with its first request answered; errors on it fail the test."""
     with running_fake(MODELS) as (fake, address), without_errors(tab):
         tab.set_viewport_size({"width": width, "height": height})
