@@ -366,6 +366,19 @@ def test_options_for_blocks_without_effect_are_noted(scene, tmp_path, capsys, op
 @pytest.mark.parametrize(
     ("name", "asked"), [("simplify", ["-r", "0.1"]), ("lod", ["--levels", "0.1"])]
 )
+@pytest.mark.parametrize("option", [[], ["--workers", "1", "--max-memory", "250MB"]])
+def test_patience_without_a_scheduler_is_noted(scene, tmp_path, capsys, name, asked, option):
+    target = tmp_path / ("a.ply" if name == "simplify" else "a")
+    arguments = [name, scene, target, *asked, "--preset", "fast", *option, "--dry-run"]
+    assert command(*arguments) == 0
+    assert "--patience" not in capsys.readouterr().err
+    assert command(*arguments, "--patience", "9") == 0
+    assert capsys.readouterr().err.count("--patience had no effect, because it needs a") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "asked"), [("simplify", ["-r", "0.1"]), ("lod", ["--levels", "0.1"])]
+)
 def test_options_for_blocks_without_effect_are_noted_before_the_work(
     scene, tmp_path, capsys, monkeypatch, name, asked
 ):

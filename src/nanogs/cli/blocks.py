@@ -57,9 +57,14 @@ class Blocks:
         _option("Dask scheduler whose workers do the work, e.g. tcp://host:8786."),
     ] = None
     patience: Annotated[
-        float,
-        _option("Seconds to wait for workers if the scheduler has none.", min=0, metavar="SECONDS"),
-    ] = PATIENCE
+        float | None,
+        _option(
+            "Seconds to wait for workers if the scheduler has none.",
+            min=0,
+            metavar="SECONDS",
+            show_default=f"{PATIENCE:g}",
+        ),
+    ] = None
 
     def check(self, paths: Sequence[Path]) -> None:
         """Refuse combinations of options and paths that are invalid whatever the files hold.
@@ -93,8 +98,20 @@ class Blocks:
         named = {"--job": self.job, "--resume": self.resume, "--scratch": self.scratch}
         return next((option for option, given in named.items() if given), "")
 
-    def unused(self) -> list[str]:
-        """Return a note on options for blocks, which have no effect if the model fits in memory."""
+    def unused(self, *, divided: bool) -> list[str]:
+        """Return notes on options that have no effect.
+
+        Args:
+            divided: Whether the model is simplified in blocks.
+        """
+        notes = []
+        if self.patience is not None and self.scheduler is None:
+            notes = ["--patience had no effect, because it needs a --scheduler, which is missing."]
+        if not divided:
+            notes += self._unused_in_memory()
+        return notes
+
+    def _unused_in_memory(self) -> list[str]:
         named: dict[str, object] = {"--workers": self.workers, "--scheduler": self.scheduler}
         found = " and ".join(option for option, value in named.items() if value)
         if not found:

@@ -13,6 +13,7 @@ from nanogs.cli.console import err, key_value_table, show
 from nanogs.cli.filtering import parse_changes
 from nanogs.cli.importing import without_gc
 from nanogs.cli.method import Method
+from nanogs.defaults import PATIENCE
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
@@ -126,14 +127,15 @@ class Plan:
 
     def notes(self) -> list[str]:
         """Return notes on the use of blocks and their options, one sentence each."""
+        notes = self.method.blocks.unused(divided=self.divided)
         if not self.divided:
-            return self.method.blocks.unused()
+            return notes
         each = self.process_memory
         fits = self.memory().peak <= self.free.bytes
         if fits or each is None or not self.found_free:
-            return []
+            return notes
         how = f"it is simplified in blocks, as with --max-memory {each / 1e6:g}MB."
-        return [f"{self._too_large()}: {how}"]
+        return [*notes, f"{self._too_large()}: {how}"]
 
     def refuse_whole_model_wishes(self, *, piped: bool) -> None:
         """Refuse requests that need the whole model in memory.
@@ -195,12 +197,13 @@ def request_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: AN
     threads, blocks = method.threads, method.blocks
     if threads is None and blocks.workers is not None:
         threads = max((cpu_count() or 1) // blocks.workers, 1)
+    patience = PATIENCE if blocks.patience is None else blocks.patience
     return Request(
         goal=goal, preset=method.preset, overrides=method.overrides, measured=method.measure,
         max_memory=blocks.max_memory, job=blocks.job, scratch=blocks.scratch,
         resume=blocks.resume, nan=method.nan, filters=changes.filters,
         sh_degree=changes.sh_degree, render_mode=method.edits.render_mode, cameras=method.cameras,
-        up=method.up, threads=threads, patience=blocks.patience, **given,
+        up=method.up, threads=threads, patience=patience, **given,
     )  # fmt: skip
 
 
