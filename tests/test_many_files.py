@@ -285,3 +285,11 @@ def test_parts_of_a_scene_can_be_given_by_a_folder_or_pattern(
     assert result.returncode == 0, result.stderr
     whole = target if command == "simplify" else target / "level_0.ply"
     assert len(nanogs.load(whole)) == 130
+
+
+def test_join_makes_one_result_and_takes_no_folder_for_several(folder, tmp_path):
+    options = ("--join", "--preset", "fast", "-r", "0.5")
+    result = run("simplify", folder, folder / "garden", "--out-dir", tmp_path / "x", *options)
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: --join cannot be combined with --out-dir, because it")
+    assert names(tmp_path) == ["in"]

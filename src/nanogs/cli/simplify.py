@@ -10,6 +10,7 @@ from nanogs.cli.blocks import DASH
 from nanogs.cli.groups import with_options
 from nanogs.cli.importing import without_gc
 from nanogs.cli.method import Method
+from nanogs.errors import OptionError
 from nanogs.quantities import parse_bytes
 
 if TYPE_CHECKING:
@@ -78,6 +79,11 @@ def simplify(
         from nanogs.pipeline.options.target import Goal
 
     # All checks are made here, before minutes of computing.
+    if method.blocks.join and files.out_dir is not None:
+        raise OptionError(
+            "--join cannot be combined with --out-dir, because it makes one result of all inputs;"
+            " name OUT after them."
+        )
     joined = tuple(collect(paths[:-1])) if method.blocks.join else ()
     pairs = many.plan_pairs([joined[0], paths[-1]] if joined else paths, files)
     method.check(paths)
