@@ -50,6 +50,16 @@ def test_every_error_about_an_unknown_name_suggests_one(tmp_path):
     for name in ("transforms.json", "scene.json"):  # similar to no known name
         with pytest.raises(FormatError, match=r"unknown suffix; .*; give it the suffix"):
             io.load(tmp_path / name)
+    for name, remedy in (
+        ("a.usdz", "usdcat"),
+        ("a.USD", "usdcat"),
+        ("a.ssproj", "export a .ply file"),
+        ("a.ply.gz", "gunzip"),
+        ("a.zip", "rename it to .sog if"),
+    ):  # another suffix alone would not make them readable
+        with pytest.raises(FormatError, match=f"nanogs does not read .*; .*{remedy}") as other:
+            io.load(tmp_path / name)
+        assert "mean" not in str(other.value)
     with pytest.raises(OptionError, match="did you mean 'spz_version'"):
         io.save(model, tmp_path / "a.spz", format_options={"spz_versoin": 4})
     # A format that is read but not written is no typing error, so nothing is suggested.

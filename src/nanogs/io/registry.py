@@ -18,6 +18,16 @@ _HEAD_BYTES = 8  # bytes at the start of a file from which the format is detecte
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
 LEVEL_LIST = "levels.json"  # the list of levels in a folder with one file for each
 ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
+_TO_TEXT = "convert it to text with OpenUSD's `usdcat --flatten`, into a .usda file"
+# How to get a model out of files that are not read, and whose names resemble those that are.
+_REMEDIES = {
+    ".usd": _TO_TEXT,
+    ".usdc": _TO_TEXT,
+    ".usdz": _TO_TEXT,
+    ".ssproj": "open this project in SuperSplat, and export a .ply file",
+    ".gz": "unpack it with gunzip",
+    ".zip": "unpack it, or rename it to .sog if it holds the files of one",
+}
 
 
 def formats() -> tuple[Format, ...]:
@@ -99,6 +109,8 @@ def reader(path: Path) -> Format:
         if os.path.isdir(path) and not isinstance(path, Address):  # noqa: PTH112
             raise FormatError(f"{path} is a folder; name the model file inside it.")
         _refuse_list(path)
+        if remedy := _REMEDIES.get(path.suffix.lower()):
+            raise FormatError(f"{path}: nanogs does not read {path.suffix} files; {remedy}.")
         suffixes = [known.suffix for known in formats() if known.readable]
         meant = _meant(path, suffixes)
         raise FormatError(
