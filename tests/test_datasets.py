@@ -218,6 +218,14 @@ def test_sources_without_cameras_and_superfluous_sizes_are_refused(tmp_path):
         cameras_from_file(write_model(tmp_path), width=8)
 
 
+@pytest.mark.parametrize("encoding", ["bin", "txt"])
+@pytest.mark.parametrize("name", ["cameras", "images"])
+def test_a_file_of_a_colmap_model_is_answered_with_its_folder(tmp_path, encoding, name):
+    file = write_model(tmp_path, encoding=encoding) / f"{name}.{encoding}"
+    with pytest.raises(FormatError, match="is one file of a COLMAP model; give its folder"):
+        cameras_from_file(file)
+
+
 def frame_with(blender, image):
     data = open_dataset(blender)
     frame = data.split("test")[0]

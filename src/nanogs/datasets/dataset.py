@@ -200,6 +200,8 @@ def _view(camera: Camera) -> tuple[str, bytes]:
 
 def _camera_files(place: Path) -> list[Path]:
     if not place.is_dir():
+        if place.suffix in (".bin", ".txt") and find_model(place.parent) == place.parent:
+            raise FormatError(f"{place}: is one file of a COLMAP model; give its folder")
         return [place]
     files = [place / name for name in _BLENDER_FILES if is_file(place / name)]
     if not files and is_file(place / "cameras.json"):
