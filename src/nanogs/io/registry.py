@@ -18,7 +18,7 @@ _HEAD_BYTES = 8  # bytes at the start of a file from which the format is detecte
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
 LEVEL_LIST = "levels.json"  # the list of levels in a folder with one file for each
 ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
-_TO_TEXT = "convert it to text with OpenUSD's `usdcat --flatten`, into a .usda file"
+_TO_TEXT = "convert it to text with OpenUSD's usdcat, into a .usda file"
 # How to get a model out of files that are not read, and whose names resemble those that are.
 _REMEDIES = {
     ".usd": _TO_TEXT,

@@ -85,8 +85,8 @@ def read_layer(path: Path, text: bytes) -> Layer:
     """
     if not text.startswith(START):
         raise FormatError(
-            f"{path} does not begin with '#usda 1.', so it is not a USD text file; convert it"
-            " with OpenUSD's `usdcat --flatten`, or give it the suffix of its real format."
+            f"{path} does not begin with '#usda 1.', so it is not a USD text file; convert it with"
+            " OpenUSD's usdcat, or give it the suffix of its real format."
         )
     return _Parser(path, text).layer()
 
