@@ -170,11 +170,11 @@ def _peak(pid: int) -> int:
 @contextmanager
 def _opened(model: Path, folder: Path, preset: str) -> Iterator[Any]:
     """Start a studio and open its page with `WATCH` inserted; yield both."""
-    import studio_page
+    from browsers import browser
     from studio import running  # type: ignore[attr-defined]  # the one of the tests
 
     with (
-        studio_page.browser() as chromium,
+        browser() as chromium,
         running(model.resolve(), "--preset", preset, cwd=folder) as studio,
     ):
         page = chromium.new_page(viewport={"width": 1280, "height": 800})

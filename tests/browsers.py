@@ -40,8 +40,7 @@ def browser(*more):
 def one_tab():
     """Let `page_at` open all pages in one tab, one after the other.
 
-    A new tab starts processes and compiles programs and shaders again, which takes half of the time
-    of most pages.
+    A new tab starts processes, and compiles a page's programs again, which takes about a second.
     """
     with browser("--ignore-gpu-blocklist") as chromium:
         _kept_tabs.append(chromium.new_page())
