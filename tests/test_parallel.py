@@ -145,7 +145,7 @@ def test_compiled_code_takes_each_part_once(count, alone):
         count_calls(sums, calls, values)
     assert (values == 1).all()
     assert calls.max() == 1
-    assert calls.sum() == max(1, min(8 * threads, count))
+    assert calls.sum() == max(1, min(16 * threads, count))
 
 
 def test_a_kernel_can_run_on_this_thread_alone():

@@ -45,7 +45,7 @@ def exact_kernel(function: Kernel) -> Kernel:
 
 
 def parallel_kernel(
-    over: str, least: int = 1024, each: int = 8
+    over: str, least: int = 1024, each: int = 16
 ) -> Callable[[Ranged[P]], parallel.ParallelKernel[P]]:
     """Compile a kernel whose ranges run on all threads, cached on disk.
 
@@ -67,7 +67,7 @@ def parallel_kernel(
 
 
 def exact_parallel_kernel(
-    over: str, least: int = 1024, each: int = 8
+    over: str, least: int = 1024, each: int = 16
 ) -> Callable[[Ranged[P]], parallel.ParallelKernel[P]]:
     """Compile as `parallel_kernel` does, with strict IEEE floating point."""
 
