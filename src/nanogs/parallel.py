@@ -43,7 +43,7 @@ class ParallelKernel(Generic[P]):
         least: int,
         for_each: int,
     ) -> None:
-        """Wrap a function and its compiled version: itself, or as of `kernels.taking`.
+        """Wrap a function and its compiled version: itself, or as `kernels/taking.py` compiles it.
 
         See `policy.parallel_kernel` for the other arguments.
         """
@@ -120,7 +120,7 @@ class ParallelKernel(Generic[P]):
 class _Range:
     """A range of iterations in parts of similar length, each of which is taken once.
 
-    Threads may take parts at the same time, in Python or in compiled code; see `kernels.taking`.
+    Threads may take parts at the same time, in Python or in compiled code; see `kernels/taking.py`.
     """
 
     def __init__(self, count: int, parts: int) -> None:

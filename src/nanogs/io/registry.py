@@ -103,7 +103,7 @@ def reader(path: Path) -> Format:
     """
     known = find(path)
     if known is None:
-        # `os.path` takes a name that is too long for no file; `Path` raises.
+        # `Path` raises for a name that is too long; the functions of os say that there is none.
         if not (path.suffix or isinstance(path, Address) or os.path.exists(path)):  # noqa: PTH110
             raise FormatError(f"{path}: no such file or folder; check the path.")
         if os.path.isdir(path) and not isinstance(path, Address):  # noqa: PTH112
