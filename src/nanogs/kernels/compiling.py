@@ -62,10 +62,10 @@ def note_unsaved(folder: str, error: OSError) -> None:
 
     It is logged once, unless `watching` is in use: then the caller is to report `unsaved`.
     """
-    global _unsaved  # noqa: PLW0603
-    if not _unsaved and not _watching:
-        _log.warning(unsaved_text(folder, error))
-    _unsaved = unsaved_text(folder, error)
+    global _unsaved
+    first, _unsaved = not _unsaved, unsaved_text(folder, error)
+    if first and not _watching:
+        _log.warning(_unsaved)
 
 
 def unsaved() -> str:

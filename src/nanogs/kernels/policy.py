@@ -58,21 +58,24 @@ def parallel_kernel(
         least: Least number of iterations in a range.
         each: Ranges for each thread, so that none waits long for the others.
     """
-
-    def wrapped(function: Ranged[P]) -> parallel.ParallelKernel[P]:
-        compiled = taking(function, fastmath=FASTMATH, **CALLED)
-        return parallel.ParallelKernel(function, compiled, over, least, each)
-
-    return wrapped
+    return _parallel(over, least, each, fastmath=FASTMATH)
 
 
 def exact_parallel_kernel(
     over: str, least: int = 1024, each: int = 16
 ) -> Callable[[Ranged[P]], parallel.ParallelKernel[P]]:
     """Compile as `parallel_kernel` does, with strict IEEE floating point."""
+    return _parallel(over, least, each)
 
+
+def _parallel(
+    over: str,
+    least: int,
+    each: int,
+    **options: Any,  # noqa: ANN401 - Numba's own
+) -> Callable[[Ranged[P]], parallel.ParallelKernel[P]]:
     def wrapped(function: Ranged[P]) -> parallel.ParallelKernel[P]:
-        compiled = taking(function, **CALLED)
+        compiled = taking(function, **CALLED, **options)
         return parallel.ParallelKernel(function, compiled, over, least, each)
 
     return wrapped
