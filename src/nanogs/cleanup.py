@@ -15,6 +15,9 @@ from nanogs.errors import OutputError
 if TYPE_CHECKING:
     from pathlib import Path
 
+# What to do if the system's temporary folder takes no more files.
+NO_ROOM_REMEDY = "free some space, or name another place in TMPDIR"
+
 _pending: dict[object, Callable[[], None]] = {}
 _undisturbed = 0  # number of blocks, nested or in several threads, in which it must not end
 _counting = RLock()  # held by threads that change it; the handler of a signal only reads it
@@ -59,8 +62,7 @@ def temporary_folder(prefix: str) -> Iterator["Path"]:
                 made.append(TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True))
         except OSError as error:
             raise OutputError(
-                f"No temporary folder can be made ({error.strerror or error}); free some space, or"
-                " name another place in TMPDIR."
+                f"No temporary folder can be made ({error.strerror or error}); {NO_ROOM_REMEDY}."
             ) from error
         yield Path(made[0].name)
 

@@ -17,7 +17,7 @@ from secrets import token_hex
 from tempfile import TemporaryFile
 from typing import IO
 
-from nanogs.cleanup import cleaned_up
+from nanogs.cleanup import NO_ROOM_REMEDY, cleaned_up
 from nanogs.errors import OutputError
 
 try:
@@ -94,10 +94,7 @@ def temporary_file_error(what: str, error: OSError) -> OutputError:
         error: The reason.
     """
     reason = error.strerror or str(error)
-    return OutputError(
-        f"{what} into a temporary file ({reason}); free some space, or name another place in"
-        " TMPDIR."
-    )
+    return OutputError(f"{what} into a temporary file ({reason}); {NO_ROOM_REMEDY}.")
 
 
 def left_beside(target: Path, suffix: str) -> Iterator[Path]:
