@@ -676,7 +676,7 @@ def test_invalid_options_of_all_calls_are_refused_in_one_sentence(
         ({"measured": "no"}, "`measured` must be True or False, not 'no'"),
         ({"resume": "no"}, "`resume` must be True or False, not 'no'"),
         ({"overwrite": [True]}, r"`overwrite` must be True or False, not \[True\]"),
-        ({"measure": "no"}, "measure must be True or False, not 'no'"),
+        ({"guided": "no"}, "guided must be True or False, not 'no'"),
         ({"up": (1, 2), "block": 20}, r"three finite numbers, not all zero, not \(1, 2\)"),
         ({"up": (0, 0, 0), "block": 20}, "three finite numbers, not all zero"),
         ({"up": "z", "block": 20}, "three finite numbers, not all zero, not 'z'"),
@@ -773,10 +773,10 @@ def test_progress_that_is_no_function_or_switch_is_refused(pair, tmp_path):
 
 def test_numpy_booleans_are_accepted_as_switches():
     chosen = nanogs.presets["best"]
-    assert dataclasses.replace(chosen, measure=np.bool_(False), halves=1) == dataclasses.replace(
-        chosen, measure=False, halves=True
+    assert dataclasses.replace(chosen, guided=np.bool_(False), halves=1) == dataclasses.replace(
+        chosen, guided=False, halves=True
     )
-    assert type(dataclasses.replace(chosen, measure=np.bool_(False)).measure) is bool
+    assert type(dataclasses.replace(chosen, guided=np.bool_(False)).guided) is bool
 
 
 def test_packing_cost_takes_one_format_without_a_list(pair):

@@ -182,7 +182,7 @@ def test_the_users_cameras_count_as_viewers_even_without_measuring(tmp_path, blo
     front, scene, radius = under_a_sky(1000)
     front_elsewhere = replace(front, means=front.means + np.float32([5 * radius, 0, 0]))
     cameras = automatic_cameras(front_elsewhere, 6, width=64, height=64)
-    options = {"measure": False, "steps": 2, "further": 0, "view_size": 64}
+    options = {"guided": False, "steps": 2, "further": 0, "view_size": 64}
     kept = kept_within(radius, scene, tmp_path, cameras=cameras, **options, **blocks)
     assert kept < 0.5
 

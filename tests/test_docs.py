@@ -110,7 +110,7 @@ def test_the_parameter_table_has_the_values_of_the_presets():
         for name, cell in zip(names, cells, strict=True):
             value = getattr(PRESETS[name], parameter, None)
             expected = "" if value is None else f"{value:g}"
-            if parameter == "balance" and getattr(PRESETS[name], "measure", False):
+            if parameter == "balance" and getattr(PRESETS[name], "guided", False):
                 expected = " or ".join(f"{balance:g}" for balance in BALANCES)
             assert cell == expected, (option, name)
 

@@ -655,7 +655,7 @@ def test_estimated_memory_is_close_to_the_memory_used(models, arguments, estimat
     [
         ({"preset": "default", "steps": 2}, True, True),
         ({"preset": "default", "steps": 0, "rounds": 0}, True, False),
-        ({"preset": "default", "measure": False, "steps": 0}, False, False),
+        ({"preset": "default", "guided": False, "steps": 0}, False, False),
         ({"preset": "fast"}, False, False),
     ],
 )
@@ -684,7 +684,7 @@ def test_the_preset_that_renders_nothing_has_no_fitting_steps(capsys):
     [
         ({}, set(), {"hidden", "corrections", "steps", "views", "view_size"}),
         ({"steps": 5}, {"steps", "views", "view_size"}, {"hidden", "corrections"}),
-        ({"measure": True}, {"hidden", "corrections", "steps", "views", "view_size"}, set()),
+        ({"guided": True}, {"hidden", "corrections", "steps", "views", "view_size"}, set()),
     ],
 )
 def test_parameters_without_effect_are_not_reported(options, reported, unreported):

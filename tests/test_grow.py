@@ -124,7 +124,7 @@ def test_a_draft_has_exactly_the_requested_count(grown, count):
 
 
 def test_a_draft_is_one_cut_without_rendering(model):
-    plain = {"measure": False, "steps": 0, "rounds": 0}
+    plain = {"guided": False, "steps": 0, "rounds": 0}
     grown = nanogs.grow(model, preset="fast")
     expected, _ = nanogs.simplify(model, count=90, preset="fast", **plain)
     assert_same(grown.draft(90), expected)

@@ -373,7 +373,7 @@ def test_views_too_small_to_compare_results_are_refused_before_growing(
         made("b.ply")
     assert stages[-1] == "look"
     assert "grow" not in stages
-    assert made("c.ply", measure=False).achieved_count == 150
+    assert made("c.ply", guided=False).achieved_count == 150
 
 
 def rooms(count):

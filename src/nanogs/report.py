@@ -203,8 +203,8 @@ class SimplifyReport:
             a hundredth or more; the others are hidden or outside the views. Prominence is alpha
             times footprint, as large as screens show it from the likely places of viewers. None if
             nothing was rendered.
-        candidates: The results that were rendered to choose one, in the order tried; empty if the
-            method does not measure.
+        candidates: The results that were rendered to choose one, in the order tried; empty if it
+            is not guided by renders.
         refit: Gain of fitting the result to the original (see `nanogs.refit`), or None.
         notes: Further notes for the user, one sentence each.
         asked_size: The largest file size asked for, bytes, or None.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from nanogs.ranges import check_ranges, parameter
 
-USUAL_BALANCE = 0.8  # the safest if nothing is measured
+USUAL_BALANCE = 0.8  # the safest if nothing is rendered
 PICTURES = 64  # most views that are rendered in advance and kept: 3 MB each at 896 pixels
 MOST_CORRECTIONS = 4  # each is a stage of its own
 BALANCES = (0.5, 1.0)  # one between them is hardly ever better than both
@@ -19,7 +19,7 @@ class ForestParameters:
         lambda_app: Weight of the colour error relative to the geometry error while the forest
             grows.
         balance: Balance of the cut, from groups of equal size (0) to groups of equal error (1). If
-            results are measured, 0.5 and 1 are tried, and this value too unless it is the default.
+            the method is guided, 0.5 and 1 are tried, and this value too unless it is the default.
         rounds: Rounds of reassignment after the cut.
         pixels: Diameter in pixels of a splat's surroundings, the ball around it that holds a
             quarter of the alpha, in a view of the whole model. It sets the size of a pixel:
@@ -28,12 +28,12 @@ class ForestParameters:
         hidden: Weight of a splat that no view sees relative to a fully visible one, above 0; 1
             weights all alike.
         growth: Largest factor by which a merged splat's two longer axes may grow if an opaque one
-            would cover too little; if nothing is measured, pieces of flat sheets grow by as much as
-            they need, up to 1.8.
-        corrections: How often, at most, the errors that the cut is guided by are corrected by those
-            that groups show in views, if results are measured; as long as this helps.
-        measure: Render the original: weight splats by their visibility, and choose between results
-            by their renders.
+            would cover too little; if the method is not guided, pieces of flat sheets grow by as
+            much as they need, up to 1.8.
+        corrections: How often, at most, the errors that the cut follows are corrected by those that
+            groups show in views, if the method is guided; as long as this helps.
+        guided: Whether renders of the original guide the method: they weight splats by their
+            visibility, correct errors of the cut, and decide which result is chosen.
         steps: Number of steps of fitting the result to the original, each on one view; a long fit
             is made in rounds of about 32 and may take a few more; 0 fits nothing.
         views: Number of views of the original, if it is rendered: to find hidden splats, to choose
@@ -56,7 +56,7 @@ class ForestParameters:
     hidden: float = parameter(0.03, 0, 1, above=True)
     growth: float = parameter(1.25, 1)
     corrections: int = parameter(1, 0, MOST_CORRECTIONS)
-    measure: bool = True
+    guided: bool = True
     steps: int = parameter(
         28, help="Steps of fitting the result to renders of the original; 0 fits nothing."
     )
@@ -84,6 +84,6 @@ class ForestParameters:
     @property
     def balances(self) -> tuple[float, ...]:
         """Balances of the cuts to try, at least one."""
-        if not self.measure:
+        if not self.guided:
             return (self.balance,)
         return tuple(sorted({*BALANCES, self.balance} - {USUAL_BALANCE}))

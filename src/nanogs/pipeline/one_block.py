@@ -277,7 +277,7 @@ class OneBlock(Scene):
     def _activated(self, coverages: F64 | None = None) -> Nodes:
         rows, origin, dilation, viewers = self.placement
         nodes = activate_nodes(self.splats, rows, origin, dilation, coverages=coverages)
-        visible = self.visible if self.measures else None
+        visible = self.visible if self.guided else None
         if viewers is dilation and visible is None:
             return nodes
         weights = prominence(nodes.coverages, nodes.means, viewers)
@@ -350,7 +350,7 @@ class OneBlock(Scene):
         del self._stored[:-1]
         groups = store_groups(
             self._leaves, members.labels, self.splats, origin, dilation,
-            growth=None if self.measures else self.settings.parameters.growth,
+            growth=None if self.guided else self.settings.parameters.growth,
         )  # fmt: skip
         self._stored.append((members.labels, groups))
         return groups

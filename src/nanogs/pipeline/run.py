@@ -182,7 +182,7 @@ def plain(settings: Settings, rounds: int | None = None) -> Settings:
     """
     given = settings.parameters
     parameters = replace(
-        given, measure=False, steps=0, rounds=given.rounds if rounds is None else rounds
+        given, guided=False, steps=0, rounds=given.rounds if rounds is None else rounds
     )
     return replace(settings, parameters=parameters)
 

@@ -350,15 +350,15 @@ class Scene(ABC):
         return self.settings.looks and bool(self.views.kept)
 
     @property
-    def measures(self) -> bool:
+    def guided(self) -> bool:
         """Whether candidates are rendered and the one that looks best is chosen."""
-        return self.settings.measures and self.looks
+        return self.settings.guided and self.looks
 
     @property
     def balances(self) -> tuple[float, ...]:
-        """Balances of the cuts to try; only the parameter `balance` if nothing is measured."""
+        """Balances of the cuts to try; only the parameter `balance` if the method is not guided."""
         given = self.settings.parameters
-        return given.balances if self.measures else (given.balance,)
+        return given.balances if self.guided else (given.balance,)
 
     def picked(self, level: int) -> int:
         """Return the number of the cut chosen for a level; 0 if none was tried."""
@@ -366,7 +366,7 @@ class Scene(ABC):
 
     def tries(self, level: int) -> bool:
         """Whether several candidates of a result are made and compared."""
-        return self.measures and self.merges(level)
+        return self.guided and self.merges(level)
 
     def chosen(self, level: int) -> Chosen:
         """Return the choice of reassignment and growth for a level."""

@@ -241,8 +241,8 @@ def _looks(job: Settings | Load) -> bool:
     return renders(job.parameters)
 
 
-def _measures(job: Settings | Load) -> bool:
-    return job.parameters.measure
+def _guided(job: Settings | Load) -> bool:
+    return job.parameters.guided
 
 
 def _settles(job: Settings | Load) -> bool:
@@ -250,7 +250,7 @@ def _settles(job: Settings | Load) -> bool:
 
 
 def _judges(job: Settings | Load) -> bool:
-    return _measures(job) and _settles(job)
+    return _guided(job) and _settles(job)
 
 
 def _fits(job: Settings | Load) -> bool:
@@ -298,7 +298,7 @@ def _grows(step: int, scene: Scene, level: int) -> bool:
 
 
 def _within(step: int, job: Settings | Load) -> bool:
-    return _measures(job) and step < job.parameters.corrections
+    return _guided(job) and step < job.parameters.corrections
 
 
 def _corrects(step: int, scene: Scene, level: int) -> bool:
@@ -349,7 +349,7 @@ def _growing(step: int) -> JobStage:
     """Return the stage that tries a growth; those after the first are seldom needed."""
     return JobStage(
         growth_stage(step), "block", partial(try_growth, step),
-        _judging if step == 0 else lambda load: 0.1 * _judging(load), _measures, None,
+        _judging if step == 0 else lambda load: 0.1 * _judging(load), _guided, None,
         partial(_grows, step), held=True,
     )  # fmt: skip
 
@@ -368,14 +368,14 @@ STAGES = {
         JobStage("look", "block", look_at_block, looking_seconds, _looks, needed=_shows, held=True),
         JobStage("grow", "block", _grow, 3.3, held=True),
         JobStage("budget", "job", _budget, 0.02, levels=None),
-        JobStage("trial", "block", try_balances, _trying, _measures, None, _tries, held=True),
+        JobStage("trial", "block", try_balances, _trying, _guided, None, _tries, held=True),
         *chain.from_iterable(map(_correction, range(MOST_CORRECTIONS))),
-        JobStage("pick", "job", pick, 0.0, _measures, None, _tries, held=True),
+        JobStage("pick", "job", pick, 0.0, _guided, None, _tries, held=True),
         JobStage("cut", "block", _cut, 0.2, _settles, None, _merges),
         JobStage("settle", "block", _settle, _settling, _settles, None, _merges, held=True),
         JobStage("judge", "block", try_reassigned, _judging, _judges, None, _tries, held=True),
         *map(_growing, range(len(GROWTHS))),
-        JobStage("choose", "job", choose, 0.0, _measures, None, _tries, held=True),
+        JobStage("choose", "job", choose, 0.0, _guided, None, _tries, held=True),
         JobStage("part", "block", _part, 0.2, levels=None, held=True),
         JobStage("fit", "block", fit_part, fitting_seconds, _fits, None, _fitted, held=True),
         JobStage("rest", "job", write_rest, 0.2, _in_chunks, levels=None),

@@ -184,8 +184,8 @@ class Work(Scene):
         return Block(*self.block(block, self.settings.layout.bare()), None)
 
     def weighing(self, visible: F64 | None) -> Visibility | None:
-        """Return how nodes are weighed by visibility; None if nothing is measured."""
-        if visible is None or not self.measures:
+        """Return how nodes are weighed by visibility; None if the method is not guided."""
+        if visible is None or not self.guided:
             return None
         hidden = hidden_weight(self)
         return Visibility(visible, hidden, typical_weight(self, hidden))
@@ -288,7 +288,7 @@ class Work(Scene):
             by_row = by_row[~gone]
         rows = stable_order(columns[CODES])
         splats = splats_of(columns, self.settings.layout)
-        others = [] if self.measures else self._near_cover(block, level)
+        others = [] if self.guided else self._near_cover(block, level)
         return Members(splats, rows, columns.get(VISIBLE), by_row[rows], others)
 
     def stored(self, members: Members) -> Groups:
@@ -297,7 +297,7 @@ class Work(Scene):
         units, growth = self.units, self.settings.parameters.growth
         return store_groups(
             leaves, members.labels, members.splats, units.centre(), units.dilation(),
-            growth=None if self.measures else growth, others=members.others,
+            growth=None if self.guided else growth, others=members.others,
         )  # fmt: skip
 
     def visible_with(self, block: int, halo: Sequence[Halo]) -> F64:
@@ -376,8 +376,8 @@ class Work(Scene):
         leaves = leaves_of(splats, stable_order(columns[CODES]), self.units, weighing)
         area = block_with_halo(leaves, labels, own, self.group_count(block, level), halo)
         found = settled(area, settings.parameters.rounds)
-        # If results are measured, growth does not depend on covers.
-        cover = None if self.measures else settled_cover(area, found.labels, self.units.dilation())
+        # If the method is guided, growth does not depend on covers.
+        cover = None if self.guided else settled_cover(area, found.labels, self.units.dilation())
         return write_settled(self.scratch, name, found, area, columns, cover)
 
     @property

@@ -61,7 +61,7 @@ def block_stages(
     kept = int(min(1.0, 2 * share) * block)
     degree, row = layout.sh_degree, row_bytes(layout)
     extra = row - splat_bytes(degree)
-    plain = replace(parameters, measure=False, steps=0)
+    plain = replace(parameters, guided=False, steps=0)
     grown = plan_memory(block, degree, extra, plain, kept).peak + _CODES * block
     grown = int(grown * (1 + MOST_SEEN if parameters.rounds else 1))
     if not renders(parameters):
@@ -120,7 +120,7 @@ def scratch_bytes(
     if not renders(parameters):
         return held
     held += splats * 8  # visibility
-    corrections = parameters.corrections if parameters.measure else 0
+    corrections = parameters.corrections if parameters.guided else 0
     held += len(shares) * corrections * (4 * splats + blocks * _HISTOGRAM)  # their scores
     if blocks > 1:
         coarse = sum(most_coarse(level, block, splats) for level in (FINE, ROUGH))

@@ -76,7 +76,7 @@ def forest_stages(
     forest = leaves + count * _MERGE
     best = target * row if drawn else 0  # the best candidate so far
     draw = target * (PREPARED + DRAWN) + pixels * COMPARED if drawn else 0
-    corrections = parameters.corrections if parameters.measure else 0
+    corrections = parameters.corrections if parameters.guided else 0
     labels = (2 + corrections) * count * I4 if looked else count * I4
     labels += count * F8 if corrections else 0  # scores of the latest correction
     stages = {

@@ -16,7 +16,7 @@ Parameters: TypeAlias = PaperParameters | ForestParameters
 PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
-        "fast": ForestParameters(rounds=1, measure=False, steps=0),
+        "fast": ForestParameters(rounds=1, guided=False, steps=0),
         # Roaming views find hidden splats more reliably, so that these may weigh less.
         "best": ForestParameters(
             hidden=0.01,
@@ -95,11 +95,11 @@ def effective(chosen: Parameters) -> dict[str, Any]:
     values = dataclasses.asdict(chosen)
     if isinstance(chosen, ForestParameters):
         values["balance"] = " or ".join(f"{balance:g}" for balance in chosen.balances)
-        if not chosen.measure:
+        if not chosen.guided:
             unused |= {"hidden", "corrections"}
         if not chosen.steps:
             unused |= {"further", "halves"}
-        if not chosen.measure and not chosen.steps:
+        if not chosen.guided and not chosen.steps:
             views = {name for name, known in known_parameters(chosen).items() if known.views}
             unused |= {"steps"} | views
     return {name: value for name, value in values.items() if name not in unused}
@@ -107,4 +107,4 @@ def effective(chosen: Parameters) -> dict[str, Any]:
 
 def renders(chosen: Parameters) -> bool:
     """Whether a method renders views of the original."""
-    return isinstance(chosen, ForestParameters) and (chosen.measure or chosen.steps > 0)
+    return isinstance(chosen, ForestParameters) and (chosen.guided or chosen.steps > 0)

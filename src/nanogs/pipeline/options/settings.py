@@ -15,7 +15,7 @@ from nanogs.source import Layout
 
 # Most splats of a block's halo, as a share of its own, to bound memory; the nearest are kept.
 MOST_SEEN = 0.1
-VERSION = 16  # of the job folder's format; a folder of another version is not continued
+VERSION = 17  # of the job folder's format; a folder of another version is not continued
 
 _WISH = "the request (ratio, count, size, PSNR, draw cost)"
 _SIZE = "the memory for blocks, or their size"
@@ -236,9 +236,9 @@ class Settings:
         return renders(self.parameters)
 
     @property
-    def measures(self) -> bool:
+    def guided(self) -> bool:
         """Whether candidates are rendered and the one that looks best is chosen."""
-        return self.parameters.measure
+        return self.parameters.guided
 
     @property
     def fits(self) -> bool:

@@ -87,7 +87,7 @@ def look_at_block(scene: Scene, task: Task) -> Record:
     own = replace(own, visible=visible[:count])
     missed_light = missed_light_of(looked, anywhere, count)
     record = scene.keep_look(task.name, Look(own, missed[:count], lights, missed_light))
-    if scene.measures:
+    if scene.guided:
         _refuse_small(scene.deciding)
     return record
 

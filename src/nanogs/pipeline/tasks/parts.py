@@ -78,7 +78,7 @@ class LevelSource(Source):
 
 def simplify_further(small: Splats, target: int, settings: Settings, threads: int) -> Splats:
     """Simplify a model in memory to a count below what blocks can be cut to."""
-    given = asdict(settings.parameters) | {"measure": False, "steps": 0}
+    given = asdict(settings.parameters) | {"guided": False, "steps": 0}
     return simplify(small, count=target, preset="fast", threads=threads, **given)[0]
 
 
