@@ -33,8 +33,7 @@ class SizeCharts:
         names = unique(row.method for row in rows if row.method != ORIGINAL)
         groups = {scene: [row for row in rows if row.scene == scene] for scene in scenes}
         if len(scenes) > 1:
-            means = [row for mean in mean_rows(rows) for row in mean.methods.values()]
-            groups = {"mean over scenes": means} | groups
+            groups = _means(rows) | groups
         self.charts = [
             Chart(_title(name, *column), _ACROSS, _lines(group, names, *column))
             for name, group in groups.items()
@@ -57,6 +56,17 @@ class SizeCharts:
         file = BytesIO()
         figure.savefig(file, format="png", metadata={"Software": None})
         return file.getvalue()
+
+
+def _means(rows: Sequence[BenchRow]) -> dict[str, list[BenchRow]]:
+    """Return the means over scenes by title, apart for scenes with and without photographs."""
+    kinds = unique(row.against for row in rows)
+    groups = {}
+    for against in kinds:
+        means = mean_rows([row for row in rows if row.against == against])
+        title = "mean over scenes" + (f" against {against}" if len(kinds) > 1 else "")
+        groups[title] = [row for mean in means for row in mean.methods.values()]
+    return groups
 
 
 def _title(name: str, suffix: str, label: str) -> str:

@@ -117,6 +117,7 @@ def view(
             overwrite=run.overwrite, progress=progress, max_memory=run.max_memory,
         )  # fmt: skip
     notes = [f"{model.name}: {options_in(note)}" for model in report.models for note in model.notes]
+    notes += map(options_in, report.notes)
     judged = "" if report.judged is None else f"; {report.judged.text}"
     said = f"{page}: {bytes_text(report.output_bytes)}{judged}"
     run.report(report.to_dict(), partial(say, said), notes)

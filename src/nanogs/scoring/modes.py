@@ -154,10 +154,12 @@ class RenderFindings:
     Attributes:
         modes: Evidence for either render mode.
         cost: Draw cost in the model's own render mode; None if it was not measured.
+        notes: Remarks that matter for reading the numbers.
     """
 
     modes: ModeEvidence
     cost: DrawCost | None
+    notes: tuple[str, ...]
 
 
 def render_findings(
@@ -216,7 +218,7 @@ def render_findings(
                 tracker.begin("cover")
                 cost = cost_on(some, chosen, protocol, tracker.part)
         tracker.finish()
-    return RenderFindings(modes, cost)
+    return RenderFindings(modes, cost, tuple(lens_notes(chosen)))
 
 
 def evidence_on(

@@ -21,13 +21,13 @@ from nanogs.scoring.measure import (
 )
 from nanogs.scoring.packing import packing_of
 from nanogs.scoring.page import render_page
-from nanogs.scoring.view_sets import ComparedViews, Size, parse_sources
+from nanogs.scoring.view_sets import ComparedViews, Size, views_from
 from nanogs.source import source_of
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import pack
 from nanogs.view.page import Shown, facts_of, viewer_part
-from nanogs.views.cameras import AUTOMATIC, FOUND
+from nanogs.views.cameras import AUTOMATIC
 from nanogs.views.opening import Opening, opening_for
 
 if TYPE_CHECKING:
@@ -89,9 +89,10 @@ def compare_files(
     """
     if report and interactive:
         check_built()
-    kinds = parse_sources(cameras) if photos is None else [""]
-    seen: ComparedViews | Photographs = ComparedViews([], kinds, sizes, views, up)
-    if photos is not None:
+    seen: ComparedViews | Photographs
+    if photos is None:
+        seen = views_from([cameras], sizes, views, up)
+    else:
         seen = Photographs(photos, images, split)
     how = Measurement(
         views=seen,
@@ -118,14 +119,20 @@ def compare_files(
         viewer = None
         if how.shown:
             tracker.begin("encode")
-            start = AUTOMATIC.get(kinds[0], "auto") if kinds[0] in FOUND else found.cameras[0]
-            viewer = _viewer(found, start, up)
+            viewer = _viewer(found, _first_view(seen, found), up)
         tracker.begin("write")
         text = render_page(found.comparison, found.sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
             file.write(utf8(text))
     tracker.finish()
     return found.comparison
+
+
+def _first_view(seen: ComparedViews | Photographs, found: Measured) -> "Kind | Camera":
+    """Return the view that the page's viewer opens with: of the first kind, or the first camera."""
+    if isinstance(seen, ComparedViews) and seen.sources:
+        return AUTOMATIC.get(seen.sources[0], "auto")
+    return found.cameras[0]
 
 
 def _viewer(found: Measured, start: "Kind | Camera", up: Sequence[float] | None) -> str:

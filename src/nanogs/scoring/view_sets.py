@@ -17,6 +17,7 @@ from nanogs.views.cameras import (
     FOUND,
     Cameras,
     cameras_for,
+    cameras_from,
     given_cameras,
     picture_size,
     view_count,
@@ -43,11 +44,11 @@ class ViewSet:
 
 @dataclass(frozen=True, slots=True)
 class ComparedViews:
-    """Views before any is computed or read: cameras, or else their sources and sizes.
+    """Views before any is computed: cameras, or else kinds and sizes of automatic views.
 
     Attributes:
         cameras: The views themselves; empty if there are sources.
-        sources: Kinds of automatic views, or a camera file.
+        sources: Kinds of automatic views.
         sizes: Sizes of automatic views.
         count: Number of automatic views of each kind; None for the usual number.
         up: (3,) up direction of automatic views; None to find it from the original.
@@ -61,7 +62,7 @@ class ComparedViews:
 
     @property
     def counts(self) -> list[int]:
-        """Number of views of each set of one size; 0 for those of a file."""
+        """Number of views of each set of one size."""
         return [len(self.cameras)] if self.cameras else found_views(self.sources, self.count)
 
     @property
@@ -100,9 +101,32 @@ def compared_views(
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     if not sources or len(sources) < len(names):
         return ComparedViews(given_cameras(names))
-    sources = parse_sources(sources[0]) if len(sources) == 1 else sources
     several = pixels if isinstance(pixels, list) else [pixels]
-    return ComparedViews([], sources, [picture_size(size) for size in several], count, up)
+    return views_from(sources, [picture_size(size) for size in several], count, up)
+
+
+def views_from(
+    sources: Sequence[str],
+    sizes: Sequence[Size],
+    count: int | None = None,
+    up: Sequence[float] | None = None,
+) -> ComparedViews:
+    """Return the views of some sources; cameras of a file are read, since they take memory.
+
+    Args:
+        sources: One text as for `parse_sources`, or several kinds of automatic views.
+        sizes: Sizes of automatic views.
+        count: Number of automatic views of each kind; None for the usual number.
+        up: (3,) up direction of automatic views, or None.
+
+    Raises:
+        NanogsError: As for `view_sets`, or a camera file cannot be read.
+    """
+    names = parse_sources(sources[0]) if len(sources) == 1 else list(sources)
+    _refuse(names, sizes)
+    if len(names) == 1 and names[0] not in FOUND:
+        return ComparedViews(cameras_from(names[0]))
+    return ComparedViews([], names, sizes, count, up)
 
 
 def refuse_beside_views(photos: str | PathLike[str] | None, images: str | None, split: str) -> None:
@@ -170,6 +194,17 @@ def view_sets(
         NanogsError: A source or a size is given twice, several sizes are given with a camera file,
             or cameras cannot be found or read.
     """
+    _refuse(sources, sizes)
+    counts = found_views(sources, views)
+    return [
+        made
+        for source, count in zip(sources, counts, strict=True)
+        for made in _of_source(model, source, sizes, count, up)
+    ]
+
+
+def _refuse(sources: Sequence[str], sizes: Sequence[Size]) -> None:
+    """Refuse repeated kinds and sizes, sizes below 1, and several sizes of a file's cameras."""
     for what, values in (("kind of cameras", sources), ("size", sizes)):
         if len(set(values)) < len(values):
             raise OptionError(f"A {what} is given twice; name each once.")
@@ -182,12 +217,6 @@ def view_sets(
             f"Several sizes cannot be given for the cameras of {others[0]}, which have sizes of"
             " their own; give one size, or automatic views."
         )
-    counts = found_views(sources, views)
-    return [
-        made
-        for source, count in zip(sources, counts, strict=True)
-        for made in _of_source(model, source, sizes, count, up)
-    ]
 
 
 def _of_source(

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nanogs.clock import StageClock
 from nanogs.defaults import PAGE_SPLATS
@@ -16,14 +16,18 @@ from nanogs.io.registry import refuse_level, stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import compare_bytes, page_bytes
 from nanogs.progress import PartProgress, Progress, Stage, Tracker, each
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Origin
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import Packed, pack
 from nanogs.view.page import Shown, facts_of, render_page
-from nanogs.views.cameras import AUTOMATIC, FOUND, cameras_for
+from nanogs.views.cameras import AUTOMATIC, chosen_cameras, known_cameras
+from nanogs.views.costing import pictures_of
 from nanogs.views.opening import opening_for
+
+if TYPE_CHECKING:
+    from nanogs.scoring.comparison import Comparison
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +63,7 @@ class ViewReport:
         models: The one or two models.
         judged: Scores of the second model against the first, as from `compare`; None for one model,
             or if not requested.
+        notes: Remarks that matter for reading these scores.
         seconds: Time by stage.
     """
 
@@ -66,6 +71,7 @@ class ViewReport:
     output_bytes: int
     models: tuple[ViewedModel, ...]
     judged: Judged | None
+    notes: tuple[str, ...]
     seconds: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
@@ -117,7 +123,9 @@ def view_files(
     check_built()
     clock = StageClock()
     measured = psnr and len(inputs) > 1
-    tracker = Tracker(progress, _stages(len(inputs), views if measured else 0))
+    wanted = known_cameras(cameras)
+    largest, count = pictures_of(wanted, views, (width, height))
+    tracker = Tracker(progress, _stages(len(inputs), count if measured else 0))
     tracker.begin("read")
     with clock.time("read"):
         inputs = [(name, model_in(path)) for name, path in inputs]
@@ -128,22 +136,22 @@ def view_files(
         ]
         needed = page_bytes(infos)
         if measured:
-            needed = compare_bytes(infos, width * height, views)
+            needed = compare_bytes(infos, largest, count)
         allowed = allowed_memory(max_memory, compiled=measured)
         refuse_too_large("Making this page", needed, allowed, "view smaller models")
         models = _read(inputs, levels, level, render_mode, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):
-        found: list[Camera] = []
-        if measured or cameras not in FOUND:
-            found = cameras_for(models[0], cameras, count=views, width=width, height=height, up=up)
-        first_view = AUTOMATIC.get(cameras, "auto") if cameras in FOUND else found[0]
+        found, kind = ([], "auto") if isinstance(wanted, str) else (wanted, "given")
+        if measured and isinstance(wanted, str):
+            found, kind = chosen_cameras(models[0], wanted, views, (width, height), up)
+        first_view = AUTOMATIC.get(wanted, "auto") if isinstance(wanted, str) else wanted[0]
         start = opening_for(models[0], first_view, up)
-    judged = None
+    judged, notes = None, tuple[str, ...]()
     if measured:
-        kind: Kind = FOUND.get(cameras, "given")
         with clock.time("measure"):
-            judged = _measure(inputs, models, found, kind, background, tracker)
+            comparison = _compare(inputs, models, found, kind, background, tracker)
+        judged, notes = comparison.judged(0), comparison.notes
     tracker.begin("encode")
     with clock.time("pack"):
         packed = [pack(splats, start) for splats in each(models, tracker.part)]
@@ -160,6 +168,7 @@ def view_files(
         output_bytes=page.stat().st_size,
         models=tuple(map(_viewed, infos, inputs, models, packed)),
         judged=judged,
+        notes=notes,
         seconds=dict(clock.seconds),
     )
 
@@ -228,14 +237,14 @@ def page_path(paths: Sequence[Path]) -> Path:
     return Path("-".join(stem_of(path) or "model" for path in paths) + ".html")
 
 
-def _measure(
+def _compare(
     inputs: Sequence[tuple[str, Path]],
     models: Sequence[Splats],
     cameras: Sequence[Camera],
-    kind: Kind,
+    kind: Origin,
     background: Background,
     progress: Tracker,
-) -> Judged:
+) -> "Comparison":
     from nanogs.scoring.comparison import NamedModel, compare_models
 
     reference, other = (
@@ -249,7 +258,7 @@ def _measure(
         background=background,
         progress=progress,
     )
-    return comparison.judged(0)
+    return comparison
 
 
 def _shown(
