@@ -134,7 +134,10 @@ class EnvironmentRequest:
         """Return a note if an environment should be simplified, but the model has none."""
         if found is not None or self.ratio == 1:
             return ()
-        return ("The model has no environment apart from it, so that ratio is unused.",)
+        return (
+            "No environment was found around the model, so the environment's ratio has no effect;"
+            " name a file with `environment`, or leave the ratio out.",
+        )
 
     def _named(self, request: Request, found: Environment) -> Request:
         """Add the environment to the request, so that no job resumes with a different one."""

@@ -10,10 +10,12 @@ from nanogs.protocol import usual_views
 _COLUMNS = """\
 Every method runs in a process of its own. The columns:
 
-- seconds: time of the method alone, with compiled kernels, without reading and writing; for files
-  of other tools the time that their producer noted, which may include both. Rows that were kept
-  from an earlier run have the seconds and frames/s of that run.
-- peak MB: largest resident memory of that process, including Python and its libraries.
+- seconds: time of the method alone, with compiled kernels, without reading and writing; with file
+  sizes, writing the files is part of it; for files of other tools the time that their producer
+  noted, which may include both. Rows that were kept from an earlier run have the seconds and
+  frames/s of that run.
+- peak MB: largest resident memory of that process, including Python and its libraries; with file
+  sizes also while files are written.
 - bytes: size as .ply for methods that ran here at a ratio, otherwise size of the file.
 - worst: PSNR of the worst view.
 - frames/s: speed of the renderer of nanogs on the CPU.

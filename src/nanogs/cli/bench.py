@@ -178,7 +178,8 @@ def bench(
         data["gains"] = [plain(gain) for gain in mean_gains(rows, others)]
     reporting.report(data, lambda: typer.echo(above + markdown(rows, others=others), nl=False))
     if not any(row.measured for row in rows):
-        fail(f"Nothing was measured; {rows[0].scene}: {rows[0].reason}")
+        failed = next(row for row in rows if row.reason)
+        fail(f"Nothing was measured; {failed.scene}: {failed.reason}")
         raise typer.Exit(2)
 
 
@@ -249,6 +250,8 @@ def _targets(ratios: str | None, sizes: str | None, formats: str | None) -> dict
     if not _list(sizes):
         raise OptionError("--sizes-of-files needs at least one size, like 0.5MB,1MB.")
     chosen = tuple(suffix_of(name) for name in _list("sog" if formats is None else formats))
+    if not chosen:
+        raise OptionError("--format needs at least one format, like sog,spz.")
     return {"file_sizes": tuple(map(parse_bytes, _list(sizes))), "formats": chosen}
 
 

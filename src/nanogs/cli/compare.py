@@ -189,7 +189,6 @@ def _compare_mixed(
     from nanogs.cli.fetching import fetched
     from nanogs.cli.mixed import refuse_others, show_mixed
     from nanogs.cli.progress import shown
-    from nanogs.cli.wording import with_options as options_in
     from nanogs.scoring.mixed import compare_mixed
 
     refuse_others(**others)
@@ -202,8 +201,7 @@ def _compare_mixed(
             pixels=pixels, up=up, background=background, threads=run.threads,
             max_memory=run.max_memory, progress=progress,
         )  # fmt: skip
-    notes = [options_in(note) for note in found.notes]
-    run.report(found.to_dict(), partial(show_mixed, found), notes)
+    run.report(found.to_dict(), partial(show_mixed, found), found.notes)
 
 
 def _show(comparison: "Comparison", report: Path | None) -> None:

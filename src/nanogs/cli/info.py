@@ -63,16 +63,17 @@ def info(
                 if looks:
                     looked = _looked(opened, looking, quiet=json)
         model = _described(path, source, render_mode)
+    notes = [*model.notes, *(looked.notes if looked else ())]
+    notes += [f"{model.file.path}: {note}" for note in cost.notes] if cost else []
     if json:
         files = [file.to_dict() for file in cost.files] if cost else []
         seen: dict[str, Any] = {"mode_evidence": None, "draw_cost": None}
         if looked:
             drawn = looked.cost.to_dict() if looked.cost else None
             seen = {"mode_evidence": looked.modes.to_dict(), "draw_cost": drawn}
-        print_json(model.to_dict() | {"packed": files} | seen)
+        print_json(model.to_dict() | {"packed": files, "notes": notes} | seen)
         return
-    notes = [f"{model.file.path}: {note}" for note in cost.notes] if cost else []
-    for note in (*model.notes, *notes):
+    for note in notes:
         warn(note)
     rows = _rows(model, looked is not None) | (_packed_rows(cost.files) if cost else {})
     show(out, key_value_table(rows | (_looked_rows(looked) if looked else {})))

@@ -116,7 +116,7 @@ def lod(
     """
     # Imported here because `--help` does not need it.
     with without_gc():
-        from nanogs.cli import framing, lod_run, many, plan
+        from nanogs.cli import lod_run, many, plan
         from nanogs.environments import surroundings
         from nanogs.io.collect import Pair
         from nanogs.io.url_files import refuse_address
@@ -131,10 +131,9 @@ def lod(
     output = output_of(target, level_format)
     # Default levels follow from the model's count, which for stdin is known only once it is read.
     ratios = (1.0,) if levels is None else checked_ratios(options.parse_ratios(levels))
-    turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame, output.path)
     arguments = lod_run.Arguments(
         request=plan.request_of(
-            method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder, frame=turn,
+            method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder,
             overwrite=overwrite, ratios=ratios, device=device,
             chunks=chunks_of(
                 output.layout, chunk, chunk_min, plain=plain, place=placing.place

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from nanogs.cli.console import arrow, err, say, show, show_report, warn
 from nanogs.cli.filtering import report_filters
+from nanogs.cli.framing import frames_of
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
 from nanogs.cli.plan import execute, plan_run, show_plan
@@ -57,7 +58,8 @@ def run_levels(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
     """
     method, output = arguments.method, arguments.output
     inputs = (pair.source, *arguments.request.inputs[1:])  # stdin is now a temporary file
-    request = replace(arguments.request, inputs=inputs)
+    turn = frames_of(Pair(pair.source, output.model), method.edits.frame, output.path)
+    request = replace(arguments.request, inputs=inputs, frame=turn)
     if arguments.usual:
         request = replace(request, ratios=usual_levels(request.inputs, output.layout))
     sink = sink_of(request, suffix=output.suffix, layout=output.layout)
@@ -78,7 +80,8 @@ def run_levels(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
             warn(note)
         record["environment"] = beside and {"source": beside.source, "count": beside.count}
         shown = replace(plan, request=request).shown()
-        counts = [target_count(shown.info.splats, ratio, None) for ratio in request.ratios]
+        usable = shown.info.splats if shown.usable is None else shown.usable
+        counts = [target_count(usable, ratio, None) for ratio in request.ratios]
         asked = [{"ratio": r, "count": c} for r, c in zip(request.ratios, counts, strict=True)]
         return Run(shown, record | {"levels": asked})
     start = time.perf_counter()
@@ -97,7 +100,8 @@ def print_plan(run: Run) -> None:
     counts = ", ".join(f"{level['count']:,}" for level in run.files["levels"])
     beside = run.files["environment"]
     sky = f", and {_environment(beside['count'], beside['source'])}" if beside else ""
-    show_plan(run.report, f"{run.files['output']}: levels of {counts} splats{sky}")
+    text = f"{run.files['output']}: levels of {counts} splats{sky}"
+    show_plan(run.report, text + run.report.condition)
 
 
 def print_levels(run: Run, *, verbose: bool) -> None:

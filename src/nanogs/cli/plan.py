@@ -48,6 +48,8 @@ class Plan:
         info: Metadata of the input; for several files that of the first, with the splats and bytes
             of all.
         count: Number of splats of the (first) result, or None if it is not known beforehand.
+        usable: Number of the model's splats without a NaN or infinite value, or None if the splats
+            were not read.
         free: Memory that the run may take.
         divided: Whether the model is simplified in blocks.
         blocks: The division into blocks, if it was computed to be printed.
@@ -60,6 +62,7 @@ class Plan:
     free: Memory
     divided: bool = False
     blocks: ScalePlan | None = None
+    usable: int | None = None
 
     @property
     def name(self) -> str:
@@ -93,6 +96,11 @@ class Plan:
         """Whether planning reads the splats and counts the usable ones, or only headers."""
         return self.divided or self.request.goal.size is not None or bool(self.request.filters)
 
+    @property
+    def condition(self) -> str:
+        """A clause on printed counts, which may follow from headers alone; empty if they do not."""
+        return "" if self.read else ", if none holds a NaN or an infinite value"
+
     def shown(self) -> "Plan":
         """Complete the plan for printing by reading the splats: count after filters, and blocks.
 
@@ -106,7 +114,7 @@ class Plan:
             if settings.search is None:
                 left = count_of(request.goal, blocks.splats, settings.result_layout, request.sizer)
             info = replace(self.info, splats=blocks.splats)
-            return replace(self, blocks=blocks, info=info, count=left)
+            return replace(self, blocks=blocks, info=info, count=left, usable=blocks.splats)
         if not self.read:
             return self
         splats = prepare(read_parts(request.inputs, request.render_mode), request.edits).splats
@@ -115,7 +123,8 @@ class Plan:
         count = target_of(
             goal, splats, len(rows), request.output, request.parameters, request.sh_degree
         )
-        return replace(self, info=replace(self.info, splats=len(splats)), count=count)
+        info = replace(self.info, splats=len(splats))
+        return replace(self, info=info, count=count, usable=len(rows))
 
     def _divide(self) -> tuple[Settings, ScalePlan]:
         request, elsewhere = self.request, self.method.blocks.scheduler is not None

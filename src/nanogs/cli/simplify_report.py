@@ -7,7 +7,6 @@ from pathlib import Path
 from nanogs.cli.console import arrow, say, show_report, warn
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.many import Run
-from nanogs.cli.wording import with_options
 from nanogs.formatting import bytes_text, counted, sizes_text, time_text
 from nanogs.io import registry
 from nanogs.pipeline.options.presets import effective, parameters
@@ -17,7 +16,7 @@ from nanogs.report import SimplifyReport, measures
 def warn_of_input(notes: Iterable[str], dropped: int) -> None:
     """Print the notes, and the number of splats left out because they are not finite."""
     for note in notes:
-        warn(with_options(note))
+        warn(note)
     if dropped:
         left = "was" if dropped == 1 else "were"
         held = counted(dropped, "splat holds", "splats hold")

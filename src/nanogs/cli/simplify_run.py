@@ -99,5 +99,5 @@ def print_plan(run: Run) -> None:
         text = f"as few splats as reach {plan.request.goal.psnr:g} dB on {Protocol().text}"
     else:
         text = f"{counted(plan.count, 'splat')} ({plan.count / plan.info.splats:.3%})"
-        text += "" if plan.read else ", if none holds a NaN or an infinite value"
+        text += plan.condition
     show_plan(plan, text)

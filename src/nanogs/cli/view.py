@@ -76,7 +76,6 @@ def view(
     from nanogs.cli.console import say
     from nanogs.cli.fetching import fetched
     from nanogs.cli.progress import shown
-    from nanogs.cli.wording import with_options as options_in
     from nanogs.io.atomic import check_writable
     from nanogs.scoring.viewing import page_path, view_files
     from nanogs.view.bundle import check_built
@@ -96,6 +95,8 @@ def view(
             "--psnr has no effect, because it compares two models; name a second one, or leave it"
             " out."
         )
+    if cameras == "roam" and not measured:
+        of_psnr = {"--cameras roam": cameras, **of_psnr}
     unused = [option for option, value in of_psnr.items() if value is not None]
     if unused and not measured:
         raise OptionError(
@@ -116,8 +117,8 @@ def view(
             background=color, psnr=measured, level=level, render_mode=render_mode,
             overwrite=run.overwrite, progress=progress, max_memory=run.max_memory,
         )  # fmt: skip
-    notes = [f"{model.name}: {options_in(note)}" for model in report.models for note in model.notes]
-    notes += map(options_in, report.notes)
+    notes = [f"{model.name}: {note}" for model in report.models for note in model.notes]
+    notes += report.notes
     judged = "" if report.judged is None else f"; {report.judged.text}"
     said = f"{page}: {bytes_text(report.output_bytes)}{judged}"
     run.report(report.to_dict(), partial(say, said), notes)

@@ -1,6 +1,7 @@
 """The layouts in which `nanogs lod` writes levels.
 
-The output's name decides: `out/lod-meta.json`, `out/tileset.json`, `out.rad`, or a folder.
+The output's name decides: `out/lod-meta.json`, `out.ssog`, `out/tileset.json`, `out.rad`, or
+a folder.
 """
 
 from collections.abc import Sequence

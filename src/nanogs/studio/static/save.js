@@ -53,7 +53,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   // Changes the suffix of the name to that of the format, and keeps the typed stem.
   function rename() {
     const found = layout();
-    name.value = found ? found.example.replaceAll(scene.stem, stem) : `${stem}${suffix()}`;
+    name.value = found ? stem + found.example.slice(scene.stem.length) : `${stem}${suffix()}`;
     for (const element of dialog.querySelectorAll(".levels")) element.hidden = !found;
     changed(0);
   }
