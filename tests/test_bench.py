@@ -661,6 +661,21 @@ def test_the_command_fails_with_the_reason_if_nothing_was_measured(tmp_path):
     assert "gone.ply" in result.stderr.split("measured")[1]
 
 
+def test_the_reason_is_that_of_a_row_that_failed(model, tmp_path):
+    options = (
+        "--methods",
+        "",
+        "--external",
+        f"them={tmp_path}/gone.ply",
+        "--views",
+        "1",
+        "--quiet",
+    )
+    result = run("bench", model, *options, "--sizes", "32")
+    assert result.returncode == 2
+    assert "gone.ply" in result.stderr.split("Nothing was measured")[1]
+
+
 @pytest.mark.parametrize("folder_exists", [False, True])
 def test_nothing_is_written_if_nothing_was_measured(tmp_path, folder_exists):
     out = tmp_path / "made" / "out"

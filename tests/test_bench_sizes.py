@@ -213,6 +213,19 @@ def test_a_chart_for_the_mean_and_each_scene_has_every_point():
     assert len(transforms) == 6
 
 
+def test_scenes_with_and_without_photographs_have_means_of_their_own():
+    rows = rows_of("ours", BASE, scene="a", near=1)
+    photographs = [
+        replace(row, scene="b", label="", further=(), against=Against.PHOTOGRAPHS)
+        for row in rows_of("ours", base_plus(3))
+    ]
+    charts = SizeCharts([*rows, *photographs]).charts
+    means = {chart.title: chart.lines for chart in charts if chart.title.startswith("mean")}
+    values = {name: [psnr for _, psnr in lines.get("ours", [])] for name, lines in means.items()}
+    assert values["mean over scenes against the original model, .sog, auto 64"] == list(BASE)
+    assert values["mean over scenes against photographs, .sog"] == list(base_plus(3))
+
+
 def test_the_picture_shows_the_points_in_the_colours_of_the_page():
     rows = [*rows_of("them", BASE), *rows_of("ours", base_plus(2))]
     charts = SizeCharts(rows)
@@ -419,6 +432,7 @@ def test_the_folder_has_a_page_and_charts_with_all_points(measured):
         (("--sizes-of-files", "1MB,1000kB"), "The size '1MB' occurs twice"),
         (("--sizes-of-files", ","), "at least one size"),
         (("--sizes-of-files", "1MB", "--format", "obj"), ".obj"),
+        (("--sizes-of-files", "1MB", "--format", ","), "at least one format"),
         (("--sizes-of-files", "1MB", "--format", "html"), "writes and reads"),
         (
             ("--sizes-of-files", "1MB", "--methods", "voxel"),

@@ -21,12 +21,14 @@ from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.growth import blocked
 from nanogs.method.match import MergePlan
 from nanogs.method.nodes import (
+    LIGHTEST,
     activate_nodes,
     footprints,
     gather,
     gather_pairs,
     member_lists,
     normalised,
+    thinnest_axis,
 )
 from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
@@ -121,6 +123,21 @@ def test_weights_are_one_on_average_and_never_zero():
     weights = normalised(np.array([0.0, 1.0, 3.0]))
     assert weights == pytest.approx([1e-9, 0.75, 2.25])
     assert normalised(np.zeros(3)).tolist() == [1, 1, 1]
+
+
+def test_one_immense_splat_leaves_the_weights_of_all_others_apart():
+    weights = normalised(np.array([1e20, 1.0, 3.0, 0.0]))
+    assert weights[2] == pytest.approx(3 * weights[1])
+    assert weights[0] > 1e14 * weights[1] > 1e3 * LIGHTEST
+
+
+def test_the_least_axis_does_not_follow_from_one_immense_splat():
+    scales = np.full((100, 3), 0.002)
+    usual = thinnest_axis(scales, np.zeros((100, 3)), 0.0)
+    scales[7] = 1e5
+    assert thinnest_axis(scales, np.zeros((100, 3)), 0.0) == usual == pytest.approx(2e-9)
+    assert thinnest_axis(np.zeros((4, 3)), np.diag([1.0, 2, 3, 4])[:, :3], 0.0) == 3e-6
+    assert thinnest_axis(scales, np.zeros((100, 3)), 0.5) == 5e-4
 
 
 @SOME

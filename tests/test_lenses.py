@@ -14,6 +14,9 @@ from nanogs import io
 from nanogs.datasets.dataset import cameras_from_file, open_dataset
 from nanogs.errors import FormatError
 from nanogs.raster.lens import Lens, lens_notes
+from nanogs.scoring.modes import render_findings
+from nanogs.scoring.viewing import view_files
+from viewer_bundle import require_bundle
 
 SIZE = (160, 120)
 WHITE = (1.0, 1.0, 1.0)
@@ -142,6 +145,16 @@ def test_cameras_as_viewpoints_keep_intrinsics_and_lens(capture):
     assert lens_notes(cameras) == [
         "The lens distortion of 2 cameras is ignored: views are rendered with pinhole cameras."
     ]
+
+
+def test_pages_and_findings_say_that_the_distortion_is_ignored(tmp_path, capture):
+    folder, _ = capture
+    io.save(random_splats(200, seed=4), tmp_path / "a.ply")
+    model, notes = tmp_path / "a.ply", tuple(lens_notes(cameras_from_file(folder)))
+    assert render_findings(model, folder, costs=False).notes == notes
+    require_bundle()
+    pair = [("a", model), ("b", model)]
+    assert notes[0] in view_files(pair, tmp_path / "a.html", cameras=str(folder)).notes
 
 
 STATED = {

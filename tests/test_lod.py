@@ -10,6 +10,7 @@ import weakref
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import typer
 
@@ -310,6 +311,17 @@ def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
     plan = json.loads(run("lod", scene, tmp_path / "levels", "--dry-run", "--json").stdout)
     assert [level["count"] for level in plan["levels"]] == [400, 200, 100, 50]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plan_of_levels_counts_usable_splats_or_says_that_it_does_not(splats, tmp_path):
+    broken = replace(splats, means=splats.means.copy())
+    broken.means[:40] = np.nan
+    io.save(broken, tmp_path / "a.ply")
+    plan = run("lod", tmp_path / "a.ply", tmp_path / "levels", "--dry-run")
+    assert "400, 200, 100, 50 splats, if none holds a NaN" in plan.stderr
+    options = ("--min-opacity", "0", "--levels", "0.5", "--dry-run", "--json")
+    read = run("lod", tmp_path / "a.ply", tmp_path / "levels", *options)
+    assert [level["count"] for level in json.loads(read.stdout)["levels"]] == [180]
 
 
 def test_an_older_folder_is_replaced_only_with_overwrite(splats, tmp_path):

@@ -136,6 +136,8 @@ def test_a_model_that_is_already_packed_is_noted_or_refused(scene, tmp_path, tem
     nanogs.save(nanogs.load(scene), tmp_path / "a" / "meta.json")
     [note] = nanogs.packing_cost(tmp_path / "a.splat", [".spz"]).notes
     assert note.startswith("the file is itself packed, as .splat; ")
+    told = run("info", tmp_path / "a.splat", "--packed", "spz", "--json")
+    assert f"{tmp_path / 'a.splat'}: {note}" in json.loads(told.stdout)["notes"]
     for packed in ("a", "a/meta.json"):
         with pytest.raises(OptionError, match=r"is already packed as \.sog"):
             nanogs.packing_cost(tmp_path / packed, [".sog"])

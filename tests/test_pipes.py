@@ -74,6 +74,15 @@ def test_json_goes_to_stderr_if_the_model_goes_to_stdout(scene):
     assert (json.loads(plan.stderr)["asked_count"], plan.stdout) == (150, b"")
 
 
+def test_levels_of_a_piped_model_can_be_in_another_frame(scene, tmp_path):
+    options = ("--levels", "0.5", "--preset", "fast", "--frame", "rub:rdf", "-q", "--no-measure")
+    for source, folder in (("-", "a"), (scene, "b")):
+        result = run("lod", source, tmp_path / folder, *options, data=scene.read_bytes())
+        assert result.returncode == 0, result.stderr
+    levels = [(tmp_path / folder / "level_0.ply").read_bytes() for folder in "ab"]
+    assert levels[0] == levels[1]
+
+
 SNIFFED = {
     ".ply": {},
     ".compressed.ply": {},

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from conftest import scene_path
+from dataset_files import trained_camera, write_json
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.memory import LIBRARIES
@@ -278,6 +279,15 @@ def test_a_comparison_that_cannot_fit_into_memory_is_refused(pair, monkeypatch):
     monkeypatch.setattr("nanogs.views.plan.LEAST", 10**9)
     with pytest.raises(NotEnoughMemoryError, match=r"Comparing these models takes about 1\.\d+ GB"):
         nanogs.compare(*pair, pixels=32, max_memory="211MB")
+
+
+def test_the_views_of_a_camera_file_count_in_memory(pair, tmp_path):
+    cameras = [trained_camera(id=n, img_name=str(n), width=4000, height=4000) for n in range(20)]
+    file = write_json(tmp_path / "cameras.json", cameras)
+    with pytest.raises(
+        NotEnoughMemoryError, match=r"Comparing these models takes about 1\d\.\d+ GB"
+    ):
+        nanogs.compare(*pair, cameras=str(file), max_memory="2GB")
 
 
 def test_the_command_compares_in_little_memory(pair, tmp_path, arena_budgets, capsys):

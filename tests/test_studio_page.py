@@ -11,7 +11,7 @@ from PIL import Image
 
 from browsers import CHROMIUM, browser, without_errors
 from builders import solid
-from fake_studio import running_fake
+from fake_studio import LAYOUT, running_fake
 from viewer_bundle import require_bundle
 
 pytestmark = [
@@ -441,6 +441,19 @@ def test_a_new_model_keeps_the_camera(studio):
     studio.wait_for_colour(GREEN, "right")
     half = turned.shape[1] // 2
     assert np.array_equal(studio.pixels()[:, :half], turned[:, :half])
+
+
+def test_a_short_name_of_a_scene_is_replaced_once_in_that_of_its_levels(tab):
+    with opened(tab) as studio:
+        studio.fake.scene |= {"stem": "s", "name": "s.ply"}
+        studio.fake.scene["layouts"] = [{**LAYOUT, "example": "s/tileset.json"}]
+        studio.page.reload()
+        studio.fake.wait("ask", 2)
+        studio.answer_request()
+        studio.page.keyboard.press("Control+s")
+        studio.page.wait_for_selector("#entries >> text=old/")
+        studio.page.select_option("#save-format", "levels tileset.json")
+        assert studio.page.input_value("#save-name") == "s-small/tileset.json"
 
 
 def test_saving_asks_before_it_replaces_a_file_and_shows_the_command(studio):

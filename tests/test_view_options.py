@@ -85,6 +85,7 @@ def test_view_options_beside_a_camera_file_are_refused(folder, arguments, option
         ),
         (["view", "a.ply", "--psnr"], "--psnr has no effect, because it compares two models;"),
         (["view", "a.ply", "--views", "2"], "--views has no effect, because the PSNR of"),
+        (["view", "a.ply", "--cameras", "roam"], "--cameras roam has no effect, because the PSNR"),
         (
             ["view", "a.ply", "a.ply", "--no-psnr", "--pixels", "9"],
             "--pixels has no effect, because the PSNR",

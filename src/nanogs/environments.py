@@ -134,10 +134,11 @@ class EnvironmentRequest:
         """Return a note if an environment should be simplified, but the model has none."""
         if found is not None or self.ratio == 1:
             return ()
-        return (
+        note = (
             "No environment was found around the model, so the environment's ratio has no effect;"
-            " name a file with `environment`, or leave the ratio out.",
+            " name a file with `environment`, or leave the ratio out."
         )
+        return (note,)
 
     def _named(self, request: Request, found: Environment) -> Request:
         """Add the environment to the request, so that no job resumes with a different one."""

@@ -28,6 +28,7 @@ from nanogs.method.nodes import (
     activate_nodes,
     gather,
     thinnest_axis,
+    typical_weight,
     without_features,
 )
 from nanogs.method.order import morton_codes, morton_order
@@ -257,7 +258,7 @@ def units_of(leaves: Source) -> Units:
     thinnest = thinnest_axis(some.scales(), means, added.least)
     rows: I32 = np.arange(len(some), dtype=np.int32)
     nodes = activate_nodes(some, rows, origin, added, thinnest)
-    return Units(origin, added, thinnest, float(nodes.coverages.mean()) or 1.0)
+    return Units(origin, added, thinnest, typical_weight(nodes.coverages) or 1.0)
 
 
 def _merged_layer(

@@ -21,7 +21,9 @@ from nanogs.splats import Splats, pick
 
 UNRESOLVED = 1e-15  # sum of minors over the squared trace below which it may be rounding alone
 NEARER = 4.0  # factor by which a close view is nearer than a view of the whole model
-LIGHTEST = 1e-9  # least weight, over the mean of all
+LIGHTEST = 1e-9  # least weight, over the typical one
+_IMMENSE = 1e6  # weight over the median of all, above which a splat counts no more for their mean
+_WEIGHED = 2**16  # about how many weights the median is taken of
 FLATTEST = 1e-3  # least ratio of a node's axes, shortest to longest: log-determinants stay finite
 
 
@@ -168,16 +170,36 @@ def without_features(nodes: Nodes, chosen: Bool | I64 | slice) -> Nodes:
 
 
 def thinnest_axis(scales: F32, means: F64, pixel: float) -> float:
-    """Return the least length of a node's axes, scene units, for points too; always above 0."""
+    """Return the least length of a node's axes, scene units, for points too; always above 0.
+
+    Args:
+        scales: (N, 3) the nodes' axes, scene units.
+        means: (N, 3) their centres, scene units.
+        pixel: The least size of a pixel in the scene, scene units; 0 without dilation.
+    """
     if pixel > 0:
         return 1e-3 * pixel
-    return 1e-6 * float(scales.max()) or 1e-6 * float(np.ptp(means, axis=0).max()) or 1.0
+    extended = scales[scales > 0]
+    # The median, because a few splats, as of a sky, may be many times as large as all others.
+    typical = float(np.median(extended)) if len(extended) else 0.0
+    return 1e-6 * typical or 1e-6 * float(np.ptp(means, axis=0).max()) or 1.0
 
 
 def normalised(weights: F64) -> F64:
-    """Divide weights by their mean, and raise them to `LIGHTEST` at least."""
-    mean = float(weights.mean())
-    return np.maximum(weights / mean, LIGHTEST) if mean > 0 else np.ones(len(weights))
+    """Divide weights by `typical_weight`, and raise them to `LIGHTEST` at least."""
+    unit = typical_weight(weights)
+    return np.maximum(weights / unit, LIGHTEST) if unit > 0 else np.ones(len(weights))
+
+
+def typical_weight(weights: F64) -> float:
+    """Return the mean of (N,) weights, of which each counts as 10^6 medians at most; 0 if all are.
+
+    So one immense splat does not make all others equal, at `LIGHTEST`.
+    """
+    some = weights[:: len(weights) // _WEIGHED + 1]
+    some = some[some > 0]
+    most = _IMMENSE * float(np.median(some)) if len(some) else np.inf
+    return float(np.minimum(weights, most).mean())
 
 
 def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:

@@ -19,6 +19,7 @@ from nanogs.io.models import Model, opened
 from nanogs.progress import PartProgress, Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
+from nanogs.raster.lens import lens_notes
 from nanogs.scoring.view_sets import refuse_beside_views
 from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats

@@ -16,7 +16,7 @@ from nanogs.io.registry import refuse_level, stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import compare_bytes, page_bytes
 from nanogs.progress import PartProgress, Progress, Stage, Tracker, each
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Origin
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
@@ -142,7 +142,8 @@ def view_files(
         models = _read(inputs, levels, level, render_mode, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):
-        found, kind = ([], "auto") if isinstance(wanted, str) else (wanted, "given")
+        kind: Kind = "given"
+        found = [] if isinstance(wanted, str) else wanted
         if measured and isinstance(wanted, str):
             found, kind = chosen_cameras(models[0], wanted, views, (width, height), up)
         first_view = AUTOMATIC.get(wanted, "auto") if isinstance(wanted, str) else wanted[0]
@@ -241,7 +242,7 @@ def _compare(
     inputs: Sequence[tuple[str, Path]],
     models: Sequence[Splats],
     cameras: Sequence[Camera],
-    kind: Origin,
+    kind: Kind,
     background: Background,
     progress: Tracker,
 ) -> "Comparison":

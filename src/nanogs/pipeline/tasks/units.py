@@ -10,7 +10,7 @@ from nanogs._types import F64, U64
 from nanogs.errors import NONE_USABLE, ModelError
 from nanogs.method.activation import scene_origin
 from nanogs.method.extent import MOST_VIEWERS, Dilation, Viewers, estimate_dilation, viewers_at
-from nanogs.method.nodes import activate_nodes, prominence, thinnest_axis
+from nanogs.method.nodes import activate_nodes, prominence, thinnest_axis, typical_weight
 from nanogs.method.order import code_box, codes_in
 from nanogs.pipeline.job.rows import sample
 from nanogs.pipeline.options.settings import Settings
@@ -99,7 +99,7 @@ def find_units(settings: Settings, unpacked: Unpacked | None = None) -> Units:
     nodes = activate_nodes(some, np.arange(len(some)), origin, dilation, thinnest)
     cameras = settings.asked.given()
     given_viewers = viewers_of(cameras, origin, means) if cameras else None
-    typical = float(prominence(nodes.coverages, nodes.means, given_viewers or dilation).mean())
+    typical = typical_weight(prominence(nodes.coverages, nodes.means, given_viewers or dilation))
     corner, width = code_box(means)
     return Units(
         origin=tuple(map(float, origin)),
