@@ -24,7 +24,14 @@ from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline import run, stages
 from nanogs.pipeline.estimates.block_plan import held_bytes, plan_blocks
 from nanogs.pipeline.job import cluster, rows
-from nanogs.pipeline.job.folder import LOCK, MANIFEST, locked, read_manifest, write_manifest
+from nanogs.pipeline.job.folder import (
+    LOCK,
+    MANIFEST,
+    RESULT,
+    locked,
+    read_manifest,
+    write_manifest,
+)
 from nanogs.pipeline.options.settings import (
     Access,
     FilterCounts,
@@ -561,6 +568,24 @@ def test_a_job_folder_with_other_files_is_refused_and_kept(scene, tmp_path):
     with pytest.raises(OutputError, match="holds other files"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, job=tmp_path / "job", **FAST)
     assert names_in(tmp_path / "job") == ["thesis.txt"]
+
+
+@pytest.mark.parametrize("name", ["result-1.ply", "result-x/a.txt", "scratch/a.npy", "scratch"])
+def test_files_that_are_named_like_those_of_a_job_are_kept(scene, tmp_path, name):
+    mine = tmp_path / "job" / name
+    mine.parent.mkdir(parents=True)
+    mine.write_text("ten years")
+    with pytest.raises(OutputError, match="holds other files"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, job=tmp_path / "job", **FAST)
+    assert [path for path in (tmp_path / "job").rglob("*") if path.is_file()] == [mine]
+
+
+def test_a_result_in_the_folder_of_its_job_is_kept(scene, tmp_path):
+    """Also where a run that was killed at its end has left files."""
+    (tmp_path / "scratch").mkdir()
+    (tmp_path / f"{RESULT}.spz").touch()
+    nanogs.simplify_blocks(scene, tmp_path / "result-1.ply", ratio=0.3, job=tmp_path, **FAST)
+    assert names_in(tmp_path) == ["result-1.ply"]
 
 
 def test_an_existing_output_is_kept_unless_overwrite_is_set(scene, tmp_path):

@@ -19,7 +19,10 @@ from nanogs.io.atomic import atomic_write, output_error
 from nanogs.io.folder import make_folders, remove_empty
 from nanogs.pipeline.options.settings import VERSION, Settings
 
-MANIFEST, LOCK, SCRATCH, RESULT = "job.json", "lock", "scratch", "result-"
+MANIFEST, LOCK, SCRATCH = "job.json", "lock", "scratch"
+# The results of a job until they are moved. No user chooses this name: what has it, alone or with a
+# suffix, is deleted with the job.
+RESULT = "result-of-nanogs-job"
 
 
 def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
@@ -83,7 +86,7 @@ def _remove_unless_begun(folder: Path, around: int) -> None:
     if (folder / MANIFEST).exists():
         return
     with suppress(OSError):
-        for path in folder.glob(f"{RESULT}*"):
+        for path in filter(_is_result, list(folder.iterdir())):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         if (folder / SCRATCH).exists():
             (folder / SCRATCH).rmdir()
@@ -95,12 +98,23 @@ def _remove_unless_begun(folder: Path, around: int) -> None:
 def _refuse_foreign(folder: Path) -> None:
     if (folder / MANIFEST).exists():
         return
-    others = (path.name for path in folder.iterdir() if not path.name.startswith(RESULT))
-    if any(name not in (LOCK, SCRATCH) for name in others):
+    if not all(_is_own(path) for path in folder.iterdir()):
         raise OutputError(
             f"{folder} cannot be the folder of the job, because it holds other files; name a new"
             " one."
         )
+
+
+def _is_own(path: Path) -> bool:
+    """Whether a job without a manifest leaves this file or folder: its scratch is empty by then."""
+    if path.name == SCRATCH:
+        return path.is_dir() and not any(path.iterdir())
+    return path.name == LOCK or _is_result(path)
+
+
+def _is_result(path: Path) -> bool:
+    """Whether a path is a result that was not moved, or belongs to one, such as the note on it."""
+    return path.name == RESULT or path.name.startswith(f"{RESULT}.")
 
 
 def _lock(file: BinaryIO, folder: Path) -> None:

@@ -148,7 +148,7 @@ class ResultWriter:
 
     def _made(self, folder: Path) -> Path:
         """Return the path in the job's folder where the results are until they are moved."""
-        return folder / f"{RESULT}made{''.join(self.sink.place.suffixes[-2:])}"
+        return folder / f"{RESULT}{''.join(self.sink.place.suffixes[-2:])}"
 
 
 @contextmanager
