@@ -10,13 +10,17 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
+from nanogs.pipeline import work
 from nanogs.pipeline.search.file_size import ENOUGH
 from nanogs.pipeline.search.in_blocks import TRIED, Search
 from nanogs.pipeline.search.job_results import COUNT, MEASURED, JobResults
 from nanogs.pipeline.search.psnr import SPAN
+from nanogs.pipeline.tasks.budget import budget
 from nanogs.report import StopReason
 from nanogs.scoring.file_judge import file_judge
 from nanogs.source import InMemory
+from nanogs.store.scratch import FolderScratch
+from nanogs.store.tables import read_record
 from viewer_bundle import require_bundle
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -253,6 +257,25 @@ def test_a_killed_search_can_be_resumed_with_the_same_result(
     assert resumed.packings == whole.packings
     assert (resumed.judged, resumed.achieved_size) == (whole.judged, whole.achieved_size)
     assert resumed.blocks.resumed > whole.blocks.resumed == 0
+
+
+@pytest.mark.parametrize("balance", [0.8, 1.0])
+def test_quick_results_are_cut_by_the_balance_of_a_plain_cut(scene, tmp_path, monkeypatch, balance):
+    """Complete results try 0.5 and 1."""
+    used, cut_block = [], work.cut_block
+    monkeypatch.setattr(
+        work, "cut_block", lambda *given: used.append(given[-1]) or cut_block(*given)
+    )
+    kill_after(monkeypatch, 1)
+    with pytest.raises(Killed):
+        nanogs.simplify_blocks(scene, tmp_path / "a.spz", psnr=26.0, **LOOKS | {"balance": balance})
+    scratch = FolderScratch(tmp_path / "a.spz.job" / "scratch")
+    blocks = range(len([*scratch.folder.glob("grow-*.json")]))
+    forests = [read_record(scratch, f"grow-0-{block:05d}") for block in blocks]
+    number = forests[0].facts["balances"].index(balance)
+    found = read_record(scratch, "budget-0-00000").facts
+    assert found["groups"] == [budget(scratch, forests, found["cut_to"], number)]
+    assert {*used} == {number}
 
 
 def test_discarded_results_are_removed_from_a_remote_scratch(scene, tmp_path, monkeypatch):

@@ -441,3 +441,12 @@ def test_the_memory_named_in_a_refusal_is_enough(preset, degree):
     assert plan_blocks(10**7, layout, chosen, (0.1,), least * 10**6).blocks > 1
     with pytest.raises(OptionError):
         plan_blocks(10**7, layout, chosen, (0.1,), (least - 1) * 10**6)
+
+
+def test_a_search_plans_disk_space_for_the_scores_of_plain_cuts():
+    layout, chosen = Layout(1, False, (), "default", (), ()), nanogs.presets["default"]
+    given, searched = (
+        plan_blocks(10**6, layout, chosen, (0.1,), 2 * 10**9, searched=each)
+        for each in (False, True)
+    )
+    assert searched.scratch - given.scratch == 4 * 10**6 + given.blocks * (8 << 16)

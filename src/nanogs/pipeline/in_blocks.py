@@ -192,7 +192,7 @@ def plan_job(
         counts = [count_of(goal, splats, delivered, request.sizer) for goal in goals if not sought]
         shares = tuple(count / splats for count in counts) or (1.0, 1.0)
         given = max_memory, block, request.chunks, beside, reason
-        return plan_blocks(splats, layout, chosen, shares, *given)
+        return plan_blocks(splats, layout, chosen, shares, *given, searched=sought is not None)
 
     plan = planned(sum(each.splats for each in inputs))
     refuse_large_whole(inputs, plan.segment)

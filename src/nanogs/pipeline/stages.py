@@ -34,7 +34,7 @@ from nanogs.pipeline.tasks.coarse import outline_counts, write_coarse
 from nanogs.pipeline.tasks.corrections import correct
 from nanogs.pipeline.tasks.cuts import write_cut
 from nanogs.pipeline.tasks.fitting import fit_part
-from nanogs.pipeline.tasks.forests import grow
+from nanogs.pipeline.tasks.forests import grow, number_of
 from nanogs.pipeline.tasks.linked import linked_levels, write_tree
 from nanogs.pipeline.tasks.look import choose_views, look_at_block
 from nanogs.pipeline.tasks.partition import partition
@@ -198,7 +198,8 @@ def _budget(work: Work, task: Task) -> Record:
     # Blocks cannot be cut to less than a splat each, nor well to a few: the rest is done in memory.
     cut_to = max(target, min(FEWEST * work.partition.blocks, usable))
     forests = work.of_blocks("grow")
-    groups = [budget(work.scratch, forests, cut_to, number) for number in range(len(work.balances))]
+    numbers = [number_of(forests[0], balance) for balance in work.balances]
+    groups = [budget(work.scratch, forests, cut_to, number) for number in numbers]
     facts = {"target": target, "cut_to": cut_to, "groups": groups}
     return write_table(work.scratch, task.name, {}, facts)
 

@@ -44,7 +44,7 @@ from nanogs.pipeline.tasks.fitting import (
     fit_views,
     notes_on_fits,
 )
-from nanogs.pipeline.tasks.forests import grow, passes_of, write_correction
+from nanogs.pipeline.tasks.forests import grow, number_of, passes_of, write_correction
 from nanogs.pipeline.tasks.halo import Halo, find_halo, near_groups
 from nanogs.pipeline.tasks.partition import Partition, partition_of
 from nanogs.pipeline.tasks.parts import read_part
@@ -247,7 +247,8 @@ class Work(Scene):
     def _scores(self, block: int, level: int, number: int) -> tuple[Record, int]:
         """Return the table that holds the scores of a cut of a block, and their number in it."""
         if number < len(self.balances):
-            return self.of_block("grow", block), number
+            forest = self.of_block("grow", block)
+            return forest, number_of(forest, self.balances[number])
         return self.of_block(correct_stage(number - len(self.balances)), block, level), 0
 
     def labels(self, block: int, level: int) -> I32:
@@ -349,11 +350,14 @@ class Work(Scene):
 
     def grow(self, name: str, block: int) -> Record:
         """Grow the merge forest of a block, and write it."""
+        parameters, balances = self.settings.parameters, self.balances
+        if self.settings.search is not None:  # it begins with plain cuts, which have one balance
+            balances = tuple(dict.fromkeys((*balances, parameters.balance)))
         own = self.open(block)
         units, weighing = self.units, self.weighing(own.visible)
         return grow(
             self.scratch, name, lambda: leaves_of(own.splats, own.rows, units, weighing, bare=True),
-            self.settings.parameters, self.balances,
+            parameters, balances,
         )  # fmt: skip
 
     def settle(self, name: str, block: int, level: int) -> Record:

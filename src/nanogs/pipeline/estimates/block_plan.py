@@ -92,6 +92,8 @@ def plan_blocks(
     chunks: Chunked | Linked | None = None,
     beside: int = 0,
     limit: MemoryLimit = MemoryLimit.GIVEN,
+    *,
+    searched: bool = False,
 ) -> ScalePlan:
     """Plan blocks as large as the memory allows.
 
@@ -105,6 +107,7 @@ def plan_blocks(
         chunks: How results are divided or linked, or None if each is one file.
         beside: Bytes that the process holds besides its task.
         limit: The reason for `max_memory`.
+        searched: Whether the count of the result is searched for.
 
     Raises:
         OptionError: The memory is too little for any block.
@@ -125,15 +128,17 @@ def plan_blocks(
     blocks = -(-splats // max(block - block // 16, 1))
     held = min(block, splats)
     tasks = held_bytes(held, splats, layout, parameters, share)
+    scratch = scratch_bytes(
+        splats, block, blocks, layout, parameters, shares,
+        encoded=chunks is not None, searched=searched,
+    )  # fmt: skip
     return ScalePlan(
         splats=splats,
         block=block,
         segment=segment,
         blocks=blocks,
         memory=LIBRARIES + beside + int(max(tasks, segment * (row + _KEYS), encoding.held(held))),
-        scratch=scratch_bytes(
-            splats, block, blocks, layout, parameters, shares, encoded=chunks is not None
-        ),
+        scratch=scratch,
         seconds=splats * _seconds(parameters, len(shares))
         + blocks * _block_seconds(parameters)
         + encoding.seconds,

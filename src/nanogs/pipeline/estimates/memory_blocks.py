@@ -99,6 +99,7 @@ def scratch_bytes(
     shares: Sequence[float],
     *,
     encoded: bool,
+    searched: bool = False,
 ) -> int:
     """Estimate the bytes of all files of a job at its end, including the results.
 
@@ -110,8 +111,10 @@ def scratch_bytes(
         parameters: Parameters of the method.
         shares: Share of the splats that each result keeps.
         encoded: Whether results are encoded as chunks before they are assembled.
+        searched: Whether the count is searched for; then forests also have the scores of `balance`.
     """
-    row, balances = row_bytes(layout), len(parameters.balances)
+    row, scored = row_bytes(layout), {*parameters.balances}
+    balances = len(scored | {parameters.balance} if searched else scored)
     results = sum(int(share * splats) for share in shares)
     copies = 2 + encoded + (parameters.steps > 0)  # parts, fitted parts, chunks, the result
     held = splats * (row + 8)  # sorted splats with their Morton codes

@@ -18,6 +18,7 @@ from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Sorted, write_table
 
 CHILDREN = "children"
+_BALANCES = "balances"  # fact of a forest: the balances whose scores it has
 BINS = 1 << 16
 
 
@@ -29,6 +30,12 @@ def scores_of(number: int) -> str:
 def histogram_of(number: int) -> str:
     """Return the name of the column with the histogram of these scores."""
     return f"histogram_{number}"
+
+
+def number_of(forest: Record, balance: float) -> int:
+    """Return the number of a balance whose scores a forest has; see `scores_of`."""
+    balances: list[float] = forest.facts[_BALANCES]
+    return balances.index(balance)
 
 
 def grow(
@@ -56,6 +63,7 @@ def grow(
         columns |= _scores(scores, number)
     facts = {
         **_size(forest.splats, forest.fewest),
+        _BALANCES: [*balances],
         "stop": str(forest.stop),
         # Without seconds, which would differ from run to run: tables are the same byte for byte.
         "passes": [asdict(replace(each, seconds={})) for each in forest.passes],
