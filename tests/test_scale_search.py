@@ -307,8 +307,18 @@ def killed_at_the_end(scene, out, monkeypatch, **target):
     with monkeypatch.context() as patch:
         patch.setattr(JobResults, "verify", kill)
         with pytest.raises(Killed):
-            nanogs.simplify_blocks(scene, out, **target, **QUICK)
+            nanogs.simplify_blocks(scene, out, **QUICK | target)
     return out.with_name(f"{out.name}.job")
+
+
+def test_a_resumed_search_packs_as_it_began(scene, tmp_path, monkeypatch):
+    """Without `max_memory`, the free memory is a limit only when a job begins."""
+    monkeypatch.setattr("nanogs.pipeline.options.size.LEAST_BYTES", 0)  # no palette within a limit
+    out, options = tmp_path / "a.spz", {"size": 40_000, "block": None, "job": tmp_path / "job"}
+    killed_at_the_end(scene, out, monkeypatch, **options)
+    report = nanogs.simplify_blocks(scene, out, resume=True, **QUICK | options)
+    assert report.blocks.resumed > 0
+    assert "palette" not in report.format_options
 
 
 def test_a_damaged_result_is_made_again(scene, tmp_path, monkeypatch):

@@ -36,7 +36,7 @@ from nanogs.pipeline.tasks.unpack import cost_of
 from nanogs.progress import Progress
 from nanogs.protocol import PIXELS, VIEWS
 from nanogs.report import SimplifyReport
-from nanogs.sink import Sink, Written
+from nanogs.sink import Sink, Written, held_splats
 from nanogs.source import Joined, Layout
 from nanogs.store.columns import no_splats, row_bytes
 from nanogs.views.plan import room_for_measuring
@@ -177,7 +177,8 @@ def plan_job(
     changes, goals = request.changes, request.goals
     changes.check()
     inputs, layout = describe_inputs(request.inputs, changes)
-    sought = search_target(request, layout, sum(each.splats for each in inputs))
+    allowed = request.max_memory if max_memory is None else max_memory
+    sought = search_target(request, layout, sum(each.splats for each in inputs), allowed)
     seen = sought is not None and (sought.is_measured or renders(chosen))
     if request.measured or seen:
         with Joined(open_parts(request.inputs, request.render_mode)) as source:
@@ -237,13 +238,16 @@ def _refuse_small(request: "Request", settings: Settings) -> None:
             request.refuse_small(some)
 
 
-def search_target(request: "Request", layout: Layout, splats: int) -> SearchTarget | None:
+def search_target(
+    request: "Request", layout: Layout, splats: int, max_memory: int | None
+) -> SearchTarget | None:
     """Return the target of the search for a count; None if the count is known beforehand.
 
     Args:
         request: All arguments of the call.
         layout: Columns of the model.
         splats: Number of splats of the model.
+        max_memory: Bytes that this process may take, or None for no limit.
 
     Raises:
         TooSmallError: It is known beforehand that not even one splat fits.
@@ -256,7 +260,17 @@ def search_target(request: "Request", layout: Layout, splats: int) -> SearchTarg
             return None
         count_of(goal, 1, layout.reduced(0), request.sizer)
     options = json.dumps(dict(request.format_options or {}), sort_keys=True, default=str)
-    return SearchTarget(goal.size, goal.psnr, request.suffix, options, goal.draw_cost)
+    most = _held_whole(request, layout, max_memory)
+    return SearchTarget(goal.size, goal.psnr, request.suffix, options, goal.draw_cost, most)
+
+
+def _held_whole(request: "Request", layout: Layout, max_memory: int | None) -> int | None:
+    """Return `SearchTarget.most`; a job that is resumed keeps its own, to pack as it began."""
+    begun = read_manifest(request.folder) if request.resume else None
+    if begun is None:
+        return held_splats(request.output, row_bytes(layout), max_memory)
+    most: int | None = (begun[0].get("search") or {}).get("most")
+    return most
 
 
 def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> int:

@@ -105,6 +105,8 @@ class SearchTarget:
         suffix: Of the format.
         options: Of the format, as text.
         draw_cost: Most that it may take to draw, as a share of what the original takes, or None.
+        most: Splats that a writer of the format may hold whole; None for any number. A palette is
+            tried only within it.
     """
 
     size: int | None
@@ -112,6 +114,7 @@ class SearchTarget:
     suffix: str
     options: str
     draw_cost: float | None = None
+    most: int | None = None
 
     @property
     def is_measured(self) -> bool:

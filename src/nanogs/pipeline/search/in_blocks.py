@@ -29,7 +29,7 @@ from nanogs.progress import Tracker
 from nanogs.report import PackingReport, StopReason
 from nanogs.scoring.draw_views import draw_views
 from nanogs.scoring.held_out import SelectionViews, held_out, selection_views
-from nanogs.sink import held_splats, refuse_large
+from nanogs.sink import refuse_large
 from nanogs.source import InMemory, Reduced, Source, turned_source
 from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
@@ -152,14 +152,15 @@ class Search:
         return _Found(result, entries | packed.entries(files.count(result)), notes)
 
     def _request(self, work: Work, size: int) -> SizeRequest:
-        settings = work.settings
+        settings, sought = work.settings, work.settings.search
+        assert sought is not None  # noqa: S101 - a search has a target
         return SizeRequest(
             size,
             registry.writable(self.output),
             self.options or {},
             settings.sh_degree,
             looks=renders(settings.parameters),
-            most=held_splats(self.output, row_bytes(settings.layout), self.max_memory),
+            most=sought.most,
         )
 
     @contextmanager
