@@ -522,6 +522,21 @@ def test_a_run_killed_after_its_output_appeared_is_resumed(scene, tmp_path, expe
     assert not folder.exists()
 
 
+def test_a_finished_result_is_made_again_for_other_format_options(scene, tmp_path, monkeypatch):
+    def crash(*_):
+        raise CrashError
+
+    out, options = tmp_path / "a.spz", {"ratio": 0.3, **FAST}
+    with monkeypatch.context() as patch:
+        patch.setattr("nanogs.sink.InOneFile.move", crash)
+        with pytest.raises(CrashError):
+            nanogs.simplify_blocks(scene, out, **options)
+    options["format_options"] = {"bits": 6}
+    nanogs.simplify_blocks(scene, out, resume=True, **options)
+    nanogs.simplify_blocks(scene, tmp_path / "b.spz", **options)
+    assert out.read_bytes() == (tmp_path / "b.spz").read_bytes()
+
+
 def leave_interrupted_job(scene, out, monkeypatch, **given):
     """Start a job and interrupt it, which leaves its folder."""
 

@@ -219,6 +219,10 @@ class Sink(Protocol):
     def suffix(self) -> str:
         """Suffix of the file format in which results can be measured."""
 
+    @property
+    def format_options(self) -> FormatOptions | None:
+        """Options of that format; None for layouts that have no such options."""
+
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
         """Refuse results that the format's writer must hold whole and that are too large for that.
 

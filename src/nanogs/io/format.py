@@ -1,5 +1,6 @@
 """The description of a file format, its entry in the registry."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +41,11 @@ def given_options(options: FormatOptions | None) -> dict[str, Any]:
     if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
         raise OptionError(f"Format options are a dictionary, as {{'bits': 6}}, not {options!r}.")
     return {name: value for name, value in options.items() if value is not None}
+
+
+def options_text(options: FormatOptions | None) -> str:
+    """Return options of a format as text, the same for equal ones, by which a job knows its own."""
+    return json.dumps(dict(options or {}), sort_keys=True, default=str)
 
 
 def unread(path: Path) -> NoReturn:

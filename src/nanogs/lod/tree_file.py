@@ -37,6 +37,7 @@ class LevelsTree(InOneFile):
     source: str
     chunks: Linked = field(default_factory=Linked)
     suffix: str = SUFFIX
+    format_options: None = None
     environment: None = None
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:

@@ -1,6 +1,5 @@
 """Simplify files that do not fit into memory block by block, and write the results to a sink."""
 
-import json
 import shutil
 import time
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ from nanogs.defaults import DEFAULT_MEMORY
 from nanogs.errors import CrowdedError, ModelError, OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.io import registry
-from nanogs.io.format import Sizer
+from nanogs.io.format import Sizer, options_text
 from nanogs.io.urls import is_url
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
@@ -259,7 +258,7 @@ def search_target(
         if request.sizer(no_splats(layout), splats) <= goal.size:
             return None
         count_of(goal, 1, layout.reduced(0), request.sizer)
-    options = json.dumps(dict(request.format_options or {}), sort_keys=True, default=str)
+    options = options_text(request.format_options)
     most = _held_whole(request, layout, max_memory)
     return SearchTarget(goal.size, goal.psnr, request.suffix, options, goal.draw_cost, most)
 

@@ -5,13 +5,15 @@ done.
 """
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.io.atomic import atomic_write, output_error
+from nanogs.io.format import options_text
 from nanogs.pipeline.job.folder import RESULT, refuse_finished
 from nanogs.pipeline.job.rows import opened
 from nanogs.pipeline.run import Done
@@ -105,7 +107,7 @@ class ResultWriter:
                 filling.finish(self.reports(done, filling.written), judge)
             if self.costed and judge is None:  # not measured here: its PSNR is known already
                 filling.written[0] = self._costed(work, filling.written[0], made)
-            _seal(made, self.sink.files(made), filling.written, measured=self.measured)
+            _seal(made, self.sink.files(made), filling.written, self._choices)
         except OSError as error:
             raise output_error(made, error) from error
         return filling.written
@@ -138,13 +140,23 @@ class ResultWriter:
         with suppress(OSError, ValueError, LookupError, TypeError):
             note = json.loads(_note(made).read_bytes())
             files = note["files"]
-            if note["measured"] is self.measured and all(
+            if note["choices"] == self._choices and all(
                 (place / name).stat().st_size == size for name, size in files.items()
             ):
                 with (place / next(iter(files))).open("rb") as file:
                     if [*hash_file(file)] == note["first"]:
                         return [Written(*each) for each in note["written"]]
         return None
+
+    @property
+    def _choices(self) -> dict[str, Any]:
+        """The choices that results depend on besides the settings of the job, as plain data."""
+        return {
+            "suffix": self.sink.suffix,
+            "format_options": options_text(self.sink.format_options),
+            "measured": self.measured,
+            "costed": self.costed,
+        }
 
     def _made(self, folder: Path) -> Path:
         """Return the path in the job's folder where the results are until they are moved."""
@@ -169,12 +181,14 @@ def result_of(work: Work, level: int) -> Iterator[Source]:
         yield turned_source(source, work.settings.frame)
 
 
-def _seal(made: Path, files: Sequence[str], written: Sequence[Written], *, measured: bool) -> None:
+def _seal(
+    made: Path, files: Sequence[str], written: Sequence[Written], choices: Mapping[str, Any]
+) -> None:
     """Write a note with file sizes and a checksum, by which moved results are recognised."""
     sizes = {name: (made / name).stat().st_size for name in files}
     with (made / files[0]).open("rb") as file:
         first = hash_file(file)
-    note = {"files": sizes, "first": first, "written": written, "measured": measured}
+    note = {"files": sizes, "first": first, "written": written, "choices": choices}
     with atomic_write(_note(made), overwrite=True) as out:
         out.write(json.dumps(note).encode())
 
