@@ -157,11 +157,23 @@ def test_an_invisible_scene_gets_the_result_of_the_preset_fast(splats, tmp_path,
     scene, options = tmp_path / "faint.ply", {"ratio": 0.2, "block": block, "threads": 1}
     nanogs.save(invisible, scene)
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", preset=preset, **options)
-    assert [note.partition(":")[0] for note in report.notes] == ["Nothing was measured"]
+    said = [note.partition(":")[0] for note in report.notes]
+    assert said == ["Nothing was rendered to choose by and fit to"]
     assert (report.shown, report.candidates, report.refit) == (None, (), None)
     options["rounds"] = nanogs.presets[preset].rounds
     nanogs.simplify_blocks(scene, tmp_path / "b.ply", preset="fast", **options)
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+@pytest.mark.parametrize("block", [500, None])
+def test_a_size_for_an_invisible_scene_is_reported_as_any_other(splats, tmp_path, block):
+    invisible = dataclasses.replace(splats, opacity_logits=np.full(COUNT, -12, np.float32))
+    nanogs.save(invisible, tmp_path / "faint.ply")
+    report = nanogs.simplify_blocks(
+        tmp_path / "faint.ply", tmp_path / "a.spz", size=8000, block=block
+    )
+    assert any(note.startswith("Nothing was rendered to choose by") for note in report.notes)
+    assert report.parameters == dataclasses.asdict(nanogs.presets["default"])
 
 
 def test_without_measured_views_no_visibility_weights_are_used(scene, tmp_path, monkeypatch):
@@ -348,7 +360,7 @@ def test_an_invisible_scene_is_simplified_all_the_same(splats, tmp_path):
     nanogs.save(clear, tmp_path / "clear.ply")
     report = nanogs.simplify_blocks(tmp_path / "clear.ply", tmp_path / "a.ply", ratio=0.2, **BLOCKS)
     assert report.achieved_count == COUNT // 5
-    assert any("Nothing was measured" in note for note in report.notes)
+    assert any("Nothing was rendered" in note for note in report.notes)
 
 
 def test_blocks_that_are_small_in_every_view_get_nearer_cameras(tmp_path):

@@ -288,7 +288,7 @@ def fit_size(
     otherwise = StopReason.TARGET
     if not near:
         progress.begin("search")
-        quick = attempts(results.plain(), SIZES)
+        quick = attempts(results.plain() if results.looks else results, SIZES)
         found = search_fit(quick, size, guess, *limits, around=around)
         probes, guess = found.probes, found.count
         if found.bytes < enough:  # no count uses up the size: aim for the bytes of this one
