@@ -691,6 +691,20 @@ def test_invalid_options_of_jobs_are_refused_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
+def test_an_up_direction_beside_given_cameras_is_refused(pair, files, tmp_path):
+    model, out = pair[0], tmp_path / "a.ply"
+    given = {"cameras": automatic_cameras(model, 2, width=64, height=64), "up": (0, 0, 1)}
+    for call in (
+        lambda: nanogs.simplify(model, count=9, **given),
+        lambda: list(nanogs.levels(model, [0.5], **given)),
+        lambda: nanogs.grow(model, **given),
+        lambda: nanogs.simplify_blocks(files[0], out, count=9, block=20, **given),
+    ):
+        with pytest.raises(OptionError, match="`up` cannot be combined with given cameras"):
+            call()
+    assert not list(tmp_path.iterdir())
+
+
 def test_options_without_what_they_are_for_are_refused(pair):
     with pytest.raises(OptionError, match="`format_options` work only with `packed`"):
         nanogs.compare(*pair, format_options={"bits": 6})

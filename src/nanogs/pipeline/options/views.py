@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nanogs.errors import OptionError
 from nanogs.pipeline.options.cameras import AUTO
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens
@@ -45,7 +46,7 @@ def requested_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Re
         up: Up direction for views that are found, or None.
 
     Raises:
-        NanogsError: A file holds no cameras, or `up` is not a direction.
+        NanogsError: A file holds no cameras, or `up` is not a direction, or is given beside cameras.
     """
     direction = None
     if up is not None:
@@ -60,6 +61,11 @@ def requested_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Re
     found = known_cameras(cameras)
     if isinstance(found, str):
         return RequestedViews(found, direction)
+    if direction is not None:
+        raise OptionError(
+            "`up` cannot be combined with given cameras, which are views of their own; leave one of"
+            " them out."
+        )
     return RequestedViews(cameras=tuple(json.dumps(plain_camera(camera)) for camera in found))
 
 
