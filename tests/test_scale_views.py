@@ -420,6 +420,13 @@ def test_given_cameras_are_those_that_blocks_are_fitted_to(scene, splats, tmp_pa
         nanogs.simplify_blocks(scene, tmp_path / "c.ply", ratio=0.2, cameras="none.json", **BLOCKS)
 
 
+def test_a_view_too_small_to_choose_by_leaves_no_job(scene, splats, tmp_path):
+    flat = automatic_cameras(splats, 6, width=960, height=60)
+    with pytest.raises(OptionError, match="has 96 x 6 pixels"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, cameras=flat, **BLOCKS)
+    assert [*tmp_path.iterdir()] == []
+
+
 def test_many_small_blocks_are_expected_to_take_longer_if_they_are_rendered():
     """Each block renders each view, however few splats it has."""
     layout = Layout(2, False, (), "default", (), ())

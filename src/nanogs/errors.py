@@ -63,6 +63,10 @@ class CrowdedError(OptionError):
     """More splats than a block may hold share one place, so that they cannot be divided."""
 
 
+class SmallViewError(OptionError):
+    """A view is too small to choose results by."""
+
+
 class OutputError(NanogsError):
     """The output cannot be written: it exists, its folder is missing, or the disk is full."""
 

@@ -15,6 +15,7 @@ from nanogs.errors import (
     ModelError,
     NanogsError,
     OutputError,
+    SmallViewError,
     TooManyError,
     TooSmallError,
     UnstorableError,
@@ -44,7 +45,9 @@ if TYPE_CHECKING:
 
     from distributed import Client
 
-UNRECOVERABLE = TooManyError, TooSmallError, CrowdedError, ModelError, UnstorableError
+UNRECOVERABLE = (
+    CrowdedError, ModelError, SmallViewError, TooManyError, TooSmallError, UnstorableError,
+)  # fmt: skip
 """Errors after which a job cannot be resumed, so that its files are removed."""
 
 

@@ -46,7 +46,7 @@ def requested_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Re
         up: Up direction for views that are found, or None.
 
     Raises:
-        NanogsError: A file holds no cameras, or `up` is not a direction, or is given beside cameras.
+        NanogsError: A file holds no cameras, or `up` is no direction, or is beside given cameras.
     """
     direction = None
     if up is not None:

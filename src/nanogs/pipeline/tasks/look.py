@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from nanogs.errors import ModelError, OptionError
+from nanogs.errors import ModelError, SmallViewError
 from nanogs.fit.views import choose_cameras
 from nanogs.method.visibility import (
     SplatContributions,
@@ -60,7 +60,7 @@ def look_at_block(scene: Scene, task: Task) -> Record:
     """Compute the visibility of each of a block's splats, and how much of the block a view shows.
 
     Raises:
-        OptionError: A view by which results are to be chosen is too small to compare them.
+        SmallViewError: A view by which results are to be chosen is too small to compare them.
     """
     own, views = scene.bare(task.number), scene.views
     count = len(own.splats)
@@ -96,7 +96,7 @@ def _refuse_small(deciding: Sequence["Camera"]) -> None:
     """Raise, before the forest is grown, if a view is too small for scoring candidates."""
     for camera in deciding:
         if min(camera.width, camera.height) < LEAST:
-            raise OptionError(
+            raise SmallViewError(
                 f"The view of camera {camera.name!r} has {camera.width} x {camera.height} pixels"
                 f" here, but results are chosen by views of at least {LEAST} x {LEAST}; raise"
                 " `view_size` if it makes views smaller, or leave the camera out."
