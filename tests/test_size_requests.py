@@ -67,10 +67,19 @@ def test_the_smallest_size_that_an_error_names_works(tmp_path, suffix, preset, b
 
 
 @pytest.mark.parametrize(
-    ("suffix", "block"), [(".ply", None), (".sog", None), (".ply", 24), (".sog", 24)]
+    ("suffix", "block", "degree"),
+    [
+        (".ply", None, 3),
+        (".sog", None, 3),
+        (".ply", 24, 3),
+        (".sog", 24, 3),
+        (".compressed.ply", None, 4),
+        (".compressed.ply", 24, 4),
+        (".sog", 24, 4),
+    ],
 )
-def test_harmonics_are_dropped_if_nothing_fits_otherwise(tmp_path, suffix, block):
-    splats = random_splats(24, degree=3)
+def test_harmonics_are_dropped_if_nothing_fits_otherwise(tmp_path, suffix, block, degree):
+    splats = random_splats(24, degree=degree)
     source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
     nanogs.save(splats, source)
     without_harmonics = tmp_path / f"bare{suffix}"
@@ -79,6 +88,17 @@ def test_harmonics_are_dropped_if_nothing_fits_otherwise(tmp_path, suffix, block
     report = nanogs.simplify_blocks(source, out, size=size, block=block, **FEW_VIEWS)
     assert out.stat().st_size == report.achieved_size <= size
     assert any("above degree 0 are left out" in note for note in report.notes)
+
+
+@pytest.mark.parametrize("block", [None, 24])
+@pytest.mark.parametrize("share", [0.9, 2])
+def test_a_note_names_once_what_a_format_cannot_hold(tmp_path, share, block):
+    source, whole, out = (tmp_path / name for name in ("in.ply", "w.glb", "out.glb"))
+    nanogs.save(random_splats(24, degree=4), source)
+    nanogs.save(random_splats(24, degree=3), whole)
+    size = round(share * whole.stat().st_size)
+    report = nanogs.simplify_blocks(source, out, size=size, block=block, **FEW_VIEWS)
+    assert sum("above degree 3 are left out" in note for note in report.notes) == 1
 
 
 @pytest.mark.parametrize("block", [None, 60])

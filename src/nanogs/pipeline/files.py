@@ -186,13 +186,14 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
         request.refuse_device_in_blocks()
         notes = (*notes, *device_notes(request.device, CPU))
     report = _in_blocks(request, on_step) if plan.divided else _in_memory(request, plan, on_step)
-    return replace(report, notes=(*report.notes, *notes))
+    return replace(report, notes=tuple(dict.fromkeys((*report.notes, *notes))))
 
 
 def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, tuple[str, ...]]:
     """Lower the degree of the result's harmonics to the highest that the format can store.
 
-    The result is then fitted at this degree, which makes up for the harmonics left out.
+    The result is then fitted at this degree, which makes up for the harmonics left out. A search
+    that chooses the degree itself does so without this, and its choice remains free.
 
     Args:
         request: All arguments of the call.
@@ -200,13 +201,18 @@ def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, 
         output: The output file, whose suffix names the format.
 
     Returns:
-        The request, and a note if the degree was lowered.
+        The request, and a note if the format can store less than the model's degree.
     """
-    known = registry.writable(output)
+    known, goal = registry.writable(output), request.goal
     most = known.max_degree
     if request.sh_degree is not None or degree <= most or not renders(request.parameters):
         return request, ()
-    return replace(request, sh_degree=most), (degree_left_out(known.suffix, most),)
+    chosen = goal.psnr is not None and known.file_bytes is None
+    if goal.size is not None:
+        chosen = request.searches(degree)
+    if not chosen:
+        request = replace(request, sh_degree=most)
+    return request, (degree_left_out(known.suffix, most),)
 
 
 def checked_options(
