@@ -1,7 +1,7 @@
 """Searches in blocks: for the count of a PSNR, and for that of a compressed file's size."""
 
 import json
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from types import SimpleNamespace
 
@@ -9,6 +9,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from nanogs.clock import StageClock
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
 from nanogs.pipeline import work
 from nanogs.pipeline.search.file_size import ENOUGH
@@ -18,6 +19,7 @@ from nanogs.pipeline.search.psnr import SPAN
 from nanogs.pipeline.tasks.budget import budget
 from nanogs.report import StopReason
 from nanogs.scoring.file_judge import file_judge
+from nanogs.scoring.held_out import SelectionViews
 from nanogs.source import InMemory
 from nanogs.store.scratch import FolderScratch
 from nanogs.store.tables import read_record
@@ -125,6 +127,28 @@ def test_stages_of_a_search_are_reported_and_timed(
     first = ["frame", *(first if preset is LOOKS else ["segment", "partition", "grow"])]
     assert [*dict.fromkeys(reported)] == [*first, *stages, "write"]
     assert {*report.seconds} - plain_seconds(preset["preset"]) == timed
+
+
+def test_rendering_the_packings_counts_as_measuring(scene, tmp_path, monkeypatch):
+    running, found = [], []
+    time, judge = StageClock.time, SelectionViews.judge
+
+    @contextmanager
+    def noted(clock, stage):
+        running.append(stage)
+        with time(clock, stage):
+            yield
+        running.remove(stage)
+
+    monkeypatch.setattr(StageClock, "time", noted)
+    monkeypatch.setattr(
+        SelectionViews, "judge", lambda *given: found.append([*running]) or judge(*given)
+    )
+    kill_after(monkeypatch, 3)
+    with pytest.raises(Killed):
+        nanogs.simplify_blocks(scene, tmp_path / "a.spz", size=40_000, **LOOKS)
+    assert found
+    assert all(stages == ["measure"] for stages in found)
 
 
 def test_the_psnr_is_measured_in_the_frame_of_the_input(scene, tmp_path):

@@ -1,7 +1,7 @@
 """The search for the count of a job in blocks: results are made, written and measured."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -250,11 +250,15 @@ class _Files:
 
     def measure(self, result: Result, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
         """Write a result to a file and measure it; see `Files.measure`."""
-        with self.clock.time("encode"), result_of(result.work, result.level) as source:
-            bare = Reduced(source, sh_degree)
-            given = self.search.with_given(options)
-            options = {**options, **derived_options(bare, self.search.output, given)}
-            with self.search.written(bare, options) as path, open_model(path) as file:
-                psnr, ssim = self.views.judge(turned_back(file, result))
+        with ExitStack() as opened_files:
+            with self.clock.time("encode"):
+                source = opened_files.enter_context(result_of(result.work, result.level))
+                bare = Reduced(source, sh_degree)
+                given = self.search.with_given(options)
+                options = {**options, **derived_options(bare, self.search.output, given)}
+                path = opened_files.enter_context(self.search.written(bare, options))
                 size = bytes_on_disk(path)
+            file = opened_files.enter_context(open_model(path))
+            with self.clock.time("measure"):
+                psnr, ssim = self.views.judge(turned_back(file, result))
         return PackingReport(sh_degree, options, self.count(result), size, psnr, ssim)
