@@ -133,12 +133,12 @@ class SizeProbeReport:
 
 @dataclass(frozen=True, slots=True)
 class PackingReport:
-    """A setting of the file format that was tried for a requested file size.
+    """A setting of the file format that was tried for a requested file size or PSNR.
 
     Attributes:
         sh_degree: Degree of the spherical harmonics that are written.
         options: Options of the format by name.
-        count: Number of splats of the result, a plain cut.
+        count: Number of splats of the result, which is fitted in fewer steps than a delivered one.
         bytes: Size of its file.
         psnr: PSNR of the file when read back, on the views that settings are chosen by, dB; not
             what `compare` measures.
@@ -187,7 +187,7 @@ class SimplifyReport:
         input_count: Number of splats in the input.
         asked_ratio: The compaction ratio asked for, or None.
         asked_count: The count asked for, or the count found for a ratio
-            (ceil(ratio x finite splats)), a size or a PSNR.
+            (ceil(ratio x finite splats)), a size, a PSNR or a draw cost.
         dropped_nonfinite: Number of splats left out because a value is NaN or infinite.
         pruned: Number of splats dropped by the opacity threshold.
         prune_threshold: Alpha below which splats were pruned, in [0, 1].
@@ -213,7 +213,7 @@ class SimplifyReport:
         achieved_size: Bytes of the result's file, at most the size asked for; None if no size was.
         size_probes: The counts written to find one that fits, in order; empty if the size of a file
             is known beforehand.
-        packings: The format settings that were tried for a size, in order.
+        packings: The format settings that were tried for a size or a PSNR, in order.
         format_options: The format options that were chosen for a size or a PSNR; the result has
             it only if it is saved with them and with the options that were given.
         blocks: How the model was divided, or None if it was held whole.

@@ -105,6 +105,7 @@ def plan_search(plan: MemoryPlan, splats: int, goal: Goal, known: Format) -> Mem
         return plan
     most = splats if goal.size is None else min(splats, goal.size // LEAST_BYTES)
     small = plan.input_columns // max(splats, 1) * most
+    # `cut` counts a best candidate; here it is the best result so far, which is kept.
     held = plan.stages.get("cut", plan.input_columns) + small + known.extra_memory(small)
     return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
 

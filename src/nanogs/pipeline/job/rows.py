@@ -218,8 +218,8 @@ def sample(
     Args:
         settings: The job.
         unpacked: The files that have been unpacked, if any.
-        rows: Number of rows in all, about; by default some 260,000, and no more than a block, so
-            that memory for a block is enough.
+        rows: Number of rows in all, about; by default as many as a block has, whose memory is
+            enough for them, but at least 16,384 and at most 262,144.
         span: Rows of each run.
         bare: Whether to leave out higher harmonics and extra columns.
 

@@ -78,8 +78,8 @@ class Results(Protocol[T]):
 class Attempts(Generic[T, M]):
     """Makes the results of the counts that a search tries, measures each, and keeps the best.
 
-    The best is the latest that meets what is asked, since searches come nearer and nearer. One
-    result is held at a time.
+    The best is the latest that meets what is asked, since searches come nearer and nearer. It is
+    held while the next one is made, and no other is.
 
     Attributes:
         results: Makes results of the model.
