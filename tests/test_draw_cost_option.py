@@ -11,7 +11,7 @@ import nanogs
 from builders import random_splats
 from launch import run
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
-from nanogs.pipeline.search.draw_cost import MOST_PROBES, SPAN, search_share
+from nanogs.pipeline.search.draw_cost import MOST_PROBES, NEAR_SHARE, search_share
 from nanogs.report import StopReason
 from nanogs.scoring.draw_views import DrawViews
 
@@ -69,9 +69,9 @@ def test_the_search_ends_at_or_below_the_requested_share(
         return
     assert [probe.count for probe in found.probes] == [*tried]
     assert len(tried) <= MOST_PROBES + 1
-    assert tried[found.count] <= asked * (1 + SPAN * quick)
+    assert tried[found.count] <= asked * (1 + NEAR_SHARE * quick)
     if found.stop is StopReason.TARGET:
-        assert tried[found.count] >= asked * (1 - SPAN)
+        assert tried[found.count] >= asked * (1 - NEAR_SHARE)
     else:
         fitting = [count for count, share in tried.items() if share <= asked]
         assert found.count == max(fitting)
@@ -96,7 +96,7 @@ def test_the_file_has_the_requested_draw_cost(scene, tmp_path, suffix, preset, b
     assert report.asked_draw_cost == 0.5
     assert (report.blocks is not None) == bool(block)
     share = report.cost.share_of(report.original_cost)
-    assert 0.5 * (1 - SPAN) <= share <= 0.5
+    assert 0.5 * (1 - NEAR_SHARE) <= share <= 0.5
     assert share_of(scene, out) == pytest.approx(share, rel=1e-12)
     assert report.achieved_count == report.asked_count == nanogs.open(out).count
     assert (report.achieved_count, share) in [(p.count, p.share) for p in report.draw_probes]

@@ -89,8 +89,8 @@ def splats():
 @pytest.fixture
 def few_rows(monkeypatch):
     """Let the stage `frame` sample only a few rows, as it does for large models."""
-    monkeypatch.setattr(source, "_MOST_SPANS", 3)
-    monkeypatch.setattr(source, "SPAN", 64)
+    monkeypatch.setattr(source, "_MOST_RUNS", 3)
+    monkeypatch.setattr(source, "RUN_ROWS", 64)
 
 
 @pytest.fixture

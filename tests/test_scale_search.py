@@ -15,7 +15,7 @@ from nanogs.pipeline import work
 from nanogs.pipeline.search.file_size import ENOUGH
 from nanogs.pipeline.search.in_blocks import TRIED, Search
 from nanogs.pipeline.search.job_results import COUNT, MEASURED, JobResults
-from nanogs.pipeline.search.psnr import SPAN
+from nanogs.pipeline.search.psnr import NEAR_DB
 from nanogs.pipeline.tasks.budget import budget
 from nanogs.report import StopReason
 from nanogs.scoring.file_judge import file_judge
@@ -90,7 +90,7 @@ def test_a_psnr_is_reached_and_is_that_of_the_file(scene, search):
     assert report.stop is StopReason.TARGET
     last = ["measure", "search", "guess", "pack", "deliver", "write"]
     assert found.stages[-6:] == last
-    assert 26.0 <= report.judged.psnr <= 26.0 + SPAN
+    assert 26.0 <= report.judged.psnr <= 26.0 + NEAR_DB
     assert report.judged == file_judge(nanogs.load(scene), ".spz").of(out)
     assert report.blocks.blocks > 2
     assert report.asked_psnr == 26.0

@@ -17,7 +17,7 @@ from nanogs.pipeline.options.target import Goal, count_for_size
 from nanogs.pipeline.search.file_size import ENOUGH, search_fit
 from nanogs.pipeline.search.file_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.search.file_size import TOLERANCE as CLOSE
-from nanogs.pipeline.search.psnr import MOST_PROBES, SPAN, STEPS, search_count
+from nanogs.pipeline.search.psnr import MOST_PROBES, NEAR_DB, STEPS, search_count
 from nanogs.report import StopReason
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.scoring.held_out import held_out
@@ -225,7 +225,7 @@ def test_the_result_reaches_the_psnr_and_equals_that_of_its_count(splats, preset
     requested = 24.0
     small, report = nanogs.simplify(splats, psnr=requested, preset=preset, **overrides)
     assert report.stop is StopReason.TARGET
-    assert requested <= report.judged.psnr <= requested + SPAN
+    assert requested <= report.judged.psnr <= requested + NEAR_DB
     assert len(small) == report.asked_count == report.achieved_count < len(splats)
     psnrs = {probe.count: probe.psnr for probe in report.probes if not probe.quick}
     assert psnrs[len(small)] == pytest.approx(report.judged.psnr, abs=1e-9)
@@ -316,7 +316,7 @@ def test_the_search_continues_below_a_jump_of_the_psnr():
     for guess in (100, 1000, 9000):
         found = search_count(psnr_of, 24.55, 1, 100_000, guess)
         assert found.stop is StopReason.TARGET
-        assert 24.55 <= psnr_of(found.count) <= 24.55 + SPAN
+        assert 24.55 <= psnr_of(found.count) <= 24.55 + NEAR_DB
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -333,7 +333,7 @@ def test_a_search_along_a_curve_ends_within_the_span(seed):
     requested = psnr_of(available // 200) + 5
     found = search_count(psnr_of, requested, 1, available, int(available ** rng.uniform(0.2, 1)))
     assert found.stop is StopReason.TARGET
-    assert requested <= psnr_of(found.count) <= requested + SPAN
+    assert requested <= psnr_of(found.count) <= requested + NEAR_DB
     assert len(found.probes) <= 8
 
 

@@ -336,9 +336,9 @@ def _search_size(
 
 def _sample(checked: CheckedModel) -> Splats:
     """Return evenly spread usable splats, all that are encoded to guess the size of files."""
-    from nanogs.pipeline.search.file_size import SAMPLE
+    from nanogs.pipeline.search.file_size import SIZE_SAMPLE
 
-    every = -(-len(checked.rows) // SAMPLE)
+    every = -(-len(checked.rows) // SIZE_SAMPLE)
     return checked.splats.take(checked.rows[::every])
 
 

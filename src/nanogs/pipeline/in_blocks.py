@@ -20,7 +20,7 @@ from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.estimates.block_plan import MemoryLimit, ScalePlan, plan_blocks
 from nanogs.pipeline.job.folder import read_manifest
 from nanogs.pipeline.job.rows import (
-    SPAN,
+    RUN_ROWS,
     count_filtered,
     describe_inputs,
     open_parts,
@@ -231,7 +231,7 @@ def _refuse_small(request: "Request", settings: Settings) -> None:
     if settings.search is None or settings.search.size is None or settings.unpacked:
         return
     with opened(settings) as source:
-        some = source.read(0, min(SPAN, source.count))
+        some = source.read(0, min(RUN_ROWS, source.count))
     if some := some.take(some.finite()):
         with suppress(ModelError):  # a page cannot show these rows, but perhaps others
             request.refuse_small(some)

@@ -82,7 +82,7 @@ from nanogs.views.decimated import AFAR, decimated
 
 UNPACK = "unpack"
 BEGUN = Task("job")  # written by the caller: a worker that cannot read it sees another folder
-SAMPLE, SPAN = 1 << 18, 32  # rows of the original that cameras are placed by, in runs
+VIEW_SAMPLE, SHORT_RUN = 1 << 18, 32  # rows of the original that cameras are placed by, in runs
 
 
 @dataclass(eq=False)
@@ -317,7 +317,7 @@ class Work(Scene):
 
     def sample(self) -> Splats:
         """Read evenly spread splats of the inputs, for placing cameras."""
-        return sample(self.settings, self.unpacked(), rows=SAMPLE, span=SPAN)
+        return sample(self.settings, self.unpacked(), rows=VIEW_SAMPLE, span=SHORT_RUN)
 
     def from_afar(self) -> Splats:
         """Read the coarse level `FINE` of the scene, or evenly spread splats of a single block."""

@@ -21,7 +21,7 @@ from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layou
 from nanogs.source.base import PAGE_ROWS
 from nanogs.splats import RenderMode, Splats, concatenate
 
-SPAN, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # rows of a run; most and fewest runs
+RUN_ROWS, _MOST_RUNS, _LEAST_RUNS = 1024, 256, 16  # rows of a run; most and fewest runs
 _NEAR = 8  # runs are read together if this many times their rows, or fewer, are read with them
 
 
@@ -210,7 +210,7 @@ def sample(
     unpacked: Unpacked | None = None,
     *,
     rows: int | None = None,
-    span: int = SPAN,
+    span: int = RUN_ROWS,
     bare: bool = True,
 ) -> Splats:
     """Read usable rows of all inputs in evenly spread runs.
@@ -228,7 +228,7 @@ def sample(
     """
     parts = []
     layout = settings.layout.bare() if bare else settings.layout
-    rows = rows or min(max(settings.block // SPAN, _LEAST_SPANS), _MOST_SPANS) * SPAN
+    rows = rows or min(max(settings.block // RUN_ROWS, _LEAST_RUNS), _MOST_RUNS) * RUN_ROWS
     every = -(-settings.splats // rows)
     apart = span * every
     # A page takes hardly longer to read than a run.

@@ -15,9 +15,9 @@ from nanogs.pipeline.search.results import Attempts, Results, T
 from nanogs.progress import Stage, Tracker
 from nanogs.report import DrawProbeReport, StopReason
 
-SPAN = 0.02  # relative tolerance below the share asked for
+NEAR_SHARE = 0.02  # relative tolerance below the share asked for
 MOST_PROBES = 16
-PATIENCE = 5  # probes, after which every second one bisects the remaining range
+BISECT_AFTER = 5  # probes, after which every second one bisects the remaining range
 TOLERANCE = 0.005  # counts whose relative difference is at most this: none is tried in between
 POWER = 0.4  # splats per pixel grow as this power of the count; measured scenes: 0.37 to 0.47
 POWERS = 0.2, 1.5  # limits of a measured power: values outside are due to noise
@@ -49,10 +49,10 @@ def search_share(
     *,
     quick: bool = False,
 ) -> Found:
-    """Search for a count whose share is between `(1 - SPAN) * asked` and `asked`.
+    """Search for a count whose share is between `(1 - NEAR_SHARE) * asked` and `asked`.
 
     Apart from noise, the share grows with the count, nearly as a straight line in log-log scale.
-    The search follows that line; after `PATIENCE` probes every second step bisects instead.
+    The search follows that line; after `BISECT_AFTER` probes every second step bisects instead.
 
     Args:
         share_of: Measures the draw cost of the result of a count, as a share of the original's.
@@ -61,7 +61,7 @@ def search_share(
         available: Number of splats of the whole model, whose share is 1.
         guess: Count to begin with.
         power: Exponent with which the share grows with the count, if known.
-        quick: Mark the probes as quick, and accept a share within `SPAN` on either side.
+        quick: Mark the probes as quick, and accept a share within `NEAR_SHARE` on either side.
 
     Raises:
         TooSmallError: Even the fewest splats cost more.
@@ -77,7 +77,7 @@ def search_share(
             fits = probe
         else:
             over = probe
-        near = asked * (1 - SPAN) <= probe.share <= asked * (1 + SPAN * quick)
+        near = asked * (1 - NEAR_SHARE) <= probe.share <= asked * (1 + NEAR_SHARE * quick)
         if near:
             return Found(count, tuple(probes), StopReason.TARGET)
         if fits and (stop := _ending(fits, over, len(probes))):
@@ -110,10 +110,10 @@ def _next(
     tried: int,
 ) -> int:
     """Return the next count: on the log-log line, or later, every second time, by bisection."""
-    aim = asked * (1 - SPAN / 2)
+    aim = asked * (1 - NEAR_SHARE / 2)
     if fits is None and tried >= MOST_PROBES:
         return 0  # the caller clamps it to `fewest`, which shows whether any count fits
-    if fits and tried >= PATIENCE and tried % 2:
+    if fits and tried >= BISECT_AFTER and tried % 2:
         return round(math.sqrt(fits.count * over.count))
     if latest.share <= 0:
         return 2 * latest.count

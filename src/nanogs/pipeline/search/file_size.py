@@ -20,7 +20,7 @@ AIM = 0.993  # share that a probe aims at, so that it is seldom slightly too lar
 ENOUGH = 0.98  # share at which a file that fits ends the search
 TOLERANCE = 0.01  # the search also ends if a count larger by this share is too large
 MOST_PROBES = 12
-SAMPLE = 8192  # splats of the input that are written for the first guess
+SIZE_SAMPLE = 8192  # splats of the input that are written for the first guess
 HOPELESS = 0.5  # share of the size of a one-splat file; anything smaller is refused at once
 # After a count that is too large, the next is at most this share of it: at first, later on.
 _STEPS = 0.995, 0.97
@@ -213,14 +213,14 @@ def guess_count(sample: Splats, available: int, size: int, encode: Encode, aroun
     """Estimate the count to begin with, from the file size of a sample of the model's splats.
 
     Args:
-        sample: Some of the usable splats, spread over the model; at most `SAMPLE` are encoded.
+        sample: Some of the usable splats, spread over the model; at most `SIZE_SAMPLE` are encoded.
         available: Number of usable splats.
         size: Largest allowed size of the file in bytes.
         encode: Encodes a model and returns the bytes of the file.
         around: Fixed overhead in bytes of every file of the format.
     """
     least = _least(sample, encode)
-    rows = np.arange(0, len(sample), -(-len(sample) // SAMPLE))
+    rows = np.arange(0, len(sample), -(-len(sample) // SIZE_SAMPLE))
     each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
     count = 1 + int((target_bytes(size, AIM, around) - least) / each) if each > 0 else available
     return min(max(count, 1), available)

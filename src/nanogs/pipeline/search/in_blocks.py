@@ -19,12 +19,12 @@ from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.options.size import SizeRequest
 from nanogs.pipeline.run import Done, Run
 from nanogs.pipeline.search.draw_cost import search_draw_cost
-from nanogs.pipeline.search.file_size import SAMPLE, WHOLE_FITS
+from nanogs.pipeline.search.file_size import SIZE_SAMPLE, WHOLE_FITS
 from nanogs.pipeline.search.filled import fill_size
 from nanogs.pipeline.search.job_results import JobResults, Result
 from nanogs.pipeline.search.packer import Packer, PackingForPsnr
 from nanogs.pipeline.search.psnr import reach_psnr
-from nanogs.pipeline.work import SPAN, Work
+from nanogs.pipeline.work import SHORT_RUN, Work
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport, StopReason
 from nanogs.scoring.draw_views import draw_views
@@ -200,7 +200,7 @@ class Search:
 
 
 def _sample(work: Work) -> Splats:
-    return sample(work.settings, work.unpacked(), rows=SAMPLE, span=SPAN, bare=False)
+    return sample(work.settings, work.unpacked(), rows=SIZE_SAMPLE, span=SHORT_RUN, bare=False)
 
 
 def turned_back(source: Source, result: Result) -> Source:

@@ -1,7 +1,7 @@
 """Search for the smallest count that reaches a PSNR, as `nanogs compare` measures it.
 
 Two searches of one kind: quick results, plain cuts of the forest, lead near the count; then results
-are made and measured as they are delivered, until one is within `SPAN` above the PSNR asked for.
+are made and measured as they are delivered, until one is within `NEAR_DB` above the PSNR asked for.
 """
 
 import math
@@ -14,14 +14,14 @@ from nanogs.progress import Stage, Tracker
 from nanogs.protocol import VIEWS
 from nanogs.report import ProbeReport, StopReason
 
-SPAN = 0.3  # dB above what is asked within which a result is near enough
+NEAR_DB = 0.3  # dB above what is asked within which a result is near enough
 MOST_PROBES = 24
 GUESS = 0.1  # share of the splats in the first probe
 # Counts that differ by at most this share are neighbours; also the share of splats to be saved.
 TOLERANCE = 0.01
 STEPS = 6  # number of counts tried below a step of the PSNR
 STRIDE = 0.05  # distance between these, as a share of the count of the step
-PATIENCE = 6  # number of probes after which every second one halves the range that is left
+BISECT_AFTER = 6  # number of probes after which every second one halves the range that is left
 USUAL_SLOPE = 3.0  # dB for e times the splats; trained scenes: 2 to 5
 SLOPES = 1.0, 10.0  # dB, limits of a measured slope: beyond them, small unevennesses mislead
 LEAP = 3.0  # largest change of the log of the count at once, while one side is unknown
@@ -55,7 +55,7 @@ def search_count(
     *,
     quick: bool = False,
 ) -> Found:
-    """Search for a count whose PSNR is at least `asked` and at most `SPAN` above it.
+    """Search for a count whose PSNR is at least `asked` and at most `NEAR_DB` above it.
 
     PSNR grows with the count but for small unevennesses, and nearly linearly in its logarithm. The
     search extrapolates along that line until one count misses and one reaches `asked`, then
@@ -71,7 +71,7 @@ def search_count(
         available: Splats of the whole model.
         guess: Count to begin with.
         slope: dB for e times the splats, if it is known.
-        quick: Mark the probes so, and end within `SPAN` on either side.
+        quick: Mark the probes so, and end within `NEAR_DB` on either side.
     """
     probes: list[ProbeReport] = []
     misses: _Probe = None
@@ -85,7 +85,7 @@ def search_count(
             misses = probe
         else:
             reaches = probe
-        if quick and abs(probe.psnr - asked) <= SPAN:
+        if quick and abs(probe.psnr - asked) <= NEAR_DB:
             return Found(count, tuple(probes), StopReason.TARGET)
         if stop := _ending(misses, reaches, asked, fewest, most, len(probes)):
             found = Found(reaches.count if reaches else available, tuple(probes), stop)
@@ -117,7 +117,7 @@ def _below_step(
         found = replace(found, probes=(*found.probes, probe))
         if probe.psnr >= asked:
             found = replace(found, count=count)
-        if asked <= probe.psnr <= asked + SPAN:
+        if asked <= probe.psnr <= asked + NEAR_DB:
             return replace(found, stop=StopReason.TARGET)
     return found
 
@@ -125,14 +125,14 @@ def _below_step(
 def _is_step(misses: ProbeReport, reaches: ProbeReport, asked: float) -> bool:
     """Whether the PSNR rises over the whole span between neighbouring counts."""
     near = reaches.count <= max((1 + TOLERANCE) * misses.count, misses.count + 1)
-    return near and reaches.psnr > asked + SPAN
+    return near and reaches.psnr > asked + NEAR_DB
 
 
 def _ending(
     misses: _Probe, reaches: _Probe, asked: float, fewest: int, most: int, tried: int
 ) -> StopReason | None:
     """Return why the search ends, or None if it continues."""
-    if reaches and reaches.psnr <= asked + SPAN:
+    if reaches and reaches.psnr <= asked + NEAR_DB:
         return StopReason.TARGET
     if reaches and (reaches.count == fewest or (misses and _is_step(misses, reaches, asked))):
         return StopReason.STEP
@@ -146,12 +146,12 @@ def _ending(
 def _between(misses: ProbeReport, reaches: ProbeReport, asked: float, tried: int) -> int:
     """Return a count between two, interpolated in the logarithm.
 
-    From `PATIENCE` probes on, every second count is halfway.
+    From `BISECT_AFTER` probes on, every second count is halfway.
     """
     low, high = math.log(misses.count), math.log(reaches.count)
     share = 0.5
-    if math.isfinite(reaches.psnr) and (tried < PATIENCE or tried % 2):
-        share = (asked + SPAN / 2 - misses.psnr) / (reaches.psnr - misses.psnr)
+    if math.isfinite(reaches.psnr) and (tried < BISECT_AFTER or tried % 2):
+        share = (asked + NEAR_DB / 2 - misses.psnr) / (reaches.psnr - misses.psnr)
     return round(math.exp(low + share * (high - low)))
 
 
@@ -160,7 +160,7 @@ def _beyond(probes: list[ProbeReport], asked: float, most: int, slope: float | N
     latest = probes[-1]
     if len(probes) > 1 or slope is None:
         slope = _slope(probes)
-    lack = asked + SPAN / 2 - latest.psnr
+    lack = asked + NEAR_DB / 2 - latest.psnr
     step = min(max(lack / slope, -LEAP), LEAP)
     count = round(latest.count * math.exp(step))
     if step > 0 and count > FAR * most:
