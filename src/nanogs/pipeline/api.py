@@ -75,15 +75,18 @@ def simplify(
             report.
         psnr: PSNR in dB that the result must reach as `nanogs compare` measures it at its defaults,
             on held-out views. The count is searched for; the result, as read back from a file of
-            the format, reaches this PSNR and exceeds it by at most 0.3 dB.
+            the format, reaches this PSNR and exceeds it by at most 0.3 dB. Where the size of a file
+            is only known by writing it, the degree of the harmonics and the size of the palette are
+            chosen as for `size`, for the smallest file.
         draw_cost: Highest allowed cost of drawing the result, as a share of the model's own splats
             per pixel (see `draw_cost`), on the views of `compare` at its defaults: the largest
-            count that stays within it is searched for, until the cost is at most 2 % below it.
+            count that stays within it is searched for, until the cost is at most 2 % below it, or
+            half a per cent more splats exceed it.
         format: Suffix of the file that `size`, `psnr` and `draw_cost` refer to.
         format_options: Options that the file will be saved with, as `save` takes them.
         preset: Name of a preset.
         sh_degree: Degree of the result's spherical harmonics, which are fitted for it; by default
-            the model's, or the best-looking one if `size` is searched for and the preset renders.
+            the model's, unless `size` or `psnr` chooses it.
         frame: Source and target frame to turn the result from and to, such as ("rdf", "rub"); a
             size and a PSNR are those of the turned file.
         cameras: Views that matter, for presets that render: "auto", "orbit", "inside", "roam", a

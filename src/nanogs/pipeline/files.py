@@ -116,7 +116,7 @@ def simplify_blocks(
         filters: Filters that leave out splats first, such as `[nanogs.filters.box(low, high)]`; the
             inputs are read once more for them. In blocks, one that needs the whole model is
             refused.
-        sh_degree: The highest degree of spherical harmonics that is kept; all by default.
+        sh_degree: As `simplify` takes it.
         frame: Source and target frame to turn the result from and to, such as ("rdf", "rub").
         render_mode: "default" or "mip" in place of the render mode that the inputs name; see
             `nanogs.open`.
