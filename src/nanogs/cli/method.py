@@ -113,7 +113,7 @@ class Method(options.Reporting):
     ] = False
     overrides: Annotated[dict[str, Any], PARAMETERS]
     cameras: options.Cameras = "auto"
-    up: options.Up = None
+    up: options.FitUp = None
     edits: file_options.Edits
     blocks: Blocks
 

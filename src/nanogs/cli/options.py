@@ -151,14 +151,22 @@ Kinds = Annotated[
         metavar="CAMERAS",
     ),
 ]
-Up = Annotated[
+
+
+def _up(usual: str) -> Any:  # noqa: ANN401 - as typer has it
+    about = f"Up direction of automatic views: x,y,z; by default {usual}."
+    return _view(about, "--up", parser=parse_direction, metavar="X,Y,Z")
+
+
+Up = Annotated[Direction | None, _up("away from the ground, or 0,-1,0")]
+FitUp = Annotated[
     Direction | None,
-    _view(
-        "Up direction of automatic views: x,y,z; by default away from the ground, or 0,-1,0.",
-        parser=parse_direction,
-        metavar="X,Y,Z",
+    _up(
+        "found from the model; if nothing is clear, cameras stand all around it, or with orbit and"
+        " inside 0,-1,0 is up"
     ),
 ]
+"""The up direction of views to learn from."""
 
 
 def _background(usual: str) -> Any:  # noqa: ANN401 - as typer has it

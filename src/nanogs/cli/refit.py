@@ -48,7 +48,7 @@ def refit(
         Path, typer.Argument(metavar="OUT", parser=options.parse_output, help="File to write.")
     ],
     cameras: options.Cameras = "auto",
-    up: options.Up = None,
+    up: options.FitUp = None,
     given: Annotated[dict[str, Any], _PARAMETERS],
     render_mode: options.AsMode = None,
     device: options.Device = "cpu",
