@@ -27,7 +27,10 @@ class ViewerHook(BuildHookInterface):
         """Make the bundle; any failure ends the build and says why."""
         del version
         if _unwanted():
-            self.app.display_warning("NANOGS_NO_VIEWER is set: built without `nanogs view`")
+            self.app.display_warning(
+                "NANOGS_NO_VIEWER is set: built without `nanogs view`, `nanogs studio` and .html"
+                " files"
+            )
             return
         bundle = _bundle(self.root)
         bundle.build()

@@ -108,7 +108,7 @@ def test_a_build_fails_with_a_message_if_npm_fails(sources, tmp_path):
 def test_a_build_without_the_viewer_must_be_requested(sources):
     result = build(sources, "wheel", NANOGS_NO_VIEWER="1")
     assert result.returncode == 0, result.stderr
-    assert "without `nanogs view`" in result.stdout + result.stderr
+    assert "without `nanogs view`, `nanogs studio` and .html" in result.stdout + result.stderr
     [wheel] = (sources / "dist").glob("*.whl")
     assert BUNDLE not in zipfile.ZipFile(wheel).namelist()
 
