@@ -1,4 +1,4 @@
-"""What each format keeps and loses, asked of the registry and measured on the demo scene."""
+"""What each format keeps and loses, asked of the registry and measured on the generated scene."""
 
 import tempfile
 from dataclasses import dataclass, replace

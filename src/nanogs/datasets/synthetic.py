@@ -19,7 +19,7 @@ TO_Y_DOWN = np.array([1.0, -1.0, -1.0])
 
 
 def make_scene(count: int = 200_000, *, sh_degree: int = 3, seed: int = 0) -> Splats:
-    """Generate the demo scene: still life on tiles under a sky, y-down (up is 0, -1, 0).
+    """Generate a scene: a still life on tiles under a sky, y-down (up is 0, -1, 0).
 
     The same arguments give the same splats, byte for byte, on one machine.
 
