@@ -75,7 +75,7 @@ lint: $(STAMP) ## check style and formatting
 types: $(STAMP) ## check types
 	$(BIN)/mypy
 
-check: lint types test stories ## everything CI checks
+check: lint types test stories ## check style and types, and run all tests
 
 $(ORACLES_STAMP): $(STAMP) tests/npm/package-lock.json
 	$(UV) pip install --quiet --python $(VENV) --editable '.[dev,oracles]'
