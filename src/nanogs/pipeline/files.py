@@ -112,7 +112,7 @@ def simplify_blocks(
             the job folder.
         resume: Continue the job in that folder, or begin it if there is none.
         overwrite: Replace the output if it exists.
-        nan: "drop" splats that hold a NaN or an infinite value, or raise an "error".
+        nan: As `simplify` takes it.
         filters: Filters that leave out splats first, such as `[nanogs.filters.box(low, high)]`; the
             inputs are read once more for them. In blocks, one that needs the whole model is
             refused.
