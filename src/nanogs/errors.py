@@ -56,7 +56,7 @@ class TooManyError(OptionError):
 
 
 class TooSmallError(OptionError):
-    """No result of this model fits into the requested file size."""
+    """No result of this model is as small as the file size or the draw cost that was asked for."""
 
 
 class CrowdedError(OptionError):
