@@ -90,8 +90,9 @@ def bench(
         list[str] | None,
         typer.Option(
             metavar="NAME=PATTERN",
-            help="Files made by another tool; {scene}, {model} (its file) and {ratio}, or {size}"
-            " (like 0.5MB) and {format}, are replaced in PATTERN.",
+            help="Files made by another tool; {scene} (its name), {model} (the model's file name up"
+            " to the first dot) and {ratio}, or {size} (like 0.5MB) and {format}, are replaced in"
+            " PATTERN.",
         ),
     ] = None,
     ablations: Annotated[
