@@ -2,8 +2,10 @@
 
 import dataclasses
 import math
+import re
 import shlex
 from contextlib import suppress
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +18,9 @@ from builders import random_splats
 from launch import run_here
 from nanogs.errors import OptionError
 from nanogs.frames import change_between
+from nanogs.pipeline.options.presets import FORESTS
 from nanogs.studio import turning
-from nanogs.studio.choice import PRESETS, UPS, choice_of
+from nanogs.studio.choice import UPS, choice_of
 from nanogs.studio.orders import LAYOUTS, SaveRequest, refuse_unfit, shown_path
 from nanogs.studio.scene import StudioSettings, scene_of
 
@@ -41,7 +44,7 @@ FILTERS = st.fixed_dictionaries(
 CHOICES = st.fixed_dictionaries(
     {"wish": WISHES}, optional={
         "format": st.sampled_from(FORMATS),
-        "preset": st.sampled_from(PRESETS),
+        "preset": st.sampled_from(FORESTS),
         "sh_degree": st.none() | st.integers(0, 4),
         "filters": st.none() | FILTERS,
         "render_mode": st.sampled_from([None, "default", "mip"]),
@@ -160,6 +163,12 @@ def monkeypatch_module():
 def test_invalid_choices_are_refused(data, message):
     with pytest.raises(OptionError, match=message):
         choice_of(data)
+
+
+def test_the_page_describes_the_presets_that_are_offered():
+    script = files("nanogs.studio").joinpath("static", "method.js").read_text("utf-8")
+    [described] = re.findall(r"^const PRESETS = \{$(.*?)^\};$", script, re.MULTILINE | re.DOTALL)
+    assert re.findall(r"^  (\w+): \"\w", described, re.MULTILINE) == list(FORESTS)
 
 
 @pytest.mark.parametrize(

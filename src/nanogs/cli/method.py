@@ -17,6 +17,7 @@ from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.cameras import refuse_unused_views
 from nanogs.pipeline.options.presets import (
     DEFAULT_PRESET,
+    FORESTS,
     PRESETS,
     SUMMARIES,
     Parameters,
@@ -25,7 +26,7 @@ from nanogs.pipeline.options.presets import (
 from nanogs.ranges import known_parameters
 
 _ALL = "Parameters of every preset (each replaces the preset's value)"
-_FOREST = "Parameters of the presets default, fast and best"
+_FOREST = f"Parameters of the presets {', '.join(FORESTS)}"
 _PAPER = "Parameters of the preset paper"
 
 

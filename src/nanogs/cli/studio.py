@@ -8,6 +8,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, FORESTS
 
 
 @with_options
@@ -38,8 +39,8 @@ def studio(
     ] = 60.0,
     preset: Annotated[
         str,
-        typer.Option(help="Preset to start with: fast, default or best.", metavar="NAME"),
-    ] = "default",
+        typer.Option(help=f"Preset to start with: {', '.join(FORESTS)}.", metavar="NAME"),
+    ] = DEFAULT_PRESET,
     up: options.Up = None,
     render_mode: options.AsMode = None,
     device: options.Device = "cpu",

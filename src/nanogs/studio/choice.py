@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nanogs.errors import OptionError, did_you_mean
+from nanogs.pipeline.options.presets import FORESTS
 from nanogs.pipeline.options.target import Goal
 
-PRESETS = ("fast", "default", "best")  # these grow a forest, so that any count is made quickly
 UPS = ("+x", "-x", "+y", "-y", "+z", "-z")
 MODES = ("default", "mip")
 _WISHES = {"splats": "count", "bytes": "size", "psnr": "psnr"}  # JSON name: field of `Goal`
@@ -36,7 +36,7 @@ class Choice:
     Attributes:
         goal: Number of splats, bytes or PSNR.
         format: Suffix of the file, or of a layout of levels.
-        preset: One of `PRESETS`.
+        preset: One of `FORESTS`.
         sh_degree: Highest degree of harmonics, or None for all.
         filters: Filters that remove splats first.
         render_mode: Render mode of the model, or None for the one that its file states.
@@ -67,7 +67,7 @@ def choice_of(data: object) -> Choice:
     return Choice(
         goal=_goal(given.get("wish")),
         format=_text(given, "format", None, ".ply"),
-        preset=_text(given, "preset", PRESETS, "default"),
+        preset=_text(given, "preset", FORESTS, "default"),
         sh_degree=_degree(given.get("sh_degree")),
         filters=_sifting(given.get("filters")),
         render_mode=_text(given, "render_mode", MODES, "") or None,

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from nanogs.io import registry
+from nanogs.pipeline.options.presets import FORESTS
 from nanogs.splats import Splats
-from nanogs.studio.choice import PRESETS
 from nanogs.studio.orders import LAYOUTS
 from nanogs.studio.scene import Scene, StudioSettings
 from nanogs.studio.showing import MOST_SHOWN, Shown, few, show
@@ -36,7 +36,7 @@ def opened(
         "sh_degree": whole.sh_degree, "file_bytes": scene.file_bytes,
         "render_mode": scene.render_mode, "up": scene.up or up_of(start.up.tolist()),
         "can_turn": not scene.states_frame, "available": int(whole.finite().sum()),
-        "formats": writable_formats(), "presets": list(PRESETS),
+        "formats": writable_formats(), "presets": list(FORESTS),
         "layouts": [
             {"name": name, "suffix": suffix, "example": example.format(stem=scene.stem)}
             for suffix, (name, example) in LAYOUTS.items()

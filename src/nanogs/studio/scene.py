@@ -10,8 +10,7 @@ from nanogs.io import registry
 from nanogs.io.url_files import refuse_address
 from nanogs.memory import LIBRARIES, allowed_memory
 from nanogs.pipeline.estimates.memory import plan_memory
-from nanogs.pipeline.options.presets import DEFAULT_PRESET, PRESETS
-from nanogs.studio.choice import PRESETS as OFFERED
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, FORESTS, PRESETS
 from nanogs.studio.turning import stated_up, states_frame
 
 
@@ -65,9 +64,9 @@ class StudioSettings:
 
     def __post_init__(self) -> None:
         """Raise for a preset that cannot make any count quickly, because it grows no forest."""
-        if self.preset not in OFFERED:
+        if self.preset not in FORESTS:
             raise OptionError(
-                f"The studio has the presets {', '.join(OFFERED)}, not {self.preset!r}; choose one"
+                f"The studio has the presets {', '.join(FORESTS)}, not {self.preset!r}; choose one"
                 " of these."
             )
 

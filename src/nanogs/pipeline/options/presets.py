@@ -41,6 +41,13 @@ SUMMARIES: Mapping[str, str] = {
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
+FORESTS: tuple[str, ...] = tuple(
+    name
+    for _, name in sorted(
+        (own.steps, name) for name, own in PRESETS.items() if isinstance(own, ForestParameters)
+    )
+)
+"""Presets that grow a merge forest, so that any count is made quickly; the shortest fit first."""
 
 
 def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
