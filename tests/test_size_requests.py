@@ -12,6 +12,9 @@ from builders import random_splats
 from launch import run
 from nanogs.errors import CrowdedError, TooSmallError, UnstorableError
 from nanogs.io import registry
+from nanogs.pipeline.files import limit_degree
+from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.request import Request as FileRequest
 from nanogs.pipeline.search.file_size import MOST_PROBES, search_fit
 from nanogs.views.opening import opening_for
 from random_requests import FEW_VIEWS, Request, random_request, run_and_check
@@ -88,6 +91,23 @@ def test_harmonics_are_dropped_if_nothing_fits_otherwise(tmp_path, suffix, block
     report = nanogs.simplify_blocks(source, out, size=size, block=block, **FEW_VIEWS)
     assert out.stat().st_size == report.achieved_size <= size
     assert any("above degree 0 are left out" in note for note in report.notes)
+
+
+@pytest.mark.parametrize(
+    ("goal", "suffix", "degree"),
+    [
+        ({"size": 900}, ".glb", None),
+        ({"size": 900}, ".sog", None),
+        ({"psnr": 30}, ".sog", None),
+        ({"psnr": 30}, ".glb", 3),
+        ({"size": 900}, ".splat", 0),
+        ({"ratio": 0.1}, ".sog", 3),
+    ],
+)
+def test_only_a_search_that_chooses_the_degree_is_not_limited_before(goal, suffix, degree):
+    request = FileRequest(goal=Goal(**goal), output=Path(f"a{suffix}"))
+    limited, notes = limit_degree(request, 4, request.output)
+    assert (limited.sh_degree, len(notes)) == (degree, 1)
 
 
 @pytest.mark.parametrize("block", [None, 24])
