@@ -699,6 +699,10 @@ def test_an_up_direction_beside_given_cameras_is_refused(pair, files, tmp_path):
         lambda: list(nanogs.levels(model, [0.5], **given)),
         lambda: nanogs.grow(model, **given),
         lambda: nanogs.simplify_blocks(files[0], out, count=9, block=20, **given),
+        lambda: nanogs.render(model, **given),
+        lambda: nanogs.draw_cost(model, **given),
+        lambda: nanogs.mode_evidence(model, **given),
+        lambda: nanogs.compare(model, model, **given),
     ):
         with pytest.raises(OptionError, match="`up` cannot be combined with given cameras"):
             call()

@@ -126,16 +126,25 @@ def view_count(views: int) -> int:
     return int(views)
 
 
-def known_cameras(cameras: Cameras) -> str | list[Camera]:
+def known_cameras(cameras: Cameras, up: Sequence[float] | None = None) -> str | list[Camera]:
     """Return the name of a kind of automatic cameras, or the cameras given or in a file.
 
     Raises:
-        NanogsError: There is no such file, it cannot be read, or they are no cameras.
+        NanogsError: There is no such file, it cannot be read, they are no cameras, or `up`, which
+            is for automatic ones, is given beside them.
     """
     if not isinstance(cameras, str | PathLike):
-        return given_cameras(cameras)
-    source = os.fspath(cameras)
-    return source if source in FOUND else cameras_from(source)
+        found = given_cameras(cameras)
+    elif (source := os.fspath(cameras)) in FOUND:
+        return source
+    else:
+        found = cameras_from(source)
+    if up is not None:
+        raise OptionError(
+            "`up` cannot be combined with given cameras, which are views of their own; leave one of"
+            " them out."
+        )
+    return found
 
 
 def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nanogs.errors import OptionError
 from nanogs.pipeline.options.cameras import AUTO
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens
@@ -58,14 +57,9 @@ def requested_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Re
         return RequestedViews(up=direction)
     from nanogs.views.cameras import known_cameras
 
-    found = known_cameras(cameras)
+    found = known_cameras(cameras, up)
     if isinstance(found, str):
         return RequestedViews(found, direction)
-    if direction is not None:
-        raise OptionError(
-            "`up` cannot be combined with given cameras, which are views of their own; leave one of"
-            " them out."
-        )
     return RequestedViews(cameras=tuple(json.dumps(plain_camera(camera)) for camera in found))
 
 
