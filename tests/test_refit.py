@@ -18,7 +18,15 @@ from nanogs.fit.descent import Descent
 from nanogs.fit.groups import ViewGroup, grouped, hold_out, split
 from nanogs.fit.report import RefitStop
 from nanogs.fit.shared import PaletteSize, fit_shared
-from nanogs.fit.state import MeanState, activate, range_notes, start, store
+from nanogs.fit.state import (
+    LOWEST_LOG_SCALE,
+    MeanState,
+    activate,
+    displacements_of,
+    range_notes,
+    start,
+    store,
+)
 from nanogs.fit.targets import (
     ALPHA,
     WHITE,
@@ -512,7 +520,7 @@ def test_nonfinite_and_transparent_rows_keep_their_bytes():
     assert fitted.take(np.arange(2, len(small))).finite().all()
 
 
-@pytest.mark.parametrize("log_scale", [20.0, 40.0, 80.0])
+@pytest.mark.parametrize("log_scale", [20.0, 40.0, 80.0, 88.7])
 def test_extremely_long_splats_stay_finite(log_scale):
     """A splat whose step overflows is not drawn any more, which must not count as a gain."""
     original, small = cloud_pair()
@@ -534,6 +542,17 @@ def test_splats_whose_parameters_overflow_keep_their_bytes():
     stored, two = store(state, small), np.arange(2)
     assert model_bytes(stored.take(two)) == model_bytes(small.take(two))
     np.testing.assert_allclose(stored.means[2:], small.means[2:] + 1, atol=1e-6)
+
+
+def test_a_splat_whose_scale_overflows_keeps_its_bytes():
+    """The log-scale alone could be stored, but the splat would not be drawn."""
+    _, small = cloud_pair()
+    state = start(small)
+    state.touched[0] = True
+    state.log_scales[0, 1] = 89
+    assert len(range_notes(state)) == 1
+    stored = store(state, small)
+    assert model_bytes(stored) == model_bytes(small)
 
 
 def test_the_model_with_a_palette_is_validated_as_it_is_delivered():
@@ -575,6 +594,22 @@ def test_infinite_opacity_logits_can_become_finite():
     fitted, report = refit(original, opaque, parameters=QUICK)
     assert report.improved
     assert np.isfinite(fitted.opacity_logits).mean() > 0.9
+
+
+def test_splats_with_a_scale_of_zero_are_fitted_like_the_thinnest_ones():
+    original, small = cloud_pair()
+    models = []
+    for least in (-np.inf, LOWEST_LOG_SCALE):
+        flat = dataclasses.replace(small, log_scales=small.log_scales.copy())
+        flat.log_scales[:, 2] = least
+        state = start(flat)
+        state.touched[:] = True
+        assert not displacements_of(state, flat).any()
+        fitted, report = refit(original, flat, parameters=QUICK)
+        assert report.improved
+        assert report.notes == ()
+        models.append(fitted)
+    assert model_bytes(models[0]) == model_bytes(models[1])
 
 
 def test_opacity_is_fitted_for_black_splats_on_black():

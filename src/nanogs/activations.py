@@ -8,6 +8,10 @@ from nanogs._types import F32, F64, U8, F
 
 SH_C0 = 0.28209479177387814  # the spherical harmonic of degree 0; as in `kernels/harmonics.py`
 
+# Limits within which stored logarithms and logits stay finite.
+LEAST_SCALE = float(np.finfo(np.float32).tiny)
+LEAST_ALPHA = float(np.finfo(np.float32).tiny)
+
 Floats = TypeVar("Floats", F32, F64)
 
 

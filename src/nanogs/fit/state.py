@@ -1,15 +1,17 @@
 """The parameters that a refit optimises, and their conversion from and to a model."""
 
+import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from nanogs._types import F32, F64, Array, Bool
-from nanogs.activations import alphas, rotations
+from nanogs.activations import LEAST_SCALE, alphas, rotations
 from nanogs.findings import Finding
 from nanogs.kernels.advance import DISPLACEMENT
 from nanogs.kernels.project import MIN_ALPHA, reaches_of
+from nanogs.kernels.symmetric3 import MOST_DEVIATION
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.splats import Splats
 
@@ -18,6 +20,8 @@ from nanogs.splats import Splats
 # drawn, has no gradient and could never come back.
 HIGHEST_LOGIT = 7.0
 LOWEST_LOGIT = -5.0
+# Least log-scale: a scale of 0 is valid, but a step from its logarithm, -inf, would be NaN.
+LOWEST_LOG_SCALE = float(np.log(np.float32(LEAST_SCALE)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +118,7 @@ def start(splats: Splats) -> State:
     """Convert a model to the state that a fit starts from."""
     return State(
         means=splats.means.astype(np.float64),
-        log_scales=splats.log_scales.astype(np.float64),
+        log_scales=np.maximum(splats.log_scales, LOWEST_LOG_SCALE).astype(np.float64),
         quats=splats.unit_quats().astype(np.float64),
         logits=np.minimum(splats.opacity_logits.astype(np.float64), HIGHEST_LOGIT),
         sh=np.ascontiguousarray(splats.sh),
@@ -131,8 +135,9 @@ def displacements_of(state: State, splats: Splats) -> F32:
     displacements = np.zeros((len(splats), DISPLACEMENT), np.float32)
     if not state.touched.any():
         return displacements
+    log_scales = np.maximum(splats.log_scales, LOWEST_LOG_SCALE)
     logits = np.minimum(splats.opacity_logits, np.float32(HIGHEST_LOGIT))
-    begun = splats.means, splats.log_scales, splats.unit_quats(), logits[:, None]
+    begun = splats.means, log_scales, splats.unit_quats(), logits[:, None]
     first = 0
     for now, then in zip(
         (state.means, state.log_scales, state.quats, state.logits[:, None]), begun, strict=True
@@ -201,8 +206,8 @@ def _columns(state: State) -> dict[str, Array]:
 
 
 def _storable(state: State) -> Bool:
-    """Return the (N,) bool mask of the rows whose values are in the range of float32."""
-    rows: Bool = np.ones(len(state.means), np.bool_)
+    """Return the (N,) bool mask of the rows whose values and scales are in the range of float32."""
+    rows: Bool = np.all(state.log_scales <= math.log(MOST_DEVIATION), axis=1)
     for values in _columns(state).values():
         within = np.abs(values) <= np.finfo(np.float32).max
         rows &= within.reshape(len(rows), -1).all(axis=1)

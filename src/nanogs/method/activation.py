@@ -1,4 +1,4 @@
-"""Activation: means, scales and unit quaternions from stored values, and the limits of these."""
+"""Activation: means, scales and unit quaternions from stored values."""
 
 import numpy as np
 
@@ -8,9 +8,6 @@ from nanogs.activations import unit
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats, pick
 
-# Limits within which stored logarithms and logits stay finite.
-LEAST_SCALE = float(np.finfo(np.float32).tiny)
-LEAST_ALPHA = float(np.finfo(np.float32).tiny)
 _SAMPLE = 40_000  # most centres that the median is taken of
 
 

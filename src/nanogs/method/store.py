@@ -7,8 +7,8 @@ import numpy as np
 
 from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Array, Bool
+from nanogs.activations import LEAST_ALPHA, LEAST_SCALE
 from nanogs.kernels.nodes import principal_axes
-from nanogs.method.activation import LEAST_ALPHA, LEAST_SCALE
 from nanogs.method.directional import fit_colours
 from nanogs.method.extent import Dilation
 from nanogs.method.growth import (

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool
-from nanogs.activations import alphas
+from nanogs.activations import LEAST_ALPHA, LEAST_SCALE, alphas
 from nanogs.kernels.lazy_features import mean_features
-from nanogs.method.activation import LEAST_ALPHA, LEAST_SCALE, activated
+from nanogs.method.activation import activated
 from nanogs.method.order import morton_order
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
