@@ -75,6 +75,18 @@ def test_finite_splats_give_finite_splats_of_the_exact_count(preset, data):
     assert_finite(small)
 
 
+@pytest.mark.filterwarnings("error")
+def test_growth_keeps_scales_in_the_range_of_float32():
+    """Four opaque splats in one place ask for twice the area of one."""
+    splats = random_splats(1, degree=0).take(np.zeros(4, np.int64))
+    splats.log_scales[:], splats.opacity_logits[:] = 88.6, 40.0
+    for scales in (88.6, [88.6, 0.0, 88.6]):
+        splats.log_scales[:] = scales
+        small, _ = nanogs.simplify(splats, count=1, preset="fast")
+        assert_finite(small)
+        assert small.log_scales.max() > 88.6
+
+
 @every_preset
 @pytest.mark.parametrize("count", [2, 3, 4, 40])
 @pytest.mark.parametrize("value", [1e30, LARGEST, -LARGEST])

@@ -9,6 +9,7 @@ from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Array, Bool
 from nanogs.activations import LEAST_ALPHA, LEAST_SCALE
 from nanogs.kernels.nodes import principal_axes
+from nanogs.kernels.symmetric3 import MOST_DEVIATION
 from nanogs.method.directional import fit_colours
 from nanogs.method.extent import Dilation
 from nanogs.method.growth import (
@@ -64,8 +65,9 @@ class Groups:
         most = growth + max(MOST_GROWTH - growth, 0.0) * self.covered
         larger = np.maximum(np.clip(self.needed, 1.0, most**2), self.least)
         log_scales = self.model.log_scales.copy()
-        scales = np.maximum(widened(self.scales, larger), np.float32(LEAST_SCALE))
-        log_scales[self.new] = np.log(scales)
+        with np.errstate(over="ignore"):  # clipped below
+            scales = widened(self.scales, larger)
+        log_scales[self.new] = np.log(np.clip(scales, LEAST_SCALE, MOST_DEVIATION))
         return replace(self.model, log_scales=log_scales)
 
 
