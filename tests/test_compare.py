@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import nanogs
 from browsers import CHROMIUM
@@ -535,6 +536,17 @@ def test_pictures_of_one_name_are_refused(tmp_path, overwrite):
             random_splats(20), cameras, tmp_path / "both", depth=True, overwrite=overwrite
         )
     assert [path.name for path in tmp_path.iterdir()] == ["images"]
+
+
+def test_transparent_pictures_do_not_depend_on_the_background(tmp_path):
+    splats = random_splats(20)
+    images = []
+    for background in ((0.0, 0.0, 0.0), (1.0, 0.5, 0.0)):
+        [path], _ = render_images(
+            splats, [camera()], tmp_path, background=background, transparent=True, overwrite=True
+        )
+        images.append(np.array(Image.open(path)))
+    assert np.array_equal(*images)
 
 
 def test_a_model_for_another_rasteriser_is_noted():

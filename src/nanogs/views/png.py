@@ -11,6 +11,7 @@ from nanogs.formatting import counted, notes_on_views, undrawn
 from nanogs.io.atomic import atomic_write, check_writable
 from nanogs.io.folder import atomic_folder
 from nanogs.progress import Progress, Stage, Tracker
+from nanogs.protocol import BLACK
 from nanogs.raster.camera import Camera
 from nanogs.raster.images import color_image, depth_image
 from nanogs.raster.lens import lens_notes
@@ -41,7 +42,7 @@ def render_images(
         cameras: The views; their names become file names.
         target: A folder, created if it is missing (but not its parents); or, for one camera, a
             `.png` file in an existing folder.
-        background: RGB in [0, 1].
+        background: RGB in [0, 1]; not used with `transparent`.
         transparent: Write RGBA with straight alpha and no background.
         depth: Also write `<name>_depth.png`, 16 bits: 65535 is the nearest depth of the view, 1 the
             farthest, 0 nothing.
@@ -66,8 +67,9 @@ def render_images(
             check_writable(folder / name, overwrite=overwrite)
     before = _pictures(target)
     tracker = Tracker(progress, [Stage("render", 1.0)])
+    behind = BLACK if transparent else background  # straight alpha needs a render over black
     shown = renderings(
-        drawable(model, room), cameras, background=background, depth=depth, on_progress=tracker.part
+        drawable(model, room), cameras, background=behind, depth=depth, on_progress=tracker.part
     )
     with _filled(folder) as place:
         notes = _write(shown, files, place, transparent=transparent, overwrite=overwrite)
