@@ -649,6 +649,23 @@ def test_views_that_see_no_splats_are_left_out_and_noted():
     )
 
 
+def test_only_given_cameras_are_said_to_be_in_another_frame():
+    original, small = cloud_pair()
+    cameras = automatic_cameras(original, 4, width=32, height=32)
+    away = np.diag([-1.0, 1, -1, 1])
+    turned = [
+        dataclasses.replace(each, world_to_camera=away @ each.world_to_camera) for each in cameras
+    ]
+    with pytest.raises(ModelError, match=r"another frame than the model: give other cameras, or"):
+        refit(original, small, cameras=turned, parameters=QUICK)
+    few = dataclasses.replace(QUICK, views=100, rounds=1, steps=1)
+    _, report = refit(original, small, cameras=[*cameras, *turned] * 10, parameters=few)
+    assert any("views looked at, so the fit leaves them out" in note for note in report.notes)
+    dots = dataclasses.replace(original, log_scales=original.log_scales - 12, render_mode="mip")
+    with pytest.raises(ModelError, match=r"too faint to be seen: give cameras nearer to it"):
+        refit(dots, small, parameters=QUICK)
+
+
 def test_views_are_grouped_by_size_and_distance():
     original, _ = cloud_pair()
     far = automatic_cameras(original, 10, width=40, height=40)

@@ -39,6 +39,13 @@ def notes_on_views(names: Sequence[str], fact: str) -> list[str]:
     return [f"{', '.join(first)} and {more}: {fact}"]
 
 
+def unseen_cause(*, given: bool) -> str:
+    """Return why views, given by a user or else automatic, may show nothing of a model."""
+    if given:
+        return "the cameras may be in another frame than the model"
+    return "its splats may be too small or too faint to be seen"
+
+
 def undrawn(count: int) -> str:
     """Return the note that `count` splats cannot be drawn by the rasteriser and the viewer."""
     one = "splat with a NaN or infinite value was not drawn"

@@ -8,6 +8,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.fit.groups import ViewGroup, split
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.targets import Fitting, Target, make_target
+from nanogs.formatting import unseen_cause
 from nanogs.progress import PartProgress, each
 from nanogs.raster.camera import Camera, pick_evenly, split_evenly
 from nanogs.raster.rendering import prepare, render
@@ -41,17 +42,20 @@ def view_targets(
     prepared = prepare(original).with_buffers()
     targets = [make_target(prepared, camera) for camera in each(chosen, on_progress)]
     targets = [target for target in targets if target.shows]
+    cause = unseen_cause(given=bool(cameras))
     blind = len(chosen) - len(targets)
     if len(targets) < 2:
+        others = "other cameras, or none to use automatic ones"
         raise ModelError(
-            "The original is visible in fewer than two views; give other cameras, or none to use"
-            " automatic ones."
+            f"The original is visible in fewer than two views; {cause}: give"
+            f" {others if cameras else 'cameras nearer to it, or larger views'}."
         )
     fitting, deciding = split(targets, parameters.validation)
     _refuse_elsewhere(small, [target for group in deciding for target in group.targets])
+    looked = " looked at" if further else ""  # further views are rendered when a step needs them
     unseen = (
-        f"The original is not visible in {blind} of {len(chosen)} views, so the fit leaves them"
-        " out; the cameras may be in another coordinate frame than the model."
+        f"The original is not visible in {blind} of {len(chosen)} views{looked}, so the fit leaves"
+        f" them out; {cause}."
     )
     return Fitting(fitting, prepared, further), deciding, (unseen,) if blind else ()
 

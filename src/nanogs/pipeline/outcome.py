@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs.costs import DrawCost
 from nanogs.fit.report import RefitReport
+from nanogs.formatting import unseen_cause
 from nanogs.protocol import Judged
 from nanogs.report import (
     CandidateReport,
@@ -20,9 +21,6 @@ from nanogs.splats import Splats
 if TYPE_CHECKING:
     from nanogs.pipeline.one_block import OneBlock
     from nanogs.pipeline.scene import Scene
-
-_OTHER_FRAME = "the cameras may be in another frame than the model"
-_TOO_SMALL = "its splats may be too small or too faint to be seen"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,11 +80,10 @@ def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
 
 def _unseen(scene: "Scene", shown: float) -> tuple[str, ...]:
     """Return a note if some or all of the views show nothing of the model."""
-    cause = _OTHER_FRAME if scene.settings.asked.cameras else _TOO_SMALL
     if shown == 0:
         fact = "No view shows the model, so nothing was chosen by how it looks"
     elif blind := scene.blind:
         fact = f"{blind} of the {len(scene.views.kept)} views show nothing of the model"
     else:
         return ()
-    return (f"{fact}; {cause}.",)
+    return (f"{fact}; {unseen_cause(given=bool(scene.settings.asked.cameras))}.",)
