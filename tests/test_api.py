@@ -346,6 +346,8 @@ def test_cameras_may_be_made_of_lists_and_tensors(pair):
         ({"world_to_camera": None}, "must be a .4, 4. array of numbers, not object"),
         ({"world_to_camera": "pose"}, "world_to_camera is the path 'pose', not an array"),
         ({"whole": (1.0, 2.0)}, "whole of camera 'a' must be four numbers"),
+        ({"whole": 5.0}, r"whole of camera 'a' must be four numbers, not 5\.0"),
+        ({"name": 7}, "name of camera 7 must be text, not 7"),
         ({"lens": "OPENCV"}, "lens of camera 'a' must be a nanogs.raster.lens.Lens"),
     ],
 )

@@ -350,7 +350,14 @@ def test_invalid_cameras_are_refused(camera):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("background", (0, 0)), ("background", (0, math.nan, 0)), ("sh_degree", -1)]
+    ("name", "value"),
+    [
+        ("background", (0, 0)),
+        ("background", (0, math.nan, 0)),
+        ("sh_degree", -1),
+        ("sh_degree", 1.5),
+        ("sh_degree", "1"),
+    ],
 )
 def test_invalid_options_are_refused(name, value):
     with pytest.raises(OptionError, match=f"^{name} must be"):

@@ -221,6 +221,8 @@ def test_a_scene_without_suitable_views_is_refused():
         ({"width": 0}, "of 0 x 512"),
         ({"fov": 0.0}, r"field of view .* not 0\.0"),
         ({"fov": float("nan")}, "field of view .* not nan"),
+        ({"count": 2.5}, r"not 2\.5 of 512 x 512"),
+        ({"fov": "60"}, "field of view .* not '60'"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, message):

@@ -1,6 +1,6 @@
 """Pinhole cameras."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -63,9 +63,13 @@ class Camera:
         for name in ("width", "height", "fx", "fy", "cx", "cy", "near"):
             object.__setattr__(self, name, self._number(name, getattr(self, name)))
         object.__setattr__(self, "world_to_camera", self._matrix())
+        if not isinstance(self.name, str):
+            raise self._refusal("name", "text", repr(self.name))
         if not isinstance(self.lens, Lens | None):
             raise self._refusal("lens", "a nanogs.raster.lens.Lens or None", repr(self.lens))
         if self.whole is not None:
+            if not isinstance(self.whole, Iterable):
+                raise self._refusal("whole", "four numbers", repr(self.whole))
             whole = tuple(self._number("whole", value) for value in self.whole)
             if len(whole) != 4:
                 raise self._refusal("whole", "four numbers", str(whole))

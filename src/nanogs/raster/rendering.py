@@ -20,6 +20,7 @@ from nanogs.kernels import listing, raster
 from nanogs.kernels import project as projection
 from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.kernels.radix import sorted_rows
+from nanogs.ranges import is_number
 from nanogs.raster.camera import Camera
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import RenderMode, Splats, padded, refuse_other
@@ -495,9 +496,9 @@ def background_of(background: tuple[float, float, float], *, depth: bool) -> F32
 def _degree(prepared: PreparedSplats, sh_degree: int | None) -> int:
     if sh_degree is None:
         return prepared.sh_degree
-    if sh_degree < 0:
-        raise OptionError(f"sh_degree must be 0 or more, not {sh_degree}.")
-    return min(sh_degree, prepared.sh_degree)
+    if not (is_number(sh_degree, whole=True) and sh_degree >= 0):
+        raise OptionError(f"sh_degree must be a whole number of 0 or more, not {sh_degree!r}.")
+    return min(int(sh_degree), prepared.sh_degree)
 
 
 def check_camera(camera: Camera) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from nanogs._types import F64, I64
 from nanogs.errors import OptionError
+from nanogs.ranges import is_number
 from nanogs.raster.camera import Camera
 from nanogs.source import Source
 from nanogs.splats import Splats, refuse_other
@@ -160,14 +161,17 @@ def check_views(count: int, width: int, height: int, fov: float | None) -> None:
     """Refuse views that cannot be found, whatever the model.
 
     Raises:
-        OptionError: The count, the size or the field of view, degrees, is out of range.
+        OptionError: The count or the size is no whole number, the field of view, degrees, is no
+            number, or one of them is out of range.
     """
-    if count < 1 or width < 1 or height < 1:
+    whole = (is_number(value, whole=True) and value >= 1 for value in (count, width, height))
+    if not all(whole):
         raise OptionError(
-            f"Cameras need a count and a size of 1 or more, not {count} of {width} x {height}."
+            "Cameras need a count and a size of 1 or more, in whole numbers, not"
+            f" {count!r} of {width!r} x {height!r}."
         )
-    if fov is not None and not 1 <= fov <= 170:
-        raise OptionError(f"The field of view must be 1 to 170 degrees, not {fov}.")
+    if fov is not None and not (is_number(fov) and 1 <= fov <= 170):
+        raise OptionError(f"The field of view must be 1 to 170 degrees, not {fov!r}.")
 
 
 def unit_up(up: Sequence[float] | F64) -> F64:
