@@ -129,6 +129,11 @@ class FittedModel:
         """Move a running mean towards the current parameters, by a share of the way."""
         self._model.engine.launch(average, self._count, share, self._moving, mean)
 
+    def coefficients(self) -> F32:
+        """Copy the splats' spherical-harmonic coefficients, (N, K, 3), from the device."""
+        sh: F32 = self._moving.sh.numpy()[: self._count]
+        return sh
+
     def recolour(self, sh: F32) -> None:
         """Replace the splats' spherical-harmonic coefficients, (N, K, 3)."""
         colours = self._model.engine.put(sh)

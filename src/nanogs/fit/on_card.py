@@ -70,7 +70,7 @@ class CardDescent(Descent):
         return CardRunningMean(self._moving)
 
     def _average_shared(self, shared: "SharedHarmonics") -> None:
-        sh = self.state.sh.copy()
+        sh = self._moving.coefficients()
         shared.average(sh)
         self._moving.recolour(sh)
 
