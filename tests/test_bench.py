@@ -17,7 +17,7 @@ from PIL import Image
 
 import launch
 import nanogs
-from builders import random_splats
+from builders import model_bytes, random_splats
 from nanogs.bench import measuring, output, protocol
 from nanogs.bench.baselines import MethodContext
 from nanogs.bench.gsplat import gsplat_fps
@@ -137,6 +137,16 @@ def test_every_ablation_is_a_method():
     assert set(PRESETS) <= set(ABLATIONS)
     for name in ABLATIONS:
         assert callable(find_method(name))
+
+
+def test_the_published_method_takes_the_seed_unless_its_name_states_one():
+    splats, name = random_splats(60), "paper:graph=random"
+    zero, one, stated = (
+        model_bytes(find_method(chosen)(splats, 20, MethodContext(seed=seed)))
+        for chosen, seed in ((name, 0), (name, 1), (f"{name}:seed=0", 1))
+    )
+    assert zero != one
+    assert zero == stated
 
 
 def test_results_are_replaced_only_with_overwrite_and_only_at_the_end(tmp_path):

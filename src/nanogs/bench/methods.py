@@ -4,7 +4,7 @@ A name is that of a baseline, that of a preset, or a preset with parameters: `pa
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from nanogs.errors import OptionError
 from nanogs.pipeline.api import refuse_searches, simplify
 from nanogs.pipeline.options.presets import PRESETS, parameters, renders
 from nanogs.pipeline.options.target import Goal
-from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 
 _SWITCHES = {"true": True, "false": False}
@@ -58,22 +57,29 @@ def find_method(name: str) -> Method:
     """
     if name in BASELINES:
         return BASELINES[name]
-    preset, overrides = find_preset(name)
+    find_preset(name)  # refused before it runs
 
     def run(splats: Splats, count: int, context: MethodContext) -> Splats:
-        views = training_views(preset, overrides, context)
-        small, _ = simplify(splats, count=count, preset=preset, cameras=views, **overrides)
+        small, _ = simplify(splats, count=count, **preset_arguments(name, context))
         return small
 
     return run
 
 
-def training_views(
-    preset: str, overrides: Mapping[str, Any], context: MethodContext
-) -> tuple[Camera, ...] | None:
-    """Return the training photographs' views, or None if there are none or nothing is rendered."""
-    looks = renders(parameters(preset, overrides))
-    return context.cameras if context.trained and looks else None
+def preset_arguments(name: str, context: MethodContext) -> dict[str, Any]:
+    """Return the preset of a method, its views and its parameters, as `simplify` takes them.
+
+    The views are those of training photographs, if there are any and the preset renders; the seed
+    is the context's, if the preset takes one and the name states none.
+
+    Raises:
+        OptionError: As for `find_method`.
+    """
+    preset, overrides = find_preset(name)
+    if hasattr(PRESETS[preset], "seed"):
+        overrides.setdefault("seed", context.seed)
+    looks = context.trained and renders(parameters(preset, overrides))
+    return {"preset": preset, "cameras": context.cameras if looks else None, **overrides}
 
 
 def find_preset(name: str) -> tuple[str, dict[str, Any]]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from nanogs.bench.baselines import Method, MethodContext
-from nanogs.bench.methods import find_method, find_preset, training_views
+from nanogs.bench.methods import find_method, preset_arguments
 from nanogs.cleanup import cleaned_up, starting_processes
 from nanogs.errors import NanogsError
 from nanogs.io import encoded_bytes, load, save
@@ -146,17 +146,16 @@ def _do_sized(job: Job) -> Outcome:
     from nanogs.pipeline.files import simplify_blocks
     from nanogs.threads import use_threads
 
-    preset, overrides = find_preset(job.method)
     context = MethodContext(job.cameras, job.seed, job.trained)
+    arguments = preset_arguments(job.method, context)
     with use_threads(job.threads):
         splats = load(job.model, render_mode=job.render_mode)
         _warm_up(find_method(job.method), splats, context)
         encoded_bytes(splats.take(np.arange(min(_WARM_UP, len(splats)))), job.output)
     del splats
     report = simplify_blocks(
-        job.model, job.output, size=job.size, preset=preset, threads=job.threads, overwrite=True,
-        render_mode=job.render_mode, cameras=training_views(preset, overrides, context),
-        **overrides,
+        job.model, job.output, size=job.size, threads=job.threads, overwrite=True,
+        render_mode=job.render_mode, **arguments,
     )  # fmt: skip
     read = report.seconds.get("read", 0.0)
     made = report.achieved_count
