@@ -46,7 +46,8 @@ class GroupReport:
     Attributes:
         name: Size of the pictures in pixels, and "near" or "far" if distances differ much.
         views: Names of the cameras.
-        psnr_before: Mean PSNR of the input over the views, dB, over black and white backgrounds.
+        psnr_before: Mean PSNR of the input over the views, dB, over black and white backgrounds; a
+            view counts as 57 dB at most, the rounding to 8 bits.
         psnr_after: The same of the result; never below `psnr_before`.
         pixels: Length of the longer sides of these pictures: "512", or "512 to 900".
     """
@@ -69,8 +70,9 @@ class RefitReport:
         fit_views: Names of the cameras fitted to.
         validation_views: Names of the cameras of the validation views.
         groups: The improvement on each group of the validation views.
-        psnr_before: PSNR of the input on the validation views, mean over the groups, dB. If the
-            file will have a palette, the input's splats share harmonics already.
+        psnr_before: PSNR of the input on the validation views, mean over the groups, dB; a view
+            counts as 57 dB at most, the rounding to 8 bits. If the file will have a palette, the
+            input's splats share harmonics already.
         psnr_after: PSNR of the result on these views, dB; never below `psnr_before`.
         improved: False if nothing was changed.
         rounds: The rounds in order.

@@ -14,7 +14,8 @@ def depth_error(depth: F, alpha: F, reference_depth: F, reference_alpha: F) -> f
     A pixel is covered if its alpha is above 0.5; the expected depth of other pixels means little.
 
     Args:
-        depth: (H, W) scene units along the viewing axis, as from `nanogs.render`.
+        depth: (H, W) scene units along the viewing axis, as in the `depth` that
+            `nanogs.raster.rendering.render` returns if it is called with `depth=True`.
         alpha: (H, W) in [0, 1].
         reference_depth: (H, W), positive where covered.
         reference_alpha: (H, W).
