@@ -208,7 +208,8 @@ def screen_jacobian(
     second = _turned(rotation, axes[0, 1], axes[1, 1], axes[2, 1])
     third = _turned(rotation, axes[0, 2], axes[1, 2], axes[2, 2])
     turned = (first, second, third)
-    lengths = (float(scales[0]), float(scales[1]), float(scales[2]))
+    # In float64, whose range holds their squares; `float` would keep float32 here.
+    lengths = (np.float64(scales[0]), np.float64(scales[1]), np.float64(scales[2]))
     flat = (
         _flattened(first, jx, jy, tx, ty, inv_w, slope, inv_h),
         _flattened(second, jx, jy, tx, ty, inv_w, slope, inv_h),
