@@ -549,6 +549,17 @@ def test_transparent_pictures_do_not_depend_on_the_background(tmp_path):
     assert np.array_equal(*images)
 
 
+def test_pictures_need_a_model_and_cameras(tmp_path):
+    splats = random_splats(20)
+    [path], _ = render_images(splats, camera(), str(tmp_path / "a.png"))
+    assert path == str(tmp_path / "a.png")
+    with pytest.raises(OptionError, match=r"must be a nanogs\.Camera, not str"):
+        render_images(splats, "auto", tmp_path / "images")
+    with pytest.raises(ModelError, match=r"not the path 'a\.ply'"):
+        render_images("a.ply", camera(), tmp_path / "images")
+    assert [each.name for each in tmp_path.iterdir()] == ["a.png"]
+
+
 def test_a_model_for_another_rasteriser_is_noted():
     splats = random_splats(50)
     other = replace(splats, render_mode="mip")

@@ -342,6 +342,7 @@ def test_asking_for_depth_and_contributions_changes_no_colour():
         make_camera(near=0.0),
         make_camera(world_to_camera=np.full((4, 4), np.nan)),
         make_camera(world_to_camera=np.eye(3)),
+        [make_camera()],
     ],
 )
 def test_invalid_cameras_are_refused(camera):

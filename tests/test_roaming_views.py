@@ -223,6 +223,7 @@ def test_a_scene_without_suitable_views_is_refused():
         ({"fov": float("nan")}, "field of view .* not nan"),
         ({"count": 2.5}, r"not 2\.5 of 512 x 512"),
         ({"fov": "60"}, "field of view .* not '60'"),
+        ({"split": 1}, "split of views must be a name, not 1"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, message):

@@ -505,8 +505,10 @@ def check_camera(camera: Camera) -> None:
     """Raise an error if a camera cannot be rendered from.
 
     Raises:
-        OptionError: Its size or one of its numbers is invalid.
+        OptionError: It is no camera, or its size or one of its numbers is invalid.
     """
+    if not isinstance(camera, Camera):
+        raise OptionError(f"A camera must be a nanogs.Camera, not {type(camera).__name__}.")
     if not (1 <= camera.width <= projection.LARGEST and 1 <= camera.height <= projection.LARGEST):
         raise OptionError(
             f"a camera needs 1 to {projection.LARGEST:,} pixels along each side, not"

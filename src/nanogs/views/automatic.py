@@ -182,7 +182,7 @@ def unit_up(up: Sequence[float] | F64) -> F64:
     """
     try:
         given = np.array(up, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         given = np.empty(0)  # refused below
     if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
         raise OptionError(f"Up must be three finite numbers, not all zero, not {up!r}.")

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from os import PathLike
 from pathlib import Path
 
 from nanogs._types import Array
@@ -12,12 +13,14 @@ from nanogs.io.atomic import atomic_write, check_writable
 from nanogs.io.folder import atomic_folder
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK
+from nanogs.ranges import one_or_several
 from nanogs.raster.camera import Camera
 from nanogs.raster.images import color_image, depth_image
 from nanogs.raster.lens import lens_notes
 from nanogs.raster.rendering import Rendering
 from nanogs.source import Source
 from nanogs.splats import Splats
+from nanogs.views.cameras import check_cameras
 from nanogs.views.streamed import drawable, renderings
 
 _PHOTO = re.compile(r"\.(png|jpe?g|webp)$", re.IGNORECASE)
@@ -25,8 +28,8 @@ _PHOTO = re.compile(r"\.(png|jpe?g|webp)$", re.IGNORECASE)
 
 def render_images(
     model: Splats | Source,
-    cameras: Sequence[Camera],
-    target: Path,
+    cameras: Camera | Sequence[Camera],
+    target: str | PathLike[str],
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     transparent: bool = False,
@@ -39,7 +42,7 @@ def render_images(
 
     Args:
         model: The model.
-        cameras: The views; their names become file names.
+        cameras: The views, or one view; their names become file names.
         target: A folder, created if it is missing (but not its parents); or, for one camera, a
             `.png` file in an existing folder.
         background: RGB in [0, 1]; not used with `transparent`.
@@ -55,9 +58,13 @@ def render_images(
         The files written, and notes for the user.
 
     Raises:
-        OptionError: Two cameras give one file name, or there are several for one file.
+        ModelError: `model` is no model.
+        OptionError: A view is no camera, or an invalid one; two give one file name, or there are
+            several for one file.
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
+    target, cameras = Path(target), one_or_several(cameras)
+    check_cameras(cameras)
     folder, names, suffix = _places(target, cameras)
     files = [_files(name, suffix, depth=depth) for name in names]
     written = [name for each in files for name in each]

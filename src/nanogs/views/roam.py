@@ -21,7 +21,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.card.device import CPU, use_device
-from nanogs.errors import ModelError
+from nanogs.errors import ModelError, OptionError
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.depths import light_by_depth
@@ -102,7 +102,7 @@ def roaming_cameras(
     *,
     width: int = 512,
     height: int = 512,
-    fov: float = FOV,
+    fov: float | None = None,
     up: Sequence[float] | None = None,
     split: str = "fit",
     device: str | None = CPU,
@@ -118,7 +118,7 @@ def roaming_cameras(
         count: Number of cameras, 1 or more.
         width: Width of the images, in pixels.
         height: Height of the images, in pixels.
-        fov: Field of view along the longer side, in degrees.
+        fov: Field of view along the longer side, in degrees; 60 by default.
         up: (3,) up direction of the images in scene coordinates; by default the model's own (see
             `up_frame.frame_from_model`).
         split: Name that seeds the random numbers: other names give other cameras. "test" is
@@ -135,7 +135,9 @@ def roaming_cameras(
         ModelError: No splat is visible, or no camera was found.
         OptionError: An argument is out of range.
     """
-    test_camera = _test_camera(count, width, height, fov)
+    if not isinstance(split, str):
+        raise OptionError(f"The split of views must be a name, not {split!r}.")
+    test_camera = _test_camera(count, width, height, FOV if fov is None else fov)
     scene = _scene(splats, up)
     with use_device(device):
         known = _begin(scene, splats, up, split)

@@ -74,7 +74,7 @@ def drawable(model: Splats | Source, room: int | None) -> PreparedSplats | Strea
                 ' `device="cpu"`, or allow more memory with `max_memory`.'
             )
         return Streamed(source_of(model), room)
-    return prepare(model if isinstance(model, Splats) else model.load())
+    return prepare(model.load() if isinstance(model, Source) else model)
 
 
 def renderings(
