@@ -180,8 +180,9 @@ def thinnest_axis(scales: F32, means: F64, pixel: float) -> float:
     if pixel > 0:
         return 1e-3 * pixel
     extended = scales[scales > 0]
-    # The median, because a few splats, as of a sky, may be many times as large as all others.
-    typical = float(np.median(extended)) if len(extended) else 0.0
+    # The median, because a few splats, as of a sky, may be many times as large as all others; the
+    # lower of two, because their sum can overflow in float32.
+    typical = float(np.quantile(extended, 0.5, method="lower")) if len(extended) else 0.0
     return 1e-6 * typical or 1e-6 * float(np.ptp(means, axis=0).max()) or 1.0
 
 
