@@ -91,6 +91,18 @@ def test_steps_agree_where_splats_share_their_harmonics():
     assert len(np.unique(state.sh[:, 1:].reshape(len(small), -1), axis=0)) == 7
 
 
+def test_a_restarted_descent_knows_how_well_splats_were_determined():
+    _, small, targets = scene()
+    with use_device(CARD):
+        descent = descent_for(small, Fitting(targets), QUICK)
+        for number in range(3):
+            descent.step(1.0, number / 3)
+        known = descent._moving.determined().copy()
+        descent.begin(descent.state)
+        np.testing.assert_array_equal(descent._moving.determined(), known)
+    assert known.max() > 0.5
+
+
 def test_means_of_states_agree():
     _, small, targets = scene(2)
     views = Fitting(targets)

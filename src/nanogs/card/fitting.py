@@ -9,6 +9,7 @@ import warp as wp
 from nanogs._types import F32, F64, Bool
 from nanogs.card.advancing import FittedSplats, StepConstants, advance_splats, average
 from nanogs.card.engine import Model
+from nanogs.kernels.advance import MOST_DETERMINED
 from nanogs.kernels.chain import PACKED
 
 
@@ -128,6 +129,11 @@ class FittedModel:
     def add_to_mean(self, mean: FittedSplats, share: float) -> None:
         """Move a running mean towards the current parameters, by a share of the way."""
         self._model.engine.launch(average, self._count, share, self._moving, mean)
+
+    def determined(self) -> F32:
+        """Copy the (N,) last column of the displacements from the device."""
+        found: F32 = self._moving.displacements.numpy()[: self._count, MOST_DETERMINED]
+        return found
 
     def coefficients(self) -> F32:
         """Copy the splats' spherical-harmonic coefficients, (N, K, 3), from the device."""

@@ -23,7 +23,7 @@ from nanogs.fit.state import (
     start,
 )
 from nanogs.fit.targets import Fitting, Target, compute_gradients
-from nanogs.kernels.advance import advance_splats
+from nanogs.kernels.advance import DISPLACEMENT, MOST_DETERMINED, advance_splats
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.chain import PACKED
 from nanogs.kernels.damped import SIZES
@@ -69,6 +69,8 @@ class Descent:
         self._random = np.random.default_rng(parameters.seed)
         self._queue: list[int] = []
         self._turns = 0  # passes over all views begun so far
+        self._count = 0  # steps since `begin`
+        self._displacements = np.zeros((len(splats), DISPLACEMENT), np.float32)
         self.begin(start(splats))
 
     @property
@@ -77,8 +79,11 @@ class Descent:
         return self._state
 
     def begin(self, state: State) -> None:
-        """Continue from a copy of a state, and forget the curvatures of all views."""
-        n = len(self.splats)
+        """Continue from a copy of a state, and forget the curvatures of all views.
+
+        How well the views so far have determined each splat stays known.
+        """
+        n, determined = len(self.splats), self._displacements[:, MOST_DETERMINED]
         self._state = state.copy()
         self._active = activate(self._state, self.splats, self.finite)
         if self.views.surroundings is not None:
@@ -90,6 +95,7 @@ class Descent:
         self._hessians = np.zeros((n, PACKED), np.float32)
         self._weights = np.zeros(n, np.float32)
         self._displacements = displacements_of(state, self.splats)
+        self._displacements[:, MOST_DETERMINED] = determined
         self._count = 0
 
     def running_mean(self) -> "RunningMean":
@@ -97,7 +103,7 @@ class Descent:
         return CpuRunningMean(self)
 
     def rest(self) -> None:
-        """Free the memory that only steps need; `begin` must be called before further steps."""
+        """Free the memory that only steps need, after the last one."""
         del self._state, self._active, self._seen
         del self._hessians, self._weights, self._displacements
 

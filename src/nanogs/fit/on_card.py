@@ -10,6 +10,7 @@ from nanogs.fit.descent import Descent
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.state import State
 from nanogs.fit.targets import ALPHA, WHITE, Fitting, picture_on
+from nanogs.kernels.advance import MOST_DETERMINED
 from nanogs.raster.rendering import camera_arrays, uploaded, view_on
 from nanogs.splats import Splats
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 class CardDescent(Descent):
     """A `Descent` whose splats are on a device, which also computes the steps."""
+
+    _moving: "FittedModel"
 
     def __init__(
         self,
@@ -46,6 +49,8 @@ class CardDescent(Descent):
         """Continue from a state, which is copied to the device; see `Descent.begin`."""
         from nanogs.card.fitting import FittedModel, StepParameters
 
+        if self._count:  # of the steps, this alone is kept, and it is on the device
+            self._displacements[:, MOST_DETERMINED] = self._moving.determined()
         super().begin(state)
         model, begun = self._active.model, self._state
         self._moving = FittedModel(
