@@ -86,6 +86,7 @@ def test_an_existing_file_is_refused_naming_the_argument_or_the_flag(target, che
         ("`resume=True` continues it", "--resume continues it"),
         ("one of `ratio`, `count` and `psnr`.", "one of --ratio, --count and --psnr."),
         ('as with `images="images_4"`', "as with --images images_4"),
+        ('give `frame=("rub", "rdf")`.', "give --frame rub:rdf."),
         ("`level=0` shows the finest", "--level 0 shows the finest"),
         ('leave them out with `nan="drop"`.', "leave them out with --nan drop."),
         (

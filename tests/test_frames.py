@@ -10,7 +10,7 @@ import pytest
 import nanogs
 from builders import model_bytes, random_splats
 from launch import run as run_command
-from nanogs.errors import OptionError
+from nanogs.errors import ModelError, OptionError
 from nanogs.frames import FRAMES, TRAINED, Y_UP, change_between, change_frame
 from nanogs.io.registry import formats
 from nanogs.raster.rendering import render
@@ -137,7 +137,7 @@ def test_frames_that_contradict_the_files_are_refused(tmp_path):
     states_rdf = {"spz_version": 4, "frame": "rdf"}
     for source, target, options, message in (
         ("up.spz", "b.ply", {"frame": ("rdf", "rub")}, "up.spz states the frame rub, but `frame`"),
-        ("a.glb", "b.ply", {"frame": ("rub", "rdf")}, 'give frame=("rdf", "rdf")'),
+        ("a.glb", "b.ply", {"frame": ("rub", "rdf")}, 'give `frame=("rdf", "rdf")`'),
         ("a.ply", "b.glb", {"frame": ("rdf", "ruf")}, "All .glb files use the same frame"),
         ("up.spz", "b.spz", {"format_options": states_rdf}, "states the frame rub, but the format"),
     ):
@@ -204,3 +204,53 @@ def test_the_frame_need_not_be_given_for_a_file_that_states_it(tmp_path):
     refused = run_command("convert", tmp_path / "a.spz", tmp_path / "d.ply", "--frame", "rdf:rub")
     assert refused.returncode == 2
     assert "states the frame rub, but --frame says rdf" in refused.stderr
+
+
+@pytest.fixture
+def parts(tmp_path):
+    """Files of one model that state different frames, or none."""
+    splats = random_splats(20)
+    for frame in ("rub", "rdf"):
+        options = {"spz_version": 4, "frame": frame}
+        nanogs.save(splats, tmp_path / f"{frame}.spz", format_options=options)
+    for name in ("none.spz", "a.ply", "a.glb"):
+        nanogs.save(splats, tmp_path / name)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "names", [("rub.spz", "rdf.spz"), ("a.glb", "rub.spz"), ("a.ply", "none.spz", "rub.spz")]
+)
+def test_parts_of_one_scene_in_different_frames_are_refused(parts, names):
+    files = [parts / name for name in names]
+    with pytest.raises(ModelError, match=r"is in the frame .* cannot form one scene; turn one"):
+        nanogs.simplify_blocks(files, parts / "out.ply", ratio=0.5, preset="fast")
+    with pytest.raises(ModelError, match=r"is in the frame .* cannot form one scene; turn one"):
+        nanogs.write_levels(files, parts / "levels", [0.5])
+    assert not (parts / "out.ply").exists()
+
+
+def test_a_part_without_a_frame_is_taken_to_be_in_that_of_the_others(parts):
+    options = {"ratio": 0.5, "preset": "fast"}
+    files = parts / "none.spz", parts / "rub.spz"
+    report = nanogs.simplify_blocks(files, parts / "out.spz", **options)
+    said = f"Taken to be in the frame rub, as {files[1]} is: {files[0]}."
+    assert said in report.notes
+    assert nanogs.open(parts / "out.spz").frame == "rub"
+    # The caller says where the parts without a frame are from.
+    files = parts / "none.spz", parts / "a.ply", parts / "rub.spz"
+    report = nanogs.simplify_blocks(files, parts / "out.ply", frame=("rub", "rdf"), **options)
+    assert report.notes == ()
+
+
+def test_the_option_is_checked_against_all_parts(parts):
+    simplify = ("simplify", "--join", "-r", "0.5", "--preset", "fast", "--frame")
+    for frame, names, message in (
+        ("rdf", ("a.ply", "none.spz"), "none.spz is not known"),
+        ("rdf", ("a.ply", "rub.spz"), "turn one of them first, by `nanogs convert` with --frame."),
+        ("rdf:rub", ("a.ply", "rub.spz"), "rub.spz states the frame rub, but --frame says rdf"),
+    ):
+        files = [parts / name for name in (*names, "out.ply")]
+        result = run_command(*simplify, frame, *files)
+        assert (result.returncode, result.stderr.count("\n")) == (2, 1), result.stderr
+        assert message in result.stderr

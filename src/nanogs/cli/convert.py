@@ -52,7 +52,9 @@ def convert(
     filters = filtering.parse_filters(edits)
 
     def run_one(pair: "Pair", progress: "Progress") -> "Run":
-        frame = (Y_UP, TRAINED) if turn else framing.frames_of(pair, edits.frame)
+        frame = (
+            (Y_UP, TRAINED) if turn else framing.frames_of([pair.source], pair.target, edits.frame)
+        )
         report = library_convert(
             pair.source, pair.target, level=level, filters=filters, sh_degree=edits.sh_degree,
             frame=frame, render_mode=edits.render_mode, overwrite=overwrite,

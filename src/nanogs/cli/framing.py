@@ -1,5 +1,6 @@
 """`--frame`: the coordinate frame a model is in, and the one it is written in."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from nanogs.cli.file_options import Frames
@@ -7,16 +8,16 @@ from nanogs.errors import OptionError
 from nanogs.frames import TRAINED
 from nanogs.io import open as open_model
 from nanogs.io import registry
-from nanogs.io.collect import Pair
 
 
 def frames_of(
-    pair: Pair, given: Frames | None, called: Path | None = None
+    sources: Sequence[Path], target: Path, given: Frames | None, called: Path | None = None
 ) -> tuple[str, str] | None:
-    """Return the frames (from, to) of a file, from the option and the formats; None without one.
+    """Return the frames (from, to) of a model, from the option and the formats; None without one.
 
     Args:
-        pair: The file and its output.
+        sources: Its files; that they are all in one frame is left to the library.
+        target: The output.
         given: The option.
         called: Name of the output in messages, if it is not one file.
 
@@ -26,9 +27,8 @@ def frames_of(
     if given is None:
         return None
     before, after = given
-    return _frame_read(pair.source, before, after), _frame_written(
-        pair.target, before, after, called or pair.target
-    )
+    read = [_frame_read(path, before, after) for path in sources]
+    return read[0], _frame_written(target, before, after, called or target)
 
 
 def _frame_read(path: Path, before: str, after: str) -> str:

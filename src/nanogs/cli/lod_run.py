@@ -58,7 +58,7 @@ def run_levels(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
     """
     method, output = arguments.method, arguments.output
     inputs = (pair.source, *arguments.request.inputs[1:])  # stdin is now a temporary file
-    turn = frames_of(Pair(pair.source, output.model), method.edits.frame, output.path)
+    turn = frames_of(inputs, output.model, method.edits.frame, output.path)
     request = replace(arguments.request, inputs=inputs, frame=turn)
     if arguments.usual:
         request = replace(request, ratios=usual_levels(request.inputs, output.layout))

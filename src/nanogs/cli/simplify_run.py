@@ -59,8 +59,8 @@ def run_one(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
 def _plan(arguments: Arguments, pair: Pair) -> Plan:
     """Check the files and the request, and plan the run."""
     method, target = arguments.method, pair.target
-    turn = frames_of(pair, method.edits.frame)
     inputs = arguments.joined or (pair.source,)
+    turn = frames_of(inputs, target, method.edits.frame)
     options = registry.add_target_frame(target, arguments.request.format_options, turn)
     request = replace(
         arguments.request, inputs=inputs, output=target, frame=turn, format_options=options

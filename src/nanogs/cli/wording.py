@@ -26,8 +26,10 @@ def with_options(text: str) -> str:
 def _option(argument: re.Match[str]) -> str:
     """Convert an argument to an option: `nan="drop"` to `--nan drop`, `resume=True` to `--resume`.
 
-    `name=False` gives `--no-name`.
+    `name=False` gives `--no-name`, and the two frames of `frame=("rub", "rdf")` give `rub:rdf`.
     """
     name, value = argument.groups()
     option = f"--{'no-' * (value == 'False')}{name.replace('_', '-')}"
+    if value and value.startswith("("):
+        value = ":".join(re.findall(r"\w+", value))
     return option if value in (None, "True", "False") else f"{option} {value.strip(chr(34))}"

@@ -1,4 +1,4 @@
-"""Carrying the coordinate frame that an input file states over to the output file.
+"""The coordinate frames of input files, and carrying the one they state over to the output file.
 
 A model does not know its frame. If it is not turned, an output that can state a frame states that
 of the input; otherwise a note says that the output does not.
@@ -7,11 +7,50 @@ of the input; otherwise a note says that the output does not.
 from collections.abc import Sequence
 from pathlib import Path
 
-from nanogs.errors import OptionError
+from nanogs.errors import ModelError, OptionError
 from nanogs.frames import TRAINED
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.parts import FileSource
+
+
+def refuse_mixed_frames(inputs: Sequence[FileSource], before: str = "") -> tuple[str, ...]:
+    """Refuse parts of one scene that are in different frames.
+
+    A file that states no frame is in `before`, or in the usual frame of its format. If its format
+    has none, it is taken to be in the frame of the other files.
+
+    Args:
+        inputs: The files that the model comes from.
+        before: The frame from which the model is turned; empty if it is not turned.
+
+    Returns:
+        A note for the user if the frame of some files is a guess.
+
+    Raises:
+        FormatError: The part of an input that states the frame cannot be read.
+        ModelError: They are in different frames.
+    """
+    names: dict[str, list[str]] = {}
+    for each in inputs:
+        names.setdefault(_frame_of(each, before), []).append(each.name)
+    unstated = names.pop("", [])
+    if len(names) > 1:
+        (one, first), (other, second), *_ = ((frame, files[0]) for frame, files in names.items())
+        raise ModelError(
+            f"{first} is in the frame {one} and {second} in {other}, so they cannot form one scene;"
+            " turn one of them first, by `nanogs convert` with `frame`."
+        )
+    if not unstated or not names:
+        return ()
+    [(frame, files)] = names.items()
+    return (f"Taken to be in the frame {frame}, as {files[0]} is: {', '.join(unstated)}.",)
+
+
+def _frame_of(file: FileSource, before: str) -> str:
+    """Return the frame of a file as it is read; empty if that is not known."""
+    known = registry.reader(file.path)
+    return TRAINED if known.turns else file.frame or before or known.axes or ""
 
 
 def refuse_frame_read(frame: tuple[str, str], inputs: Sequence[FileSource]) -> None:
@@ -30,12 +69,12 @@ def refuse_frame_read(frame: tuple[str, str], inputs: Sequence[FileSource]) -> N
         if known.turns and before != TRAINED:
             raise OptionError(
                 f"{each.name} is turned to {TRAINED} when it is read, as all {known.suffix} files"
-                f' are, but `frame` says {before}; give frame=("{TRAINED}", "{after}").'
+                f' are, but `frame` says {before}; give `frame=("{TRAINED}", "{after}")`.'
             )
         if not known.turns and known.axes is None and each.frame not in ("", before):
             raise OptionError(
                 f"{each.name} states the frame {each.frame}, but `frame` says {before}; give"
-                f' frame=("{each.frame}", "{after}").'
+                f' `frame=("{each.frame}", "{after}")`.'
             )
 
 
@@ -54,7 +93,7 @@ def refuse_frame_written(frame: tuple[str, str], output: Path) -> None:
     if known.turns and after != TRAINED:
         raise OptionError(
             f"All {known.suffix} files use the same frame, to which a model is turned from"
-            f' {TRAINED} when it is written; give frame=("{before}", "{TRAINED}").'
+            f' {TRAINED} when it is written; give `frame=("{before}", "{TRAINED}")`.'
         )
 
 
@@ -66,7 +105,7 @@ def keep_stated_frame(
     Args:
         path: The output, a model that is not turned.
         options: Options of its format that were given.
-        inputs: The files that the model comes from.
+        inputs: The files that the model comes from, which have one frame.
 
     Returns:
         The options, and notes for the user.
@@ -76,10 +115,9 @@ def keep_stated_frame(
         OptionError: The options state another frame than the inputs.
     """
     known, given = registry.find(path), options or {}
-    stated = {each.frame for each in inputs}
-    if known is None or len(stated) != 1 or stated == {""}:
+    frame = next((each.frame for each in inputs if each.frame), "")
+    if known is None or not frame:
         return options, ()
-    [frame] = stated
     if asked := given.get("frame"):
         if asked != frame:
             raise OptionError(

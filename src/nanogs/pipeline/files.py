@@ -15,7 +15,12 @@ from nanogs.defaults import PATIENCE
 from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
-from nanogs.io.frames import keep_stated_frame, refuse_frame_read, refuse_frame_written
+from nanogs.io.frames import (
+    keep_stated_frame,
+    refuse_frame_read,
+    refuse_frame_written,
+    refuse_mixed_frames,
+)
 from nanogs.io.limits import degree_left_out
 from nanogs.io.url_files import local_copies
 from nanogs.io.urls import local_path, path_text, place, places
@@ -228,6 +233,7 @@ def checked_options(
 
     Raises:
         FormatError: An input cannot be read.
+        ModelError: The inputs are in different frames.
         OptionError: The model is to be turned from or to another frame than its files have.
         OutputError: The output cannot hold a column of the inputs.
     """
@@ -235,10 +241,12 @@ def checked_options(
         opened = open_parts(request.inputs, request.render_mode)
         files = [stack.enter_context(file) for file in opened]
         registry.writable(output).check_columns(joined_layout(files))
+        guessed = refuse_mixed_frames(files, request.frame[0] if request.frame else "")
         if request.frame is not None:
             refuse_frame_read(request.frame, files)
-            return request.format_options, ()
-        return keep_stated_frame(output, request.format_options, files)
+            return request.format_options, guessed
+        options, notes = keep_stated_frame(output, request.format_options, files)
+        return options, (*guessed, *notes)
 
 
 def _in_blocks(request: Request, on_step: Progress | None) -> SimplifyReport:

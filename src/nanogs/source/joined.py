@@ -82,7 +82,7 @@ def joined_layout(parts: Sequence[Source]) -> Layout:
     if len({layout.sh_degree for layout in layouts}) > 1:
         notes.append("The inputs' SH degrees differ: coefficients that one lacks are 0.")
     if any(rows for part in parts for _, rows in part.elements):
-        notes.append("Further elements of the inputs are left out: blocks hold splats alone.")
+        notes.append("Further elements of the inputs are left out: only their splats are kept.")
     others = {line for layout in layouts[1:] for line in layout.comments} - {*layouts[0].comments}
     if others:
         lines = counted(len(others), "comment line is", "comment lines are")
