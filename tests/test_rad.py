@@ -14,6 +14,7 @@ from launch import run
 from nanogs import io
 from nanogs.activations import SH_C0, rotations
 from nanogs.errors import FormatError, OutputError
+from nanogs.findings import join_findings
 from nanogs.io.rad import values, write
 from nanogs.splats import RenderMode
 from radfiles import by_component, chunk, column, rad, small_tree, typical_columns, with_palette
@@ -182,6 +183,18 @@ def test_alphas_above_1_are_opaque_and_larger(tmp_path):
                                rtol=1e-5)  # fmt: skip
     assert model.opacity_logits.tolist() == [0, np.inf, np.inf]
     assert "1 splat has an alpha above 1" in " ".join(model.notes)
+
+
+def test_notes_on_a_chunk_are_counted_once(tmp_path):
+    """Blocks of rows may begin within a chunk."""
+    alphas = column("alpha", "f32", by_component([[0.5], [1.5], [1.5]]))
+    parts = [chunk(replaced(3, alphas), 3, base=base) for base in (0, 3)]
+    model = read(tmp_path, rad(parts, 6))
+    assert "4 splats have an alpha above 1" in " ".join(model.notes)
+    with io.open(tmp_path / "a.rad") as source:
+        for step in (1, 2, 4, 5):
+            assert join_findings(part.notes for part in source.blocks(step)) == model.notes
+        assert tuple(source.read(0, 0).notes) == ()
 
 
 # ---- round trips

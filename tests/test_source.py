@@ -12,6 +12,7 @@ from builders import random_splats
 from nanogs import filters
 from nanogs import source as sources
 from nanogs.errors import FormatError, ModelError, OptionError
+from nanogs.findings import Finding, join_findings
 from nanogs.frames import change_frame
 from nanogs.source import Filtered, InMemory, Joined, Reduced, Turned, base
 from nanogs.splats import ExtraElement
@@ -299,3 +300,30 @@ def test_nested_sources_equal_the_same_changes_in_memory(tmp_path, small_pages):
     files = [nanogs.open(tmp_path / name) for name in ("a.ply", "b.ply")]
     with Turned(Filtered(Joined(files), KEPT), "rdf", "luf") as source:
         assert_source_equals(source, change_frame(filters.apply(model, KEPT)[0], "rdf", "luf"))
+
+
+def notes_of_blocks(source, step):
+    return join_findings(block.notes for block in source.blocks(step))
+
+
+@pytest.mark.parametrize("suffix", [".splat", ".usda"])
+def test_notes_are_about_all_rows_once_however_these_are_read(tmp_path, small_pages, suffix):
+    """Blocks begin within pages of a filter, and within a file that is only read whole."""
+    nanogs.save(random_splats(300), tmp_path / f"a{suffix}")
+    if suffix == ".splat":
+        rows = np.fromfile(tmp_path / "a.splat", np.float32).reshape(-1, 8)
+        rows[:, 3:6] *= -1
+        rows.tofile(tmp_path / "a.splat")
+        expected = "300 splats have a negative scale, which became NaN."
+    else:
+        text = (tmp_path / "a.usda").read_text(encoding="utf-8")
+        start = text.index("opacities = [") + len("opacities = [")
+        (tmp_path / "a.usda").write_text(f"{text[:start]}1{text[start:]}", encoding="utf-8")
+        expected = "1 opacity is not from 0 to 1 and became NaN."
+    with nanogs.open(tmp_path / f"a{suffix}") as file:
+        for source in (file, Filtered(file, [filters.opaque_enough(0.3)])):
+            assert 10 < source.count <= 300
+            assert [notes_of_blocks(source, step) for step in (300, 100, 7)] == [(expected,)] * 3
+            assert source.read(0, 0).notes == ()
+        expected = tuple(Finding(note.template, 2 * note.value) for note in file.load().notes)
+        assert notes_of_blocks(Joined([file, file]), 100) == expected

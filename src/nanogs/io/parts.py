@@ -26,7 +26,7 @@ from nanogs.io.files import reading
 from nanogs.io.info import FileInfo
 from nanogs.io.temporary import into_temporary
 from nanogs.slices import BLOCK_ROWS
-from nanogs.source import Layout, Source
+from nanogs.source import Layout, Source, span_of
 from nanogs.splats import Splats
 
 
@@ -277,11 +277,8 @@ class Whole(FileSource):
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop`; see `Source.read`."""
         if self._held is None:
-            found = self.load()
-            # The notes are about the whole model. As plain texts they are not added up over reads,
-            # which `Finding` would be.
-            self._held = replace(found, notes=tuple(map(str, found.notes)))
-        return self._held.span(start, stop)
+            self._held = self.load()
+        return span_of(self._held, start, stop)
 
     def close(self) -> None:
         """Release the model that is kept in memory."""

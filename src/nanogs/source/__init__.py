@@ -5,7 +5,7 @@ Every reader of a file gives a `Source`; `load` reads all its rows. `Joined`, `F
 on a format is in `io`.
 """
 
-from nanogs.source.base import Layout, Source, joined_rows
+from nanogs.source.base import Layout, Source, joined_rows, span_of
 from nanogs.source.changed import Filtered, Reduced, Tagged, Turned, turned_source
 from nanogs.source.joined import Joined, fitted, joined_layout
 from nanogs.source.whole import InMemory, source_of
@@ -23,5 +23,6 @@ __all__ = [
     "joined_layout",
     "joined_rows",
     "source_of",
+    "span_of",
     "turned_source",
 ]

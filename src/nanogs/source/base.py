@@ -177,3 +177,17 @@ def joined_rows(parts: Sequence[Splats]) -> Splats:
     if len(parts) == 1:
         return parts[0]
     return replace(concatenate(parts), notes=join_findings(part.notes for part in parts))
+
+
+def span_of(part: Splats, start: int, stop: int) -> Splats:
+    """Return rows of a part that is always read as a whole; its notes go with its first row.
+
+    Where several reads share a part, such as a chunk of a file, its notes are counted once.
+
+    Args:
+        part: Splats, with notes about all of them.
+        start: The first row, from 0.
+        stop: The row after the last.
+    """
+    rows = part.span(start, stop)
+    return rows if start == 0 < stop else replace(rows, notes=())

@@ -11,7 +11,7 @@ from nanogs._types import I64
 from nanogs.filters import Filter, FilterReport, apply, refuse_empty, refuse_whole
 from nanogs.frames import change_between, change_frame
 from nanogs.source import base
-from nanogs.source.base import Source, joined_rows
+from nanogs.source.base import Source, joined_rows, span_of
 from nanogs.splats import ExtraElement, RenderMode, Splats, refuse_misaligned
 
 
@@ -178,10 +178,11 @@ class Filtered(_Changed):
         """Read rows `start` to `stop` of those left; see `Source.read`."""
         first = int(np.searchsorted(self._ends, start, side="right")) - 1
         last = max(int(np.searchsorted(self._ends, stop, side="left")), first + 1)
-        pages = [self._page(page) for page in range(first, min(last, len(self._ends) - 1))]
-        rows = joined_rows(pages or [self._source.read(0, 0)])
-        skipped = int(self._ends[first])
-        return rows.take(slice(start - skipped, stop - skipped))
+        parts = []
+        for page in range(first, min(last, len(self._ends) - 1)):
+            at, end = self._ends[page : page + 2].tolist()
+            parts.append(span_of(self._page(page), max(start, at) - at, min(stop, end) - at))
+        return joined_rows(parts or [self._source.read(0, 0)])
 
     def _page(self, number: int) -> Splats:
         last = self._last  # once, because another thread may read another page

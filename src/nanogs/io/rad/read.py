@@ -30,7 +30,7 @@ from nanogs.io.rad.values import (
     type_name,
 )
 from nanogs.io.texts import printable
-from nanogs.source import joined_rows
+from nanogs.source import joined_rows, span_of
 from nanogs.splats import Splats, empty_arrays
 
 
@@ -128,8 +128,8 @@ class RadFile(FileSource):
         for number, (first, end) in enumerate(pairwise(self._ends)):
             low, high = max(start, first), min(stop, end)
             if low < high:
-                parts.append(self._chunk(number).span(low - first, high - first))
-        return joined_rows(parts) if parts else self._chunk(0).span(0, 0)
+                parts.append(span_of(self._chunk(number), low - first, high - first))
+        return joined_rows(parts or [span_of(self._chunk(0), 0, 0)])
 
     def _chunk(self, number: int) -> Splats:
         """Decode a chunk, of a tree only the rows of the level; the last one is cached."""
