@@ -160,6 +160,23 @@ def test_tiles_of_different_render_modes_are_noted(tileset, tmp_path):
     assert any("different render modes (default, mip)" in note for note in read.notes)
 
 
+def test_notes_of_tiles_are_added_up(tileset, tmp_path):
+    for count in (1, 2):
+        path = tmp_path / f"{count}.glb"
+        opaque = np.full(count, np.inf, np.float32)
+        io.save(replace(random_splats(count), opacity_logits=opaque), path, overwrite=True)
+        one, two = (np.float32(alpha).tobytes() for alpha in (1, 2))
+        path.write_bytes(path.read_bytes().replace(one, two))
+    read = io.load(tileset(tile(tile(uri="1.glb"), tile(uri="2.glb"))))
+    assert "3 opacities are not from 0 to 1 and became NaN." in read.notes
+
+
+def test_the_level_is_noted_once_whatever_the_name(tileset, tmp_path):
+    path = tileset(tile(tile(uri="1.glb"), uri="8.glb"), "city_tileset.json")
+    notes = nanogs.convert(path, tmp_path / "a.ply").notes
+    assert notes == ("Level 0 of 2 was read; level 0 is the finest.",)
+
+
 def matrix(rotation, shift):
     whole = np.eye(4)
     whole[:3, :3], whole[:3, 3] = rotation, shift

@@ -292,6 +292,12 @@ def test_opacities_out_of_range_are_counted(load):
     assert one.notes == ("1 opacity is not from 0 to 1 and became NaN.",)
     both = load(layer(prim().replace("opacities = [0.5, 0.5]", "opacities = [-0.5, 1.5]")))
     assert both.notes == ("2 opacities are not from 0 to 1 and became NaN.",)
+    prims = [prim().replace("[0.5, 0.5]", "[0.5, 2]"), prim("int[] primvars:a = [1, 2]", "B")]
+    several = load(layer(prims[0], prims[1].replace("[0.5, 0.5]", "[-1, 2]")))
+    assert several.notes == (
+        "3 opacities are not from 0 to 1 and became NaN.",
+        "The attribute 'primvars:a' was left out.",
+    )
 
 
 @pytest.mark.parametrize("name", REFUSED)

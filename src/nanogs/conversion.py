@@ -204,7 +204,7 @@ def _which(file: FileSource, level: int) -> tuple[str, ...]:
 
     Reading 3D Tiles adds such a note itself.
     """
-    if file.path.name == registry.TILESET or len(file.levels) < 2:
+    if registry.reader(file.path).suffix == registry.TILESET or len(file.levels) < 2:
         return ()
     return (level_note(level, len(file.levels)),)
 

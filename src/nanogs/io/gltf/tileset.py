@@ -21,14 +21,16 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
+from nanogs.findings import join_findings
 from nanogs.io.gltf import read as gltf
 from nanogs.io.gltf.scene import Z_UP
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import local_path, numbers, read_json, refused, rows, table
 from nanogs.io.parts import FileSource, Whole, check_level, level_note
-from nanogs.io.sog.levels import common_mode, joined_info, joined_notes, mode_notes
+from nanogs.io.sog.levels import common_mode, joined_info, mode_notes
 from nanogs.place import text_of
-from nanogs.splats import Splats, concatenate
+from nanogs.source import joined_rows
+from nanogs.splats import Splats
 
 MAX_BYTES = 8 << 20  # of a tileset.json; a tile takes some 300 bytes for 10 K splats or more
 _MAX_TILESETS = 1000
@@ -142,9 +144,9 @@ class TilesLevel(Whole):
         which = level_note(self._level, tileset.levels())
         modes = {model.render_mode for model in models}
         own = [which, *tileset.notes, *mode_notes(modes)]
-        notes = joined_notes([model.notes for model in models], own)
+        joined = joined_rows(models)
         comments = dict.fromkeys(line for model in models for line in model.comments)
-        joined = concatenate(models)
+        notes = join_findings([joined.notes, own])
         return replace(joined, render_mode=common_mode(modes), comments=list(comments), notes=notes)
 
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from nanogs._types import Array
 from nanogs.errors import FormatError
+from nanogs.findings import join_findings
 from nanogs.formatting import counted
 from nanogs.io.container import Bundle
 from nanogs.io.files import input_size, reading
@@ -218,11 +219,6 @@ def _opened(piece: Piece) -> SogSource:
     return source
 
 
-def joined_notes(models: Sequence[Sequence[str]], notes: Sequence[str]) -> list[str]:
-    """Join the notes of the models and of the manifest, without duplicates."""
-    return [*dict.fromkeys(note for model in models for note in model), *notes]
-
-
 def joined_info(path: Path, kind: str, infos: Sequence[FileInfo], splats: int) -> FileInfo:
     """Join the metadata of the models of a level.
 
@@ -349,5 +345,5 @@ class SogLevel(Packed):
                     column = padded(column, out["sh"].shape[1]) if name == "sh" else column
                     array[low - start : high - start] = column
         modes = mode_notes({model.info.render_mode for model in self._models})
-        notes = joined_notes([model.meta.notes for model in self._models], modes)
+        notes = join_findings([*(model.meta.notes for model in self._models), modes])
         return Splats(**out, render_mode=self.info.render_mode, notes=notes)

@@ -24,7 +24,8 @@ from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
 from nanogs.io.usda.text import Layer, Prim, read_layer
 from nanogs.slices import BLOCK_ROWS
-from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate, empty_arrays
+from nanogs.source import joined_rows
+from nanogs.splats import MAX_SH_DEGREE, Splats, empty_arrays
 
 PRIM = "ParticleField3DGaussianSplat"
 DEGREE = "radiance:sphericalHarmonicsDegree"
@@ -70,7 +71,7 @@ class UsdaFile(Whole):
                 mirrors, flattens or shears them.
         """
         layer = _layer(self.path)
-        return concatenate([_decoded(layer, each) for each in _fields(layer)])
+        return joined_rows([_decoded(layer, each) for each in _fields(layer)])
 
 
 def _layer(path: Path) -> Layer:
