@@ -155,6 +155,10 @@ def test_values_that_cannot_be_stored_are_refused_before_writing(
     with pytest.raises(OutputError, match=message):
         io.save(model, tmp_path / name)
     assert not list(tmp_path.iterdir())
+    refused = "NaN or infinite" if "NaN" in message else "colour coefficients or log-scales beyond"
+    [loss] = io.losses(model, name)
+    assert loss.startswith(f"1 splat holds {refused} ")
+    assert loss.endswith(" refuses the model.")
 
 
 def test_a_model_of_no_splats_is_refused(tmp_path):

@@ -672,6 +672,8 @@ def test_unstorable_centres_are_refused(tmp_path, value, message):
     with pytest.raises(OutputError, match=message):
         io.save(model, tmp_path / "a.spz")
     assert not list(tmp_path.iterdir())
+    refused = "NaN or infinite values" if "row" in message else "coordinates beyond ±8,388,607"
+    assert f"1 splat holds {refused}, .spz refuses the model." in io.losses(model, "a.spz")
 
 
 def test_losses_are_counted(tmp_path):

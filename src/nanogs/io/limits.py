@@ -93,11 +93,11 @@ def refused_splats(splats: Splats) -> int:
     return int((~_storable(splats)).sum())
 
 
-def refusal(count: int, suffix: str) -> tuple[str, ...]:
-    """Return the sentence that a format refuses a model with `count` such splats, if any."""
+def refusal(count: int, suffix: str, what: str = "NaN or infinite values") -> tuple[str, ...]:
+    """Return the sentence that a format refuses a model for values of `count` splats, if any."""
     if not count:
         return ()
-    text = f"{{:splat holds|splats hold}} NaN or infinite values, {suffix} refuses the model."
+    text = f"{{:splat holds|splats hold}} {what}, {suffix} refuses the model."
     return (Finding(text, count),)
 
 

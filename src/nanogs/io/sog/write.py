@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nanogs import parallel
-from nanogs._types import F32, F64, I64, U8, U16
+from nanogs._types import F32, F64, I64, U8, U16, Bool
 from nanogs.activations import BYTE_LOGITS
 from nanogs.errors import UnstorableError
 from nanogs.formatting import counted
@@ -48,6 +48,7 @@ _EXACT, _ROUNDED = 64, 32
 _SMALL_PALETTE = 1024  # models of up to so many splats get a palette entry per splat
 _LARGEST_LOGARITHM = math.log1p(float(np.finfo(np.float32).max))  # of a centre, log(1 + |x|)
 _FARTHEST = 1e18  # largest magnitude of a value: squared differences must not overflow float32
+_VALUES = f"colour coefficients or log-scales beyond ±{_FARTHEST:g}"
 
 Submit = Callable[[str, U8], None]
 """Starts the encoding of a texture, by name."""
@@ -197,9 +198,10 @@ def start_encoding(
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """Return a sentence for each thing in a model that a SOG file cannot hold."""
+    """Name what a SOG file leaves out, or why it refuses the model, one sentence each."""
+    refused = limits.refusal(int(_beyond(splats).sum()), ".sog", _VALUES)
     left_out = limits.left_out(splats, ".sog", max_degree=MAX_DEGREE)
-    return (*left_out, *limits.rounded(splats, ".sog"))
+    return (*refused, *left_out, *limits.rounded(splats, ".sog"))
 
 
 def _refuse_unstorable(splats: Splats) -> None:
@@ -209,16 +211,24 @@ def _refuse_unstorable(splats: Splats) -> None:
         raise UnstorableError(
             f"{len(splats):,} splats are too many for one .sog file; simplify the model."
         )
-    coefficients = splats.sh[:, : (MAX_DEGREE + 1) ** 2]
-    scales = np.where(np.isneginf(splats.log_scales), 0, splats.log_scales)
-    good = (np.abs(coefficients) <= _FARTHEST).all(axis=(1, 2))
-    good &= (np.abs(scales) <= _FARTHEST).all(axis=1)
-    if not good.all():
+    if (wrong := _beyond(splats)).any():
         raise UnstorableError(
-            f"{counted(int((~good).sum()), 'splat holds', 'splats hold')} colour coefficients or"
-            f" log-scales beyond ±{_FARTHEST:g}, the first in row {int(np.argmin(good))}, which"
-            " .sog cannot hold together with ordinary ones; correct them, or write .ply."
+            f"{counted(int(wrong.sum()), 'splat holds', 'splats hold')} {_VALUES}, the first in row"
+            f" {int(np.argmax(wrong))}, which .sog cannot hold together with ordinary ones; correct"
+            " them, or write .ply."
         )
+
+
+def _beyond(splats: Splats) -> Bool:
+    """Return an (N,) bool mask of the splats that hold some of `_VALUES`."""
+
+    def far(values: F32) -> Bool:
+        with np.errstate(invalid="ignore"):  # signalling NaNs would warn
+            large = (np.abs(values) > _FARTHEST) & np.isfinite(values)
+        found: Bool = large.reshape(len(values), -1).any(axis=1)
+        return found
+
+    return far(splats.sh[:, : (MAX_DEGREE + 1) ** 2]) | far(splats.log_scales)
 
 
 def ours(folder: Path) -> frozenset[str] | None:

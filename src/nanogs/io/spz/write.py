@@ -211,7 +211,7 @@ def usual_version(bits: int = MOST_BITS, *, stating: bool = False) -> int:
 
 
 def losses(splats: Splats, *, records: bool = True, suffix: str = SUFFIX) -> tuple[str, ...]:
-    """Name what the file leaves out or clamps, one sentence each.
+    """Name what the file leaves out or clamps, or why it is refused, one sentence each.
 
     Args:
         splats: The model.
@@ -221,7 +221,11 @@ def losses(splats: Splats, *, records: bool = True, suffix: str = SUFFIX) -> tup
     step = 0.5 / SCALE_STEPS
     low, high = SCALE_LOW, SCALE_LOW + 255 / SCALE_STEPS
     scales = splats.log_scales
-    out = limits.left_out(without_records(splats) if records else splats, suffix)
+    with np.errstate(invalid="ignore"):  # signalling NaNs would warn
+        far = (np.abs(splats.means) > _FIXED_MAX) & np.isfinite(splats.means)
+    beyond = f"coordinates beyond ±{_FIXED_MAX:,}"
+    out = list(limits.refusal(int(far.any(axis=1).sum()), suffix, beyond))
+    out += limits.left_out(without_records(splats) if records else splats, suffix)
     out += limits.lost_mode(splats, suffix, RenderMode.MIP)
     out += limits.clamped(
         (scales < low - step) | (scales > high + step),
