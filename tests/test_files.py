@@ -257,22 +257,36 @@ def request(scene, folder, **given):
     return Request(inputs=(scene,), output=folder / "a.ply", goal=Goal(ratio=0.1), **given)
 
 
-def test_columns_that_the_output_cannot_hold_are_refused_before_any_work(tmp_path):
-    label = {"label": np.arange(300, dtype=np.int64)}
-    nanogs.save(random_splats(300, extras=label), tmp_path / "a.npz")
-    source, out = tmp_path / "a.npz", tmp_path / "b.ply"
+@pytest.mark.parametrize(
+    ("source", "target", "column", "message"),
+    [
+        ("a.npz", "b.ply", "label", "'label' is int64, which PLY cannot hold"),
+        ("a.npz", "b.ply", "my label", "'my label' is empty or holds a space"),
+        ("a.npz", "b.ply", "scale_0", "'scale_0' has a splat's own name"),
+        ("a.ply", "b.npz", r"my\label", "cannot hold the name"),
+    ],
+)
+def test_columns_that_the_output_cannot_hold_are_refused_before_any_work(
+    tmp_path, source, target, column, message
+):
+    kind = np.int64 if column == "label" else np.float32
+    extras = {column: np.arange(300, dtype=kind)}
+    source, out = tmp_path / source, tmp_path / target
+    nanogs.save(random_splats(300, extras=extras), source)
     steps = []
     options = {"preset": "fast", "progress": steps.append}
+    levels = tmp_path / "lv", [0.5]
     for work in (
         lambda: nanogs.simplify_blocks(source, out, ratio=0.5, **options),
         lambda: nanogs.simplify_blocks(source, out, ratio=0.5, block=100, **options),
-        lambda: nanogs.write_levels(source, tmp_path / "lv", [0.5], **options),
-        lambda: nanogs.write_levels(nanogs.load(source), tmp_path / "lv", [0.5], **options),
+        lambda: nanogs.write_levels(source, *levels, suffix=out.suffix, **options),
+        lambda: nanogs.write_levels(nanogs.load(source), *levels, suffix=out.suffix, **options),
         lambda: nanogs.convert(source, out, progress=steps.append),
     ):
-        with pytest.raises(OutputError, match="'label' is int64, which PLY cannot hold"):
+        with pytest.raises(OutputError, match=message):
             work()
     assert [step.stage for step in steps] == []
-    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
-    nanogs.simplify_blocks(source, tmp_path / "b.npz", ratio=0.5, preset="fast")
-    assert nanogs.load(tmp_path / "b.npz").extras["label"].dtype == np.int64
+    assert [path.name for path in tmp_path.iterdir()] == [source.name]
+    again = tmp_path / f"c{source.suffix}"
+    nanogs.simplify_blocks(source, again, ratio=0.5, preset="fast")
+    assert nanogs.load(again).extras[column].dtype == kind

@@ -12,6 +12,7 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import nanogs
 from builders import random_splats
 from conftest import scene_path
 from damage import mutate, outcome
@@ -225,6 +226,22 @@ def test_simplify_keeps_records_that_belong_to_the_whole_model(tmp_path):
     refused = run("simplify", with_records(tmp_path, SHARES), tmp_path / "b.spz", *halved)
     assert refused.returncode == 2
     assert "'spz_record_12340002' has one row for each splat" in refused.stderr
+
+
+def test_versions_that_cannot_hold_the_records_are_refused_before_any_work(tmp_path):
+    path, steps = with_records(tmp_path, CAMERA, 40), []
+    third = {"format_options": {"spz_version": 3}, "progress": steps.append}
+    for work in (
+        lambda: nanogs.convert(path, tmp_path / "b.spz", **third),
+        lambda: nanogs.simplify_blocks(path, tmp_path / "b.spz", ratio=0.5, **third),
+        lambda: nanogs.write_levels(path, tmp_path / "lv", [0.5], suffix=".spz", **third),
+        lambda: nanogs.write_levels(io.load(path), tmp_path / "lv", [0.5], suffix=".spz", **third),
+    ):
+        with pytest.raises(OptionError, match=r"version 4 holds the extension records of the model"):
+            work()
+    assert [step.stage for step in steps] == []
+    # Blocks leave the records out, so that any version will do.
+    nanogs.simplify_blocks(path, tmp_path / "b.spz", ratio=0.5, block=20, preset="fast", **third)
 
 
 def test_convert_and_simplify_keep_a_stated_frame_or_note_its_loss(tmp_path):

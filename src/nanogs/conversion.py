@@ -123,7 +123,9 @@ def convert(
         open_model(here, level=level, render_mode=render_mode) as file,
     ):
         path = there or wanted
-        registry.writable(wanted).check_columns(file.columns)
+        known = registry.writable(wanted)
+        known.check_columns(file.columns)
+        known.check_elements([name for name, _ in file.elements], format_options or {})
         if frame is not None:
             refuse_frame_read(frame, [file])
             refuse_frame_written(frame, wanted)

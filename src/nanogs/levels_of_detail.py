@@ -155,7 +155,9 @@ def write_levels(
         if for_files := [name for name in _OF_JOBS if given.get(name)]:
             raise OptionError(f"{for_files[0]} is for files; give the model's path in its place.")
         whole = in_mode(as_splats(model), request.edits.render_mode, "The model")
-        registry.writable(_file(sink)).check_columns(InMemory(whole).columns)
+        known = registry.writable(_file(sink))
+        known.check_columns(InMemory(whole).columns)
+        known.check_elements([each.name for each in whole.elements], request.format_options or {})
         return _whole(request, prepare(whole, request.edits), sink, on_step, sky)
 
 
@@ -230,7 +232,7 @@ def write_levels_of_files(
     """
     refuse_device(request.device, request.preset, request.parameters, request.goal)
     plan = plan_files(request)
-    options, unstated = checked_options(request, _file(sink))
+    options, unstated = checked_options(request, _file(sink), divided=plan.divided)
     if plan.divided:
         request.refuse_device_in_blocks()
         unstated = (*unstated, *device_notes(request.device, CPU))

@@ -120,7 +120,9 @@ class Format:
         ours: Lists the files that nanogs made in such a folder.
         check: Fails before any computing if this installation cannot write the format.
         check_options: Fails if options contradict each other.
-        check_columns: Fails if files cannot hold a column of a model.
+        check_columns: Fails if files cannot hold an extra column of a model.
+        check_elements: Fails if files written with given options cannot hold the further PLY
+            elements of a model, of which the names are given.
         derived_options: Computes options that are not given from the model, so that a similar model
             can be written in the same way.
         magic: First bytes, by which a file without a name is recognised.
@@ -152,6 +154,7 @@ class Format:
     check: Callable[[], None] = lambda: None
     check_options: Callable[[FormatOptions], None] = lambda _options: None
     check_columns: Callable[[Layout], None] = lambda _columns: None
+    check_elements: Callable[[Sequence[str], FormatOptions], None] = lambda _names, _options: None
     derived_options: Callable[[Source, FormatOptions], FormatOptions] = lambda _source, _options: {}
     magic: tuple[bytes, ...] = ()
     zip_member: str = ""

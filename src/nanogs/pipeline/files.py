@@ -182,9 +182,9 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
     request.check()
     if request.frame is not None:
         refuse_frame_written(request.frame, request.output)
-    options, notes = checked_options(request, request.output)
-    request = replace(request, format_options=options)
     plan = plan_files(request)
+    options, notes = checked_options(request, request.output, divided=plan.divided)
+    request = replace(request, format_options=options)
     request, left_out = limit_degree(request, plan.sh_degree, request.output)
     notes = (*notes, *left_out)
     if plan.divided:
@@ -221,7 +221,7 @@ def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, 
 
 
 def checked_options(
-    request: Request, output: Path
+    request: Request, output: Path, *, divided: bool
 ) -> tuple["FormatOptions | None", tuple[str, ...]]:
     """Check that the output can hold what the inputs have, and return format options and notes.
 
@@ -230,17 +230,23 @@ def checked_options(
     Args:
         request: All arguments of the call.
         output: The output file, whose suffix names the format.
+        divided: Whether the model is processed in blocks, which leave further elements out.
 
     Raises:
         FormatError: An input cannot be read.
         ModelError: The inputs are in different frames.
-        OptionError: The model is to be turned from or to another frame than its files have.
+        OptionError: The model is to be turned from or to another frame than its files have, or the
+            format options do not allow the elements of the input.
         OutputError: The output cannot hold a column of the inputs.
     """
     with ExitStack() as stack:
         opened = open_parts(request.inputs, request.render_mode)
         files = [stack.enter_context(file) for file in opened]
-        registry.writable(output).check_columns(joined_layout(files))
+        known = registry.writable(output)
+        known.check_columns(joined_layout(files))
+        if len(files) == 1 and not divided:
+            elements = [name for name, _ in files[0].elements]
+            known.check_elements(elements, request.format_options or {})
         guessed = refuse_mixed_frames(files, request.frame[0] if request.frame else "")
         if request.frame is not None:
             refuse_frame_read(request.frame, files)

@@ -13,6 +13,7 @@ FORMATS = (
         write.losses,
         streams=True,
         any_value=True,
+        check_columns=write.check_columns,
         zip_member="means.npy",
     ),
 )

@@ -7,7 +7,7 @@ import io
 import math
 import zipfile
 from functools import partial
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from nanogs.errors import OutputError
 from nanogs.io import limits
 from nanogs.io.by_column import encoded_columns
 from nanogs.io.npz.read import ARRAY, EXTRA, MODE, REQUIRED, SIMPLE
-from nanogs.source import Source, source_of
+from nanogs.source import Layout, Source, source_of
 from nanogs.splats import Splats
 
 _SUFFIX = ".npz"
@@ -78,15 +78,32 @@ def _arrays(splats: Splats) -> dict[str, Array]:
     arrays: dict[str, Array] = {name: getattr(splats, name) for name in REQUIRED}
     arrays[MODE] = np.array(splats.render_mode.value)
     for name, column in splats.extras.items():
-        if not SIMPLE.fullmatch(column.dtype.str):
-            raise OutputError(
-                f"Extra column {name[:40]!r} is {column.dtype}, which {_SUFFIX} cannot hold without"
-                " pickling it; convert it to numbers or text."
-            )
-        if not _storable(name):
-            raise OutputError(f"A {_SUFFIX} file cannot hold the name {name[:40]!r}; rename it.")
+        _check_column(name, column.dtype)
         arrays[EXTRA + name] = column
     return arrays
+
+
+def check_columns(layout: Layout) -> None:
+    """Refuse extra columns whose type or name the file cannot hold.
+
+    Args:
+        layout: The columns of a model.
+
+    Raises:
+        OutputError: There is one.
+    """
+    for name, code in layout.extras:
+        _check_column(name, np.dtype(code))
+
+
+def _check_column(name: str, dtype: "np.dtype[Any]") -> None:
+    if not SIMPLE.fullmatch(dtype.str):
+        raise OutputError(
+            f"Extra column {name[:40]!r} is {dtype}, which {_SUFFIX} cannot hold without pickling"
+            " it; convert it to numbers or text."
+        )
+    if not _storable(name):
+        raise OutputError(f"A {_SUFFIX} file cannot hold the name {name[:40]!r}; rename it.")
 
 
 def _storable(name: str) -> bool:

@@ -87,8 +87,7 @@ def _vertex(splats: Splats) -> dict[str, Array]:
 
 def _arrays(splats: Splats) -> list[tuple[Sequence[str], Array]]:
     """Return the arrays of the vertex rows in writing order, with the names of their columns."""
-    if clash := [name for name in splats.extras if columns.is_known(name)]:
-        raise OutputError(f"The extra column {clash[0]!r} has a splat's own name; rename it.")
+    _refuse_own_names(splats.extras)
     extras = dict(splats.extras)
     normals = [((name,), extras.pop(name)) for name in columns.NORMALS if name in extras]
     return [
@@ -148,17 +147,24 @@ def _word(name: str) -> bytes:
     return word
 
 
-def check_columns(columns: Layout) -> None:
-    """Refuse extra columns whose type PLY does not have.
+def check_columns(layout: Layout) -> None:
+    """Refuse extra columns whose type or name PLY does not allow.
 
     Args:
-        columns: The columns of a model.
+        layout: The columns of a model.
 
     Raises:
         OutputError: There is one.
     """
-    for name, code in columns.extras:
+    _refuse_own_names(name for name, _ in layout.extras)
+    for name, code in layout.extras:
         _type(name, np.dtype(code), 1)
+        _word(name)
+
+
+def _refuse_own_names(extras: Iterable[str]) -> None:
+    if clash := [name for name in extras if columns.is_known(name)]:
+        raise OutputError(f"The extra column {clash[0]!r} has a splat's own name; rename it.")
 
 
 def _type(name: str, dtype: "np.dtype[Any]", dimensions: int) -> str:

@@ -1,10 +1,13 @@
 """Niantic's `.spz`: columns of bytes, packed by gzip or zstd."""
 
+from collections.abc import Sequence
+
 from nanogs.io.format import Format, FormatOptions, WriteOption
 from nanogs.io.precision import FEWEST_BITS, MOST_BITS, MOST_SPARE_BITS
 from nanogs.io.spz import write
 from nanogs.io.spz.header import GZIP, MAGIC, RECORDED_FRAMES
 from nanogs.io.spz.read import open_spz
+from nanogs.io.spz.records import is_record_name
 from nanogs.source import Source
 
 _FRAME = (
@@ -31,6 +34,12 @@ def _check_options(options: FormatOptions) -> None:
         write.check_holds_records(_version(options), "states its frame")
 
 
+def _check_elements(names: Sequence[str], options: FormatOptions) -> None:
+    version = options.get("spz_version")
+    if version is not None and any(map(is_record_name, names)):
+        write.check_holds_records(version, write.HOLDS_RECORDS)
+
+
 FORMATS = (
     Format(
         ".spz",
@@ -49,6 +58,7 @@ FORMATS = (
         },
         states_frame=lambda options: _version(options) == write.VERSION_WITH_FRAME,
         check_options=_check_options,
+        check_elements=_check_elements,
         derived_options=_derived_options,
         reports_progress=True,
         streams=True,

@@ -41,11 +41,15 @@ def _element(kind: int, payload: bytes, count: int) -> ExtraElement:
 
 def is_record(element: ExtraElement) -> bool:
     """Return whether an element is a record as `elements_of` makes it, by its name and fields."""
-    digits = element.name.removeprefix(_PREFIX)
-    if digits == element.name or len(digits) != 8 or not set(digits) <= set("0123456789ABCDEF"):
-        return False
     fields = element.rows.dtype.names or ()
-    return all(element.rows.dtype[name] == np.uint8 for name in fields)
+    bytes_only = all(element.rows.dtype[name] == np.uint8 for name in fields)
+    return bytes_only and is_record_name(element.name)
+
+
+def is_record_name(name: str) -> bool:
+    """Return whether an element of this name may be a record; see `is_record`."""
+    digits = name.removeprefix(_PREFIX)
+    return digits != name and len(digits) == 8 and set(digits) <= set("0123456789ABCDEF")
 
 
 def without_records(splats: Splats) -> Splats:

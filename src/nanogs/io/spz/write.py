@@ -62,6 +62,7 @@ SH_BITS = 5  # bits kept of an SH coefficient of degree 1; of a higher degree, o
 # File versions: the default, the one with 3-byte rotations, and the one that can state a frame.
 DEFAULT_VERSION, VERSION_SHORT_ROTATIONS, VERSION_WITH_FRAME = 3, 2, 4
 MOST_ENTRIES = 1 << 20  # of a palette
+HOLDS_RECORDS = "holds the extension records of the model"  # for `check_holds_records`
 USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
 _SIGNIFICANT_BITS = 16
@@ -149,8 +150,7 @@ def write(
     records = packed(elements) + (frame_record(frame) if frame else b"")
     version = version or usual_version(bits, stating=bool(records))
     if records:
-        what = "states its frame" if frame else "holds the extension records of the model"
-        check_holds_records(version, what)
+        check_holds_records(version, "states its frame" if frame else HOLDS_RECORDS)
     degree, count = source.columns.sh_degree, source.count
     fraction = fraction_bits(source, Precision(bits, spare))
     movable, groups = not has_per_splat_record(elements, count), None
