@@ -55,6 +55,12 @@ def test_hidden_files_of_a_folder_are_not_selected(folder):
     assert collect([folder / "._a.ply"]) == [folder / "._a.ply"]  # which is named
 
 
+def test_files_that_only_end_like_a_manifest_are_not_selected(folder):
+    for name in ("a.meta.json", "a_tileset.json"):
+        (folder / name).write_text("{}")
+    assert collect([folder]) == [folder / "a.ply", folder / "b.spz"]
+
+
 def test_a_file_whose_name_looks_like_a_pattern_is_found(folder):
     odd = folder / "a[1].ply"
     odd.write_bytes((folder / "a.ply").read_bytes())

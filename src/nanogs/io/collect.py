@@ -81,7 +81,8 @@ def _files(path: Path) -> list[Path]:
 def _seen(file: Path) -> bool:
     """Whether a file of a folder is a model, and not hidden, as the `._a.ply` of macOS."""
     known = None if file.name.startswith(".") else registry.find(file)
-    return known is not None and known.readable
+    # A chair.meta.json beside chair.ply only ends like a manifest; `_files` has looked for those.
+    return known is not None and known.readable and known.suffix.startswith(".")
 
 
 def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[Pair]:
