@@ -17,6 +17,7 @@ from nanogs import cleanup
 from nanogs.io import round_trip
 from nanogs.io.atomic import atomic_write
 from nanogs.io.folder import atomic_folder
+from nanogs.io.sog import write as sog_write
 from nanogs.io.temporary import name_beside
 from nanogs.memory import LIBRARIES
 
@@ -311,6 +312,38 @@ def test_a_folder_whose_replacement_was_interrupted_is_restored(tmp_path, new_fo
         pass
     assert contents(tmp_path) == ["out", "out/file"]
     assert (out / "file").read_text() == ("new" if new_folder_exists else "old")
+
+
+@posix
+def test_a_folder_whose_deletion_was_interrupted_does_not_block_its_output(tmp_path, monkeypatch):
+    class KilledError(BaseException):
+        pass
+
+    def unlink(path, missing_ok=False):
+        if ".old" in str(path):
+            if len(deleted) == most:
+                raise KilledError
+            deleted.append(path.name)
+        real(path, missing_ok=missing_ok)
+
+    out, real, splats = tmp_path / "out", Path.unlink, random_splats(20)
+    sog_write.write_folder(splats, out)
+    names = contents(out)
+    for most in range(len(names)):
+        deleted = []
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "unlink", unlink)
+            with pytest.raises(KilledError):
+                sog_write.write_folder(splats, out, overwrite=True)
+        assert len(deleted) == most
+        assert len(contents(tmp_path)) > len(names) + 1
+        sog_write.write_folder(splats, out, overwrite=True)
+        assert contents(tmp_path) == ["out", *(f"out/{name}" for name in names)]
+    old = name_beside(out, ".old")  # with a file that is not ours
+    old.mkdir()
+    (old / "file").touch()
+    sog_write.write_folder(splats, out, overwrite=True)
+    assert (old / "file").exists()
 
 
 def test_clean_ups_run_in_reverse_order_and_not_after_their_context():

@@ -147,15 +147,19 @@ def _finish_swaps(target: Path, ours: Ours) -> None:
     """Finish the swaps of runs that were killed while they replaced the target folder."""
     for old in left_beside(target, ".old"):
         if target.exists():
-            _discard(old, ours)
+            with contextlib.suppress(OSError):  # what cannot be deleted must not block the output
+                _discard(old, ours)
         else:
             old.replace(target)
 
 
 def _discard(old: Path, ours: Ours) -> None:
-    """Delete a folder file by file, not as a tree: files added meanwhile are not ours."""
+    """Delete a folder file by file, not as a tree: files added meanwhile are not ours.
+
+    Manifests are deleted last, so that the rest is still known to be ours if this is interrupted.
+    """
     names = ours(old) or frozenset()
-    for name in names:
+    for name in sorted(names, key=lambda name: (name.endswith(".json"), -name.count("/"))):
         (old / name).unlink(missing_ok=True)
     inner = {parent for name in names for parent in PurePosixPath(name).parents if parent.parts}
     for folder in sorted(inner, key=lambda folder: -len(folder.parts)):
