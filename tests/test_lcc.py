@@ -211,6 +211,10 @@ REFUSED = {
         lambda: changed("index.bin", replaced_at(4, b"\xff" * 4)),
         "counts or offsets that are negative",
     ),
+    "shared": (
+        lambda: changed("index.bin", replaced_at(80, (19 * 32).to_bytes(8, "little"))),
+        "cells of level 0 share splats",
+    ),
     "sky": (lambda: changed("environment.bin", lambda data: data[:-1]), "no whole number of"),
     "empty": (
         lambda: lccfiles.model([(0, 0, [([], []), ([lccfiles.row()], [])])], depth=2),

@@ -179,6 +179,10 @@ class Model:
                 raise FormatError(
                     f"{path}: the splats of level {level} do not fit into {DATA}; {_AGAIN}"
                 )
+            by_offset = np.argsort(offsets)
+            starts, ends = offsets[by_offset], (offsets + counts * ROW.itemsize)[by_offset]
+            if (starts[1:] < ends[:-1]).any():
+                raise FormatError(f"{path}: cells of level {level} share splats; {_AGAIN}")
             if counts.sum() != stated:
                 raise FormatError(
                     f"{path} has {counted(int(counts.sum()), 'splat')} in level {level}, but the"
