@@ -47,6 +47,13 @@ def test_all_modes_and_degrees_are_read(load, tmp_path, mode, degree):
     assert_close(part[2], again, mode)
     info = io.inspect(tmp_path / "a.ksplat")
     assert (info.splats, info.sh_degree, info.format) == (23, degree, "ksplat")
+    kinds = {
+        0: ("float", "float", "float", "uchar", "float"),
+        1: ("ushort", "float16", "float16", "uchar", "float16"),
+        2: ("ushort", "float16", "float16", "uchar", "uchar"),
+    }[mode]
+    names = ("mean", "scale", "quat", "rgba", "sh")[: 4 + (degree > 0)]
+    assert info.properties == tuple(zip(names, kinds, strict=False))
     assert again.notes == ()
 
 

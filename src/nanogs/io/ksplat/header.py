@@ -37,7 +37,7 @@ _SECTION = np.dtype(
 _NUMBERS = ("<f4", "<f2", "<f2")  # types of scales and rotations, by mode
 _CENTRES = ("<f4", "<u2", "<u2")
 _COEFFICIENTS = ("<f4", "<f2", "u1")
-TYPE_NAMES = {"<f4": "float", "<f2": "ushort", "<u2": "ushort", "u1": "uchar"}
+TYPE_NAMES = {"<f4": "float", "<f2": "float16", "<u2": "ushort", "u1": "uchar"}
 
 
 @dataclass(frozen=True, slots=True)
