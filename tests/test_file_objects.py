@@ -87,7 +87,7 @@ def test_a_given_format_replaces_the_suffix_of_a_path(model, tmp_path):
     ("call", "error", "message"),
     [
         (lambda m: nanogs.load(io.BytesIO(b"abc")), OptionError, "does not say its format"),
-        (lambda m: nanogs.load(io.BytesIO(b"abc"), format="obj"), FormatError, "unknown suffix"),
+        (lambda m: nanogs.load(io.BytesIO(b"abc"), format="obj"), FormatError, "a format 'obj';"),
         (lambda m: nanogs.load(io.BytesIO(b""), format=".ply"), FormatError, r"^stream\.ply is em"),
         (lambda m: nanogs.load(io.BytesIO(b"ply\n")), FormatError, r"^stream\.ply"),
         (lambda m: nanogs.load(io.StringIO("ply")), OptionError, 'as text; open it with "rb"'),
@@ -95,6 +95,10 @@ def test_a_given_format_replaces_the_suffix_of_a_path(model, tmp_path):
         (lambda m: nanogs.load(io.BytesIO(b""), level=1), OptionError, "no levels"),
         (lambda m: nanogs.save(m, io.BytesIO()), OptionError, "has no format by itself"),
         (lambda m: nanogs.save(m, io.StringIO(), format=".ply"), OptionError, 'with "wb"'),
+        (lambda m: nanogs.load("a.bin", format="usd"), FormatError, r"^nanogs .* \.usd files;"),
+        (lambda m: nanogs.open("a.bin", format="foo"), FormatError, "^nanogs does not read a"),
+        (lambda m: nanogs.save(m, "a.bin", format="foo"), OptionError, "^nanogs does not write a"),
+        (lambda m: nanogs.save(m, "a.bin", format="lcc"), OptionError, "format 'lcc'; it writes"),
         (lambda m: nanogs.save(m, 7), OptionError, "is needed to write a model, not int"),
         (lambda m: nanogs.save(m, io.BytesIO(), format="ksplat"), OptionError, "does not write"),
         (

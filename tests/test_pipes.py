@@ -140,7 +140,7 @@ def test_wrong_uses_of_pipes_are_refused(scene, tmp_path):
     assert_refused(run("convert", "-", "-", data=splat), "--from splat")
     assert_refused(run("convert", "-", "-"), "stdin is empty")
     assert_refused(run("convert", "-", "-", data=data[:-5]), "stdin", "cut short")
-    assert_refused(run("convert", "-", "-", "--from", "obj", data=data), "unknown suffix")
+    assert_refused(run("convert", "-", "-", "--from", "obj", data=data), "read a format 'obj'")
     assert_refused(run("convert", "-", "-", "--to", "obj", data=data), "does not write")
     textures = run("convert", "-", "-", "--to", "meta.json", data=data)
     assert_refused(

@@ -125,7 +125,7 @@ def _opened(
     render_mode: str | None,
 ) -> FileSource:
     """Open a local file; see `open`."""
-    known = registry.reader(as_named(path, format))
+    known = registry.reader(as_named(path, format, to_read=True))
     if known.open_level is not None:
         return retagged(known.open_level(path, level), render_mode)
     if level != 0:

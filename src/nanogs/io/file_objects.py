@@ -24,9 +24,24 @@ from nanogs.splats import Splats
 _IN_MEMORY = 1 << 28  # bytes of output that are held in memory; more go to a file on disk
 
 
-def as_named(path: Path, format: str | None) -> Path:  # noqa: A002 - the name in `load`
-    """Return a path whose suffix says the format: the given one, or `model` with that suffix."""
-    return path if format is None else Path(f"model{registry.suffix_of(format)}")
+def as_named(
+    path: Path,
+    format: str | None,  # noqa: A002 - the name in `load`
+    *,
+    to_read: bool = False,
+) -> Path:
+    """Return a path whose suffix says the format: the given one, or `model` with that suffix.
+
+    Args:
+        path: The file.
+        format: Name of its format; None for that of its suffix.
+        to_read: Whether it is to be read; otherwise it is to be written.
+
+    Raises:
+        FormatError: nanogs does not read this format.
+        OptionError: nanogs does not write this format, or it is no name.
+    """
+    return path if format is None else registry.file_of(format, to_read=to_read)
 
 
 def read_file(
@@ -58,7 +73,7 @@ def read_file(
             raise OutputError(
                 f"The open file cannot be copied to a temporary one ({reason})."
             ) from (error)
-        suffix = _suffix(file, format) or sniff(copy)
+        suffix = _suffix(file, format, to_read=True) or sniff(copy)
         if suffix is None:
             raise OptionError(
                 "The open file does not say its format; name it, as in nanogs.load(file,"
@@ -105,9 +120,15 @@ def write_file(
             raise OutputError(f"The open file cannot be written ({reason}).") from error
 
 
-def _suffix(file: BinaryIO, format: str | None) -> str | None:  # noqa: A002
+def _suffix(
+    file: BinaryIO,
+    format: str | None,  # noqa: A002 - the name in `load`
+    *,
+    to_read: bool = False,
+) -> str | None:
     """Return the suffix of the given format, or that of the file's name, or None."""
     if format is not None:
+        registry.file_of(format, to_read=to_read)  # raises if it is not a format
         return registry.suffix_of(format)
     name = getattr(file, "name", None)  # an integer, the descriptor, for files without a name
     known = registry.find(Path(name)) if isinstance(name, str) else None

@@ -18,6 +18,7 @@ _HEAD_BYTES = 8  # bytes at the start of a file from which the format is detecte
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
 LEVEL_LIST = "levels.json"  # the list of levels in a folder with one file for each
 ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
+_OF_LEVELS = (LEVELS, TILESET, ARCHIVE)
 _TO_TEXT = "convert it to text with OpenUSD's usdcat, into a .usda file"
 # How to get a model out of files that are not read, and whose names resemble those that are.
 _REMEDIES = {
@@ -111,7 +112,7 @@ def reader(path: Path) -> Format:
         _refuse_list(path)
         if remedy := _REMEDIES.get(path.suffix.lower()):
             raise FormatError(f"{path}: nanogs does not read {path.suffix} files; {remedy}.")
-        suffixes = [known.suffix for known in formats() if known.readable]
+        suffixes = _suffixes_read()
         meant = _meant(path, suffixes)
         raise FormatError(
             f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}; give it the suffix"
@@ -275,7 +276,7 @@ def writable(path: Path) -> Format:
         OptionError: nanogs does not write the format of this suffix.
     """
     known = find(path)
-    if known is not None and known.suffix in (LEVELS, TILESET, ARCHIVE):
+    if known is not None and known.suffix in _OF_LEVELS:
         raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
     if known is None and not isinstance(path, Address) and path.is_dir():
         raise OptionError(f"{path} is a folder; name a file in it, such as {path / 'scene.ply'}.")
@@ -284,16 +285,36 @@ def writable(path: Path) -> Format:
     return known
 
 
-def file_of(format: str) -> Path:  # noqa: A002 - the name in `load`
+def file_of(format: str, *, to_read: bool = False) -> Path:  # noqa: A002 - the name in `load`
     """Return an example file name of a format, for functions that take a path.
 
+    Args:
+        format: The format's name, with or without a dot.
+        to_read: Whether a file is to be read; otherwise it is to be written.
+
     Raises:
-        OptionError: There is no such format.
+        FormatError: nanogs does not read such a format.
+        OptionError: nanogs does not write such a format, or it is no name.
     """
-    path = Path(f"model{suffix_of(format)}")
-    if find(path) is None:
+    suffix = suffix_of(format)
+    path = Path(f"model{suffix}")
+    known = find(path)
+    if to_read and known is None:
+        if remedy := _REMEDIES.get(suffix):
+            raise FormatError(f"nanogs does not read {suffix} files; {remedy}.")
+        suffixes = _suffixes_read()
+        raise FormatError(
+            f"nanogs does not read a format {format!r}{_meant(path, suffixes)}; it reads"
+            f" {', '.join(suffixes)}."
+        )
+    # `writable` says how to make those of levels.
+    if not to_read and (known is None or not (known.writable or known.suffix in _OF_LEVELS)):
         raise OptionError(f"nanogs does not write a format {format!r}{_instead(path)}.")
     return path
+
+
+def _suffixes_read() -> list[str]:
+    return [known.suffix for known in formats() if known.readable]
 
 
 def _instead(path: Path) -> str:

@@ -126,9 +126,12 @@ def detect_suffix(raw: Path, called: str, format: str | None, remedy: str) -> st
         remedy: Advice for the error message if the format cannot be detected.
 
     Raises:
-        FormatError: The file is a web page or a Git LFS pointer.
+        FormatError: The file is a web page or a Git LFS pointer, or nanogs does not read the
+            format.
         OptionError: The format cannot be detected.
     """
+    if format:
+        registry.file_of(format, to_read=True)  # raises if it is not a format
     suffix = registry.suffix_of(format) if format else sniff(raw)
     if suffix is None:
         with raw.open("rb") as file:
