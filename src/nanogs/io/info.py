@@ -20,10 +20,11 @@ class FileInfo:
 
     Attributes:
         path: The file.
-        format: Name of the format: its suffix without the first dot, `sog` for `meta.json` too, or
-            `streamed sog`.
+        format: Name of the format: its suffix without the first dot, `sog` for `meta.json` too,
+            `streamed sog`, `3d tiles` or `checkpoint`.
         encoding: `binary_little_endian`, `binary_big_endian` or `ascii`; usually `gzip` or `zstd`
-            for a `.spz` file, `zip` for a `.npz` file, `webp` for SOG.
+            for a `.spz` file, `deflate` for a `.rad` file, `zip` for a `.npz` file or a checkpoint,
+            `webp` for SOG.
         file_bytes: Size of the file, or of all files that make up the model, in bytes.
         splats: Number of splats.
         sh_degree: Degree of the spherical harmonics, 0 to 4.
