@@ -3,17 +3,18 @@
 import dataclasses
 import json
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from builders import linear_scales, random_splats
+from builders import linear_scales, model_bytes, random_splats
 from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
 from nanogs.splats import RenderMode, Splats
-from strategies import splats
+from strategies import assert_same, splats
 
 SHARED = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40
@@ -166,6 +167,25 @@ def test_written_files_are_read_back(tmp_path, model):
     assert back.notes == ()
     info = io.inspect(tmp_path / "a.usda")
     assert (info.splats, info.sh_degree, info.encoding) == (len(model), model.sh_degree, "ascii")
+
+
+def test_arrays_that_are_parsed_in_pieces_are_the_same(tmp_path, monkeypatch):
+    written(tmp_path / "a.usda", random_splats(50, degree=2))
+    whole = io.load(tmp_path / "a.usda")
+    for piece in (1, 13, 300):
+        monkeypatch.setattr("nanogs.io.usda.read._PIECE", piece)
+        assert_same(io.load(tmp_path / "a.usda"), whole)
+
+
+def test_memory_for_reading_is_bounded_by_the_text_and_twice_the_model(tmp_path):
+    model = random_splats(20_000, degree=3)
+    io.save(model, tmp_path / "a.usda")
+    tracemalloc.start()
+    io.load(tmp_path / "a.usda")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    text = (tmp_path / "a.usda").stat().st_size
+    assert peak < text + 2 * len(model_bytes(model)) + 6_000_000
 
 
 def layer(*prims, metadata='upAxis = "Y"'):

@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from nanogs._types import F64, Array
+from nanogs._types import F32, F64
 from nanogs.activations import logit
 from nanogs.errors import FormatError
 from nanogs.findings import Finding, negative_scales
 from nanogs.formatting import counted
 from nanogs.io.files import input_size, reading
-from nanogs.io.gltf.scene import Z_UP, pose_of
+from nanogs.io.gltf.scene import Z_UP, Pose, pose_of
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
 from nanogs.io.usda.text import Layer, Prim, read_layer
 from nanogs.slices import BLOCK_ROWS
 from nanogs.source import joined_rows
-from nanogs.splats import MAX_SH_DEGREE, Splats, empty_arrays
+from nanogs.splats import MAX_SH_DEGREE, Splats
 
 PRIM = "ParticleField3DGaussianSplat"
 DEGREE = "radiance:sphericalHarmonicsDegree"
@@ -33,6 +33,7 @@ COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
 _WIDTHS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, COEFFICIENTS: 3}
 _BRACKETS = bytes.maketrans(b"(),[]\r\n\t", b" " * 8)
 _AXES = {"rotateX": 0, "rotateY": 1, "rotateZ": 2}
+_PIECE = 1 << 20  # bytes of an array that are parsed at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,22 +113,18 @@ def _field(layer: Layer, prim: Prim) -> _Field:
 def _decoded(layer: Layer, given: _Field) -> Splats:
     """Decode the splats of one prim, in the frame of `.ply` files."""
     columns = {name: _column(layer, given, name) for name in _WIDTHS}
-    out = empty_arrays(given.count, given.degree)
+    out: dict[str, Any] = {
+        "means": columns["positions"],
+        "log_scales": columns["scales"],
+        "quats": columns["orientations"],
+        "opacity_logits": columns["opacities"][:, 0],
+        "sh": columns[COEFFICIENTS],
+    }
     pose = pose_of(_to_stage(layer, given.prim), layer.error)
-    scales, alphas = columns["scales"], columns["opacities"][:, 0]
+    notes = negative_scales(int((columns["scales"] < 0).any(axis=1).sum()))
     with np.errstate(all="ignore"):
-        out["opacity_logits"][:] = logit(alphas)
         for start in range(0, given.count, BLOCK_ROWS):
-            span = slice(start, start + BLOCK_ROWS)
-            means, quats = columns["positions"][span], columns["orientations"][span]
-            out["sh"][span], log_scales = columns[COEFFICIENTS][span], np.log(scales[span])
-            if not pose.is_identity():
-                means = pose.means(means)
-                quats, log_scales = pose.shapes(quats, log_scales)
-                out["sh"][span] = pose.harmonics(out["sh"][span])
-            out["means"][span], out["quats"][span] = means, quats
-            out["log_scales"][span] = log_scales
-    notes = negative_scales(int((scales < 0).any(axis=1).sum()))
+            _decode({name: array[start : start + BLOCK_ROWS] for name, array in out.items()}, pose)
     if wrong := int(np.isnan(out["opacity_logits"]).sum()):
         text = "{:opacity is|opacities are} not from 0 to 1 and became NaN."
         notes.append(Finding(text, wrong))
@@ -137,13 +134,28 @@ def _decoded(layer: Layer, given: _Field) -> Splats:
     return Splats(**out, notes=notes)
 
 
-def _column(layer: Layer, given: _Field, name: str) -> Array:
+def _decode(rows: dict[str, F32], pose: Pose) -> None:
+    """Convert stored values of some rows to those of `Splats`, in place."""
+    means, quats = rows["means"].astype(np.float64), rows["quats"].astype(np.float64)
+    log_scales = np.log(rows["log_scales"].astype(np.float64))
+    rows["opacity_logits"][:] = logit(rows["opacity_logits"].astype(np.float64))
+    if not pose.is_identity():
+        means = pose.means(means)
+        quats, log_scales = pose.shapes(quats, log_scales)
+        rows["sh"][:] = pose.harmonics(rows["sh"])
+    rows["means"][:], rows["quats"][:], rows["log_scales"][:] = means, quats, log_scales
+
+
+def _column(layer: Layer, given: _Field, name: str) -> F32:
     """Parse an array of a prim to (N, width), or (N, K, 3) for the SH coefficients.
 
-    The arrays are of floats, so each number is the nearest one in single precision.
+    The arrays are of floats, so each number is the nearest one in single precision. The text is
+    parsed in pieces, because each takes several times its size.
     """
     with np.errstate(over="ignore"):
-        numbers = _parsed(layer, given.spans[name], name).astype(np.float32).astype(np.float64)
+        pieces = _pieces(layer.text, *given.spans[name])
+        parts = [_parsed(layer, piece, name).astype(np.float32) for piece in pieces]
+    numbers = np.concatenate(parts)
     each = _WIDTHS[name] * ((given.degree + 1) ** 2 if name == COEFFICIENTS else 1)
     if len(numbers) != given.count * each:
         raise layer.error(
@@ -156,15 +168,24 @@ def _column(layer: Layer, given: _Field, name: str) -> Array:
 
 def _numbers(layer: Layer, prim: Prim, name: str, count: int) -> F64:
     """Parse an attribute that must have `count` finite numbers."""
-    numbers = _parsed(layer, prim.values[name], name)
+    numbers = _parsed(layer, layer.text[slice(*prim.values[name])], name)
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise layer.error(f"{name} of {prim.name[:40]!a} needs {count} finite numbers")
     return numbers
 
 
-def _parsed(layer: Layer, span: tuple[int, int], name: str) -> F64:
+def _pieces(text: bytes, start: int, end: int) -> Iterator[bytes]:
+    """Yield a range of bytes in pieces that end with a comma; at least one, which may be empty."""
+    while end - start > _PIECE:
+        stop = text.rfind(b",", start, start + _PIECE) + 1 or end
+        yield text[start:stop]
+        start = stop
+    yield text[start:end]
+
+
+def _parsed(layer: Layer, text: bytes, name: str) -> F64:
     """Parse all numbers of a value into one flat array, ignoring brackets."""
-    text = layer.text[slice(*span)].translate(_BRACKETS)
+    text = text.translate(_BRACKETS)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # NumPy only warns of text after the last number
