@@ -154,7 +154,7 @@ def test_losses_are_reported(tmp_path):
         "Spherical harmonics above degree 0 are left out, .splat holds no more.",
         f"{mode}: viewers will render the model as ordinary splats.",
         "1 splat has base colours outside 0 to 1, the range of .splat; they are clamped to it.",
-        "Centres lose their double precision, .splat holds single.",
+        "Centres in double precision are rounded, .splat holds single.",
     )
     plain = random_splats(3, degree=0)
     plain.sh[:] = 0

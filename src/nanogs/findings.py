@@ -122,3 +122,9 @@ def negative_scales(count: int) -> list[str]:
     """Return a note if any splats have a negative scale, which has no logarithm; else none."""
     text = "{:splat has|splats have} a negative scale, which became NaN."
     return [Finding(text, count)] if count else []
+
+
+def invalid_opacities(count: int) -> list[str]:
+    """Return a note if any opacities are not from 0 to 1, which have no logit; else none."""
+    text = "{:opacity is|opacities are} not from 0 to 1 and became NaN."
+    return [Finding(text, count)] if count else []

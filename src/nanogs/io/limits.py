@@ -143,8 +143,12 @@ def degree_left_out(suffix: str, max_degree: int) -> str:
 
 
 def rounded(splats: Splats, suffix: str) -> list[str]:
-    """Return a sentence if centres in double precision are rounded to single."""
+    """Return a sentence if centres are rounded, because they need double precision."""
     if splats.means.dtype == np.float32:
+        return []
+    with np.errstate(over="ignore", invalid="ignore"):
+        same = splats.means.astype(np.float32) == splats.means
+    if (same | np.isnan(splats.means)).all():
         return []
     return [f"Centres in double precision are rounded, {suffix} holds single."]
 

@@ -105,11 +105,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
         np.abs(splats.sh[:, 0]) > 0.5 / SH_C0 * (1 + 1 / 255),
         f"base colours outside 0 to 1, the range of {_SUFFIX}",
     )
-    with np.errstate(over="ignore", invalid="ignore"):
-        loses = splats.means.dtype == np.float64 and splats.means.astype(np.float32) != splats.means
-    if np.any(loses):
-        out.append(f"Centres lose their double precision, {_SUFFIX} holds single.")
-    return tuple(out)
+    return (*out, *limits.rounded(splats, _SUFFIX))
 
 
 def _encode(splats: Splats) -> Array:

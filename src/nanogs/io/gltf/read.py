@@ -18,7 +18,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
-from nanogs.findings import Finding
+from nanogs.findings import invalid_opacities
 from nanogs.formatting import counted
 from nanogs.io.files import check_expansion, splat_bytes
 from nanogs.io.gltf import rows as gltf_rows
@@ -170,10 +170,7 @@ class _Rows(FileSource):
                     primitive.decode(body, part, low - first, self._logarithms)
                 first = end
         notes += [_LOGARITHMS] if self._logarithms else []
-        if wrong := int(np.isnan(out["opacity_logits"]).sum()):
-            notes.append(
-                Finding("{:opacity is|opacities are} not from 0 to 1 and became NaN.", wrong)
-            )
+        notes += invalid_opacities(int(np.isnan(out["opacity_logits"]).sum()))
         return Splats(
             **out, render_mode=scene.mode, comments=scene.comments, notes=list(dict.fromkeys(notes))
         )

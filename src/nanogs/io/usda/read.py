@@ -16,7 +16,7 @@ import numpy as np
 from nanogs._types import F32, F64
 from nanogs.activations import logit
 from nanogs.errors import FormatError
-from nanogs.findings import Finding, negative_scales
+from nanogs.findings import invalid_opacities, negative_scales
 from nanogs.formatting import counted
 from nanogs.io.files import input_size, reading
 from nanogs.io.gltf.scene import Z_UP, Pose, pose_of
@@ -125,9 +125,7 @@ def _decoded(layer: Layer, given: _Field) -> Splats:
     with np.errstate(all="ignore"):
         for start in range(0, given.count, BLOCK_ROWS):
             _decode({name: array[start : start + BLOCK_ROWS] for name, array in out.items()}, pose)
-    if wrong := int(np.isnan(out["opacity_logits"]).sum()):
-        text = "{:opacity is|opacities are} not from 0 to 1 and became NaN."
-        notes.append(Finding(text, wrong))
+    notes += invalid_opacities(int(np.isnan(out["opacity_logits"]).sum()))
     # Values of each splat beyond the schema are primvars.
     left_out = [name for name in given.prim.values if name.startswith("primvars:")]
     notes += [f"The attribute {name[:40]!a} was left out." for name in left_out]
