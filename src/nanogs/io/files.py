@@ -108,3 +108,13 @@ def unreadable(path: Path, error: Exception) -> FormatError:
     """Build the error for a file that exists but that the system does not let us read."""
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return FormatError(f"{path} cannot be read ({reason}); check its permissions.")
+
+
+def damaged(where: object, what: str) -> FormatError:
+    """Build the error for a file whose contents contradict each other.
+
+    Args:
+        where: The file, and perhaps the part of it.
+        what: The contradiction.
+    """
+    return FormatError(f"{where} is damaged: {what}; export or download it again.")

@@ -99,7 +99,7 @@ def is_plain(name: str) -> bool:
     return plain and not name.endswith((".", " ")) and bool(name) and not device
 
 
-def local_path(folder: Path, uri: object, where: str) -> Path:
+def referenced_path(folder: Path, uri: object, where: str) -> Path:
     """Return the path that a relative URI names, which must be in a folder or below it.
 
     Args:

@@ -16,7 +16,7 @@ from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size, reading
 from nanogs.io.gltf.rows import Accessor
-from nanogs.io.json_fields import integer, local_path, numbers, refused, rows, table
+from nanogs.io.json_fields import integer, numbers, referenced_path, refused, rows, table
 from nanogs.io.section import Section
 
 # Parsed JSON takes up to 25 times the memory of its text; that of a splat file has some 10 KB.
@@ -233,7 +233,7 @@ class Document:
         uri = buffer.text("uri")
         if not uri or uri.startswith(DATA):  # as placeholders of skipped URIs do too
             return None
-        return local_path(self.path.parent, uri, f"{self.path}: {buffer.where}.uri")
+        return referenced_path(self.path.parent, uri, f"{self.path}: {buffer.where}.uri")
 
 
 def _skipped_uri_section(path: Path, buffer: JsonObject, lifted: SkippedUri) -> Section:

@@ -25,7 +25,7 @@ from nanogs.findings import join_findings
 from nanogs.io.gltf import read as gltf
 from nanogs.io.gltf.scene import Z_UP
 from nanogs.io.info import FileInfo
-from nanogs.io.json_fields import local_path, numbers, read_json, refused, rows, table
+from nanogs.io.json_fields import numbers, read_json, referenced_path, refused, rows, table
 from nanogs.io.parts import FileSource, Whole, check_level, level_note
 from nanogs.io.sog.levels import common_mode, joined_info, mode_notes
 from nanogs.place import text_of
@@ -220,7 +220,7 @@ class _Reader:
         for content in given:
             where = f"{path}, content"
             entry = table(content, where)
-            file = local_path(path.parent, entry.get("uri", entry.get("url")), where)
+            file = referenced_path(path.parent, entry.get("uri", entry.get("url")), where)
             if file in self._seen:
                 raise refused(where, f"names {file.name} twice")
             self._seen.add(file)

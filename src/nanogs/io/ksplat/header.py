@@ -41,7 +41,7 @@ TYPE_NAMES = {"<f4": "float", "<f2": "float16", "<u2": "ushort", "u1": "uchar"}
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class SplatSection:
     """A section that holds splats.
 
     Attributes:
@@ -80,7 +80,7 @@ class Headers:
     degree: int
     sh_range: tuple[float, float]
     row: np.dtype[np.void]
-    sections: tuple[Section, ...]
+    sections: tuple[SplatSection, ...]
     trailing: int
 
     @property
@@ -161,7 +161,7 @@ def _degree(path: Path, sections: list[dict[str, Any]]) -> int:
 
 def _placed(
     path: Path, sections: list[dict[str, Any]], mode: int, row_bytes: int, size: int
-) -> tuple[tuple[Section, ...], int]:
+) -> tuple[tuple[SplatSection, ...], int]:
     """Return the sections that hold splats, and the byte offset of the end of all sections."""
     placed = []
     offset = _HEADER_BYTES + _SECTION_BYTES * len(sections)
@@ -181,7 +181,7 @@ def _placed(
         if mode and fields["splats"]:
             _check_buckets(path, number, fields)
         if fields["splats"]:
-            placed.append(Section(fields["splats"], fields, offset, centres_at, rows_at))
+            placed.append(SplatSection(fields["splats"], fields, offset, centres_at, rows_at))
         offset = end
     return tuple(placed), offset
 

@@ -21,7 +21,7 @@ from nanogs.errors import FormatError
 from nanogs.findings import negative_scales
 from nanogs.formatting import counted
 from nanogs.io.info import FileInfo
-from nanogs.io.ksplat.header import AGAIN, TYPE_NAMES, Headers, Section, columns, read_headers
+from nanogs.io.ksplat.header import AGAIN, TYPE_NAMES, Headers, SplatSection, columns, read_headers
 from nanogs.io.parts import FileSource, row_blocks
 from nanogs.splats import Splats, empty_arrays
 
@@ -73,7 +73,7 @@ class KsplatFile(FileSource):
 
 
 def _blocks(
-    file: Headers, section: Section, start: int, stop: int
+    file: Headers, section: SplatSection, start: int, stop: int
 ) -> Iterator[tuple[Array, F64 | None]]:
     """Yield blocks of rows of a section, with their centres decoded.
 
@@ -92,7 +92,7 @@ def _blocks(
         yield block, centres[np.searchsorted(ends, places, side="right")] + steps * step
 
 
-def _buckets(file: Headers, section: Section, start: int, stop: int) -> tuple[F64, I64]:
+def _buckets(file: Headers, section: SplatSection, start: int, stop: int) -> tuple[F64, I64]:
     """Return the buckets of rows `start` to `stop`: (B, 3) centres, (B,) the row after each's last.
 
     Full buckets come first; the others have various lengths, so that all lengths are summed up,
@@ -123,7 +123,7 @@ def _buckets(file: Headers, section: Section, start: int, stop: int) -> tuple[F6
     return np.concatenate(found), np.concatenate(ends)
 
 
-def _centres(file: Headers, section: Section, buckets: I64) -> F64:
+def _centres(file: Headers, section: SplatSection, buckets: I64) -> F64:
     """Read the (B, 3) centres of buckets, given in ascending order."""
     if not len(buckets):
         return np.empty((0, 3))

@@ -36,7 +36,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs.errors import FormatError
-from nanogs.io.files import check_expansion, reading, splat_bytes, unreadable
+from nanogs.io.files import check_expansion, damaged, reading, splat_bytes, unreadable
 from nanogs.io.json_fields import integer, numbers, parse, plain_name, refused, rows, table
 from nanogs.io.section import Section, whole_file
 from nanogs.io.texts import is_utf8
@@ -312,8 +312,3 @@ def _check_columns(
 def padded(size: int) -> int:
     """Round a size up to a multiple of 8."""
     return size + 7 & ~7
-
-
-def damaged(where: object, what: str) -> FormatError:
-    """Build the error for a damaged file of a model."""
-    return FormatError(f"{where} is damaged: {what}; export or download it again.")

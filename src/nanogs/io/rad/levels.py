@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import I32, I64
-from nanogs.io.rad.header import CHILD_COUNT, CHILD_START, Header, damaged
+from nanogs.io.files import damaged
+from nanogs.io.rad.header import CHILD_COUNT, CHILD_START, Header
 from nanogs.io.rad.values import components
 
 _MOST_LEVELS = 256  # Spark's trees of real scenes have some 20 to 40

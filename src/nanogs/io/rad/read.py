@@ -17,6 +17,7 @@ from nanogs.activations import base_colour
 from nanogs.errors import FormatError
 from nanogs.findings import Finding, negative_scales
 from nanogs.io import render_tag
+from nanogs.io.files import damaged
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, check_level
 from nanogs.io.rad.header import BANDS, CHILD_COUNT, CODES, LABEL, Chunk, read_header
@@ -117,9 +118,7 @@ class RadFile(FileSource):
             for number, chunk in enumerate(chunks)
         ]
         if not any(counts):
-            raise FormatError(
-                f"{self.path} is damaged: its tree has no leaf; export or download it again."
-            )
+            raise damaged(self.path, "its tree has no leaf")
         return list(accumulate(counts, initial=0))
 
     def _span(self, start: int, stop: int) -> Splats:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from nanogs.formatting import counted
 from nanogs.frames import Y_UP
+from nanogs.io.files import damaged
 from nanogs.io.spz.header import (
     CAMERA_RECORD,
     EXTENSIONS,
@@ -22,7 +23,6 @@ from nanogs.io.spz.header import (
     TOC_ENTRY,
     Header,
     Inflater,
-    damaged,
     opened,
 )
 
@@ -78,14 +78,15 @@ def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
     plain = inflater or file
     for piece, size in _plain_pieces(header, plain):
         if len(piece) < size:
-            raise damaged(header, f"the columns end before {counted(header.count, 'splat')}")
+            raise damaged(header.path, f"the columns end before {counted(header.count, 'splat')}")
         yield piece
     allowed = _MAX_EXTENSIONS if header.flags & EXTENSIONS else 0
     records = plain.read(allowed + 1)
     if len(records) > allowed:
-        raise damaged(header, f"more data than {counted(header.count, 'splat has', 'splats have')}")
+        expected = counted(header.count, "splat has", "splats have")
+        raise damaged(header.path, f"more data than {expected}")
     if inflater and inflater.trailing():
-        raise damaged(header, "something follows its data")
+        raise damaged(header.path, "something follows its data")
     notes += _extension_notes(header, records)
 
 
@@ -111,7 +112,7 @@ def _streams(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes
     """Yield the columns of version 4, then read the extension records, which precede them."""
     places = _places(header, file)
     for (name, width), (_, at, size) in zip(header.columns().items(), places, strict=True):
-        short = damaged(header, f"its {name} do not expand to {width * header.count:,} bytes")
+        short = damaged(header.path, f"its {name} do not expand to {width * header.count:,} bytes")
         with header.section.part(at, size).opened() as packed:
             reader = _expander(packed)
             for wanted in _pieces(header, width):
@@ -146,13 +147,13 @@ def _contents(header: Header, file: BinaryIO) -> list[int]:
     expected = [width * header.count for width in header.columns().values()]
     end = header.toc + len(expected) * TOC_ENTRY.size
     if header.streams != len(expected) or header.toc < HEADER.size or end > header.file_bytes:
-        raise damaged(header, f"a table of {header.streams} streams at byte {header.toc}")
+        raise damaged(header.path, f"a table of {header.streams} streams at byte {header.toc}")
     file.seek(header.toc)
     entries = list(TOC_ENTRY.iter_unpack(file.read(end - header.toc)))
     if len(entries) != len(expected) or [plain for _, plain in entries] != expected:
-        raise damaged(header, "the sizes of its streams do not fit its count of splats")
+        raise damaged(header.path, "the sizes of its streams do not fit its count of splats")
     if end + sum(packed for packed, _ in entries) != header.file_bytes:
-        raise damaged(header, "its streams do not end where the file does")
+        raise damaged(header.path, "its streams do not end where the file does")
     return [packed for packed, _ in entries]
 
 
@@ -199,7 +200,7 @@ def _frame_in(header: Header, records: dict[int, bytes]) -> str:
         return ""
     number = int.from_bytes(payload, "little")
     if len(payload) != _NUMBER or number > len(RECORDED_FRAMES):
-        raise damaged(header, "its record of the coordinate system names an unknown one")
+        raise damaged(header.path, "its record of the coordinate system names an unknown one")
     return RECORDED_FRAMES[number - 1] if number else Y_UP
 
 
@@ -226,7 +227,7 @@ def _records(header: Header, records: bytes) -> dict[int, bytes]:
         found[kind] = records[at : at + length]
         at += length
     if at != len(records):
-        raise damaged(header, "an extension record is cut short")
+        raise damaged(header.path, "an extension record is cut short")
     return found
 
 

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nanogs.errors import FormatError
-from nanogs.io.files import check_expansion, splat_bytes, unreadable
+from nanogs.io.files import check_expansion, damaged, splat_bytes, unreadable
 from nanogs.io.section import Section
 from nanogs.splats import MAX_SH_DEGREE
 
@@ -175,7 +175,7 @@ def _check(header: Header) -> None:
         )
     if header.degree > MAX_SH_DEGREE or header.fraction_bits > MAX_FRACTION_BITS:
         raise damaged(
-            header,
+            header.path,
             f"SH degree {header.degree} with {header.fraction_bits} fraction bits, where at most"
             f" {MAX_SH_DEGREE} and {MAX_FRACTION_BITS} are possible",
         )
@@ -188,11 +188,6 @@ def _check(header: Header) -> None:
         raise FormatError(f"{header.path} holds no splats; export a model with splats.")
     model_bytes = header.count * splat_bytes(header.degree)
     check_expansion(str(header.path), model_bytes, header.file_bytes)
-
-
-def damaged(header: Header, what: str) -> FormatError:
-    """Return the error for a file whose contents contradict its header."""
-    return FormatError(f"{header.path} is damaged: {what}; export or download it again.")
 
 
 class Inflater:
