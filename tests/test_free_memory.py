@@ -3,22 +3,27 @@
 import json
 import subprocess
 import sys
+import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
 
 import nanogs
+from builders import random_splats
 from launch import run_here as command
 from nanogs import memory
 from nanogs.cli.failures import sentence_of
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.io.files import splat_bytes
+from nanogs.io.gltf import packed_write
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
+from nanogs.memory_estimates import models_bytes
 from nanogs.pipeline.levels import judged_levels
 from nanogs.pipeline.options.presets import effective, parameters
 from nanogs.scoring.needed import needed_bytes
+from torchfiles import TorchFile, gsplat
 
 GB = 10**9
 COUNT = 60_000
@@ -645,6 +650,40 @@ def test_estimated_memory_is_close_to_the_memory_used(models, arguments, estimat
     # A few blocks at most.
     streamed = any(f"a{end}" in estimate for end in (".ply", ".spz", ".glb"))
     assert (0 if streamed else 0.4) < int(result.stdout.split()[-1]) / planned < 1.1
+
+
+def tiles_of(models, folder):
+    """Write models as tiles and return the path of their tileset."""
+    box = {"box": [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]}
+    tiles = []
+    for number, model in enumerate(models):
+        nanogs.save(model, folder / f"{number}.glb")
+        content = {"content": {"uri": f"{number}.glb"}}
+        tiles.append({"boundingVolume": box, "geometricError": 1} | content)
+    root = {"boundingVolume": box, "geometricError": 1, "children": tiles}
+    path = folder / "tileset.json"
+    path.write_text(json.dumps({"asset": {"version": "1.1"}, "root": root}))
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.usda", "a.pt", "a.glb", "tileset.json"])
+def test_estimated_memory_for_a_file_that_is_read_whole(tmp_path, name):
+    model, path = random_splats(20_000, degree=3), tmp_path / name
+    if name == "a.pt":
+        path.write_bytes(TorchFile(gsplat(model)).bytes())
+    elif name == "a.glb":
+        with path.open("wb") as file:
+            packed_write.write(model, file)
+    elif name == "tileset.json":
+        tiles_of([model[:10_000], model[10_000:]], tmp_path)
+    else:
+        nanogs.save(model, path)
+    planned = models_bytes([path], all_of_it=True)
+    tracemalloc.start()
+    nanogs.load(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert 0.8 * planned < peak < 1.1 * planned
 
 
 # ---- reports of runs in blocks and of other runs -------------------------------------------------

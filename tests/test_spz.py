@@ -237,7 +237,7 @@ def test_versions_that_cannot_hold_the_records_are_refused_before_any_work(tmp_p
         lambda: nanogs.write_levels(path, tmp_path / "lv", [0.5], suffix=".spz", **third),
         lambda: nanogs.write_levels(io.load(path), tmp_path / "lv", [0.5], suffix=".spz", **third),
     ):
-        with pytest.raises(OptionError, match=r"version 4 holds the extension records of the model"):
+        with pytest.raises(OptionError, match="4 holds the extension records"):
             work()
     assert [step.stage for step in steps] == []
     # Blocks leave the records out, so that any version will do.

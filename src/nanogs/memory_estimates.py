@@ -31,6 +31,10 @@ _FITTED, _FITTING = 450, 1_900
 _ROOM = 88  # bytes for each splat of the original, kept for its next view during a step
 _FIT_KEPT = 8  # bytes for each pixel of each view that is fitted to
 _READ = 1.4  # peak while reading a packed file, over the size of the model
+# The same for formats whose parts are joined or converted as a whole, and for unpacked ones.
+_READ_BY = {"ply": 1.0, "checkpoint": 1.9, "rad": 2.0, "3d tiles": 2.0, "lcc": 4.5}
+_READ_PACKED_GLTF = 2.4  # the same for glTF packed as SPZ, which is decoded to a model of its own
+_GLTF, _PLAIN = ("glb", "gltf", "3d tiles"), "binary_little_endian"
 _WHOLE = 0.4  # extra memory if the whole model must be held, over its size
 _ROWS = 25_000_000  # bytes for blocks of rows that are read, filtered, turned and written
 # Bytes for each splat: .spz of version 4 packs a whole column, .compressed.ply sorts by centres.
@@ -189,4 +193,9 @@ def _held(given: FileSource) -> int:
 
 
 def _read(info: FileInfo) -> int:
-    return int(model_bytes(info) * (1.0 if info.format == "ply" else _READ))
+    """Estimate the bytes for reading a whole model, the model included."""
+    model = model_bytes(info)
+    if info.format == "usda":  # the text, and the numbers of an array in pieces and joined
+        return info.file_bytes + 2 * model
+    packed_gltf = info.format in _GLTF and info.encoding != _PLAIN
+    return int(model * (_READ_PACKED_GLTF if packed_gltf else _READ_BY.get(info.format, _READ)))

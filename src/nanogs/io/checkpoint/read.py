@@ -79,9 +79,9 @@ class Checkpoint(Whole):
         try:
             return Splats(
                 means=arrays["means"],
-                log_scales=arrays["scales"].astype(np.float32),
-                quats=arrays["quats"].astype(np.float32),
-                opacity_logits=arrays["opacities"].astype(np.float32).reshape(count),
+                log_scales=arrays["scales"].astype(np.float32, copy=False),
+                quats=arrays["quats"].astype(np.float32, copy=False),
+                opacity_logits=arrays["opacities"].astype(np.float32, copy=False).reshape(count),
                 sh=_harmonics(arrays, count),
                 notes=notes,
             )
@@ -201,7 +201,7 @@ def _floats(path: Path, name: str, array: Array, notes: list[str]) -> Array:
     if name == "means" and array.dtype == np.float64:
         return array
     with np.errstate(over="ignore", invalid="ignore"):
-        single = array.astype(np.float32)
+        single = array.astype(np.float32, copy=False)
     if lost := int((np.isinf(single) & np.isfinite(array)).sum()):
         notes.append(became_infinite(name, lost))
     return single
@@ -218,7 +218,7 @@ def _harmonics(arrays: Mapping[str, Array], count: int) -> F32:
     parts = [base.reshape(count, 1, 3)]
     if rest is not None and rest.size:
         parts.append(rest.reshape(count, -1, 3))
-    return np.concatenate(parts, axis=1).astype(np.float32)
+    return np.concatenate(parts, axis=1).astype(np.float32, copy=False)
 
 
 def _other_ranks(path: Path) -> list[str]:

@@ -221,14 +221,12 @@ def _refuse_unstorable(splats: Splats) -> None:
 
 def _beyond(splats: Splats) -> Bool:
     """Return an (N,) bool mask of the splats that hold some of `_VALUES`."""
-
-    def far(values: F32) -> Bool:
+    beyond = np.zeros(len(splats), bool)
+    for values in (splats.sh[:, : (MAX_DEGREE + 1) ** 2], splats.log_scales):
         with np.errstate(invalid="ignore"):  # signalling NaNs would warn
             large = (np.abs(values) > _FARTHEST) & np.isfinite(values)
-        found: Bool = large.reshape(len(values), -1).any(axis=1)
-        return found
-
-    return far(splats.sh[:, : (MAX_DEGREE + 1) ** 2]) | far(splats.log_scales)
+        beyond |= large.reshape(len(splats), -1).any(axis=1)
+    return beyond
 
 
 def ours(folder: Path) -> frozenset[str] | None:
