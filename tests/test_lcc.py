@@ -2,6 +2,7 @@
 
 import json
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -240,3 +241,16 @@ def test_cells_cannot_share_their_splats(tmp_path):
     files["scene.lcc"] = json.dumps(text).encode()
     with pytest.raises(FormatError, match="do not fit"):
         io.load(write_files(tmp_path, files))
+
+
+def test_memory_for_reading_is_that_of_the_model_and_some_rows(tmp_path, monkeypatch):
+    monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 1000)
+    rows, sh = lccfiles.random_rows(np.random.default_rng(1), 100)
+    files = lccfiles.model([(0, 0, [(rows * 100, sh * 100)])], depth=1, quality=True)
+    path = write_files(tmp_path, files)
+    model = io.load(path)
+    tracemalloc.start()
+    io.load(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2 * len(model_bytes(model))

@@ -32,7 +32,7 @@ _ROOM = 88  # bytes for each splat of the original, kept for its next view durin
 _FIT_KEPT = 8  # bytes for each pixel of each view that is fitted to
 _READ = 1.4  # peak while reading a packed file, over the size of the model
 # The same for formats whose parts are joined or converted as a whole, and for unpacked ones.
-_READ_BY = {"ply": 1.0, "checkpoint": 1.9, "rad": 2.0, "3d tiles": 2.0, "lcc": 4.5}
+_READ_BY = {"ply": 1.0, "checkpoint": 1.9, "rad": 2.0, "3d tiles": 2.0}
 _READ_PACKED_GLTF = 2.4  # the same for glTF packed as SPZ, which is decoded to a model of its own
 _GLTF, _PLAIN = ("glb", "gltf", "3d tiles"), "binary_little_endian"
 _WHOLE = 0.4  # extra memory if the whole model must be held, over its size

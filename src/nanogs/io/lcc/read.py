@@ -87,10 +87,12 @@ class LccLevel(FileSource):
             for ranges, block, sh in self._blocks(start, stop):
                 part = {name: array[at : at + len(block)] for name, array in out.items()}
                 _decode(block, sh, ranges, part)
+                turned = change_frame(Splats(**part), _FRAME, TRAINED)
+                for name, rows in part.items():
+                    rows[:] = getattr(turned, name)
                 normals += int(block["normal"].any(axis=1).sum())
                 at += len(block)
-            notes = [Finding(_NORMALS, normals)] if normals else []
-            return change_frame(Splats(**out, notes=notes), _FRAME, TRAINED)
+        return Splats(**out, notes=[Finding(_NORMALS, normals)] if normals else [])
 
     def _blocks(self, start: int, stop: int) -> Iterator[tuple[Ranges, Array, Array | None]]:
         """Yield blocks of stored rows: the ranges of their codes, the rows, and their harmonics."""
