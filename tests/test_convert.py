@@ -171,6 +171,10 @@ def test_turn_makes_the_half_turn_to_the_frame_rub(scene, tmp_path):
     assert np.array_equal(turned.means, original.means * np.float32([1, -1, -1]))
     run(tmp_path / "a.ply", tmp_path / "b.ply", "--turn")
     assert np.array_equal(nanogs.load(tmp_path / "b.ply").sh, original.sh)
+    run(scene, tmp_path / "a.glb")
+    (tmp_path / "c").mkdir()
+    refused = run(tmp_path / "a.glb", tmp_path / "c" / "a.ply", "--turn")
+    assert_refused(refused, tmp_path / "c", "turned when it is read", "leave out --turn")
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])

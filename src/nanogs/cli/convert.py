@@ -45,16 +45,16 @@ def convert(
     # Imported here because `--help` does not need it.
     from nanogs.cli import filtering, framing, many
     from nanogs.conversion import convert as library_convert
-    from nanogs.frames import TRAINED, Y_UP
 
     if turn and edits.frame:
         raise OptionError("--turn and --frame both turn the model; give one of them.")
     filters = filtering.parse_filters(edits)
 
     def run_one(pair: "Pair", progress: "Progress") -> "Run":
-        frame = (
-            (Y_UP, TRAINED) if turn else framing.frames_of([pair.source], pair.target, edits.frame)
-        )
+        if turn:
+            frame = framing.turned(pair.source)
+        else:
+            frame = framing.frames_of([pair.source], pair.target, edits.frame)
         report = library_convert(
             pair.source, pair.target, level=level, filters=filters, sh_degree=edits.sh_degree,
             frame=frame, render_mode=edits.render_mode, overwrite=overwrite,

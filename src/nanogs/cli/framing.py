@@ -5,7 +5,7 @@ from pathlib import Path
 
 from nanogs.cli.file_options import Frames
 from nanogs.errors import OptionError
-from nanogs.frames import TRAINED
+from nanogs.frames import TRAINED, Y_UP
 from nanogs.io import open as open_model
 from nanogs.io import registry
 
@@ -29,6 +29,21 @@ def frames_of(
     before, after = given
     read = [_frame_read(path, before, after) for path in sources]
     return read[0], _frame_written(target, before, after, called or target)
+
+
+def turned(source: Path) -> tuple[str, str] | None:
+    """Return the frames (from, to) that --turn stands for.
+
+    Raises:
+        OptionError: Files of this format are turned when they are read.
+    """
+    known = registry.reader(source)
+    if known.turns:
+        raise OptionError(
+            f"{source} is turned when it is read, as all {known.suffix} files are; leave out"
+            " --turn."
+        )
+    return Y_UP, TRAINED
 
 
 def _frame_read(path: Path, before: str, after: str) -> str:
