@@ -96,7 +96,7 @@ def test_a_given_size_is_used_if_the_file_states_none(file):
 
 
 def test_an_unknown_image_size_is_an_error_with_a_remedy(file):
-    with pytest.raises(FormatError, match=r"the image size is unknown.*; give a width"):
+    with pytest.raises(FormatError, match=r"the image size is unknown.*; add 'w' and 'h'"):
         cameras_from_file(write_json(file, transforms()))
 
 

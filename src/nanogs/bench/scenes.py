@@ -1,10 +1,10 @@
 """Scenes to measure on, and the reference images that results are compared with."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING
 
 from nanogs.bench.published import DATASETS, image_folder
 from nanogs.bench.rows import Against
@@ -17,12 +17,11 @@ from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import is_url, place
 from nanogs.protocol import BLACK, Background, background_text
 from nanogs.raster.camera import Camera
+from nanogs.scoring.photo_views import PhotoViews
 from nanogs.splats import Splats
 from nanogs.views.cameras import AUTOMATIC
 
 if TYPE_CHECKING:  # these import Numba
-    from nanogs.datasets.dataset import Dataset
-    from nanogs.datasets.frame import Frame
     from nanogs.scoring.scores import ReferenceView
 
 TRAINED_MODEL = "{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply"
@@ -239,37 +238,3 @@ def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
         notes += (f"methods learn from automatic views, as there are no training views: {error}",)
     sets = {"": PhotoViews(dataset, frames, background)}
     return SceneViews(sets, fit, trained, background, Against.PHOTOGRAPHS, notes)
-
-
-class PhotoViews(Sequence["ReferenceView"]):
-    """Photographs as views, each read on access, because hundreds would not fit in memory."""
-
-    def __init__(
-        self, dataset: "Dataset", frames: "Sequence[Frame]", background: Background
-    ) -> None:
-        self._dataset = dataset
-        self._frames = tuple(frames)
-        self._background = background
-
-    @property
-    def cameras(self) -> tuple[Camera, ...]:
-        """The cameras of the views."""
-        return tuple(frame.camera for frame in self._frames)
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    @overload
-    def __getitem__(self, index: int) -> "ReferenceView": ...
-    @overload
-    def __getitem__(self, index: slice) -> "PhotoViews": ...
-    def __getitem__(self, index: int | slice) -> "ReferenceView | PhotoViews":
-        from nanogs.scoring.scores import ReferenceView
-
-        if isinstance(index, slice):
-            return PhotoViews(self._dataset, self._frames[index], self._background)
-        frame = self._frames[index]
-        return ReferenceView(frame.camera, self._dataset.load_photo(frame, self._background))
-
-    def __iter__(self) -> "Iterator[ReferenceView]":
-        return (self[index] for index in range(len(self)))

@@ -70,24 +70,27 @@ def render(
     from nanogs.card.device import device_notes, use_device
     from nanogs.progress import Stage, Tracker
     from nanogs.threads import use_threads
-    from nanogs.views.cameras import cameras_for
+    from nanogs.views.cameras import chosen_cameras, known_cameras
+    from nanogs.views.costing import pictures_of
     from nanogs.views.plan import room_for_pictures
     from nanogs.views.png import render_images
 
-    stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
     refuse_address(target, "pictures are written to a folder or file: name one")
+    wanted = known_cameras(cameras)
+    largest, count = pictures_of(wanted, count, (width, height))
+    stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
     with (
         use_device(device) as used,
         fetched([source], quiet=run.hushed) as [file],
         open_model(file, render_mode=render_mode) as opened,
     ):
-        room = room_for_pictures(opened, width * height, 0, run.max_memory)
+        room = room_for_pictures(opened, largest, 0, run.max_memory)
         with shown(quiet=run.hushed) as watch, use_threads(run.threads):
             progress = Tracker(watch, stages)
             progress.begin("read")
             model = opened.load() if room is None else opened
             progress.begin("cameras")
-            chosen = cameras_for(model, cameras, count=count, width=width, height=height, up=up)
+            chosen, _ = chosen_cameras(model, wanted, count, (width, height), up)
             written, notes = render_images(
                 model, chosen, target, background=color, transparent=transparent, depth=depth,
                 overwrite=run.overwrite, room=room, progress=progress.passing(),

@@ -108,7 +108,7 @@ def _size(
     if photo is None:
         raise FormatError(
             f"{where}: the image size is unknown, because there is neither 'w' and 'h' nor the"
-            " photograph; give a width, or put the photographs where file_path says"
+            " photograph; add 'w' and 'h', in pixels, or put the photographs where file_path says"
         )
     return photo_size(photo)
 

@@ -238,7 +238,7 @@ def _image_folder(folder: Path, images: str | None) -> Path:
     if chosen.is_dir():
         return chosen
     others = sorted(path.name for path in folder.glob("images*") if path.is_dir())
-    remedy = f"choose images={others[0]!r}" if others else "copy the photographs there"
+    remedy = f'choose `images="{others[0]}"`' if others else "copy the photographs there"
     problem = FormatError if images is None else OptionError
     raise problem(f"{chosen}: is no folder of photographs; {remedy}")
 

@@ -42,8 +42,6 @@ def photographs(
         raise OptionError(f"The split must be test or train, not {split!r}.")
     dataset = open_dataset(folder, images=images)
     frames = dataset.split(splits[split])
-    if not frames:
-        raise OptionError(f"{folder} has no photographs to compare with; choose another split.")
     pixels = [frame.camera.width * frame.camera.height for frame in frames]
     refuse_too_large(
         f"Comparing with {counted(len(frames), 'photograph')}",

@@ -17,6 +17,7 @@ from nanogs.progress import PartProgress, ignore_progress
 from nanogs.protocol import Background, PackingLoss
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering
+from nanogs.scoring.photo_views import PhotoViews
 from nanogs.views.streamed import Streamed, renderings
 
 HIGHEST = 100.0  # dB; cap of a view's PSNR in means
@@ -170,8 +171,13 @@ def score(
             )
     scores = []
     notes: dict[str, None] = {}
-    skipped, with_depth = 0, any(view.rendering is not None for view in views)
-    cameras = [view.camera for view in views]
+    skipped = 0
+    cameras: Sequence[Camera]
+    if isinstance(views, PhotoViews):  # each access to a view reads its photograph
+        cameras, with_depth = views.cameras, False
+    else:
+        cameras = [view.camera for view in views]
+        with_depth = any(view.rendering is not None for view in views)
     shown = renderings(model, cameras, background=background, depth=with_depth)
     for rendering, view in zip(shown, views, strict=True):
         skipped = rendering.skipped
