@@ -117,8 +117,9 @@ def test_errors_as_predicted_or_not_shown_change_no_order():
             predicted[labels[below[0]]] = 2**score
     as_predicted = correct_errors(ordering, labels, GroupErrors(7 * predicted, 3 * weights)).scores
     np.testing.assert_allclose(np.diff(as_predicted - ordering.scores), 0, atol=1e-12)
-    nothing = np.zeros(groups)
-    for shown in (GroupErrors(nothing, nothing), GroupErrors(nothing, weights)):
+    nothing, unknown = np.zeros(groups), np.full(groups, np.nan)
+    for squared, light in ((nothing, nothing), (nothing, weights), (unknown, weights)):
+        shown = GroupErrors(squared, light)
         assert correct_errors(ordering, labels, shown).scores.tolist() == ordering.scores.tolist()
     alone = np.arange(COUNT, dtype=np.int32)  # no merge was done, so no error was predicted
     shown = GroupErrors(np.ones(COUNT), np.ones(COUNT))

@@ -15,7 +15,7 @@ from conftest import peer_path, scene_path
 from nanogs import RefitParameters, refit
 from nanogs.errors import ModelError, OptionError
 from nanogs.fit.descent import Descent
-from nanogs.fit.groups import ViewGroup, grouped, hold_out, split
+from nanogs.fit.groups import EXACT, ViewGroup, grouped, hold_out, split
 from nanogs.fit.report import RefitStop
 from nanogs.fit.shared import PaletteSize, fit_shared
 from nanogs.fit.state import (
@@ -153,6 +153,7 @@ def test_extreme_values_are_fitted_without_warnings():
     assert np.isnan(render(prepare(splats), camera).color).any()
     target = make_target(prepare(splats), camera)
     assert target.image[..., 3].max() > 0
+    assert squared_error(prepare(splats), target) < EXACT
     far = make_splats(20, 4)
     far.means[:] *= np.float32(5e37)
     far.log_scales[:] += np.float32(np.log(5e37))

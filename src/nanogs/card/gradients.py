@@ -230,7 +230,10 @@ def weigh_pixels(
         curvature_weights[y, x] = alpha
         error[3] = change * alpha_scale
         for c in range(3):
-            colour = wp.min(drawn[c] + white * alpha, 1.0)
+            colour = drawn[c] + white * alpha
+            if wp.isnan(colour):
+                colour = 0.0
+            colour = wp.min(colour, 1.0)
             error[c] = wp.float32(target[y, x, c]) / 255.0 - colour - white * change
         residual[y, x] = error
         for c in range(4):

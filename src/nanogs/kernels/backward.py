@@ -18,6 +18,8 @@ the quadratic with one such block for each splat is an upper bound of the true o
 surrogates of De Pierro, 1995).
 """
 
+import math
+
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U8
@@ -81,7 +83,8 @@ def weigh_pixels(
 ) -> None:
     """Compute the residual of an image, which is the target minus the image, and its alpha.
 
-    Colours are clipped at 1, as on a screen, so that one that is brighter in both has no residual.
+    Colours are clipped at 1, as on a screen, so that one that is brighter in both has no residual;
+    NaN, as of coefficients near the end of float32, is black.
 
     Args:
         start: First row of the range.
@@ -110,7 +113,8 @@ def weigh_pixels(
             residual[y, x, 3] = change * alpha_scale
             total += change * change * alpha_scale * alpha_scale
             for c in range(3):
-                colour = min(image[y, x, c] + white * alpha, 1.0)
+                colour = image[y, x, c] + white * alpha
+                colour = 0.0 if math.isnan(colour) else min(colour, 1.0)
                 error = target[y, x, c] / 255.0 - colour - white * change
                 residual[y, x, c] = error
                 total += error * error

@@ -50,7 +50,7 @@ class Correction:
 
     Attributes:
         scores: (M,) float64, as those of an `Ordering`. They are not corrected if no view shows a
-            group, or if no group has several members.
+            group, if no group has several members, or if the errors are not finite.
         sums: (4,) float64, over all groups: the squared errors that they show, their light, their
             predicted errors and their weights; zeros if the scores are not corrected.
     """
@@ -78,7 +78,7 @@ def correct_errors(ordering: Ordering, labels: I32, shown: GroupErrors) -> Corre
     weights = np.bincount(labels, ordering.weights).astype(np.float64, copy=False)
     predicted = _predicted(ordering, labels, len(weights))
     sums = np.array([each.sum() for each in (shown.squared, shown.light, predicted, weights)])
-    if not sums.all():
+    if not (np.isfinite(sums).all() and sums.all()):
         return Correction(scores, np.zeros(4))
     ratios = _typical_mean(shown.squared, shown.light) / _typical_mean(predicted, weights)
     lit = shown.light / shown.light.sum() >= LIT * weights / weights.sum()
