@@ -155,8 +155,9 @@ def activate(state: State, splats: Splats, finite: Bool) -> Active:
     with np.errstate(invalid="ignore", over="ignore"):  # rows that are not finite are not drawn
         scales = np.exp(state.log_scales).astype(np.float32)
         factors = axes * scales[:, None, :]
+        means = state.means.astype(splats.means.dtype)  # rounded as in the model to be stored
     model = PreparedSplats(
-        means=state.means.astype(splats.means.dtype),  # rounded as in the model to be stored
+        means=means,
         factors=factors,
         opacities=opacities,
         reaches=reaches_of(opacities),
