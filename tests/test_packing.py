@@ -14,8 +14,9 @@ from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.errors import ModelError, TooSmallError
 from nanogs.fit.shared import SharedHarmonics
-from nanogs.io import round_trip_with_size
+from nanogs.io import registry, round_trip_with_size
 from nanogs.pipeline.options.settings import Sharing
+from nanogs.pipeline.options.size import SizeRequest
 from nanogs.pipeline.search.held_files import HeldFiles
 from nanogs.pipeline.search.packing import (
     FIRST_SHARE,
@@ -89,6 +90,14 @@ def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.05)
     assert len(probes) == len(model.files)
     assert len(model.made) <= 2 * (len(SHARES) + 4)
+
+
+def test_bits_of_harmonics_are_no_choice_for_files_without_harmonics():
+    known = registry.writable(Path("a.spz"))
+    without, with_some = (SizeRequest(9000, known, {}, degree).choices(3).bits for degree in (0, 1))
+    assert "bits" in without
+    assert "sh_bits" not in without
+    assert "sh_bits" in with_some
 
 
 def test_a_much_worse_sh_degree_is_measured_but_not_attempted():

@@ -19,7 +19,9 @@ from nanogs.io.precision import visibility
 from nanogs.io.rotations import minimise_rotation
 from nanogs.io.sog import write as sog_write
 from nanogs.io.sog.codebook import codebook, nearest
-from nanogs.splats import ExtraElement, RenderMode, Splats
+from nanogs.io.spz import write as spz_write
+from nanogs.source import InMemory
+from nanogs.splats import ExtraElement, RenderMode, Splats, concatenate
 from nanogs.threads import most_threads, use_threads
 from strategies import assert_same, assert_written_alike, splats
 
@@ -452,6 +454,37 @@ def test_spare_bits_reduce_the_precision_of_centres(tmp_path):
         errors.append(np.sqrt(np.square(shifts).mean()))
     np.testing.assert_allclose(np.diff(np.log2(errors)), 1, atol=0.15)
     assert sizes == sorted(sizes, reverse=True)
+
+
+def test_a_sky_does_not_coarsen_the_centres_of_what_is_near():
+    rng = np.random.default_rng(0)
+    near = random_model(2000, 0)
+    near.means[:], near.log_scales[:] = rng.normal(0, 1, (2000, 3)), np.log(0.01)
+    sky = random_model(200, 0)
+    sky.means[:], sky.log_scales[:] = 100 * rng.normal(0, 1, (200, 3)), np.log(10)
+    both = concatenate([near, sky])
+    for spare_bits in (sog_write.spare_bits, lambda model: spz_write.spare_bits(InMemory(model))):
+        assert spare_bits(sky) >= 4
+        assert spare_bits(both) <= spare_bits(near) + 1 < 4
+    assert visibility(both)[:2000].std() > 0.1 * visibility(both)[:2000].mean()
+
+
+@pytest.mark.parametrize("outlier", [1e7, -1e7, -1e9])
+def test_one_extreme_value_leaves_the_codebook_fine(outlier):
+    values = np.random.default_rng(1).normal(0, 0.3, 20_000).astype(np.float32)
+    book = codebook(np.append(values, np.float32(outlier)), 64)
+    plain = codebook(values, 64)
+    loss, usual = (np.abs(each[nearest(values, each)] - values).max() for each in (book, plain))
+    assert loss < 3 * usual
+
+
+def test_equal_harmonics_of_two_splats_leave_the_others_as_fine(tmp_path):
+    model = random_model(300, 1)
+    losses = []
+    for _ in range(2):
+        losses.append(np.abs(saved(tmp_path, model).sh[:, 1:] - model.sh[:, 1:]).mean())
+        model.sh[7] = model.sh[8]
+    assert losses[1] < 1.2 * losses[0]
 
 
 def test_centres_that_were_read_keep_their_precision(tmp_path):

@@ -20,6 +20,8 @@ _SHARE_OF_SIZE = 0.02  # largest step of centres at 8 bits, relative to the spla
 _AREA_POWER = 0.75
 _LEAST_SIZE = 1e-150  # added to sizes, so that neither they nor their squares are zero
 _CODES = 256
+_AREA_BINS = 2048  # bins of the logarithm to base 2 of areas
+_LARGE = 7  # bins above the median from which on the area of a splat counts no more
 _VISIBILITY = (1e-3, 1e3)  # smallest and largest weight of a splat, relative to the mean
 
 
@@ -64,21 +66,48 @@ class Precision:
         """
         if self.spare is not None:
             return self.spare
-        moved = counted = 0.0
+        sums = _SumsByArea()
         for block in blocks:
             scales = np.sort(block.scales().astype(np.float64), axis=1)[:, 1:] + _LEAST_SIZE
             with np.errstate(over="ignore"):
                 shares = np.minimum(((steps(block) / scales[:, :1]) ** 2).mean(axis=1), 1)
-            seen = block.opacities() * scales.prod(axis=1)
-            moved += float((seen * shares).sum())
-            counted += float(seen.sum())
-        share = math.sqrt(moved / counted) if counted else 0.0
+            sums.add(scales.prod(axis=1), block.opacities(), shares)
+        share = math.sqrt(sums.mean())
         allowed = _SHARE_OF_SIZE * (1 << (MOST_BITS - self.bits))
         spare = math.floor(math.log2(allowed / max(share, allowed / 2**MOST_SPARE_BITS)))
         return max(spare, 0)
 
 
 FINEST = Precision(MOST_BITS)
+
+
+class _SumsByArea:
+    """Sums over splats in bins of their area, for a mean weighted by what is seen of them.
+
+    What is seen of a splat is its opacity times its area, which counts up to `_LARGE` times the
+    median: splats of a sky are seen from far away, and would outweigh all others.
+    """
+
+    def __init__(self) -> None:
+        # Numbers of splats; sums of opacities, of these times shares, and both times areas.
+        self._bins = np.zeros((5, _AREA_BINS))
+
+    def add(self, areas: F64, opacities: F64, shares: F64) -> None:
+        """Add splats: (R,) areas above 0, opacities, and the values to be averaged."""
+        places = np.clip(np.log2(areas) + _AREA_BINS // 2, 0, _AREA_BINS - 1).astype(np.int64)
+        parts = np.ones(len(areas)), opacities, opacities * shares
+        for number, values in enumerate((*parts, parts[1] * areas, parts[2] * areas)):
+            self._bins[number] += np.bincount(places, values, _AREA_BINS)
+
+    def mean(self) -> float:
+        """Return the weighted mean of the shares; 0 if nothing is seen."""
+        numbers, plain, plain_moved, seen, moved = self._bins
+        median = int(np.searchsorted(np.cumsum(numbers), numbers.sum() / 2))
+        large = min(median + _LARGE, _AREA_BINS - 1)
+        area = 2.0 ** (large - _AREA_BINS // 2)
+        counted = float(seen[:large].sum() + area * plain[large:].sum())
+        total = float(moved[:large].sum() + area * plain_moved[large:].sum())
+        return total / counted if counted else 0.0
 
 
 def visibility(splats: Splats) -> F64:
@@ -90,5 +119,8 @@ def visibility(splats: Splats) -> F64:
     """
     scales = np.sort(splats.scales().astype(np.float64), axis=1)
     mass: F64 = splats.opacities() ** 2 * (scales[:, 1] * scales[:, 2]) ** _AREA_POWER
-    typical = float(mass.mean()) or 1.0
+    some = mass[mass > 0]
+    # So that a few splats of a sky, which are as large as far away, do not make all others equal.
+    most = _VISIBILITY[1] * float(np.median(some)) if len(some) else np.inf
+    typical = float(np.minimum(mass, most).mean()) or 1.0
     return np.clip(mass / typical, *_VISIBILITY)

@@ -31,11 +31,19 @@ def optimal_cuts(centres: F64, weights: F64, cuts: I64) -> None:
     """
     bins, runs = len(centres), len(cuts) - 1
     w, wx, wxx = np.zeros(bins + 1), np.zeros(bins + 1), np.zeros(bins + 1)
-    for b in range(bins):
-        x = centres[b] - centres[bins // 2]  # relative to the middle, against cancellation
+    # Of centres relative to the middle one, and summed from there in both directions: a centre far
+    # away would leave only rounding errors of the sums beyond it.
+    origin = bins // 2
+    for b in range(origin, bins):
+        x = centres[b] - centres[origin]
         w[b + 1] = w[b] + weights[b]
         wx[b + 1] = wx[b] + weights[b] * x
         wxx[b + 1] = wxx[b] + weights[b] * x * x
+    for b in range(origin - 1, -1, -1):
+        x = centres[b] - centres[origin]
+        w[b] = w[b + 1] - weights[b]
+        wx[b] = wx[b + 1] - weights[b] * x
+        wxx[b] = wxx[b + 1] - weights[b] * x * x
     before, after = np.empty(bins + 1), np.empty(bins + 1)
     last = np.zeros((runs + 1, bins + 1), dtype=np.int32)
     before[0] = math.inf

@@ -1,6 +1,6 @@
 """The layouts in which `nanogs lod` writes levels.
 
-The output's name decides: `out/lod-meta.json`, `out.ssog`, `out/tileset.json`, `out.rad`, or
+The output's name decides: `out/lod-meta.json`, `out/tileset.json`, `out.rad`, a `.ssog` file, or
 a folder.
 """
 

@@ -429,7 +429,10 @@ def _higher(
     points = splats.sh[:, 1 : coefficients + 1].reshape(len(splats), -1)
     size = packing.palette_size or usual_palette(len(splats))
     found = palette(points, size, visibility(splats), on_progress)
-    kept = found.exact and (len(found.entries) == len(splats) or _few_values(found.entries))
+    entries = len(found.entries)
+    # A full palette may be one of merged harmonics, which came from rounded values.
+    own = entries < size or entries == len(splats)
+    kept = found.exact and (own or _few_values(found.entries))
     book = codebook(found.entries, _EXACT if kept else _ROUNDED)
     rounded = book[nearest(found.entries, book)]
     distinct = palette(rounded, len(rounded))  # entries that have become equal are written once

@@ -77,7 +77,7 @@ class SizeRequest(NamedTuple):
             for name, option in self.known.options.items()
             if option.search_start is not None and name not in self.given
         }
-        if not highest:
+        if not degrees[-1]:
             bits.pop(SH_BITS, None)
         return Choices(degrees, self._has_palettes(), bits, self.by_psnr, self._entries())
 
@@ -93,7 +93,7 @@ class SizeRequest(NamedTuple):
 
     def _entries(self) -> int:
         option = self.known.options.get(PALETTE)
-        return max(option.values) if option else 0
+        return option.values[-1] if option else 0
 
     def sharing(self, packing: Packing) -> Sharing | None:
         """Return how splats share entries of the palette; None without one."""
