@@ -249,8 +249,20 @@ def test_the_option_is_checked_against_all_parts(parts):
         ("rdf", ("a.ply", "none.spz"), "none.spz is not known"),
         ("rdf", ("a.ply", "rub.spz"), "turn one of them first, by `nanogs convert` with --frame."),
         ("rdf:rub", ("a.ply", "rub.spz"), "rub.spz states the frame rub, but --frame says rdf"),
+        ("rdf", ("rub.spz", "a.ply", "a.ply"), "cannot form one scene; turn one of them first"),
+        ("rub", ("a.glb", "none.spz"), "none.spz is not known"),
+        ("rub", ("a.glb", "none.spz"), "give it too, as in --frame rdf:rub."),
     ):
         files = [parts / name for name in (*names, "out.ply")]
         result = run_command(*simplify, frame, *files)
         assert (result.returncode, result.stderr.count("\n")) == (2, 1), result.stderr
         assert message in result.stderr
+
+
+def test_the_frame_of_parts_that_are_turned_when_read_can_be_given(parts):
+    files = [parts / name for name in ("a.glb", "none.spz")]
+    options = ("-r", "0.5", "--preset", "fast", "--frame", "rdf:rub")
+    result = run_command("simplify", "--join", *files, parts / "command.ply", *options)
+    assert result.returncode == 0, result.stderr
+    nanogs.simplify_blocks(files, parts / "b.ply", ratio=0.5, preset="fast", frame=("rdf", "rub"))
+    assert (parts / "command.ply").read_bytes() == (parts / "b.ply").read_bytes()
