@@ -152,6 +152,11 @@ def test_frames_that_contradict_the_files_are_refused(tmp_path):
         nanogs.write_levels(
             tmp_path / "a.ply", tmp_path / "lv", [0.5], suffix=".glb", frame=("rdf", "ruf")
         )
+    with pytest.raises(OptionError, match=r"All \.glb files use the same frame"):
+        nanogs.write_levels(
+            nanogs.load(tmp_path / "a.ply"), tmp_path / "lv", [0.5], layout="3d tiles",
+            frame=("rdf", "rub"),
+        )  # fmt: skip
     assert sorted(tmp_path.iterdir()) == before
     nanogs.convert(tmp_path / "up.spz", tmp_path / "c.ply", frame=("rub", "rdf"))
     assert len(nanogs.load(tmp_path / "c.ply")) == 20

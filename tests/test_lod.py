@@ -313,6 +313,16 @@ def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_planned_memory_includes_levels_that_are_written_whole(scene, tmp_path):
+    stages = {}
+    for known in ("ply", "sog"):
+        options = ("--format", known, "--preset", "fast", "--dry-run", "--json")
+        plan = json.loads(run("lod", scene, tmp_path / "levels", *options).stdout)
+        stages[known] = plan["memory_bytes"]["stages"]
+    assert stages["sog"].pop("write") > max(stages["ply"].values())
+    assert stages["sog"] == stages["ply"]
+
+
 def test_a_plan_of_levels_counts_usable_splats_or_says_that_it_does_not(splats, tmp_path):
     broken = replace(splats, means=splats.means.copy())
     broken.means[:40] = np.nan

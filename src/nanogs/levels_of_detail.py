@@ -144,10 +144,11 @@ def write_levels(
     request = Request(
         inputs=files, output=local_path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
         chunks=chunks_of(layout, chunk, chunk_min, plain=plain, place=place), frame=frame,
-        overwrite=overwrite, measured=measured, overrides=overrides, **given,
+        level_suffix=registry.suffix_of(suffix), overwrite=overwrite, measured=measured,
+        overrides=overrides, **given,
     )  # fmt: skip
     request.refuse_unused_views()
-    sink = sink_of(request, suffix=registry.suffix_of(suffix), source=source, layout=layout)
+    sink = sink_of(request, source=source, layout=layout)
     sky = surroundings(environment, environment_ratio, layout)
     with show_progress(progress) as on_step:
         if not isinstance(model, Splats | Source):
@@ -188,14 +189,14 @@ def usual_levels(
 def sink_of(
     request: Request,
     *,
-    suffix: str = PLY,
     source: str | None = None,
     layout: Layout | str = Layout.FILES,
 ) -> LevelsSink:
     """Make the sink for the requested levels; see `write_levels` for the arguments.
 
     Raises:
-        OptionError: The format of the files cannot be written, or has no such options.
+        OptionError: The format of the files cannot be written, has no such options, or has a frame
+            of its own that is not the requested one.
     """
     if request.format_options and layout != Layout.FILES:
         raise OptionError(
@@ -207,11 +208,11 @@ def sink_of(
         return LevelsTree(request.output, request.overwrite, name)
     chunks = request.chunks if isinstance(request.chunks, ChunkLayout) else None
     sink = LevelsArchive if layout == Layout.ARCHIVE else LevelsFolder
-    options = request.format_options
+    options, suffix = request.format_options, request.level_suffix
+    file = Path(level_name(0, chunks.suffix if chunks else suffix))
+    if request.frame is not None:
+        refuse_frame_written(request.frame, file)
     if chunks is None:
-        file = Path(level_name(0, suffix))
-        if request.frame is not None:
-            refuse_frame_written(request.frame, file)
         options = registry.add_target_frame(file, options, request.frame)
     return sink(request.output, request.overwrite, name, chunks, suffix, options)
 

@@ -369,6 +369,7 @@ def refuse_large(
     row: int,
     max_memory: int | None,
     options: FormatOptions | None = None,
+    remedy: str = "name a .ply file",
 ) -> None:
     """Refuse a result that the format's writer must hold whole and that is too large for that.
 
@@ -378,6 +379,7 @@ def refuse_large(
         row: Bytes of a splat.
         max_memory: Bytes of memory, or None for no limit.
         options: Options of the format.
+        remedy: How the caller chooses a format that is written block by block.
 
     Raises:
         OptionError: It is too large, a folder, or in a format that cannot be written.
@@ -389,7 +391,7 @@ def refuse_large(
         so = " with a palette" if known.streams else ""
         raise OptionError(
             f"{path}: {known.suffix}{so} is not written block by block, and {count:,} splats are"
-            " too many to be held in memory at once; name a .ply file, or raise `max_memory`."
+            f" too many to be held in memory at once; {remedy}, or raise `max_memory`."
         )
 
 

@@ -134,7 +134,7 @@ def lod(
     arguments = lod_run.Arguments(
         request=plan.request_of(
             method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder,
-            overwrite=overwrite, ratios=ratios, device=device,
+            overwrite=overwrite, ratios=ratios, device=device, level_suffix=output.suffix,
             chunks=chunks_of(
                 output.layout, chunk, chunk_min, plain=plain, place=placing.place
             ),

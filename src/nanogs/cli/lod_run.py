@@ -62,7 +62,7 @@ def run_levels(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
     request = replace(arguments.request, inputs=inputs, frame=turn)
     if arguments.usual:
         request = replace(request, ratios=usual_levels(request.inputs, output.layout))
-    sink = sink_of(request, suffix=output.suffix, layout=output.layout)
+    sink = sink_of(request, layout=output.layout)
     if not request.continues_job():
         sink.check()
     plan = plan_run(request, method)

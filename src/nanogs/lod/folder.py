@@ -66,7 +66,8 @@ class LevelsFolder:
         """Refuse levels in files of their own that are too large to be held; see `Sink`."""
         if self.chunks is None:
             place = self.place / level_name(0, self.suffix)
-            refuse_large(place, count, row, max_memory, self.format_options)
+            remedy = "leave the format of the levels out, which is .ply then"
+            refuse_large(place, count, row, max_memory, self.format_options, remedy)
 
     def check(self) -> None:
         """Check that the folder can be written; see `Sink`."""

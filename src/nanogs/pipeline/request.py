@@ -57,7 +57,8 @@ class Request:
             to do so if the preset renders anyway and the model is in memory.
         found_free: Whether `max_memory` is what was found free, and nobody asked for it.
         ratios: Ratios of levels, the finest first, which `goal` has too; empty for one file.
-        chunks: How levels are divided or linked, or None.
+        chunks: How levels are divided or linked, or None for a file each.
+        level_suffix: Format of the files of levels that are not divided or linked.
         environment: Text that identifies the environment written beside levels; empty for none.
     """
 
@@ -88,6 +89,7 @@ class Request:
     format_options: FormatOptions | None = None
     ratios: Sequence[float] = ()
     chunks: Chunked | Linked | None = None
+    level_suffix: str = ".ply"
     environment: str = ""
 
     def __post_init__(self) -> None:
@@ -306,8 +308,9 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
     if searched:
         plan = plan_search(plan, splats, request.goal, registry.writable(request.output))
     if request.chunks is None:
-        known = None if request.ratios else registry.writable(request.output)
-        if known is not None and known.needs_whole_model(request.format_options or {}):
+        level = Path(f"level{request.level_suffix}")
+        known = registry.writable(level if request.ratios else request.output)
+        if known.needs_whole_model(request.format_options or {}):
             return plan_writing(plan, splats, target, known)
         return plan
     return plan_chunks(plan, splats, degree, target, request.ratios, request.chunks)

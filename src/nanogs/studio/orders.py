@@ -96,9 +96,10 @@ class SaveRequest:
         output, finest = self.output, Goal(ratio=self.choice.levels[0])
         chunks = chunks_of(output.layout, None, plain=False)
         request = Request(
-            goal=finest, output=output.folder, overwrite=self.overwrite, chunks=chunks
-        )
-        sink_of(request, suffix=output.suffix, layout=output.layout).check()
+            goal=finest, output=output.folder, overwrite=self.overwrite, chunks=chunks,
+            level_suffix=output.suffix,
+        )  # fmt: skip
+        sink_of(request, layout=output.layout).check()
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments for `simplify_blocks`, or for `write_levels`."""
