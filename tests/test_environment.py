@@ -13,8 +13,8 @@ import nanogs
 from builders import random_splats
 from conftest import scene_path
 from launch import run
-from nanogs import filters, io
-from nanogs.errors import ModelError, NotEnoughMemoryError, OutputError
+from nanogs import filters, io, levels_of_detail
+from nanogs.errors import ModelError, NotEnoughMemoryError, OptionError, OutputError
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod import folder
 from nanogs.lod.environment import find_environment
@@ -459,6 +459,74 @@ def test_an_environment_of_another_render_mode_is_refused(tmp_path, scene, sky):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "sky.ply"]
     write_levels(given, tmp_path / "lv", [1], render_mode="mip", **options)
     assert nanogs.load(tmp_path / "lv" / "lod-meta.json").render_mode == "mip"
+
+
+@pytest.mark.parametrize("block", [None, 100])
+def test_an_environment_in_another_frame_is_refused(tmp_path, block):
+    for frame in ("rub", "rdf"):
+        options = {"spz_version": 4, "frame": frame}
+        nanogs.save(random_splats(300), tmp_path / f"{frame}.spz", format_options=options)
+    for name in ("none.spz", "a.glb"):
+        nanogs.save(shell(100, 30), tmp_path / name)
+    options = {"layout": "streamed sog", "preset": "fast", "block": block}
+    place, model = tmp_path / "lv", tmp_path / "rub.spz"
+    for sky, frame in (("rdf.spz", None), ("a.glb", ("rub", "rdf"))):
+        with pytest.raises(ModelError, match=r"is in the frame rub and .* in rdf, so they cannot"):
+            write_levels(model, place, [1], environment=tmp_path / sky, frame=frame, **options)
+    assert not place.exists()
+    manifest, _ = write_levels(model, place, [1], environment=tmp_path / "none.spz", **options)
+    said = f"Taken to be in the frame rub, as {model} is: {tmp_path / 'none.spz'}."
+    assert said in manifest.notes
+
+
+def test_an_environment_is_in_the_frame_from_which_a_model_in_memory_is_turned(tmp_path):
+    nanogs.save(shell(100, 30), tmp_path / "a.glb")
+    options = {"layout": "streamed sog", "preset": "fast", "environment": tmp_path / "a.glb"}
+    with pytest.raises(OptionError, match=r"a\.glb is turned to rdf when it is read"):
+        write_levels(random_splats(30), tmp_path / "lv", [1], frame=("rub", "rdf"), **options)
+
+
+@pytest.fixture
+def broken(tmp_path):
+    """A file of a model with a sky of which 100 splats have no scale."""
+    sky = shell(SKY, 12)
+    sky.log_scales[:100] = np.nan
+    nanogs.save(concatenate([random_splats(SCENE), sky]), tmp_path / "broken.ply")
+    return tmp_path / "broken.ply"
+
+
+@pytest.mark.parametrize("given", ["memory", "file", "blocks", "named", "named in blocks"])
+def test_nonfinite_environments_are_refused_before_any_work(broken, tmp_path, monkeypatch, given):
+    for name in ("judged_levels", "fill_in_blocks"):
+        monkeypatch.setattr(levels_of_detail, name, None)
+    options = {"layout": "streamed sog", "preset": "fast", "nan": "error"}
+    options["block"] = 1000 if "blocks" in given else None
+    model, reason = broken, r"100 splats of its environment hold a NaN .* `nan=\"drop\"`"
+    if given == "memory":
+        model = nanogs.load(broken)
+    elif "named" in given:
+        model, reason = tmp_path / "a.ply", r"broken\.ply, cannot be used: 100 splats hold a NaN"
+        nanogs.save(random_splats(300), model)
+        options["environment"] = broken
+    with pytest.raises(ModelError, match=reason):
+        write_levels(model, tmp_path / "lv", [1], **options)
+
+
+def test_blocks_count_nonfinite_splats_of_the_environment_too(broken, tmp_path):
+    options = {"layout": "streamed sog", "preset": "fast", "chunk": 500}
+    whole, _ = write_levels(broken, tmp_path / "whole", [1], **options)
+    blocks, _ = write_levels(broken, tmp_path / "blocks", [1], block=1000, **options)
+    assert whole.source_count == blocks.source_count == SCENE + SKY
+    assert whole.environment == blocks.environment
+    assert whole.environment.count == SKY - 100
+
+
+@pytest.mark.parametrize("environment", [None, 3])
+def test_what_is_no_environment_is_refused(tmp_path, environment):
+    with pytest.raises(OptionError, match='"none" for no environment, a path or a model, not'):
+        write_levels(
+            random_splats(9), tmp_path / "lv", [1], layout="streamed sog", environment=environment
+        )
 
 
 def test_parts_of_different_render_modes_are_noted_when_read(tmp_path):

@@ -6,6 +6,7 @@ is drawn once.
 """
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
@@ -18,7 +19,9 @@ from nanogs.frames import turned
 from nanogs.io import load
 from nanogs.io import open as open_model
 from nanogs.io.files import splat_bytes
+from nanogs.io.frames import refuse_frame_read, refuse_mixed_frames
 from nanogs.io.models import as_splats
+from nanogs.io.parts import FileSource
 from nanogs.io.retag import in_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import place
@@ -62,7 +65,8 @@ class EnvironmentRequest:
             splats: The model after filters.
 
         Raises:
-            NanogsError: The model of an environment cannot be read, or has another render mode.
+            NanogsError: The model of an environment cannot be read, has another render mode or
+                frame, or holds a NaN or an infinite value that is to be an error.
         """
         if self.asked == NONE:
             return splats, None
@@ -71,6 +75,7 @@ class EnvironmentRequest:
         shell = find_environment(InMemory(splats))
         if shell is None:
             return splats, None
+        _refuse_nonfinite(shell, request.nan)
         _refuse_large(shell.splats, splats.sh_degree, request.max_memory)
         without, sky = (splats.take(each.keep(splats)) for each in (_within(shell), _beyond(shell)))
         return without, self._made(request, AUTO, len(sky), lambda: sky)
@@ -84,8 +89,9 @@ class EnvironmentRequest:
             request: The request for levels.
 
         Raises:
-            NanogsError: The model cannot be read, or its environment is too large for memory or
-                has another render mode.
+            NanogsError: The model cannot be read, or its environment is too large for memory, has
+                another render mode or frame, or holds a NaN or an infinite value that is to be an
+                error.
         """
         if self.asked == NONE:
             return request, None
@@ -99,6 +105,7 @@ class EnvironmentRequest:
             degree = source.columns.sh_degree
         if shell is None:
             return request, None
+        _refuse_nonfinite(shell, request.nan)
         _refuse_large(shell.splats, degree, request.max_memory)
         beyond = (*request.filters, _beyond(shell))
 
@@ -126,13 +133,16 @@ class EnvironmentRequest:
         shell = find_environment(InMemory(splats))
         if shell is None:
             return request, None
+        _refuse_nonfinite(shell, request.nan)
         taken, beyond = replace(request, filters=(*request.filters, _within(shell))), _beyond(shell)
         sky = partial(splats.take, beyond.keep(splats))
         return taken, self._made(request, AUTO, shell.splats, sky)
 
     def notes(self, found: Environment | None) -> tuple[str, ...]:
-        """Return a note if an environment should be simplified, but the model has none."""
-        if found is not None or self.ratio == 1:
+        """Return notes on the environment, or that one to be simplified was not found."""
+        if found is not None:
+            return found.notes
+        if self.ratio == 1:
             return ()
         note = (
             "No environment was found around the model, so the environment's ratio has no effect;"
@@ -151,18 +161,21 @@ class EnvironmentRequest:
             asked = request.edits.render_mode
             splats = in_mode(as_splats(self.asked), asked, "The environment")
             _refuse_other_mode(mode, splats.render_mode)
+            _refuse_unusable(InMemory(splats), "a model", request.nan)
             return self._made(request, "a model", len(splats), lambda: splats)
         path = Path(self.asked)
         with open_model(path, render_mode=request.render_mode) as source:
             info = source.info
-        _refuse_other_mode(mode, info.render_mode)
-        _refuse_large(info.splats, info.sh_degree, request.max_memory)
+            _refuse_other_mode(mode, info.render_mode)
+            notes = _refuse_other_frame(request, source)
+            _refuse_large(info.splats, info.sh_degree, request.max_memory)
+            _refuse_unusable(source, path.name, request.nan)
         read = partial(load, path, render_mode=request.render_mode)
-        return self._made(request, path.name, info.splats, read)
+        return replace(self._made(request, path.name, info.splats, read), notes=notes)
 
     def _made(self, request: Request, source: str, count: int, read: Read) -> Environment:
         def whole() -> Splats:
-            found = _usable(read(), source, request.nan)
+            found = _usable(read())
             degree = request.edits.sh_degree
             return found if degree is None else found.with_sh_degree(degree)
 
@@ -192,9 +205,14 @@ def surroundings(
         layout: Layout of the levels.
 
     Raises:
-        OptionError: The layout has no environment, the path is a URL, or the ratio is not in
-            (0, 1].
+        OptionError: The environment is none of these, the layout has no environment, the path is a
+            URL, or the ratio is not in (0, 1].
     """
+    if not isinstance(asked, str | PathLike | Splats | Source):
+        raise OptionError(
+            f'`environment` must be "{AUTO}", "{NONE}" for no environment, a path or a model, not'
+            f" {asked!r}."
+        )
     named = not (isinstance(asked, str) and asked in (AUTO, NONE))
     if isinstance(asked, str | PathLike) and named:
         asked = place(asked)
@@ -224,20 +242,41 @@ def without_environment(reports: Sequence[SimplifyReport]) -> list[SimplifyRepor
     ]
 
 
-def _usable(splats: Splats, source: str, nan: NanPolicy) -> Splats:
-    """Remove splats that are not finite from an environment, and add a note about them.
+def _refuse_nonfinite(shell: Shell, nan: NanPolicy) -> None:
+    """Refuse a model whose environment holds values that are not finite, with `nan="error"`.
+
+    Levels are made of the rest, so nothing else would find them before these are written.
+
+    Raises:
+        ModelError: It does.
+    """
+    if nan == "error" and (count := shell.splats - shell.usable):
+        what = counted(count, "splat of its environment holds", "splats of its environment hold")
+        raise ModelError(
+            f"The model cannot be used: {what} a NaN or an infinite value; leave them out with"
+            ' `nan="drop"`.'
+        )
+
+
+def _refuse_unusable(source: Source, name: str, nan: NanPolicy) -> None:
+    """Refuse the model of an environment without a finite splat, and others as `nan` says.
 
     Raises:
         ModelError: No splat is finite, or with `nan="error"` one is not.
     """
+    usable = sum(int(rows.finite().sum()) for rows in source.blocks())
+    count = source.count - usable
+    if count and (nan == "error" or not usable):
+        what = f"{counted(count, 'splat holds', 'splats hold')} a NaN or an infinite value"
+        raise ModelError(f"The environment, {name}, cannot be used: {what}; name another one.")
+
+
+def _usable(splats: Splats) -> Splats:
+    """Remove splats that are not finite from an environment, and add a note about them."""
     finite = splats.finite()
     if finite.all():
         return splats
-    count = int((~finite).sum())
-    what = f"{counted(count, 'splat holds', 'splats hold')} a NaN or an infinite value"
-    if nan == "error" or not finite.any():
-        raise ModelError(f"The environment, {source}, cannot be used: {what}; name another one.")
-    splats_text = counted(count, "splat")
+    splats_text = counted(int((~finite).sum()), "splat")
     note = f"Left out of the environment: {splats_text} with a NaN or an infinite value."
     return replace(splats.take(finite), notes=(*splats.notes, note))
 
@@ -270,6 +309,25 @@ def _refuse_other_mode(model: str, environment: str) -> None:
             f" {environment}) and cannot form one scene; leave the environment out, or set one mode"
             " for both with `render_mode`."
         )
+
+
+def _refuse_other_frame(request: Request, environment: FileSource) -> tuple[str, ...]:
+    """Refuse the file of an environment that is in another frame than the model.
+
+    Returns:
+        A note for the user if the frame of some files is a guess.
+
+    Raises:
+        ModelError: It is.
+        OptionError: The model is to be turned from another frame than the environment has.
+    """
+    with ExitStack() as stack:
+        opened = open_parts(request.inputs, request.render_mode)
+        files = [*(stack.enter_context(file) for file in opened), environment]
+        notes = refuse_mixed_frames(files, request.frame[0] if request.frame else "")
+    if request.frame is not None:
+        refuse_frame_read(request.frame, [environment])
+    return notes
 
 
 def _refuse_large(count: int, degree: int, max_memory: int | None) -> None:

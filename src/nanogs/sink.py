@@ -98,6 +98,7 @@ class Environment:
         own: Whether these were taken out of the model itself.
         original: Reads it unsimplified, in the frame of the model.
         made: Reads it in the form that is written.
+        notes: Notes about its files for the user, one sentence each.
     """
 
     source: str
@@ -105,6 +106,7 @@ class Environment:
     own: bool
     original: Read
     made: Read
+    notes: tuple[str, ...] = ()
 
 
 class Judge(Protocol):

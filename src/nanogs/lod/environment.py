@@ -45,19 +45,21 @@ class Shell:
     Attributes:
         centre: x, y, z of the middle of the model, scene units.
         radius: The distance, scene units.
-        splats: Number of usable splats beyond it.
+        splats: Number of splats beyond it.
+        usable: Number of these without NaN or infinite values.
     """
 
     centre: tuple[float, float, float]
     radius: float
     splats: int
+    usable: int
 
 
 def find_environment(source: Source) -> Shell | None:
     """Find the environment of a model; return None if there is none.
 
     The model is read twice, some rows at a time, the first time only a sample. Splats that are not
-    usable are ignored.
+    usable do not affect the distance, and are counted.
 
     Args:
         source: The model.
@@ -73,12 +75,13 @@ def find_environment(source: Source) -> Shell | None:
     if not 0 < typical < np.inf:
         return None
     edges = typical * 2.0 ** (np.arange(_STEPS * _DOUBLINGS + 1) / _STEPS - 1)
-    counts, angles = _counted(source.blocks(), middle, edges)
+    every, counts, angles = _counted(source.blocks(), middle, edges)
     found = _begin_of_shell(counts, angles)
     if found is None:
         return None
     x, y, z = middle.tolist()
-    return Shell((x, y, z), float(edges[found - 1]), int(counts[found:].sum()))
+    splats, usable = int(every[found:].sum()), int(counts[found:].sum())
+    return Shell((x, y, z), float(edges[found - 1]), splats, usable)
 
 
 def _sample(source: Source) -> F64:
@@ -91,21 +94,23 @@ def _sample(source: Source) -> F64:
     return np.concatenate([np.empty((0, 3)), *parts])
 
 
-def _counted(blocks: Iterable[Splats], middle: F64, edges: F64) -> tuple[I64, F64]:
+def _counted(blocks: Iterable[Splats], middle: F64, edges: F64) -> tuple[I64, I64, F64]:
     """Compute histograms by step of distance.
 
     Step 0 is below the first edge, the last step is beyond the last edge.
 
     Returns:
-        (S,) the number of splats, and (S, D) the solid angle in steradians that they cover in each
-        bin of directions.
+        (S,) the number of splats with a finite centre, (S,) the number of usable ones, and (S, D)
+        the solid angle in steradians that these cover in each bin of directions.
     """
     steps = len(edges) + 1
+    every = np.zeros(steps, np.int64)
     counts, angles = np.zeros(steps, np.int64), np.zeros(steps * _DIRECTIONS)
     for block in blocks:
-        own = block.take(block.finite())
-        away = distances(own.means, middle)
+        away, usable = distances(block.means, middle), block.finite()
         step = np.searchsorted(edges, away, side="left")
+        every += np.bincount(step[np.isfinite(away)], minlength=steps)
+        own, away, step = block.take(usable), away[usable], step[usable]
         counts += np.bincount(step, minlength=steps)
         far = np.flatnonzero(step)  # splats of step 0 cannot be part of a shell
         widest = np.sort(own.scales()[far].astype(np.float64), axis=1)[:, 1:]
@@ -115,7 +120,7 @@ def _counted(blocks: Iterable[Splats], middle: F64, edges: F64) -> tuple[I64, F6
         covered = 2 * np.pi * own.opacities()[far] * shares.prod(axis=1)
         place = step[far] * _DIRECTIONS + _directions(own.means[far] - middle)
         angles += np.bincount(place, weights=covered, minlength=len(angles))
-    return counts, angles.reshape(steps, _DIRECTIONS)
+    return every, counts, angles.reshape(steps, _DIRECTIONS)
 
 
 def _directions(offsets: F64) -> I64:
