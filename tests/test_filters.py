@@ -116,6 +116,12 @@ def test_the_scale_of_the_scene_does_not_matter(scale):
     )
 
 
+@pytest.mark.parametrize("deviations", [3000, 1e308])
+def test_no_splat_is_a_floater_for_any_large_number_of_deviations(deviations):
+    model = splats_at([*cloud(50), [60, 0, 0]])
+    assert_same(filters.drop_floaters(model, deviations=deviations), model)
+
+
 def test_regular_grids_and_coincident_splats_have_no_floaters():
     grid = np.stack(np.meshgrid(*[np.arange(8.0)] * 3), axis=-1).reshape(-1, 3)
     assert len(rows_without_floaters(grid)) == 512

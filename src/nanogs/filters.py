@@ -375,7 +375,8 @@ def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
     if len(apart):
         usual = float(np.median(apart))
         spread = max(1.4826 * float(np.median(np.abs(apart - usual))), _LEAST_SPREAD)
-        far = distances > math.exp(usual + deviations * spread)
+        with np.errstate(over="ignore"):  # beyond the range of float64 nothing is far
+            far = distances > np.exp(usual + deviations * spread)
         found[rows] = far & (distances > _REACH * sizes[rows])
     return found
 
