@@ -17,13 +17,14 @@ import typer
 import nanogs
 from builders import model_bytes, random_splats
 from launch import contents, run
-from nanogs import io
+from nanogs import io, levels_of_detail
 from nanogs.cli.lod import exit_if_short
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import NONE
 from nanogs.io.folder import atomic_folder
 from nanogs.io.sog import write as sog_write
 from nanogs.levels_of_detail import write_levels
+from nanogs.lod import folder as levels_folder
 from nanogs.lod.manifest import made_files
 from nanogs.report import StopReason
 from test_cli import assert_refused
@@ -243,6 +244,44 @@ def test_levels_state_the_frame_to_which_they_are_turned(inputs, tmp_path, kind,
     write_levels(inputs[kind], tmp_path / "l", [0.5], frame=frame, block=block, **options)
     with nanogs.open(tmp_path / "l" / "level_0.spz") as written:
         assert written.frame == "rdf"
+
+
+@pytest.mark.parametrize("block", [None, 200])
+def test_the_manifest_that_is_written_has_all_notes(splats, tmp_path, block):
+    states_rub = {"spz_version": 4, "frame": "rub"}
+    nanogs.save(splats, tmp_path / "rub.spz", format_options=states_rub)
+    options = {"preset": "fast", "sh_degree": 0, "block": block}
+    manifest, _ = write_levels(tmp_path / "rub.spz", tmp_path / "l", [0.5, 0.1], **options)
+    assert sum("axes are rub" in note for note in manifest.notes) == 1
+    assert sum("harmonics" in note for note in manifest.notes) == 1
+    written = json.loads((tmp_path / "l" / "levels.json").read_text())
+    assert written == json.loads(json.dumps(manifest.to_dict()))
+
+
+@pytest.mark.parametrize("kind", ["splats", "source"])
+def test_threads_are_limited_while_a_model_is_filtered_and_levels_are_written(
+    inputs, tmp_path, monkeypatch, kind
+):
+    import numba
+
+    used = []
+    for module, name in ((levels_of_detail, "prepare"), (levels_folder, "save")):
+        call = getattr(module, name)
+
+        def noted(*given, call=call, **options):
+            used.append(numba.get_num_threads())
+            return call(*given, **options)
+
+        monkeypatch.setattr(module, name, noted)
+    write_levels(inputs[kind], tmp_path / "l", [0.5], preset="fast", threads=1)
+    assert used == [1, 1]
+
+
+@pytest.mark.parametrize("block", [None, 200])
+def test_the_levels_of_a_tree_name_its_file(inputs, tmp_path, block):
+    options = {"layout": "spark tree", "preset": "fast", "block": block}
+    manifest, _ = write_levels(inputs["path"], tmp_path / "y.rad", [1, 0.5], **options)
+    assert [level.files for level in manifest.levels] == [("y.rad",), ("y.rad",)]
 
 
 def test_presets_without_rendering_measure_nothing(splats, tmp_path):

@@ -155,11 +155,13 @@ def write_levels(
             return write_levels_of_files(request, sink, on_step, sky)
         if for_files := [name for name in _OF_JOBS if given.get(name)]:
             raise OptionError(f"{for_files[0]} is for files; give the model's path in its place.")
-        whole = in_mode(as_splats(model), request.edits.render_mode, "The model")
-        known = registry.writable(_file(sink))
-        known.check_columns(InMemory(whole).columns)
-        known.check_elements([each.name for each in whole.elements], request.format_options or {})
-        return _whole(request, prepare(whole, request.edits), sink, on_step, sky)
+        with use_threads(request.threads):  # limits the threads of filtering and writing too
+            whole = in_mode(as_splats(model), request.edits.render_mode, "The model")
+            known = registry.writable(_file(sink))
+            known.check_columns(InMemory(whole).columns)
+            elements = [each.name for each in whole.elements]
+            known.check_elements(elements, request.format_options or {})
+            return _whole(request, prepare(whole, request.edits), sink, on_step, sky)
 
 
 LevelsSink = LevelsFolder | LevelsTree
@@ -240,30 +242,17 @@ def write_levels_of_files(
     # If levels are turned, the sink already has the options that state the frame they get.
     if isinstance(sink, LevelsFolder) and sink.chunks is None and request.frame is None:
         sink = replace(sink, format_options=options)
-    manifest, reports = _written(request, plan, sink, on_step, sky)
-    return replace(manifest, notes=(*manifest.notes, *unstated)), reports
-
-
-def _written(
-    request: Request,
-    plan: Plan,
-    sink: LevelsSink,
-    on_step: Progress | None,
-    sky: EnvironmentRequest,
-) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
-    """Make and write the levels of files by a plan; the work of `write_levels_of_files`."""
     if plan.divided:
         with use_threads(request.threads):  # limits the threads of planning too
-            return _in_blocks(request, plan, sink, on_step, sky)
+            return _in_blocks(request, plan, sink, on_step, sky, unstated)
     sink.check()
     import_stages(request.parameters)
     stages = _stages(request, plan.splats, sink)
     tracker = Tracker(on_step, [*reading_stages(request.edits, plan.splats), *stages])
     with use_threads(request.threads):  # limits the threads of reading and writing too
-        manifest, reports = _whole(
-            request, read_changed(request.inputs, request.edits, tracker, StageClock()), sink,
-            tracker.passing(), sky,
-        )  # fmt: skip
+        prepared = read_changed(request.inputs, request.edits, tracker, StageClock())
+        prepared = prepared._replace(notes=(*prepared.notes, *unstated))
+        manifest, reports = _whole(request, prepared, sink, tracker.passing(), sky)
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
 
 
@@ -273,15 +262,15 @@ def _in_blocks(
     sink: LevelsSink,
     on_step: Progress | None,
     sky: EnvironmentRequest,
+    notes: tuple[str, ...],
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     request, left_out = limit_degree(request, plan.sh_degree, _file(sink))
     request, beside = sky.in_blocks(request)
     sink = _with(sink, beside)
-    written, made = fill_in_blocks(request, sink, on_step)
+    notes = (*left_out, *sky.notes(beside), *notes)
+    written, made = fill_in_blocks(request, sink, on_step, notes)
     made = without_environment(made)
-    manifest = describe_levels(sink.source, made, written)
-    notes = (*manifest.notes, *left_out, *sky.notes(beside))
-    return replace(manifest, notes=notes), tuple(made)
+    return describe_levels(sink.source, made, written), tuple(made)
 
 
 def _with(sink: LevelsSink, beside: Environment | None) -> LevelsSink:
@@ -302,6 +291,7 @@ def _whole(
     whole, filtered, notes = prepared
     request, left_out = limit_degree(request, whole.sh_degree, _file(sink))
     splats, beside = sky.in_memory(request, whole)
+    notes = (*notes, *left_out, *sky.notes(beside))
     sink = _with(sink, beside)
     if beside is not None and not beside.own and is_measured(request):
         whole = Joined([InMemory(whole), InMemory(beside.original())]).load()
@@ -327,7 +317,9 @@ def _whole(
         for small, report in made:
             tracker.begin("write")
             filling.add(turned(small, request.frame), tracker.part)
-            reports.append(replace(report, filters=filtered))
+            # Notes on all levels are those of the first, so that the written manifest has them.
+            own, notes = (*report.notes, *notes), ()
+            reports.append(replace(report, filters=filtered, notes=own))
             del small  # frees it before the next level is made
         manifest = filling.finish(reports, judge)
     tracker.finish()
@@ -335,8 +327,7 @@ def _whole(
         replace(report, **each.measured)
         for report, each in zip(reports, filling.written, strict=True)
     )
-    notes = (*manifest.notes, *notes, *left_out, *sky.notes(beside))
-    return replace(manifest, notes=notes), scored
+    return manifest, scored
 
 
 def _suffix(sink: LevelsSink) -> str:

@@ -50,7 +50,7 @@ class LevelsTree(InOneFile):
     def open(self, making: Path, options: FormatOptions) -> "TreeFilling":  # noqa: ARG002
         """Start a new file at `making`; see `Sink`."""
         making.unlink(missing_ok=True)
-        return TreeFilling(making, self.source)
+        return TreeFilling(making, self.place.name, self.source)
 
     @contextmanager
     def filled(self) -> Iterator["TreeFilling"]:
@@ -66,9 +66,9 @@ class LevelsTree(InOneFile):
 class TreeFilling(OpenSink):
     """A collector of levels, which writes the tree when the coarsest level is known."""
 
-    def __init__(self, making: Path, source: str) -> None:
+    def __init__(self, making: Path, name: str, source: str) -> None:
         super().__init__()
-        self._making, self._source = making, source
+        self._making, self._name, self._source = making, name, source
         self._leaves: Source | None = None
         self._linking = Linking()
         self._trees: Sequence[BlockTree] = ()
@@ -100,7 +100,7 @@ class TreeFilling(OpenSink):
             self._leaves = self._leaves or level
             self._linking.add(level)
         left_out = losses(model, self._making)
-        self.written.append(Written(count, (self._making.name,), 0, left_out))
+        self.written.append(Written(count, (self._name,), 0, left_out))
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
         """Write the tree, and measure the quality of each level.

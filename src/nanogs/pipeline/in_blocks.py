@@ -4,6 +4,7 @@ import shutil
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
 
 
 def fill_in_blocks(
-    request: "Request", sink: Sink, on_step: Progress | None
+    request: "Request", sink: Sink, on_step: Progress | None, notes: tuple[str, ...] = ()
 ) -> tuple[list[Written], list[SimplifyReport]]:
     """Simplify files block by block, and write the results to a sink.
 
@@ -54,6 +55,7 @@ def fill_in_blocks(
         request: All arguments of the call.
         sink: Destination of the results.
         on_step: Progress callback, called with each step.
+        notes: Further notes for the report of the first result, one sentence each.
 
     Returns:
         A description of each written result, and the report of each.
@@ -83,10 +85,11 @@ def fill_in_blocks(
         refuse_full_disk(divided, folder, request.scratch)
 
     def reports(done: "Done", written: Sequence[Written]) -> list[SimplifyReport]:
-        return [
+        first, *others = (
             report_of(request.preset, goal, done, each, clock, start, level)
             for goal, level, each in zip(goals, done.levels, written, strict=True)
-        ]
+        )
+        return [replace(first, notes=(*first.notes, *notes)), *others]
 
     search = None
     if settings.search is not None:
