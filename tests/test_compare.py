@@ -16,10 +16,11 @@ from builders import random_splats
 from launch import run
 from nanogs.cli.options import parse_background, parse_direction, parse_pixels
 from nanogs.errors import ExistsError, ModelError, OptionError
+from nanogs.metrics import depth_error
 from nanogs.protocol import PackingLoss, Protocol
 from nanogs.raster.camera import Camera
-from nanogs.raster.images import color_image
-from nanogs.raster.rendering import render
+from nanogs.raster.images import color_image, depth_image, to_bytes
+from nanogs.raster.rendering import Rendering, prepare, render
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.scoring.page import rate_distortion_plot, render_page
 from nanogs.scoring.pictures import error_map
@@ -63,6 +64,10 @@ def test_a_model_equals_itself_and_a_smaller_one_does_not():
     assert same.depth == 0
     assert 10 < smaller.psnr < 60
     assert smaller.ssim < 1
+    ref, shown = (render(prepare(model), camera(), depth=True) for model in (splats, small))
+    error = depth_error(shown.depth, shown.alpha, ref.depth, ref.alpha)
+    assert smaller.depth == pytest.approx(error)
+    assert error > 0
 
 
 def test_the_psnr_of_a_model_is_the_mean_over_the_views():
@@ -219,6 +224,18 @@ def test_the_suffix_of_a_photograph_is_dropped_from_file_names():
     assert file_names([camera("images/v0.png"), camera("v1.JPG")]) == ["images_v0", "v1"]
     assert file_names([camera("a.png"), camera("a.jpg")]) == ["a.png", "a.jpg"]
     assert file_names([camera("v1.5")]) == ["v1.5"]
+
+
+def test_near_is_bright_in_depth_images_and_no_splat_is_black():
+    depth = np.array([[2, 4, 3, np.inf]], np.float32)
+    alpha = np.array([[1, 1, 1, 0]], np.float32)
+    shown = Rendering(np.zeros((1, 4, 3), np.float32), alpha, depth, None, None, 3, 0, ())
+    assert depth_image(shown).tolist() == [[65535, 1, 32768, 0]]
+
+
+def test_bytes_are_rounded_to_nearest():
+    values = np.array([-1, 0.4 / 255, 0.6 / 255, 254.6 / 255, 2, np.nan], np.float32)
+    assert to_bytes(values).tolist() == [0, 0, 1, 255, 255, 0]
 
 
 def test_a_transparent_image_blended_over_white_equals_the_rendering_over_white():
