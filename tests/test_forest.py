@@ -12,6 +12,7 @@ import nanogs
 import reference_kernels as reference
 from builders import model_bytes, random_splats, same_pixel
 from nanogs.clock import StageClock
+from nanogs.fit.targets import make_target
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.method import forest as growth
 from nanogs.method import parameters, reassign
@@ -39,8 +40,10 @@ from nanogs.pipeline.run import build, deliver
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks import trials
 from nanogs.progress import Tracker, ignore_progress
+from nanogs.raster.rendering import prepare
 from nanogs.report import PassReport, StopReason
 from nanogs.sh import basis
+from nanogs.views.automatic import automatic_cameras
 
 pytestmark = pytest.mark.usefixtures("small_views")
 SOME = settings(max_examples=20)
@@ -428,6 +431,20 @@ def test_a_group_that_loses_all_its_splats_is_refilled():
 
 
 # Choice
+
+
+def test_similarity_is_measured_on_luma():
+    """The loss of green costs most, that of blue least."""
+    model = random_splats(200, degree=0)
+    target = make_target(prepare(model), automatic_cameras(model, 1, width=48, height=48)[0])
+
+    def cost(channel):
+        lossy = model.take(np.arange(200))
+        lossy.sh[:, :, channel] = 0
+        return trials._errors(lossy, [target], None)[0][1]
+
+    red, green, blue = map(cost, range(3))
+    assert green > red > 1.5 * blue > 0
 
 
 # The candidates: three balances; the best of them after reassignment; the best of these four grown

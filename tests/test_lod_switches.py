@@ -23,6 +23,7 @@ from nanogs.switches import (
     SwitchQuality,
     distance_of,
     streamed_distance,
+    tree_pixel,
 )
 from nanogs.views.automatic import automatic_cameras
 
@@ -46,6 +47,10 @@ def test_levels_of_a_streamed_sog_switch_at_the_distances_of_the_engine():
 
 def test_tiles_switch_where_their_error_is_sixteen_pixels():
     assert Tiles(100).switch_pixel(1, 0.5) == pytest.approx(4 * 0.5 / 16)
+
+
+def test_trees_switch_where_splats_are_a_pixel_wide():
+    assert tree_pixel(0.5) == 1
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.75, 1.0])
@@ -122,6 +127,11 @@ def test_each_level_reports_its_quality_at_the_switch(scene, tmp_path, name):
     assert all(each["psnr"] > 0 and each["ssim"] <= 1 and each["views"] == 8 for each in others)
     if name.endswith(("lod-meta.json", ".ssog")):
         assert [each["distance"] for each in others] == pytest.approx([5, 15])
+    elif name.endswith(".rad"):
+        models = [nanogs.load(tmp_path / name, level=level) for level in (1, 2)]
+        widths = [2 * typical_deviation(model) for model in models]
+        expected = [distance_of(width) for width in widths]
+        assert [each["distance"] for each in others] == pytest.approx(expected)
     visible = [SwitchQuality(**each).seen for each in others]
     notes = [note[:36] for note in report["notes"] if "switch to it" in note]
     assert notes == [

@@ -224,6 +224,15 @@ def test_no_tile_has_a_smaller_error_than_its_children(tmp_path):
     assert root["geometricError"] == root["children"][0]["geometricError"] > 10
 
 
+def test_boxes_of_tiles_cover_three_standard_deviations(tmp_path):
+    model = random_splats(1)
+    model.means[:] = 1, 2, 3
+    model.log_scales[:] = np.log([0.5, 0.1, 0.2])
+    model.quats[:] = 1, 0, 0, 0
+    low, high = corners(tileset(laid_out(tmp_path / "levels", Tiles(100), (model,)))["root"])
+    assert (high - low) / 2 == pytest.approx([1.5, 0.6, 0.3])  # z up
+
+
 class Counted:
     """An array that counts how often it is read."""
 
