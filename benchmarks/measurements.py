@@ -225,8 +225,8 @@ class Bench:
 
     def _views(self, scene: str, splats: Splats, kind: str, cameras: Sequence[Camera]) -> Views:
         if kind == "photographs":
-            behind, found = photographs(self.scenes / PHOTOS[scene], None, "test", None, None)
-            return Views(found, behind, "photographs")
+            photos = photographs(self.scenes / PHOTOS[scene], None, "test", None)
+            return Views(list(photos), photos.background, "photographs")
         found, _ = reference_views(prepare(splats), cameras, BLACK, depth=False)
         return Views(found, BLACK, digest_of_cameras(cameras))
 

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 import nanogs
+from dataset_files import write_capture
 from nanogs.datasets.synthetic import make_scene
-from nanogs.errors import OptionError
+from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.memory import LIBRARIES
+from nanogs.scoring.needed import needed_bytes
+from nanogs.scoring.photos import photographs, photographs_remedy
 from nanogs.scoring.run import compare_files
 from test_bench import write_photographs
 from viewer_bundle import require_bundle
@@ -69,6 +73,24 @@ def test_little_memory_gives_the_same_scores(folder, monkeypatch):
     monkeypatch.setattr("nanogs.scoring.measure.room_for_comparison", lambda *_, **__: 10_000_000)
     streamed = nanogs.compare(*paths, photos=folder / "data")
     assert [model.views for model in in_memory.models] == [model.views for model in streamed.models]
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_models_and_photographs_must_fit_in_memory_together(folder, packed):
+    model = nanogs.load(folder / "small.ply")
+    photographs = 2 * 32 * 32 * 3 * 4 * (1 + packed)  # the renders of unpacked models are kept too
+    fitting = LIBRARIES + needed_bytes([model] * 2, 32 * 32, 1, all_of_it=True) + photographs
+    options = {"photos": folder / "data", "packed": [".spz"] if packed else []}
+    with pytest.raises(NotEnoughMemoryError, match="use smaller photographs, or a smaller model"):
+        nanogs.compare(model, model, **options, max_memory=fitting - 1)
+    if not packed:  # else the packed file is read too
+        assert nanogs.compare(model, model, **options, max_memory=fitting).models
+
+
+def test_smaller_photographs_are_named_only_where_they_can_be_chosen(folder, tmp_path):
+    write_capture(tmp_path)
+    assert "`images=" in photographs_remedy(photographs(tmp_path, None, "test", None))
+    assert "`images=" not in photographs_remedy(photographs(folder / "data", None, "test", None))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,9 @@ from builders import random_splats
 from conftest import scene_path
 from dataset_files import write_json
 from launch import run
-from nanogs.errors import OptionError
+from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.memory import LIBRARIES
+from nanogs.memory_estimates import drawn_bytes, models_bytes, shown_bytes
 from nanogs.protocol import Protocol
 from nanogs.scoring.modes import ModeEvidence, evidence_on
 from nanogs.splats import RenderMode
@@ -194,6 +196,16 @@ def test_contradicting_options_of_views_are_refused(capture, options):
     assert result.returncode == 2
     assert result.stderr.startswith("error: ")
     assert not result.stdout
+
+
+def test_the_model_and_photographs_must_fit_in_memory_together(capture):
+    model = nanogs.load(capture / "model.ply")
+    held = models_bytes([model], all_of_it=True) + drawn_bytes(len(model))
+    fitting = LIBRARIES + held + shown_bytes(64 * 64, 2) + 2 * 64 * 64 * 3 * 4
+    photos = capture / "mip"
+    with pytest.raises(NotEnoughMemoryError, match="use smaller photographs, or a smaller model"):
+        nanogs.mode_evidence(model, photos=photos, max_memory=fitting - 1)
+    assert nanogs.mode_evidence(model, photos=photos, max_memory=fitting).photographs
 
 
 def test_a_split_without_photographs_is_refused(capture):

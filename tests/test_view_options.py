@@ -9,7 +9,10 @@ import nanogs
 from builders import random_splats
 from dataset_files import write_json
 from launch import run
+from launch import run_here as command
 from test_cli import assert_refused
+from test_streamed_views import stderr_line
+from viewer_bundle import require_bundle
 
 SMALL = ("--views", "1", "--pixels", "32")
 
@@ -111,3 +114,35 @@ def test_options_with_an_effect_are_accepted(folder, tmp_path):
     assert len(nanogs.load(tmp_path / "b.ply")) == 300
     mistyped = run("render", "a.ply", tmp_path / "out", "--cameras", "orbti", *SMALL, cwd=folder)
     assert_refused(mistyped, "no camera file 'orbti'")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["render", "a.ply", "out"],
+        ["info", "a.ply"],
+        ["compare", "a.ply", "a.ply"],
+        ["compare", "a.ply", "a.ply", "--report", "page.html"],
+    ],
+)
+def test_without_memory_for_the_cameras_of_a_file_no_options_of_automatic_views_are_advised(
+    folder, arguments, monkeypatch, capsys
+):
+    monkeypatch.chdir(folder)
+    assert command(*arguments, "--cameras", "cams.json", "--max-memory", "210MB") == 2
+    said = stderr_line(capsys)
+    assert "give fewer cameras or smaller ones, or automatic views, or " in said
+    assert "--views" not in said
+    assert "--pixels" not in said
+
+
+def test_without_memory_for_its_scores_a_page_can_leave_them_out(folder, monkeypatch, capsys):
+    require_bundle()
+    monkeypatch.chdir(folder)
+    few = ["view", "a.ply", "a.ply", "--no-open", "--max-memory"]
+    assert command(*few, "211MB") == 2
+    assert stderr_line(capsys).endswith(
+        "or view smaller models, or leave out the PSNR (--no-psnr)."
+    )
+    assert command(*few, "2MB") == 2
+    assert stderr_line(capsys).endswith("or view smaller models.")

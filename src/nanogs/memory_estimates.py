@@ -97,15 +97,16 @@ def shown_bytes(pixels: int, views: int) -> int:
     return pixels * (_PICTURE + _SHOWN * views)
 
 
-def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int) -> int:
+def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int, photographs: int = 0) -> int:
     """Estimate the bytes for scoring models against the first, and for a page with all of them.
 
     Args:
         infos: The models.
         pixels: Number of pixels of a view.
         views: Number of views.
+        photographs: Bytes of photographs that are held while models are scored.
     """
-    scoring = scoring_bytes([info.splats for info in infos], pixels, views)
+    scoring = photographs + scoring_bytes([info.splats for info in infos], pixels, views)
     return max(page_bytes(infos), sum(map(model_bytes, infos)) + scoring)
 
 
@@ -126,8 +127,8 @@ def pictures_bytes(pixels: int, views: int) -> int:
 
 
 def photographs_bytes(pixels: Sequence[int]) -> int:
-    """Estimate the bytes for photographs, of `pixels` each, and the view being rendered."""
-    return _PHOTO * sum(pixels) + (_PICTURE + _KEPT) * max(pixels, default=0)
+    """Compute the bytes for holding photographs, of `pixels` each."""
+    return _PHOTO * sum(pixels)
 
 
 def page_bytes(infos: Sequence[FileInfo]) -> int:

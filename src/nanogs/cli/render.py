@@ -72,7 +72,7 @@ def render(
     from nanogs.threads import use_threads
     from nanogs.views.cameras import chosen_cameras, known_cameras
     from nanogs.views.costing import pictures_of
-    from nanogs.views.plan import room_for_pictures
+    from nanogs.views.plan import rendering_remedy, room_for_pictures
     from nanogs.views.png import render_images
 
     refuse_address(target, "pictures are written to a folder or file: name one")
@@ -84,7 +84,8 @@ def render(
         fetched([source], quiet=run.hushed) as [file],
         open_model(file, render_mode=render_mode) as opened,
     ):
-        room = room_for_pictures(opened, largest, 0, run.max_memory)
+        remedy = rendering_remedy(wanted)
+        room = room_for_pictures(opened, largest, 0, run.max_memory, remedy=remedy)
         with shown(quiet=run.hushed) as watch, use_threads(run.threads):
             progress = Tracker(watch, stages)
             progress.begin("read")

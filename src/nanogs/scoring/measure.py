@@ -25,7 +25,8 @@ from nanogs.scoring.packed_models import (
     write_packed_files,
 )
 from nanogs.scoring.packing import PackingFormats
-from nanogs.scoring.photos import photographs, room_beside_photographs
+from nanogs.scoring.photo_views import PhotoViews
+from nanogs.scoring.photos import held_bytes, photographs, photographs_remedy
 from nanogs.scoring.view_sets import ComparedViews
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -97,17 +98,19 @@ def measure(
     Raises:
         NanogsError: As for `nanogs.compare`.
     """
-    room = _room([source for _name, source in models], how)
+    asked = how.views
+    views = photographs(*asked, how.background) if isinstance(asked, Photographs) else asked
+    room = _room([source for _name, source in models], views, how)
     entries = [(name, source, "") for name, source in models]
     if how.packing:
         entries[1:] = write_packed_files(models[1:], how.packing, stack, how.max_memory, progress)
-        room = _room([source for _name, source, _suffix in entries], how)
+        room = _room([source for _name, source, _suffix in entries], views, how)
     progress.begin("read")
     ready = [named(*entry, whole=room is None) for entry in each(entries, progress.part)]
-    if isinstance(how.views, Photographs):
-        found = _on_photographs(ready, how.views, how, room, progress)
+    if isinstance(views, PhotoViews):
+        found = _on_photographs(ready, views, how, room, progress)
     else:
-        found = _on_views(ready, how.views, how, room, progress)
+        found = _on_views(ready, views, how, room, progress)
     notes = (*remarks_on(models), *packing_notes(models[1:], how.packing), *found.comparison.notes)
     return found._replace(comparison=replace(found.comparison, notes=notes))
 
@@ -129,27 +132,37 @@ def _on_views(
 
 def _on_photographs(
     models: list[NamedModel],
-    photos: Photographs,
+    photos: PhotoViews,
     how: Measurement,
     room: int | None,
     progress: Tracker,
 ) -> Measured:
+    asked = how.views
+    assert isinstance(asked, Photographs)  # noqa: S101 - these are what was asked for
     progress.begin("photographs")
-    behind, frames = photographs(*photos, how.background, how.max_memory)
     comparison, sheets = compare_with_photographs(
-        str(photos.folder), models, frames, split=photos.split, background=behind,
-        extras=how.extras, pictures=how.pictures, progress=progress,
-        room=room_beside_photographs(room, frames, packed=bool(how.packing)),
+        str(asked.folder), models, list(photos), split=asked.split,
+        background=photos.background, extras=how.extras, pictures=how.pictures, room=room,
+        progress=progress,
     )  # fmt: skip
-    return Measured(comparison, sheets, models, [frame.camera for frame in frames], behind)
+    return Measured(comparison, sheets, models, photos.cameras, photos.background)
 
 
-def _room(sources: Sequence[Splats | Source], how: Measurement) -> int | None:
+def _room(
+    sources: Sequence[Splats | Source], views: ComparedViews | PhotoViews, how: Measurement
+) -> int | None:
     """Return the bytes left for splats while rendering, or None if all models are held."""
-    # The memory of photographs is known once they are read: see `room_beside_photographs`.
-    pixels, views = (PIXELS**2, 0) if isinstance(how.views, Photographs) else how.views.pictures
     kept = 2 if how.packing else 1  # the renders of unpacked models are kept too
-    return room_for_comparison(sources, pixels, kept * views, how.max_memory, shown=how.shown)
+    if isinstance(views, PhotoViews):
+        largest = max(camera.width * camera.height for camera in views.cameras)
+        return room_for_comparison(
+            sources, largest, 1, how.max_memory, photographs=kept * held_bytes(views),
+            remedy=photographs_remedy(views), shown=how.shown,
+        )  # fmt: skip
+    pixels, count = views.pictures
+    return room_for_comparison(
+        sources, pixels, kept * count, how.max_memory, remedy=views.remedy, shown=how.shown
+    )
 
 
 def measuring_stages(models: Sequence[Splats | Source], how: Measurement) -> list[Stage]:

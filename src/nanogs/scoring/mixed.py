@@ -25,14 +25,13 @@ from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
 from nanogs.raster.lens import lens_notes
 from nanogs.scoring.api import file_name
-from nanogs.scoring.view_sets import Pixels, compared_views
+from nanogs.scoring.view_sets import ComparedViews, Pixels, compared_views
 from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
     from nanogs.scoring.mixed_views import MixedView
 
 SEAM_LOSS = 0.3  # dB; a higher loss at seams gets a note
-_REMEDY = "look at a smaller model or at smaller pictures (`pixels`)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +139,7 @@ def compare_mixed(
     requested = compared_views(cameras, pixels, views, up)
     background = plain_background(background)
     limit = None if max_memory is None else as_bytes(max_memory)
-    _refuse_too_large(original, paths, *requested.pictures, limit)
+    _refuse_too_large(original, paths, requested, limit)
     # Imported here because these import Numba.
     from nanogs.raster.rendering import prepare
     from nanogs.scoring.mixed_views import read_levels
@@ -208,7 +207,7 @@ def _check(paths: Sequence[Path], budget: int | None) -> None:
 
 
 def _refuse_too_large(
-    original: Model, paths: Sequence[Path], pixels: int, views: int, limit: int | None
+    original: Model, paths: Sequence[Path], requested: ComparedViews, limit: int | None
 ) -> None:
     """Fail if the original and all levels of all streams do not fit in memory together."""
     held = models_bytes([original], all_of_it=bool(limit))
@@ -217,8 +216,8 @@ def _refuse_too_large(
         infos = [inspect(path, level=level) for level in range(len(_levels(path)))]
         held += 2 * sum(map(model_bytes, infos))  # the levels as read, and concatenated
         counts.append(sum(info.splats for info in infos))
-    needed = held + scoring_bytes(counts, pixels, views)
-    refuse_too_large("Comparing mixed levels", needed, allowed_memory(limit), _REMEDY)
+    needed = held + scoring_bytes(counts, *requested.pictures)
+    refuse_too_large("Comparing mixed levels", needed, allowed_memory(limit), requested.remedy)
 
 
 def _levels(path: Path) -> Sequence[int]:

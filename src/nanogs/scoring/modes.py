@@ -25,7 +25,7 @@ from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
 from nanogs.views.costing import pictures_of, views_of
-from nanogs.views.plan import room_for_pictures
+from nanogs.views.plan import rendering_remedy, room_for_pictures
 
 if TYPE_CHECKING:
     from nanogs._types import F32, F64
@@ -191,20 +191,21 @@ def render_findings(
     stages += [Stage("cover", 2.0)] if costs else []
     with opened(model) as source, show_progress(progress) as on_step:
         # Imported here because these import Numba.
-        from nanogs.scoring.photos import photographs, room_beside_photographs
+        from nanogs.scoring.photos import held_bytes, photographs, photographs_remedy
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
 
         tracker = Tracker(on_step, stages)
         tracker.begin("cameras")
         with use_threads(threads):
-            behind = background or BLACK
+            behind, held, remedy = background or BLACK, 0, rendering_remedy(wanted)
             frames: Sequence[ReferenceView] = ()
             if photos is not None:
-                behind, frames = photographs(Path(photos), images, split, background, limit)
-                wanted = [view.camera for view in frames]
-            room = room_for_pictures(source, *pictures_of(wanted, views, pixels), limit)
-            room = room_beside_photographs(room, frames)
+                frames = found = photographs(Path(photos), images, split, background)
+                wanted, behind = list(found.cameras), found.background
+                held, remedy = held_bytes(found), photographs_remedy(found)
+            size = pictures_of(wanted, views, pixels)
+            room = room_for_pictures(source, *size, limit, photographs=held, remedy=remedy)
             some = source_of(source).load() if room is None else source
             if isinstance(wanted, str):
                 chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
@@ -212,7 +213,7 @@ def render_findings(
                 chosen, kind = wanted, "photographs" if frames else "given"
             tracker.begin("render")
             protocol = views_of(chosen, kind, split if frames else "test", behind)
-            truth = [view.image for view in frames]
+            truth = [view.image for view in frames]  # decoded here
             modes = evidence_on(some, chosen, protocol, truth, room, tracker.part)
             cost = None
             if costs:

@@ -9,8 +9,6 @@ from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.plan import room_for_splats
 
-REMEDY = "compare fewer or smaller views (`views`, `pixels`) or smaller models"
-
 
 def room_for_comparison(
     models: Sequence[Splats | Source],
@@ -18,6 +16,8 @@ def room_for_comparison(
     views: int,
     max_memory: int | None,
     *,
+    remedy: str,
+    photographs: int = 0,
     shown: bool = False,
 ) -> int | None:
     """Compute the bytes left for splats while rendering, if models must be read in parts.
@@ -27,6 +27,8 @@ def room_for_comparison(
         pixels: Pixels of the largest view.
         views: Number of views.
         max_memory: Bytes that this process may take; by default the free memory, less a tenth.
+        remedy: What helps besides more memory, as the end of the message.
+        photographs: Bytes of photographs, and of renders kept beside them, that will be held too.
         shown: Whether a page will show the models, opened files, so that all must be in memory.
 
     Returns:
@@ -38,16 +40,16 @@ def room_for_comparison(
     given, memory = bool(max_memory), allowed_memory(max_memory)
     if shown:
         infos = [model.info for model in models if isinstance(model, FileSource)]
-        remedy = f"{REMEDY}, or leave the models out of the page (`interactive=False`)"
-        needed = compare_bytes(infos, pixels, views)
+        remedy += ", or leave the models out of the page (`interactive=False`)"
+        needed = compare_bytes(infos, pixels, views, photographs)
         refuse_too_large("Comparing these models", needed, memory, remedy)
         return None
-    if needed_bytes(models, pixels, views, all_of_it=given) <= memory.bytes:
+    if photographs + needed_bytes(models, pixels, views, all_of_it=given) <= memory.bytes:
         return None
     held = models_bytes([model for model in models if isinstance(model, Splats)], all_of_it=given)
-    others = held + pictures_bytes(pixels, views)
+    others = held + photographs + pictures_bytes(pixels, views)
     read = [source_of(model) for model in models]
-    return room_for_splats("Comparing these models", read, others, memory, REMEDY)
+    return room_for_splats("Comparing these models", read, others, memory, remedy)
 
 
 def needed_bytes(

@@ -6,21 +6,33 @@ from typing import TYPE_CHECKING, overload
 from nanogs.protocol import Background
 from nanogs.raster.camera import Camera
 
-if TYPE_CHECKING:  # these import Numba
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    # these import Numba
     from nanogs.datasets.dataset import Dataset
     from nanogs.datasets.frame import Frame
     from nanogs.scoring.scores import ReferenceView
 
 
 class PhotoViews(Sequence["ReferenceView"]):
-    """Photographs as views, each read on access, because hundreds would not fit in memory."""
+    """Photographs as views, each read on access, because hundreds would not fit in memory.
+
+    Attributes:
+        background: RGB in [0, 1] behind transparent parts.
+    """
 
     def __init__(
         self, dataset: "Dataset", frames: "Sequence[Frame]", background: Background
     ) -> None:
         self._dataset = dataset
         self._frames = tuple(frames)
-        self._background = background
+        self.background = background
+
+    @property
+    def images(self) -> "Path | None":
+        """The folder of the photographs; None for a data set whose camera files hold the paths."""
+        return self._dataset.images
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -38,9 +50,9 @@ class PhotoViews(Sequence["ReferenceView"]):
         from nanogs.scoring.scores import ReferenceView
 
         if isinstance(index, slice):
-            return PhotoViews(self._dataset, self._frames[index], self._background)
+            return PhotoViews(self._dataset, self._frames[index], self.background)
         frame = self._frames[index]
-        return ReferenceView(frame.camera, self._dataset.load_photo(frame, self._background))
+        return ReferenceView(frame.camera, self._dataset.load_photo(frame, self.background))
 
     def __iter__(self) -> "Iterator[ReferenceView]":
         return (self[index] for index in range(len(self)))

@@ -21,6 +21,7 @@ from nanogs.views.cameras import (
     picture_size,
     view_count,
 )
+from nanogs.views.plan import FEWER_CAMERAS
 
 Size: TypeAlias = tuple[int, int]  # width and height, pixels
 Pixels: TypeAlias = int | tuple[int, int] | list[int] | list[tuple[int, int]]
@@ -81,6 +82,13 @@ class ComparedViews:
     def pictures(self) -> tuple[int, int]:
         """Pixels of the largest view, and number of views of the largest set."""
         return max(self.pixels, default=0), max(self.counts, default=0)
+
+    @property
+    def remedy(self) -> str:
+        """Advice if these views take too much memory, as the end of a message."""
+        if self.cameras:
+            return f"{FEWER_CAMERAS}, or compare smaller models"
+        return "compare fewer or smaller views (`views`, `pixels`) or smaller models"
 
     def sets(self, model: Splats | Source) -> list[ViewSet]:
         """Return the sets of views; automatic ones are computed from the model."""

@@ -138,7 +138,10 @@ def view_files(
         if measured:
             needed = compare_bytes(infos, largest, count)
         allowed = allowed_memory(max_memory, compiled=measured)
-        refuse_too_large("Making this page", needed, allowed, "view smaller models")
+        remedy = "view smaller models"
+        if page_bytes(infos) <= allowed_memory(max_memory, compiled=False).bytes:
+            remedy += ", or leave out the PSNR (`psnr=False`)"
+        refuse_too_large("Making this page", needed, allowed, remedy)
         models = _read(inputs, levels, level, render_mode, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):

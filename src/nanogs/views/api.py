@@ -12,7 +12,7 @@ from nanogs.ranges import as_switch
 from nanogs.source import source_of
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
 from nanogs.views.costing import pictures_of
-from nanogs.views.plan import room_for_pictures
+from nanogs.views.plan import rendering_remedy, room_for_pictures
 
 
 def render(
@@ -64,7 +64,9 @@ def render(
     wanted, transparent = known_cameras(cameras, up), as_switch("`transparent`", transparent)
     with opened(model) as source:
         most = None if max_memory is None else as_bytes(max_memory)
-        room = room_for_pictures(source, *pictures_of(wanted, views, pixels), most)
+        room = room_for_pictures(
+            source, *pictures_of(wanted, views, pixels), most, remedy=rendering_remedy(wanted)
+        )
         some = source_of(source).load() if room is None else source
         # Imported late, because these import Numba.
         from nanogs.card.device import use_device

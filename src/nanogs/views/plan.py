@@ -11,17 +11,34 @@ from nanogs.memory_estimates import (
     streaming_bytes,
 )
 from nanogs.protocol import PIXELS, VIEWS
+from nanogs.raster.camera import Camera
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
 LEAST = 32_000_000  # least budget, bytes: a tile may draw some hundred thousand splats
 
+FEWER_CAMERAS = "give fewer cameras or smaller ones, or automatic views"  # a remedy
 
-_REMEDY = "render smaller pictures (`pixels`) or a smaller model"
+
+def rendering_remedy(wanted: str | Sequence[Camera]) -> str:
+    """Return what helps if rendering takes too much memory, as the end of a message.
+
+    Args:
+        wanted: Cameras, which have sizes of their own, or the kind of automatic views.
+    """
+    if isinstance(wanted, str):
+        return "render smaller pictures (`pixels`) or a smaller model"
+    return f"{FEWER_CAMERAS}, or render a smaller model"
 
 
 def room_for_pictures(
-    model: Splats | Source, pixels: int, views: int, max_memory: int | None
+    model: Splats | Source,
+    pixels: int,
+    views: int,
+    max_memory: int | None,
+    *,
+    photographs: int = 0,
+    remedy: str,
 ) -> int | None:
     """Compute the budget for the splats of images, if a model does not fit and must be streamed.
 
@@ -30,6 +47,8 @@ def room_for_pictures(
         pixels: Number of pixels of the largest view.
         views: Number of images that are kept.
         max_memory: Bytes that this process may use; by default the free memory, less a tenth.
+        photographs: Bytes of photographs that will be held too.
+        remedy: Advice if there is not enough, as the end of the message.
 
     Returns:
         Bytes, or None if the model fits.
@@ -38,13 +57,13 @@ def room_for_pictures(
         NotEnoughMemoryError: There is not enough memory even for streaming.
     """
     given, memory = bool(max_memory), allowed_memory(max_memory)
-    pictures = shown_bytes(pixels, views)
+    pictures = photographs + shown_bytes(pixels, views)
     held = models_bytes([model], all_of_it=given)
     if held + drawn_bytes(source_of(model).count) + pictures <= memory.bytes:
         return None
     pictures += held if isinstance(model, Splats) else 0
     read = source_of(model)
-    return room_for_splats(f"Rendering {read.name}", [read], pictures, memory, _REMEDY)
+    return room_for_splats(f"Rendering {read.name}", [read], pictures, memory, remedy)
 
 
 def room_for_measuring(
