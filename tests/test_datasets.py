@@ -209,13 +209,11 @@ def test_cameras_that_are_in_several_transforms_files_are_listed_once(tmp_path):
     assert listed == [f"images/{name}.png" for name in "abca"]
 
 
-def test_sources_without_cameras_and_superfluous_sizes_are_refused(tmp_path):
+def test_sources_without_cameras_are_refused(tmp_path):
     with pytest.raises(FormatError, match="holds no cameras"):
         cameras_from_file(tmp_path)
     with pytest.raises(FormatError, match="cannot be read"):
         cameras_from_file(tmp_path / "nowhere.json")
-    with pytest.raises(OptionError, match="leave width and height out"):
-        cameras_from_file(write_model(tmp_path), width=8)
 
 
 @pytest.mark.parametrize("encoding", ["bin", "txt"])

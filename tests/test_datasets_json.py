@@ -13,7 +13,7 @@ from dataset_files import POSE, trained_camera, transforms, write_json, write_ph
 from nanogs.datasets.blender import read_transforms
 from nanogs.datasets.dataset import cameras_from_file
 from nanogs.datasets.inria import read_cameras_json
-from nanogs.errors import FormatError, NanogsError, OptionError
+from nanogs.errors import FormatError, NanogsError
 
 on_disk = settings(
     deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -86,37 +86,9 @@ def test_horizontal_and_vertical_angles_give_separate_focal_lengths(file):
     assert (two_focals.camera.fx, two_focals.camera.fy) == (50, 40)
 
 
-def test_a_given_size_is_used_if_the_file_states_none(file):
-    write_json(file, transforms())
-    (square,) = cameras_from_file(file, width=64)
-    assert (square.width, square.height, square.cx, square.cy) == (64, 64, 32, 32)
-    assert square.fx == pytest.approx(64)
-    (wide,) = cameras_from_file(file, width=64, height=32)
-    assert (wide.width, wide.height, wide.fy) == (64, 32, pytest.approx(64))
-
-
 def test_an_unknown_image_size_is_an_error_with_a_remedy(file):
     with pytest.raises(FormatError, match=r"the image size is unknown.*; add 'w' and 'h'"):
         cameras_from_file(write_json(file, transforms()))
-
-
-@pytest.mark.parametrize(
-    ("size", "message"),
-    [
-        ({"width": 0}, "width: is 0 where"),
-        ({"width": -1}, "width: is -1 where"),
-        ({"width": 64, "height": 0}, "height: is 0 where"),
-        ({"height": 64}, "a height needs a width"),
-    ],
-)
-def test_bad_sizes_are_refused(file, size, message):
-    with pytest.raises(OptionError, match=message):
-        cameras_from_file(write_json(file, transforms()), **size)
-
-
-def test_a_given_size_is_refused_if_the_file_states_one(file):
-    with pytest.raises(OptionError, match="leave width and height out"):
-        cameras_from_file(write_json(file, transforms(w=8, h=6)), width=4)
 
 
 def test_a_photograph_of_another_size_than_stated_is_refused(file):
@@ -264,12 +236,6 @@ def test_bad_trained_cameras_are_refused(tmp_path, rows, message):
     file = write_json(tmp_path / "c.json", rows)
     with pytest.raises(FormatError, match=message):
         read_cameras_json(file)
-
-
-def test_a_given_size_is_refused_for_trained_cameras(tmp_path):
-    file = write_json(tmp_path / "cameras.json", [trained_camera()])
-    with pytest.raises(OptionError, match="leave width and height out"):
-        cameras_from_file(file, width=8)
 
 
 quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)

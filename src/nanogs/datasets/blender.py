@@ -11,7 +11,7 @@ from nanogs._types import F64
 from nanogs.datasets import fields
 from nanogs.datasets.frame import Frame
 from nanogs.datasets.photos import find_photo, photo_size
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import FormatError
 from nanogs.raster.lens import Lens
 
 # OpenGL cameras look along -z with y up, ours along +z with y down.
@@ -23,22 +23,17 @@ _FISHEYE = "OPENCV_FISHEYE"
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
 
-def read_transforms(
-    path: Path, *, width: int | None = None, height: int | None = None
-) -> list[Frame]:
+def read_transforms(path: Path) -> list[Frame]:
     """Read the cameras of a `transforms*.json`.
 
     `transform_matrix` is camera to world with OpenGL axes. The focal length is `fl_x` in pixels,
     else 0.5 w / tan(camera_angle_x / 2) with the angle in radians. The vertical one likewise is
     `fl_y` or follows from `h` and camera_angle_y, and equals the horizontal one if neither is
     present. `cx` and `cy` default to the image's centre. Each key may be given per frame or once
-    for all frames. The size is `w` and `h`; for a file without them it is `width` and `height`,
-    else the photographs' size.
+    for all frames. The size is `w` and `h`; for a file without them it is the photographs' size.
 
     Args:
         path: The JSON file; `file_path` is relative to its folder, with or without suffix.
-        width: Image width in pixels for a file that states none.
-        height: Image height in pixels; `width` if None.
 
     Returns:
         The frames in the file's order; `photo_path` is None if the photograph does not exist.
@@ -47,41 +42,23 @@ def read_transforms(
         FormatError: The file is malformed, a camera model is not a pinhole with a lens, a pose is
             not rigid, an image is listed twice, a photograph has another size than its frame
             states, or no size is known.
-        OptionError: `width` is given for a file that states its sizes, or is not a valid image
-            side.
     """
-    size = _given_size(path, width, height)
     document = fields.entry(fields.read_json(path), str(path))
     shared = {key: value for key, value in document.items() if key != "frames"}
     rows = fields.entries(document.get("frames"), f"{path}, frames")
-    frames = [_frame(path, index, {**shared, **row}, size) for index, row in enumerate(rows)]
+    frames = [_frame(path, index, {**shared, **row}) for index, row in enumerate(rows)]
     fields.refuse_repeats((frame.camera.name for frame in frames), str(path), "image")
     found = (frame.photo_path for frame in frames if frame.photo_path is not None)
     fields.refuse_repeats(found, str(path), "photograph")
     return frames
 
 
-def _given_size(path: Path, width: int | None, height: int | None) -> tuple[int, int] | None:
-    if width is None and height is None:
-        return None
-    if width is None:
-        raise OptionError(f"{path}: a height needs a width; give both")
-    try:
-        given = (
-            fields.side(width, "width"),
-            fields.side(width if height is None else height, "height"),
-        )
-    except FormatError as error:
-        raise OptionError(f"{path}: {error}") from error
-    return given
-
-
-def _frame(path: Path, index: int, row: dict[str, Any], given: tuple[int, int] | None) -> Frame:
+def _frame(path: Path, index: int, row: dict[str, Any]) -> Frame:
     where = f"{path}, frame {index}"
     listed = fields.text(row.get("file_path"), f"{where}, file_path")
     photo = find_photo(path.parent, posixpath.normpath(listed))
     lens = _lens(row, where)
-    size = _size(row, where, photo, given)
+    size = _size(row, where, photo)
     pose = _pose(row.get("transform_matrix"), where)
     centre = (row.get("cx", size[0] / 2), row.get("cy", size[1] / 2))
     camera = fields.pinhole(
@@ -90,12 +67,8 @@ def _frame(path: Path, index: int, row: dict[str, Any], given: tuple[int, int] |
     return Frame(camera, photo)
 
 
-def _size(
-    row: dict[str, Any], where: str, photo: Path | None, given: tuple[int, int] | None
-) -> tuple[int, int]:
+def _size(row: dict[str, Any], where: str, photo: Path | None) -> tuple[int, int]:
     if "w" in row or "h" in row:
-        if given is not None:
-            raise OptionError(f"{where}: states its size; leave width and height out")
         stated = fields.side(row.get("w"), f"{where}, w"), fields.side(row.get("h"), f"{where}, h")
         if photo is not None and photo_size(photo) != stated:
             raise FormatError(
@@ -103,8 +76,6 @@ def _size(
                 " photographs that the cameras were made for"
             )
         return stated
-    if given is not None:
-        return given
     if photo is None:
         raise FormatError(
             f"{where}: the image size is unknown, because there is neither 'w' and 'h' nor the"

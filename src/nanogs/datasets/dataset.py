@@ -159,39 +159,31 @@ def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
     return Dataset("blender", folder)
 
 
-def cameras_from_file(
-    path: str | Path, *, width: int | None = None, height: int | None = None
-) -> list[Camera]:
+def cameras_from_file(path: str | Path) -> list[Camera]:
     """Read cameras to render from; photographs are not needed.
 
     Args:
         path: A `transforms*.json`, a `cameras.json` of the reference trainer, or a folder: a COLMAP
             sparse model, a folder with one in `sparse/0`, or a folder with such JSON files.
-        width: Image width in pixels for a `transforms*.json` that states none and whose
-            photographs are missing.
-        height: Image height in pixels; `width` if None.
 
     Returns:
-        All cameras, with the sizes that the file states. Those of a COLMAP model are sorted by
-        name, others are in the file's order, files in the order train, validation, test; a camera
+        All cameras, with the sizes that the file states, else with those of its photographs. Those
+        of a COLMAP model are sorted by name, others are in the file's order, files in the order train, validation, test; a camera
         in several files is returned once. Lens distortion is in `Camera.lens`, and renders do not
         include it.
 
     Raises:
         FormatError: The file is missing or damaged, has an unknown layout, or states no size.
-        OptionError: `width` or `height` is given for a file that states its sizes.
     """
     place = Path(path)
     model = find_model(place)
-    if model is None:
-        found: list[Camera] = []
-        for file in _camera_files(place):  # transforms.json may repeat the cameras of the splits
-            known = set(map(_view, found))
-            cameras = _from_json(file, width, height)
-            found += [camera for camera in cameras if _view(camera) not in known]
-        return found
-    _refuse_size(model, width, height)
-    return read_model(model)
+    if model is not None:
+        return read_model(model)
+    found: list[Camera] = []
+    for file in _camera_files(place):  # transforms.json may repeat the cameras of the splits
+        known = set(map(_view, found))
+        found += [camera for camera in _from_json(file) if _view(camera) not in known]
+    return found
 
 
 def _view(camera: Camera) -> tuple[str, bytes]:
@@ -214,17 +206,11 @@ def _camera_files(place: Path) -> list[Path]:
     return files
 
 
-def _from_json(file: Path, width: int | None, height: int | None) -> list[Camera]:
+def _from_json(file: Path) -> list[Camera]:
     # Distinguished by content, because people rename these files.
     if isinstance(read_json(file), list):
-        _refuse_size(file, width, height)
         return read_cameras_json(file)
-    return [frame.camera for frame in read_transforms(file, width=width, height=height)]
-
-
-def _refuse_size(file: Path, width: int | None, height: int | None) -> None:
-    if width is not None or height is not None:
-        raise OptionError(f"{file}: states its image sizes; leave width and height out")
+    return [frame.camera for frame in read_transforms(file)]
 
 
 def _sparse(folder: Path) -> Path | None:
