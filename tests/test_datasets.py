@@ -1,6 +1,8 @@
 """Data sets as a whole: layouts, splits, photographs, and the shared chair."""
 
 import os
+import struct
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from dataset_files import (
     write_photo,
 )
 from nanogs.datasets.dataset import cameras_from_file, open_dataset
+from nanogs.datasets.photos import photo_size
 from nanogs.errors import FormatError, NanogsError, OptionError
 
 WHITE = (1.0, 1.0, 1.0)
@@ -271,6 +274,40 @@ def test_sixteen_bit_photographs_are_refused(blender):
     data, frame = frame_with(blender, Image.new("I;16", (8, 6), 40_000))
     with pytest.raises(FormatError, match=r"convert it to 8 bits a channel"):
         data.load_photo(frame, BLACK)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_of_colours_of_sixteen_bits_the_upper_eight_are_used(blender, bits):
+    data, frame = frame_with(blender, Image.new("RGB", (8, 6)))
+    colour = b"".join(bytes([value, 255][: bits // 8]) for value in (10, 20, 30))
+    header = struct.pack(">2I5B", 8, 6, bits, 2, 0, 0, 0)
+    chunks = {b"IHDR": header, b"IDAT": zlib.compress((b"\0" + 8 * colour) * 6), b"IEND": b""}
+    frame.photo_path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + b"".join(
+            struct.pack(">I", len(content)) + kind + content
+            + struct.pack(">I", zlib.crc32(kind + content))
+            for kind, content in chunks.items()
+        )
+    )  # fmt: skip
+    found = data.load_photo(frame, BLACK)[0, 0]
+    np.testing.assert_array_equal(found, np.float32([10, 20, 30]) / np.float32(255))
+
+
+@pytest.mark.parametrize("most", [10, 30])  # Pillow refuses, or warns
+def test_large_photographs_are_read_without_a_warning(tmp_path, monkeypatch, most):
+    write_json(tmp_path / "transforms_test.json", transforms())
+    for suffix in ("png", "jpg", *["webp"] * (most > 24)):  # its plugin refuses them too
+        file = write_photo(tmp_path / "test" / f"r_0.{suffix}", (8, 6), (1, 2, 3))
+        monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", most)
+        data = open_dataset(tmp_path)
+        (frame,) = data.split("test")
+        assert frame.photo_path == file
+        assert data.load_photo(frame, BLACK).shape == (6, 8, 3)
+        file.unlink()
+    other = write_photo(tmp_path / "a.bmp", (8, 6))
+    with pytest.raises(FormatError, match=r"a\.bmp: has too many pixels; use smaller"):
+        photo_size(other)
 
 
 def test_a_photograph_whose_size_changed_is_refused(blender):

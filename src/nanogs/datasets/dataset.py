@@ -168,9 +168,9 @@ def cameras_from_file(path: str | Path) -> list[Camera]:
 
     Returns:
         All cameras, with the sizes that the file states, else with those of its photographs. Those
-        of a COLMAP model are sorted by name, others are in the file's order, files in the order train, validation, test; a camera
-        in several files is returned once. Lens distortion is in `Camera.lens`, and renders do not
-        include it.
+        of a COLMAP model are sorted by name, others are in the file's order, files in the order
+        train, validation, test; a camera in several files is returned once. Lens distortion is in
+        `Camera.lens`, and renders do not include it.
 
     Raises:
         FormatError: The file is missing or damaged, has an unknown layout, or states no size.

@@ -2,12 +2,17 @@
 
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from PIL import Image
+from PIL.ImageFile import ImageFile
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
+from PIL.WebPImagePlugin import WebPImageFile
 
 from nanogs._types import F32, F
 from nanogs.errors import FormatError, OptionError
@@ -23,9 +28,13 @@ _DAMAGED = (
     IndexError,
     struct.error,
     zlib.error,
-    Image.DecompressionBombError,
 )
-_WIDE = ("I", "F")  # modes of more than 8 bits per channel, which Pillow would clip to 255
+_PLUGINS: dict[bytes, Callable[[BinaryIO], ImageFile]] = {
+    b"\x89PNG": PngImageFile,
+    b"\xff\xd8\xff": JpegImageFile,
+    b"RIFF": WebPImageFile,
+}
+_WIDE = ("I", "F")  # modes of grey of more than 8 bits, which Pillow would clip to 255
 
 
 def is_file(path: Path) -> bool:
@@ -86,7 +95,8 @@ def read_photo(path: Path, size: tuple[int, int], background: Sequence[float] | 
         (height, width, 3) float32 in [0, 1], RGB as stored (no colour management), row 0 on top.
 
     Raises:
-        FormatError: It cannot be decoded, has more than 8 bits per channel or another size.
+        FormatError: It cannot be decoded, has another size, or is grey with more than 8 bits per
+            pixel; of colours of 16 bits per channel, the upper 8 are used.
         OptionError: The background is not three numbers in [0, 1].
     """
     colour = _checked_background(background)
@@ -112,15 +122,30 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     """
     try:
         with path.open("rb") as file:
-            refuse_stand_in(path, file.read(HEAD_BYTES), "photograph")
+            head = file.read(HEAD_BYTES)
+            refuse_stand_in(path, head, "photograph")
             file.seek(0)
-            with Image.open(file) as image:
+            with _identified(file, head) as image:
                 yield image
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise FormatError(f"{path}: has too many pixels; use smaller photographs") from error
     except _DAMAGED as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
         raise FormatError(
             f"{path}: is not a readable photograph ({reason}); restore the image file"
         ) from error
+
+
+def _identified(file: BinaryIO, head: bytes) -> ImageFile:
+    """Open an image by the plugin of its format.
+
+    Pillow itself warns on stderr of more than 89 megapixels and refuses twice as many, although
+    memory is planned for photographs of any size; a filter of warnings would affect other threads.
+    """
+    for signature, plugin in _PLUGINS.items():
+        if head.startswith(signature):
+            return plugin(file)
+    return Image.open(file)
 
 
 def _check_decodable(path: Path, image: Image.Image, size: tuple[int, int]) -> None:
