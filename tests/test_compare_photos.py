@@ -1,13 +1,19 @@
 """`nanogs.compare` with photographs gives the scores of the command."""
 
+import json
+import shutil
+
 import numpy as np
 import pytest
 
 import nanogs
 from dataset_files import write_capture
+from nanogs.bench.scenes import BenchScene, scene_views
+from nanogs.bench.settings import BenchSettings
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.memory import LIBRARIES
+from nanogs.scoring.modes import render_findings
 from nanogs.scoring.needed import needed_bytes
 from nanogs.scoring.photos import photographs, photographs_remedy
 from nanogs.scoring.run import compare_files
@@ -59,6 +65,20 @@ def test_the_page_names_what_its_3d_view_shows_beside_the_original(
     assert f"The original is on the left, {on_the_right} on the right." in text
     assert "Against <b>data</b> (photographs)" in text
     assert str(folder) not in text
+
+
+def test_masks_that_are_ignored_are_noted(folder):
+    data = folder / "masked"
+    shutil.copytree(folder / "data", data)
+    cameras = json.loads((data / "transforms_test.json").read_text())
+    cameras["frames"][0]["mask_path"] = "mask.png"
+    (data / "transforms_test.json").write_text(json.dumps(cameras))
+    small = folder / "small.ply"
+    (note,) = nanogs.compare(small, small, photos=data).notes
+    assert note.startswith("The masks of 1 photograph (mask_path) are ignored")
+    assert render_findings(small, photos=data).notes == (note,)
+    views = scene_views(BenchScene("a", small, data), nanogs.load(small), BenchSettings())
+    assert note in views.notes
 
 
 def test_the_background_can_be_given(folder):

@@ -236,5 +236,6 @@ def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
     except FormatError as error:
         trained, fit = False, _fit_cameras(scene, splats, settings)
         notes += (f"methods learn from automatic views, as there are no training views: {error}",)
-    sets = {"": PhotoViews(dataset, frames, background)}
-    return SceneViews(sets, fit, trained, background, Against.PHOTOGRAPHS, notes)
+    photos = PhotoViews(dataset, frames, background)
+    notes += photos.notes
+    return SceneViews({"": photos}, fit, trained, background, Against.PHOTOGRAPHS, notes)

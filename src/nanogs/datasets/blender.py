@@ -64,7 +64,7 @@ def _frame(path: Path, index: int, row: dict[str, Any]) -> Frame:
     camera = fields.pinhole(
         where, posixpath.normpath(listed), size, _focal(row, size, where), centre, pose, lens
     )
-    return Frame(camera, photo)
+    return Frame(camera, photo, masked=bool(row.get("mask_path")))
 
 
 def _size(row: dict[str, Any], where: str, photo: Path | None) -> tuple[int, int]:

@@ -1,7 +1,7 @@
 """Data sets of photographs with cameras: NeRF-Synthetic and COLMAP folders, and camera files."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -109,7 +109,10 @@ class Dataset:
         if not is_file(file):
             raise FormatError(f"{self.path}: has no {name} split; put its cameras into {file.name}")
         return [
-            _straight(frame.camera, _present(frame.photo_path, file, frame.camera.name))
+            replace(
+                _straight(frame.camera, _present(frame.photo_path, file, frame.camera.name)),
+                masked=frame.masked,
+            )
             for frame in read_transforms(file)
         ]
 

@@ -15,8 +15,10 @@ class Frame:
         photo_path: The image file, or None if only the camera is known.
         taken_by: The camera with lens distortion that took the photograph, if `camera` is the
             pinhole for the undistorted photograph; else None.
+        masked: Whether the data set has a mask of pixels for training, which is not read.
     """
 
     camera: Camera
     photo_path: Path | None
     taken_by: Camera | None = None
+    masked: bool = False

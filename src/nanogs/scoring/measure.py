@@ -145,6 +145,7 @@ def _on_photographs(
         background=photos.background, extras=how.extras, pictures=how.pictures, room=room,
         progress=progress,
     )  # fmt: skip
+    comparison = replace(comparison, notes=(*comparison.notes, *photos.notes))
     return Measured(comparison, sheets, models, photos.cameras, photos.background)
 
 

@@ -200,9 +200,10 @@ def render_findings(
         with use_threads(threads):
             behind, held, remedy = background or BLACK, 0, rendering_remedy(wanted)
             frames: Sequence[ReferenceView] = ()
+            notes: tuple[str, ...] = ()
             if photos is not None:
                 frames = found = photographs(Path(photos), images, split, background)
-                wanted, behind = list(found.cameras), found.background
+                wanted, behind, notes = list(found.cameras), found.background, found.notes
                 held, remedy = held_bytes(found), photographs_remedy(found)
             size = pictures_of(wanted, views, pixels)
             room = room_for_pictures(source, *size, limit, photographs=held, remedy=remedy)
@@ -220,7 +221,7 @@ def render_findings(
                 tracker.begin("cover")
                 cost = cost_on(some, chosen, protocol, tracker.part)
         tracker.finish()
-    return RenderFindings(modes, cost, tuple(lens_notes(chosen)))
+    return RenderFindings(modes, cost, (*lens_notes(chosen), *notes))
 
 
 def evidence_on(

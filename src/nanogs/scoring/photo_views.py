@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, overload
 
+from nanogs.formatting import counted
 from nanogs.protocol import Background
 from nanogs.raster.camera import Camera
 
@@ -38,6 +39,15 @@ class PhotoViews(Sequence["ReferenceView"]):
     def cameras(self) -> tuple[Camera, ...]:
         """The cameras of the views; no photograph is read."""
         return tuple(frame.camera for frame in self._frames)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks that matter for reading the numbers."""
+        masked = sum(frame.masked for frame in self._frames)
+        if not masked:
+            return ()
+        which = f"The masks of {counted(masked, 'photograph')} (mask_path)"
+        return (f"{which} are ignored: pixels left out of training count.",)
 
     def __len__(self) -> int:
         return len(self._frames)
