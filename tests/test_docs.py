@@ -31,7 +31,7 @@ NOTEBOOK = ROOT / "examples" / "quickstart.ipynb"
 
 OTHER_PROGRAMS = {  # options of other programs that are named in the text
     "--antialiased", "--app_opt", "--auto-scale-poses", "--center-method", "--export-every",
-    "--orientation-method", "--save_ply", "--prefix",
+    "--no-normalize-world-space", "--orientation-method", "--save_ply", "--prefix",
 }  # fmt: skip
 
 

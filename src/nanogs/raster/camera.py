@@ -36,7 +36,8 @@ class Camera:
         cy: Principal point, pixels from the top edge of the image.
         world_to_camera: (4, 4) float64, rigid; its upper rows are [R | t], t in scene units.
         name: Name of the view in reports and files.
-        near: Near plane, scene units: splats whose centre is not farther are culled.
+        near: Near plane, scene units: splats whose centre is not farther are culled. Cameras of
+            files have the default, 0.2, that of the reference rasteriser.
         lens: Lens distortion of the picture that the camera took; renderers ignore it.
         whole: Principal point, width and height of the whole picture that this view is a crop of,
             pixels; None if it is not a crop. Projections of splats are approximate near the edges
