@@ -228,6 +228,8 @@ def _image_folder(folder: Path, images: str | None) -> Path:
         return chosen
     others = sorted(path.name for path in folder.glob("images*") if path.is_dir())
     remedy = f'choose `images="{others[0]}"`' if others else "copy the photographs there"
+    if others and images is None:  # `nanogs bench` has no such option
+        remedy += ", or rename that folder to images"
     problem = FormatError if images is None else OptionError
     raise problem(f"{chosen}: is no folder of photographs; {remedy}")
 
