@@ -109,7 +109,7 @@ def test_a_missing_image_folder_is_an_error(tmp_path):
     write_capture(tmp_path, folder="images_4")
     with pytest.raises(
         FormatError,
-        match="is no folder .* choose `images=.images_4.`, or rename that folder to images",
+        match=r"is no folder .* choose `images=.images_4.`, or rename that folder to images",
     ):
         open_dataset(tmp_path)
     with pytest.raises(OptionError, match="images_8: is no folder"):

@@ -172,7 +172,7 @@ def test_levels_of_an_almost_transparent_model_are_kept_unmeasured(tmp_path, blo
         layout="streamed sog", environment="none", block=block, measured=True,
     )  # fmt: skip
     assert [level.switch for level in manifest.levels] == [None] * 3
-    assert sum("Nothing was measured" in note for note in manifest.notes) == 1
+    assert sum("Nothing was rendered or measured" in note for note in manifest.notes) == 1
     assert len(nanogs.load(tmp_path / "l/lod-meta.json", level=1)) == 150
 
 

@@ -101,7 +101,7 @@ def test_it_is_noted_why_an_invisible_result_is_not_measured(tmp_path):
     nanogs.save(unseen, tmp_path / "a.ply")
     judge = file_judge(unseen, ".ply")
     assert judge.of(tmp_path / "a.ply") is None
-    assert judge.notes[0].startswith("Nothing was measured: The model shows nothing")
+    assert judge.notes[0].startswith("Nothing was rendered or measured: The model shows nothing")
 
 
 @pytest.mark.parametrize("preset", ["default", "fast"])

@@ -158,7 +158,7 @@ def test_an_invisible_scene_gets_the_result_of_the_preset_fast(splats, tmp_path,
     nanogs.save(invisible, scene)
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", preset=preset, **options)
     said = [note.partition(":")[0] for note in report.notes]
-    assert said == ["Nothing was rendered to choose by and fit to"]
+    assert said == ["Nothing was rendered or measured"]
     assert (report.shown, report.candidates, report.refit) == (None, (), None)
     options["rounds"] = nanogs.presets[preset].rounds
     nanogs.simplify_blocks(scene, tmp_path / "b.ply", preset="fast", **options)
@@ -172,7 +172,7 @@ def test_a_size_for_an_invisible_scene_is_reported_as_any_other(splats, tmp_path
     report = nanogs.simplify_blocks(
         tmp_path / "faint.ply", tmp_path / "a.spz", size=8000, block=block
     )
-    assert any(note.startswith("Nothing was rendered to choose by") for note in report.notes)
+    assert any(note.startswith("Nothing was rendered or measured") for note in report.notes)
     assert report.parameters == dataclasses.asdict(nanogs.presets["default"])
 
 

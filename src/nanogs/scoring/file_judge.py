@@ -237,5 +237,7 @@ def file_costs(
     return judge.costs(path)
 
 
-def _unmeasured(reason: object) -> str:
-    return f"Nothing was measured: {str(reason).removeprefix(UNMEASURED)}"
+def _unmeasured(error: ModelError | FormatError) -> str:
+    """Return the note on why a file has no scores; of a model, the same that making it gives."""
+    nothing = "rendered or measured" if isinstance(error, ModelError) else "measured"
+    return f"Nothing was {nothing}: {str(error).removeprefix(UNMEASURED)}"

@@ -17,8 +17,10 @@ from nanogs.views.cameras import (
     FOUND,
     Cameras,
     cameras_for,
-    known_cameras,
+    cameras_from,
+    given_cameras,
     picture_size,
+    refuse_up,
     view_count,
 )
 from nanogs.views.plan import FEWER_CAMERAS
@@ -107,9 +109,13 @@ def compared_views(
     names, count = one_or_several(cameras), None if views is None else view_count(views)
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     if not sources or len(sources) < len(names):
-        return ComparedViews(_given(names, up))
+        refuse_up(up)
+        return ComparedViews(given_cameras(names))
     several = pixels if isinstance(pixels, list) else [pixels]
-    return views_from(sources, [picture_size(size) for size in several], count, up)
+    found = views_from(sources, [picture_size(size) for size in several], count, up)
+    if found.cameras:
+        refuse_up(up)
+    return found
 
 
 def views_from(
@@ -132,15 +138,8 @@ def views_from(
     names = parse_sources(sources[0]) if len(sources) == 1 else list(sources)
     _refuse(names, sizes)
     if len(names) == 1 and names[0] not in FOUND:
-        return ComparedViews(_given(names[0], up))
+        return ComparedViews(cameras_from(names[0]))
     return ComparedViews([], names, sizes, count, up)
-
-
-def _given(cameras: Cameras, up: Sequence[float] | None) -> list[Camera]:
-    """Return given cameras, or those of a file; see `known_cameras`."""
-    found = known_cameras(cameras, up)
-    assert not isinstance(found, str)  # noqa: S101 - callers know that they are no kind
-    return found
 
 
 def refuse_beside_views(photos: str | PathLike[str] | None, images: str | None, split: str) -> None:

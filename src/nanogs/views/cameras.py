@@ -139,12 +139,21 @@ def known_cameras(cameras: Cameras, up: Sequence[float] | None = None) -> str | 
         return source
     else:
         found = cameras_from(source)
+    refuse_up(up)
+    return found
+
+
+def refuse_up(up: Sequence[float] | None) -> None:
+    """Refuse an up direction, which is for automatic cameras, beside given ones.
+
+    Raises:
+        OptionError: There is one.
+    """
     if up is not None:
         raise OptionError(
             "`up` cannot be combined with given cameras, which are views of their own; leave one of"
             " them out."
         )
-    return found
 
 
 def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:

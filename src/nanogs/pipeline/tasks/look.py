@@ -45,7 +45,7 @@ def choose_views(scene: Scene) -> Views:
         found = None if given else fit_cameras(some, asked.source, asked.up, wanted, size)
         kept, further = choose_cameras(some, given or found, parameters.views, more, size)
     except ModelError as error:
-        return Views((), (), (), (f"Nothing was rendered to choose by and fit to: {error}",))
+        return Views((), (), (), (f"Nothing was rendered or measured: {error}",))
     roaming: list[Camera] = []
     notes: tuple[str, ...] = tuple(lens_notes(given))
     if found is not None and len(found) < wanted:
