@@ -196,9 +196,9 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
             child.wait()
             kills += 1
             jobs += (tmp_path / "small.ply.job").exists()
-        if kills == 3:
+        if kills >= 3 and jobs:
             break
-    assert kills == 3
+    assert kills >= 3
     assert jobs > 0, "no killed run left anything to resume"
     run(*arguments, "-w")
     assert out.read_bytes() == expected
