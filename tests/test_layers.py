@@ -20,7 +20,7 @@ _version _types errors ranges formatting findings quantities defaults activation
 charts costs switches progress clock cleanup allocation threads slices parallel sorting morton
 kernels
 card
-bar neighbours percentiles
+bar neighbours percentiles averages
 _arrays splats frames gsplat_arrays metrics
 filters source
 raster

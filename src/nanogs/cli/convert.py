@@ -51,12 +51,10 @@ def convert(
     filters = filtering.parse_filters(edits)
 
     def run_one(pair: "Pair", progress: "Progress") -> "Run":
-        if turn:
-            frame = framing.turned(pair.source)
-        else:
-            frame = framing.frames_of([pair.source], pair.target, edits.frame)
+        source, target = pair.source, pair.target
+        frame = framing.turned(source) if turn else framing.frames_of([source], target, edits.frame)
         report = library_convert(
-            pair.source, pair.target, level=level, filters=filters, sh_degree=edits.sh_degree,
+            source, target, level=level, filters=filters, sh_degree=edits.sh_degree,
             frame=frame, render_mode=edits.render_mode, overwrite=overwrite,
             format_options=of_format, max_memory=max_memory, progress=progress,
         )  # fmt: skip

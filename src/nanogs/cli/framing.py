@@ -46,7 +46,7 @@ def frames_of(
     return before or read[0], _frame_written(target, before, after, called or target)
 
 
-def turned(source: Path) -> tuple[str, str] | None:
+def turned(source: Path) -> tuple[str, str]:
     """Return the frames (from, to) that --turn stands for.
 
     Raises:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.averages import capped_mean
 from nanogs.splats import Splats
 
 FEWEST_BITS, MOST_BITS = 4, 8
@@ -84,8 +85,8 @@ FINEST = Precision(MOST_BITS)
 class _SumsByArea:
     """Sums over splats in bins of their area, for a mean weighted by what is seen of them.
 
-    What is seen of a splat is its opacity times its area, which counts up to `_LARGE` times the
-    median: splats of a sky are seen from far away, and would outweigh all others.
+    What is seen of a splat is its opacity times its area, which counts up to about 2^`_LARGE`
+    medians: splats of a sky are seen from far away, and would outweigh all others.
     """
 
     def __init__(self) -> None:
@@ -95,8 +96,9 @@ class _SumsByArea:
     def add(self, areas: F64, opacities: F64, shares: F64) -> None:
         """Add splats: (R,) areas above 0, opacities, and the values to be averaged."""
         places = np.clip(np.log2(areas) + _AREA_BINS // 2, 0, _AREA_BINS - 1).astype(np.int64)
-        parts = np.ones(len(areas)), opacities, opacities * shares
-        for number, values in enumerate((*parts, parts[1] * areas, parts[2] * areas)):
+        moved = opacities * shares
+        columns = np.ones(len(areas)), opacities, moved, opacities * areas, moved * areas
+        for number, values in enumerate(columns):
             self._bins[number] += np.bincount(places, values, _AREA_BINS)
 
     def mean(self) -> float:
@@ -119,8 +121,6 @@ def visibility(splats: Splats) -> F64:
     """
     scales = np.sort(splats.scales().astype(np.float64), axis=1)
     mass: F64 = splats.opacities() ** 2 * (scales[:, 1] * scales[:, 2]) ** _AREA_POWER
-    some = mass[mass > 0]
     # So that a few splats of a sky, which are as large as far away, do not make all others equal.
-    most = _VISIBILITY[1] * float(np.median(some)) if len(some) else np.inf
-    typical = float(np.minimum(mass, most).mean()) or 1.0
+    typical = capped_mean(mass, mass, _VISIBILITY[1]) or 1.0
     return np.clip(mass / typical, *_VISIBILITY)

@@ -12,6 +12,7 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Bool
 from nanogs.activations import alphas
+from nanogs.averages import capped_mean
 from nanogs.kernels.grouping import group_members
 from nanogs.kernels.nodes import covariances_of, gather_moments, heaviest_members
 from nanogs.method.activation import activated
@@ -197,10 +198,7 @@ def typical_weight(weights: F64) -> float:
 
     So one immense splat does not make all others equal, at `LIGHTEST`.
     """
-    some = weights[:: len(weights) // _WEIGHED + 1]
-    some = some[some > 0]
-    most = _IMMENSE * float(np.median(some)) if len(some) else np.inf
-    return float(np.minimum(weights, most).mean())
+    return capped_mean(weights, weights[:: len(weights) // _WEIGHED + 1], _IMMENSE)
 
 
 def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:

@@ -134,12 +134,11 @@ def view_files(
             inspect(path, level=_number(counts, level))
             for (_name, path), counts in zip(inputs, levels, strict=True)
         ]
-        needed = page_bytes(infos)
-        if measured:
-            needed = compare_bytes(infos, largest, count)
+        page_alone = page_bytes(infos)
+        needed = compare_bytes(infos, largest, count) if measured else page_alone
         allowed = allowed_memory(max_memory, compiled=measured)
         remedy = "view smaller models"
-        if page_bytes(infos) <= allowed_memory(max_memory, compiled=False).bytes:
+        if page_alone <= allowed_memory(max_memory, compiled=False).bytes:
             remedy += ", or leave out the PSNR (`psnr=False`)"
         refuse_too_large("Making this page", needed, allowed, remedy)
         models = _read(inputs, levels, level, render_mode, tracker.part)

@@ -1,0 +1,19 @@
+"""Means that a few extreme values do not decide."""
+
+import numpy as np
+
+from nanogs._types import F64
+
+
+def capped_mean(values: F64, some: F64, medians: float) -> float:
+    """Return the mean of values, of which each counts as a number of medians at most.
+
+    Args:
+        values: (N,) 0 or more, N >= 1.
+        some: Those of the values that the median is taken of, without zeros; if there are only
+            zeros, no value is capped.
+        medians: How many medians a value counts as at most.
+    """
+    positive = some[some > 0]
+    most = medians * float(np.median(positive)) if len(positive) else np.inf
+    return float(np.minimum(values, most).mean())
