@@ -16,6 +16,7 @@ import reference_kernels as reference
 from builders import gaussians_of, random_splats, row
 from nanogs.errors import ModelError
 from nanogs.kernels.assign import assign_nearest, invert_covariances
+from nanogs.kernels.factors import factor_rows
 from nanogs.kernels.forest import (
     log_determinants,
     merge_increments,
@@ -515,6 +516,22 @@ def test_covariances_have_the_axes_of_the_splats_and_a_minimum_thickness(min_rat
         expected = reference.floored_covariance(scales, quat, min_ratio, min_scale)
         assert np.allclose(reference.unpack(six), expected, rtol=1e-5, atol=1e-6 * expected.max())
         assert np.linalg.eigvalsh(reference.unpack(six))[0] >= 0.999 * min_scale**2
+
+
+@pytest.mark.filterwarnings("error")
+def test_factors_are_rotations_times_scales_for_quaternions_of_any_length():
+    rng = np.random.default_rng(22)
+    quats = (rng.normal(size=(60, 4)) * 10.0 ** rng.integers(-30, 30, (60, 1))).astype(np.float32)
+    quats[0], quats[1, 2], quats[2, 3] = 0, np.inf, np.nan
+    scales = rng.uniform(0.1, 2, (60, 3)).astype(np.float32)
+    factors = np.empty((60, 3, 3), np.float32)
+    factor_rows(quats, scales, factors)
+    assert np.array_equal(factors[0], np.diag(scales[0]))
+    assert np.isnan(factors[1:3]).all()
+    for factor, quat, scale in zip(factors[3:], quats[3:], scales[3:], strict=True):
+        unit = quat.astype(np.float64) / np.linalg.norm(quat.astype(np.float64))
+        expected = reference.rotation_matrix(unit) * scale
+        assert np.abs(factor - expected).max() < 1e-6 * scale.max()
 
 
 def test_group_members_and_heaviest_members():

@@ -10,7 +10,7 @@ import numpy as np
 
 from nanogs._types import F64, I32, I64
 from nanogs.kernels.lanes import LANES
-from nanogs.kernels.policy import exact_inline, exact_kernel, exact_parallel_kernel
+from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
 
 DEEPEST = 64  # size of a search's stack for 2^31 points: one node per level, and a few
 _SAMPLE = 31  # size of the sample that a pivot is chosen from, if many points are split
@@ -135,8 +135,10 @@ def _leaves_below(node: int, leaves: int) -> tuple[int, int]:
 
 
 @exact_inline
-def _split_all(points: F64, rows: I32, boxes: F64, node: int, first: int, last: int) -> None:
-    """Split a node and all nodes below it."""
+def _split_all(
+    points: F64, rows: I32, boxes: F64, node: int, first: int, last: int, below: bool
+) -> None:
+    """Split a node and, if `below`, all nodes below it."""
     sample = np.empty(_SAMPLE)
     nodes = np.empty(DEEPEST, dtype=np.int64)
     firsts = np.empty(DEEPEST, dtype=np.int64)
@@ -147,7 +149,7 @@ def _split_all(points: F64, rows: I32, boxes: F64, node: int, first: int, last: 
         waiting -= 1
         node, first, last = nodes[waiting], firsts[waiting], lasts[waiting]
         _split(points, rows, boxes, node, first, last, sample)
-        if last - first > 1:
+        if below and last - first > 1:
             middle = (first + last) // 2
             nodes[waiting], firsts[waiting], lasts[waiting] = 2 * node + 1, middle, last
             waiting += 1
@@ -155,33 +157,26 @@ def _split_all(points: F64, rows: I32, boxes: F64, node: int, first: int, last: 
             waiting += 1
 
 
-@exact_kernel
-def _split_top(points: F64, rows: I32, boxes: F64, top: int) -> None:
-    """Split the nodes of the first `top` levels, serially."""
-    leaves = (len(rows) + LANES - 1) // LANES
-    sample = np.empty(_SAMPLE)
-    for node in range(1, 1 << top):
-        first, last = _leaves_below(node, leaves)
-        if last > first:
-            _split(points, rows, boxes, node, first, last, sample)
-
-
 @exact_parallel_kernel("nodes", least=1)
-def _split_below(start: int, stop: int, points: F64, rows: I32, boxes: F64, nodes: I64) -> None:
-    """Split nodes of one level and all nodes below them."""
+def _split_nodes(
+    start: int, stop: int, points: F64, rows: I32, boxes: F64, nodes: I64, below: bool
+) -> None:
+    """Split nodes of one level and, if `below`, all nodes below them."""
     leaves = (len(rows) + LANES - 1) // LANES
     for place in range(start, stop):
         first, last = _leaves_below(nodes[place], leaves)
         if last > first:
-            _split_all(points, rows, boxes, nodes[place], first, last)
+            _split_all(points, rows, boxes, nodes[place], first, last, below)
 
 
 def build_tree(points: F64, rows: I32, boxes: F64, top: int) -> None:
     """Build the tree: sort points into leaves and compute the boxes of all nodes.
 
     points: (3 N,) all x, all y, all z, reordered; rows: (N,) int32, reordered alike; boxes:
-    (nodes, 6) lowest x, y, z and highest x, y, z, filled; top: number of levels that are split
-    serially, before the 2^top subtrees below them are split in parallel. It changes no result.
+    (nodes, 6) lowest x, y, z and highest x, y, z, filled; top: number of levels that are split one
+    after another, a thread for each node, before the 2^top subtrees below them. It changes no
+    result.
     """
-    _split_top(points, rows, boxes, top)
-    _split_below(points, rows, boxes, np.arange(1 << top, 2 << top))
+    for level in range(top + 1):
+        nodes = np.arange(1 << level, 2 << level)
+        _split_nodes(points, rows, boxes, nodes, level == top)

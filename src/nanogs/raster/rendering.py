@@ -13,12 +13,12 @@ import numpy as np
 
 from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Bool, F
-from nanogs.activations import rotations
 from nanogs.card.device import engine_in_use
 from nanogs.errors import OptionError
 from nanogs.kernels import listing, raster
 from nanogs.kernels import project as projection
 from nanogs.kernels.blocks import ALL_BLOCKS
+from nanogs.kernels.factors import factor_rows
 from nanogs.kernels.radix import sorted_rows
 from nanogs.ranges import is_number
 from nanogs.raster.camera import Camera
@@ -149,26 +149,25 @@ def prepare(splats: Splats) -> PreparedSplats:
     """
     refuse_other(splats)
     n = len(splats)
-    factors, opacities = np.empty((n, 3, 3), np.float32), np.empty(n, np.float32)
-    reaches, finite, keep = np.empty(n, np.float32), np.empty(n, bool), np.empty(n, bool)
+    scales, factors = np.empty((n, 3), np.float32), np.empty((n, 3, 3), np.float32)
+    opacities, reaches = np.empty(n, np.float32), np.empty(n, np.float32)
 
     def activate(rows: slice) -> None:
         some = splats.span(rows.start, rows.stop)
-        finite[rows] = some.finite()
+        scales[rows] = some.scales()
         opacities[rows] = some.opacities()
-        keep[rows] = finite[rows] & (opacities[rows] >= projection.MIN_ALPHA)
         reaches[rows] = projection.reaches_of(opacities[rows])
-        with np.errstate(invalid="ignore", over="ignore"):
-            factors[rows] = rotations(some.unit_quats()) * some.scales()[:, None, :]
 
-    parallel.for_each(slices(n), activate)
+    parallel.for_each(slices(n, SLICE_STEPS), activate)
+    factor_rows(np.ascontiguousarray(splats.quats), scales, factors)
+    finite = splats.finite()
     return PreparedSplats(
         means=splats.means,
         factors=factors,
         opacities=opacities,
         reaches=reaches,
         sh=np.ascontiguousarray(splats.sh),
-        keep=keep,
+        keep=finite & (opacities >= projection.MIN_ALPHA),
         sh_degree=splats.sh_degree,
         render_mode=splats.render_mode,
         skipped=n - int(np.count_nonzero(finite)),
