@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64, I64, Bool
-from nanogs.views.occupancy import Core, Grid, SplatSample, build_grid, capped, quantiles
+from nanogs.views.occupancy import Core, SplatSample, build_grid, capped, quantiles
 from nanogs.views.poses import level_frame, look_along, low_discrepancy, view_hits
 
 SLAB = 0.08  # thickness of a wall over the size of the room
@@ -108,7 +108,7 @@ def poses(
     for number in numbers.tolist():
         tries = low_discrepancy(number * TRIES + np.arange(TRIES), 5)
         candidates = [_candidate(box, one) for one in tries]
-        scores = [_score(grid, pose, tangents, core.radius) for pose in candidates]
+        scores = _scores(view_hits(grid, candidates, tangents, REACH * core.radius), core.radius)
         views.append((candidates[int(np.argmax(scores))], NEAR * core.radius))
     return views
 
@@ -124,11 +124,14 @@ def _candidate(box: Box, draw: F64) -> F64:
     return look_along(position, direction, box.frame[2])
 
 
-def _score(grid: Grid, pose: F64, tangents: F64, radius: float) -> float:
-    """Score a pose: high if most rays hit something, none very near, and the view is deep."""
-    hits = view_hits(grid, pose, tangents, REACH * radius)
-    seen = np.isfinite(hits)
-    blocked = float((hits < CLEARANCE * radius).mean())
-    cramped = float((hits < 3 * CLEARANCE * radius).mean())
-    depth = float(np.median(np.minimum(hits, radius))) / radius
-    return min(float(seen.mean()), ENOUGH) - 4 * blocked - cramped + 0.5 * depth
+def _scores(hits: F64, radius: float) -> F64:
+    """Score P poses by (P, R) the distances at which their rays are stopped, scene units.
+
+    The score is high if most rays hit something, none very near, and the view is deep.
+    """
+    seen = np.isfinite(hits).mean(axis=1)
+    blocked = (hits < CLEARANCE * radius).mean(axis=1)
+    cramped = (hits < 3 * CLEARANCE * radius).mean(axis=1)
+    depth = np.median(np.minimum(hits, radius), axis=1) / radius
+    scores: F64 = np.minimum(seen, ENOUGH) - 4 * blocked - cramped + 0.5 * depth
+    return scores

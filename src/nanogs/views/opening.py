@@ -89,6 +89,6 @@ def _depth(scene: Survey, pose: F64, tangents: F64) -> float:
     """Return the median distance at which the rays of a view in a room end, scene units."""
     core = scene.core
     grid = build_grid(scene.sampled, core.centre, inside.GRID_HALF * core.radius)
-    hits = view_hits(grid, pose, tangents, inside.REACH * core.radius)
+    (hits,) = view_hits(grid, [pose], tangents, inside.REACH * core.radius)
     seen = hits[np.isfinite(hits)]
     return float(np.median(seen)) if len(seen) else core.radius

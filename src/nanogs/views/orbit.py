@@ -105,7 +105,7 @@ def _unblocked(
         reach = pull * distance
         position = centre + reach * (np.array([*level, np.sin(lift)]) @ frame)
         pose = look_at(position, centre, frame[2])
-        hits = view_hits(grid, pose, tangents, reach)
+        (hits,) = view_hits(grid, [pose], tangents, reach)
         blocked = float((hits < TOO_NEAR * reach).mean()) + (not grid.free(position))
         tried.append((blocked, pose, NEAR * reach))
         if blocked <= ACCEPTED:

@@ -1,5 +1,7 @@
 """Camera poses: low-discrepancy sequences, look-at matrices, and ray casts over a view."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from nanogs._types import F64, F
@@ -11,9 +13,9 @@ RAYS = 9  # rays along each side of a candidate view
 def level_frame(up: F64) -> F64:
     """Return a right-handed (3, 3) frame, a function of `up`: rows are two level axes and up."""
     aside = np.eye(3)[np.argmin(np.abs(up))]
-    first = np.cross(up, aside)
+    first = _cross(up, aside)
     first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(up, first), up])
+    return np.stack([first, _cross(up, first), up])
 
 
 def low_discrepancy(numbers: F, dimensions: int) -> F64:
@@ -38,27 +40,43 @@ def look_along(position: F64, direction: F64, up: F64) -> F64:
     """
     length = np.linalg.norm(direction)
     forward = direction / length if length > 0 else level_frame(up)[0]
-    right = np.cross(forward, up)
+    right = _cross(forward, up)
     if np.linalg.norm(right) < 1e-6:  # looking straight up or down: any heading is valid
         right = level_frame(up)[0]
     right = right / np.linalg.norm(right)
     pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, :3] = np.stack([right, _cross(forward, right), forward])
     pose[:3, 3] = -pose[:3, :3] @ position
     return pose
 
 
-def _view_rays(pose: F64, tangents: F64) -> F64:
-    """Return the (RAYS², 3) unit directions of a regular grid over the image."""
+def _cross(a: F64, b: F64) -> F64:
+    """Return the cross product of two vectors (3,); `np.cross` takes ten times as long for one."""
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def _grid_rays(tangents: F64) -> F64:
+    """Return the (RAYS², 3) directions of a regular grid over an image, in camera space."""
     side = (np.arange(RAYS) + 0.5) / RAYS * 2 - 1
     x, y = np.meshgrid(side * tangents[0], side * tangents[1])
-    rays = np.stack([x.ravel(), y.ravel(), np.ones(RAYS * RAYS)], axis=1) @ pose[:3, :3]
-    directions: F64 = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return directions
+    return np.stack([x.ravel(), y.ravel(), np.ones(RAYS * RAYS)], axis=1)
 
 
-def view_hits(grid: Grid, pose: F64, tangents: F64, reach: float) -> F64:
-    """Return the (RAYS²,) distances at which a view's rays are stopped; see `Grid.first_hits`."""
-    rays = _view_rays(pose, tangents)
-    origin: F64 = -pose[:3, :3].T @ pose[:3, 3]
-    return grid.first_hits(np.broadcast_to(origin, rays.shape), rays, reach)
+def view_hits(grid: Grid, poses: Sequence[F64], tangents: F64, reach: float) -> F64:
+    """Return (P, RAYS²), the distances at which the rays of P views are stopped, scene units.
+
+    See `Grid.first_hits`; one call for many views takes a fraction of the time.
+
+    Args:
+        grid: The occupancy grid.
+        poses: (4, 4) float64 world-to-camera matrix of each view.
+        tangents: (2,) float64, tangents of half the fields of view.
+        reach: Length of the rays, scene units.
+    """
+    over = _grid_rays(tangents)
+    rays = np.concatenate([over @ pose[:3, :3] for pose in poses])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    origins = np.repeat([-pose[:3, :3].T @ pose[:3, 3] for pose in poses], RAYS * RAYS, axis=0)
+    return grid.first_hits(origins, rays, reach).reshape(len(poses), RAYS * RAYS)
