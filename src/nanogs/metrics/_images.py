@@ -37,7 +37,7 @@ def check_pair(a: Array, b: Array) -> None:
 
 
 def image_pair(a: Array, b: Array) -> tuple[F64, F64]:
-    """Check two images, and convert them to float64.
+    """Check two images, and convert them to float64; images of this type are not copied.
 
     Args:
         a: (H, W) or (H, W, C), floating point.
@@ -51,7 +51,7 @@ def image_pair(a: Array, b: Array) -> tuple[F64, F64]:
         ModelError: A pixel is not finite.
     """
     check_pair(a, b)
-    first, second = a.astype(np.float64), b.astype(np.float64)
+    first, second = a.astype(np.float64, copy=False), b.astype(np.float64, copy=False)
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         raise ModelError(NOT_FINITE)
     return first, second

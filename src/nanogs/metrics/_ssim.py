@@ -49,8 +49,7 @@ def ssim(a: Array, b: Array, data_range: float = 1.0) -> float:
     sums = np.empty(height - 2 * RADIUS)
     c1, c2 = (K1 * data_range) ** 2, (K2 * data_range) ** 2
     flat = (height, width * channels)
-    similarity_rows(
-        first.reshape(flat), second.reshape(flat), channels, taps / taps.sum(), c1, c2, sums
-    )
+    first, second = (np.ascontiguousarray(image.reshape(flat)) for image in (first, second))
+    similarity_rows(first, second, channels, taps / taps.sum(), c1, c2, sums)
     mean = float(sums.sum() / (len(sums) * (width - 2 * RADIUS) * channels))
     return min(mean, 1.0)  # the sum of equal images is rounded

@@ -11,19 +11,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from nanogs._types import I32
+from nanogs import parallel
+from nanogs._types import F32, I32, U8
 from nanogs.fit.targets import Target
 from nanogs.method.choose import GROWTH_MARGIN, further_growths, quality
 from nanogs.method.store import Groups
 from nanogs.method.visibility import LUMA
 from nanogs.metrics import ssim
 from nanogs.pipeline.scene import SUMS, Block, Members, Scene, Task
-from nanogs.raster.rendering import PreparedSplats, concatenated, prepare, render
+from nanogs.raster.rendering import PreparedSplats, clipped, concatenated, prepare, render
 from nanogs.report import CandidateReport
+from nanogs.slices import slices
 from nanogs.splats import Splats
 from nanogs.store.tables import Record
 
 MOST = 100.0  # dB, of a view without any error
+_ROWS = 32  # of two images that are compared at a time, so that they stay in the cache
 Errors = list[tuple[float, float]]  # of each view, summed up: squared error a channel, 1 - SSIM
 
 
@@ -215,12 +218,33 @@ def _errors(
         if target is None:
             errors.append((0.0, 0.0))
             continue
-        shown = target.image[..., :3] / np.float32(255)
-        image = render(prepared, target.camera).shown()
-        squares = float(np.square(shown - image).sum(dtype=np.float64)) / 3
+        image = render(prepared, target.camera).color
+        squares, alike = _compared(target.image, image)
         pixels = target.camera.width * target.camera.height
-        errors.append((squares, pixels * (1 - ssim(shown @ LUMA, image @ LUMA))))
+        errors.append((squares, pixels * (1 - alike)))
     return errors
+
+
+def _compared(wanted: U8, image: F32) -> tuple[float, float]:
+    """Compare an image of the original with a candidate's, on all threads.
+
+    Args:
+        wanted: (H, W, 4) uint8, the original.
+        image: (H, W, 3) colours of the candidate, not clipped.
+
+    Returns:
+        The sum over the pixels of the mean squared difference of channels; the SSIM of grey values.
+    """
+    grey = np.empty((2, *image.shape[:2]))
+
+    def compare(rows: slice) -> float:
+        first = np.divide(wanted[rows, :, :3], 255, dtype=np.float32)
+        second = clipped(image[rows])
+        grey[0, rows], grey[1, rows] = first @ LUMA, second @ LUMA
+        return float(np.square(first - second).sum(dtype=np.float64))
+
+    squares = parallel.map_ordered(slices(len(image), _ROWS), compare)
+    return sum(squares) / 3, ssim(*grey)
 
 
 def _report(
