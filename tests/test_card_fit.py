@@ -15,7 +15,8 @@ from nanogs.fit.on_card import CardDescent, descent_for
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.shared import SharedHarmonics
 from nanogs.fit.state import MeanState
-from nanogs.fit.targets import Fitting, make_target, squared_error
+from nanogs.fit.targets import Fitting, errors_of_splats, make_target, squared_error
+from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.raster.rendering import prepare
 from nanogs.splats import RenderMode
 from nanogs.views.automatic import automatic_cameras
@@ -129,6 +130,20 @@ def test_errors_of_views_agree():
         with use_device(CARD):
             error = squared_error(model, target)
         assert error == pytest.approx(squared_error(model, target), rel=1e-6)
+
+
+@pytest.mark.parametrize("blocks", [ALL_BLOCKS, FIELDS[0]])
+def test_errors_of_splats_agree(blocks):
+    original, small, targets = scene()
+    prepared = prepare(small)
+    for target in targets[:2]:
+        camera = target.camera.cropped(0, 0, 63, 47)  # odd: the last row and column do not count
+        part = make_target(prepare(original), camera, depth=False, wanted=blocks)
+        on_cpu = errors_of_splats(prepared, part)
+        with use_device(CARD):
+            on_card = errors_of_splats(prepared, part)
+        assert on_cpu.max(axis=0).min() > 0
+        np.testing.assert_allclose(on_card, on_cpu, rtol=1e-3, atol=1e-4 * on_cpu.max())
 
 
 def test_a_refit_is_as_good_and_its_bytes_are_reproducible():

@@ -9,7 +9,7 @@ import math
 import warp as wp
 
 from nanogs.card.gradients import SCALES
-from nanogs.card.projecting import guard_bounds, sh_basis
+from nanogs.card.projecting import Intrinsics, guard_bounds, sh_basis
 from nanogs.kernels import advance, chain, gradients, project
 
 # Loops of up to 4 iterations are unrolled; unrolling longer ones only takes longer to compile.
@@ -102,7 +102,7 @@ def screen_jacobian(
     scales: wp.array2d[wp.float32],
     opacity: wp.float64,
     rotation: wp.mat33d,
-    intrinsics: wp.array[wp.float64],
+    intrinsics: Intrinsics,
     mip: wp.bool,
 ) -> Jacobian:
     """Return the Jacobian of ln alpha by ten shape parameters; see `chain.screen_jacobian`.
@@ -421,7 +421,7 @@ def advance_splats(
     totals: wp.array2d[wp.float32],
     rotation: wp.mat33d,
     position: wp.vec3d,
-    intrinsics: wp.array[wp.float64],
+    intrinsics: Intrinsics,
     mip: wp.bool,
     degree: wp.int32,
     rules: StepConstants,

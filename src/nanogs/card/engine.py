@@ -7,11 +7,19 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
-from nanogs._types import F32, F64, Array, Bool, F
+from nanogs._types import F32, F64, U8, Array, Bool, F
 from nanogs.card.blending import blend_tiles, select_depths, write_bytes
-from nanogs.card.gradients import Sums, gather_slots, pull_kernel, share_kernel, tint, weigh_pixels
+from nanogs.card.gradients import (
+    Sums,
+    gather_slots,
+    pull_kernel,
+    share_kernel,
+    square_pixels,
+    tint,
+    weigh_pixels,
+)
 from nanogs.card.listing import count_tiles, find_starts, write_tiles
-from nanogs.card.projecting import add_unoccluded, project_splats
+from nanogs.card.projecting import Intrinsics, add_unoccluded, project_splats
 from nanogs.card.shading import EDGE, PIXELS, WARP, Shape, shape_entries
 from nanogs.errors import ModelError
 from nanogs.kernels.blocks import ALL_BLOCKS, SIDE, TILE
@@ -118,7 +126,7 @@ class View:
         self.size = wp.vec2i(int(intrinsics[4]), int(intrinsics[5]))
         self.tiles = -(-int(intrinsics[4]) // EDGE) * -(-int(intrinsics[5]) // EDGE)
         self.rotation, self.position = wp.mat33d(*rotation.ravel()), wp.vec3d(*position)
-        self.intrinsics = engine.put(intrinsics, np.float64)
+        self.intrinsics = Intrinsics(*intrinsics.tolist())  # a value, which needs no copy
         self.geometry = engine.empty((n, 8), wp.float64)
         self.features = engine.empty((n,), wp.vec4f)
         boxes, drawn = engine.empty((n,), wp.vec4i), wp.zeros(1, wp.int32, device=engine.device)
@@ -198,6 +206,13 @@ class View:
         )  # fmt: skip
         return image, transmittance
 
+    @staticmethod
+    def to_host(image: wp.array, channels: int) -> F32:
+        """Copy the first channels of an image from `blend` to the host: (H, W, channels)."""
+        some = image.view(wp.float32)[:, :, :channels]
+        copied: F32 = some.contiguous().numpy()
+        return copied
+
     def within(self, ranges: "Sequence[tuple[np.float32, np.float32]]") -> wp.array:
         """(N,) features that are 1 for each of up to four ranges [near, far) of depth, or else 0.
 
@@ -220,12 +235,34 @@ class View:
 
     def contributions(self, wanted: int = ALL_BLOCKS) -> F64:
         """(N,) float64, sums of each splat's weight T alpha over the pixels."""
+        width, height = self.size
+        ones = wp.full((height, width), 1.0, dtype=wp.float32, device=self.engine.device)
+        return self._sums(ones, wanted)
+
+    def errors(self, target: U8, white: float, alpha: float, counted: F32) -> F64:
+        """(N, 2) float64, sums of T alpha times the squared residual, and of T alpha.
+
+        Args:
+            target: (H, W, 4) uint8, target image of this view.
+            white: As in `weigh`.
+            alpha: As in `weigh`.
+            counted: (H, W), 1 for pixels that count and 0 for others.
+        """
+        engine, (width, height) = self.engine, self.size
+        image, _ = self.blend(self.tinted(white, alpha), np.zeros(CHANNELS, np.float32))
+        residual, _, _ = self.weigh(image, engine.put(target), white, alpha, ALL_BLOCKS)
+        mask, squares = engine.put(counted), engine.empty((height, width), wp.float32)
+        engine.launch(square_pixels, (height, width), residual, mask, squares)
+        return np.stack([self._sums(squares, ALL_BLOCKS), self._sums(mask, ALL_BLOCKS)], axis=1)
+
+    def _sums(self, probe: wp.array, wanted: int) -> F64:
+        """(N,) float64, sums of each splat's weight T alpha times a probe (H, W)."""
         if not len(self.entries):
             return np.zeros(self.count)
         partial = wp.zeros(len(self.entries), dtype=wp.float32, device=self.engine.device)
         self.engine.launch_tiles(
             share_kernel, self.tiles, self.shapes, self.starts, self.slots, wanted, self.size,
-            partial,
+            probe, partial,
         )  # fmt: skip
         totals: F64 = self._gathered(partial, 1).numpy()[:, 0].astype(np.float64)
         return totals

@@ -74,7 +74,10 @@ def with_moments(
 
 @cache
 def share_kernel(lanes: int) -> wp.Kernel:
-    """Build the kernel that sums each entry's T alpha over its tile; lanes: threads of a block."""
+    """Build the kernel that sums each entry's T alpha times a probe over its tile.
+
+    lanes: threads of a block.
+    """
     each = PIXELS // lanes
     lights = wp.types.vector(each, wp.float32)
 
@@ -85,14 +88,17 @@ def share_kernel(lanes: int) -> wp.Kernel:
         slots: wp.array[wp.int32],
         wanted: wp.int32,
         size: wp.vec2i,
+        probe: wp.array2d[wp.float32],
         partial: wp.array[wp.float32],
     ) -> None:
-        """Sum the weights; partial: (E,) zeros in, sums out, indexed by slot."""
+        """Sum the weights; probe: (H, W); partial: (E,) zeros in, sums out, indexed by slot."""
         tile, lane = wp.tid()
-        light = lights()
+        light, factor = lights(), lights()
         for k in range(each):
             at = place(tile, lane + k * lanes, size[0])
             light[k] = first_light(at[0], at[1], size, wanted)
+            if light[k] > 0.0:
+                factor[k] = probe[at[1], at[0]]
         start, end = starts[tile], starts[tile + 1]
         for e in range(start, end, AHEAD):
             if (e - start) % BATCH == 0:  # noqa: SIM102 - `and` would ask the block each time
@@ -105,7 +111,7 @@ def share_kernel(lanes: int) -> wp.Kernel:
                     if e + j < end and light[k] > 0.0:
                         shade = shade_pixel(loaded[j], middle[0], middle[1], light[k])
                         light[k] = shade.after
-                        weights[j] += shade.weight
+                        weights[j] += shade.weight * factor[k]
             totals = wp.tile_sum(wp.tile(weights, preserve_type=True))[0]
             for j in range(AHEAD):
                 if lane == 0 and e + j < end:
@@ -239,6 +245,15 @@ def weigh_pixels(
         for c in range(4):
             total += wp.float64(error[c] * error[c])
     errors[y, x] = total
+
+
+@wp.kernel(enable_backward=False)
+def square_pixels(
+    residual: wp.array2d[wp.vec4f], counted: wp.array2d[wp.float32], squares: wp.array2d[wp.float32]
+) -> None:
+    """Write the squared residual of each pixel times `counted`; all arrays are (H, W)."""
+    y, x = wp.tid()
+    squares[y, x] = wp.dot(residual[y, x], residual[y, x]) * counted[y, x]
 
 
 @wp.kernel(enable_backward=False)

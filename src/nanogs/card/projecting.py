@@ -19,6 +19,7 @@ _C30, _C31, _C32, _C33, _C34 = (wp.constant(wp.float32(one)) for one in harmonic
 _C40, _C41, _C42, _C43, _C44, _C45, _C46 = (wp.constant(wp.float32(one)) for one in harmonics.C4)
 
 Basis = wp.types.vector(25, wp.float32)
+Intrinsics = wp.types.vector(11, wp.float64)  # see `kernels.project.project_splats`
 
 
 @wp.func
@@ -59,7 +60,7 @@ def sh_basis(x: wp.float32, y: wp.float32, z: wp.float32, degree: wp.int32) -> B
 
 
 @wp.func
-def guard_bounds(intrinsics: wp.array[wp.float64]) -> wp.vec4d:
+def guard_bounds(intrinsics: Intrinsics) -> wp.vec4d:
     """Return the bounds of x/z, then of y/z, in the Jacobian; see `project.guard_bounds`."""
     margin_x = (_GUARD - wp.float64(1.0)) * wp.float64(0.5) * intrinsics[9] / intrinsics[0]
     margin_y = (_GUARD - wp.float64(1.0)) * wp.float64(0.5) * intrinsics[10] / intrinsics[1]
@@ -98,7 +99,7 @@ def project_splats(
     sh: wp.array3d[wp.float32],
     rotation: wp.mat33d,
     position: wp.vec3d,
-    intrinsics: wp.array[wp.float64],
+    intrinsics: Intrinsics,
     mip: wp.bool,
     degree: wp.int32,
     geometry: wp.array2d[wp.float64],

@@ -176,7 +176,7 @@ def squared_error(model: PreparedSplats, target: Target) -> float:
 def errors_of_splats(model: PreparedSplats, target: Target) -> F64:
     """Compute how large the squared error is where each splat of a model shows in a view.
 
-    It is measured at half of the view's size, and always on the CPU.
+    It is measured at half of the view's size.
 
     Args:
         model: N splats.
@@ -190,13 +190,17 @@ def errors_of_splats(model: PreparedSplats, target: Target) -> F64:
         return np.zeros((len(model), 2))
     target = _halved(target)
     camera = target.camera
+    counted = np.ones((camera.height, camera.width), np.float32)
+    if target.blocks != ALL_BLOCKS:
+        counted[~_in_blocks(target.blocks, camera, SIDE // 2)] = 0
+    engine = engine_in_use()
+    if engine is not None:
+        return view_on(engine, model, camera).errors(target.image, WHITE, ALPHA, counted)
     view = project(model, camera)
     features, image = _blend(view, camera)
     residual, _, _ = _weigh(target, image)
-    probes = np.ones((2, *residual.shape[:2]), np.float32)
-    np.einsum("hwc,hwc->hw", residual, residual, out=probes[0])
-    if target.blocks != ALL_BLOCKS:
-        probes[:, ~_in_blocks(target.blocks, camera, SIDE // 2)] = 0
+    probes = np.stack([np.einsum("hwc,hwc->hw", residual, residual), np.ones_like(counted)])
+    probes *= counted
     colours = np.ascontiguousarray(features[:, :1])  # one channel: the image is not needed again
     return blend(view, camera, colours, np.zeros(1, np.float32), probes)[2]
 

@@ -56,7 +56,7 @@ def light_by_depth(
     if engine is not None:
         view = view_on(engine, prepared, camera, sh_degree=0)
         drawn, left = view.blend(view.within(limits), np.zeros(_MOST, np.float32))
-        shares, transmittance = drawn.numpy()[..., : len(ranges)], left.numpy()
+        shares, transmittance = view.to_host(drawn, len(ranges)), left.numpy()
         return LightByDepth(shares, 1 - transmittance, view.contributions)
     projected = project(prepared, camera, sh_degree=0)
     depths = projected.features[:, 3]

@@ -259,10 +259,8 @@ def _render_on(
     """Render on a device; `background` has four channels if depth is asked for, or else three."""
     view = view_on(engine, prepared, camera, sh_degree=sh_degree)
     image, transmittance = view.blend(view.features, background, wanted)
-    channels = image.numpy()[:, :, : len(background)]
-    rendering = rendering_of(
-        channels, transmittance.numpy(), view.drawn, prepared.skipped, prepared.render_mode
-    )
+    colours, left = view.to_host(image, len(background)), transmittance.numpy()
+    rendering = rendering_of(colours, left, view.drawn, prepared.skipped, prepared.render_mode)
     if not contributions:
         return rendering
     return replace(
