@@ -19,7 +19,7 @@ from nanogs.method import parameters, reassign
 from nanogs.method.choose import quality
 from nanogs.method.cut import cut, merge_scores
 from nanogs.method.forest import Forest, grow_forest
-from nanogs.method.growth import blocked
+from nanogs.method.growth import blocked, effective_counts
 from nanogs.method.match import MergePlan
 from nanogs.method.nodes import (
     LIGHTEST,
@@ -159,7 +159,8 @@ def test_stored_groups_block_as_much_light_as_their_members(n, seed, pixel):
               zip(small.scales(), small.unit_quats(), strict=True)]  # fmt: skip
     covered = alphas * footprints(np.array(sigmas), pixel)
     by_centre = np.argsort(small.means[:, 0], kind="stable")
-    expected = blocked(merged.coverages, footprints(merged.covariances, pixel))
+    counts = effective_counts(nodes, labels, merged.coverages)
+    expected = blocked(merged.coverages, footprints(merged.covariances, pixel), counts)
     expected = expected[np.argsort(merged.means[:, 0].astype("f4"), kind="stable")]
     translucent = alphas[by_centre] < 0.999
     pairs = np.bincount(labels)[np.argsort(merged.means[:, 0].astype("f4"), kind="stable")] > 1

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nanogs import parallel
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.sheet_growth import sheet_growths
 from nanogs.kernels.side_coverage import covered_sides
-from nanogs.method.integrals import exponential_integral
+from nanogs.method.integrals import layers_integral
 from nanogs.method.nodes import LIGHTEST, Nodes, member_lists
 from nanogs.neighbours import nearest_neighbours
 from nanogs.slices import slices
@@ -42,21 +43,51 @@ class Cover:
         )
 
 
-def blocked(coverages: F64, areas: F64) -> F64:
+def effective_counts(leaves: Nodes, labels: I32, coverages: F64) -> F64:
+    """Compute (G,) float64, how many members of equal coverage each group is like, 1 or more.
+
+    For coverages a it is (sum a)² / sum a² (Kish's effective sample size).
+
+    Args:
+        leaves: M nodes.
+        labels: (M,) the group of each.
+        coverages: (G,) float64, sum of all members' coverages, square scene units.
+    """
+    squares = np.zeros(len(coverages))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for part in slices(len(leaves)):
+            shares = leaves.coverages[part] / coverages[labels[part]]
+            np.add.at(squares, labels[part], np.square(shares, out=shares))
+        counts = 1 / squares
+    # Groups without any coverage have NaN; the sum of the shares is rounded.
+    return np.fmax(counts, 1.0)
+
+
+def blocked(coverages: F64, areas: F64, counts: F64) -> F64:
     """Compute the (G,) float64 light that each group blocks, as an opaque area, square scene units.
 
     It is less than the sum of its members' coverages, because they hide each other. Where the
-    group's Gaussian has the value g, the transmittance of many splats with the moments of the group
-    is exp(-u g), for u their coverage over its footprint; 1 - exp(-u g) integrated over the plane
-    is
+    group's Gaussian has the value g, the transmittance of n equal splats with the moments of the
+    group is (1 - u g / n)^n, for u their coverage over its footprint; 1 minus this, integrated over
+    the plane, is
 
-        footprint (E1(u) + ln u + 0.5772) = footprint (u - u²/4 + u³/18 - ...) = footprint Ein(u).
+        footprint (u - (1 - 1/n) u²/4 + ...),
+
+    the coverage for a single splat, and footprint (E1(u) + ln u + 0.5772) for very many.
 
     Args:
         coverages: (G,) float64, sum of all members' coverages, 0 or more, square scene units.
         areas: (G,) float64, footprints of the groups, above 0, square scene units.
+        counts: (G,) float64, `effective_counts`.
     """
-    return areas * exponential_integral(coverages / areas)
+    light = np.empty(len(areas))
+
+    def integrate(part: slice) -> None:
+        layers = coverages[part] / areas[part]
+        light[part] = areas[part] * layers_integral(layers, np.maximum(counts[part], layers))
+
+    parallel.for_each(slices(len(areas)), integrate)
+    return light
 
 
 def area_needs(
@@ -65,7 +96,8 @@ def area_needs(
     """Compute the factor by which each group's area must grow for an opaque splat to block enough.
 
     A group has to block as much light as its members do (`blocked`), each counted by its
-    visibility. Their coverage is then (sum w)² / (sum w²/a), for weights w and coverages a: the sum
+    visibility. They are taken as very many, which asks for the least: growth that is not needed
+    reaches beyond a surface. Their coverage is then (sum w)² / (sum w²/a), for weights w and coverages a: the sum
     of all coverages if all are equally visible, and without those of hidden members otherwise.
     Members of the least weight, such as splats of alpha 0, have that weight for any coverage, and
     are left out; if a group has no others, all coverage counts.
@@ -96,7 +128,7 @@ def area_needs(
     if sheets:
         most = growth_on_sheets(merged, leaves, labels, 1.0)
         least = np.clip(wanted / areas, 1.0, most**2)
-    return blocked(wanted, areas) / areas, least
+    return blocked(wanted, areas, np.full(len(areas), np.inf)) / areas, least
 
 
 def widened(scales: F32, larger: F64) -> F32:

@@ -18,6 +18,7 @@ from nanogs.method.growth import (
     area_needs,
     blocked,
     covered_around,
+    effective_counts,
     widened,
 )
 from nanogs.method.nodes import (
@@ -116,11 +117,11 @@ def store_groups(
     if growth is not None:
         fit_colours(leaves, starts, members, _frames(quats, new), merged.features)
     del starts, members  # only to free their memory
+    counts = effective_counts(leaves, labels, merged.coverages)
     needed, least = area_needs(merged, leaves, labels, areas, sheets=growth is not None)
-    alphas, covered = _alphas(merged.coverages[new], areas[new]), np.zeros(len(scales))
+    every = _alphas(merged.coverages, areas, counts)
+    alphas, covered = every[new], np.zeros(len(scales))
     if growth is not None:
-        every = np.empty(groups)
-        every[new], every[~new] = alphas, _alphas(merged.coverages[~new], areas[~new])
         cover = Cover(merged.means, merged.covariances, every)
         if others:
             cover = Cover.joined([cover, *others])
@@ -160,12 +161,13 @@ def cover_of(leaves: Nodes, labels: I32, groups: int, dilation: Dilation) -> Cov
     """
     merged = gather(leaves, labels, groups)
     areas = footprints(merged.covariances, dilation.at(merged.means))
-    return Cover(merged.means, merged.covariances, _alphas(merged.coverages, areas))
+    counts = effective_counts(leaves, labels, merged.coverages)
+    return Cover(merged.means, merged.covariances, _alphas(merged.coverages, areas, counts))
 
 
-def _alphas(coverages: F64, areas: F64) -> F64:
+def _alphas(coverages: F64, areas: F64, counts: F64) -> F64:
     """Compute the alphas with which groups of these footprints block as much as their members."""
-    return np.clip(blocked(coverages, areas) / areas, LEAST_ALPHA, MOST_OPAQUE)
+    return np.clip(blocked(coverages, areas, counts) / areas, LEAST_ALPHA, MOST_OPAQUE)
 
 
 def _of_sources(splats: Splats, sources: I64, sh: F32) -> Splats:
