@@ -321,6 +321,48 @@ def test_files_of_other_tools_that_changed_are_scored_again(finished, model, tmp
     assert [row.method for row in kept] == [ORIGINAL, "random", "old"]
 
 
+def test_files_that_are_missing_for_a_while_count_as_unchanged(model, tmp_path):
+    """As on a drive that is not mounted: what was measured stays, also once they are back."""
+    copy, out, away = tmp_path / "copy.ply", tmp_path / "out", tmp_path / "away"
+    shutil.copy(model, copy)
+    pattern, file = external(tmp_path, "them")
+    file.write_text("as before")
+    settings = BenchSettings(ratios=(0.5,), methods=("random",), externals={"them": pattern})
+    scenes, rows = finished_run(out, copy, settings)
+    more = replace(settings, methods=("random", "opacity"))
+    away.mkdir()
+    for path in (copy, file):
+        path.rename(away / path.name)
+    results = ResultFolder(out, run=run_of(scenes, more))
+    assert results.done == rows
+    results.add(rows[0])  # then the run is interrupted
+    for path in (copy, file):
+        (away / path.name).rename(path)
+    assert ResultFolder(out, run=run_of(scenes, more)).done == rows
+    os.utime(file, (1, 1))
+    kept = ResultFolder(out, run=run_of(scenes, more)).done
+    assert [row.method for row in kept] == [ORIGINAL, "random"]
+
+
+def test_rows_of_a_scene_that_cannot_be_read_any_more_stay(model, tmp_path):
+    known = [BenchRow("a", ORIGINAL, 1.0), BenchRow("a", "random", 0.5, psnr=12.0)]
+    scene = BenchScene("a", model, tmp_path / "not_mounted")
+    settings = BenchSettings(ratios=(0.5,), methods=("random", "opacity"))
+    *kept, further = run_bench([scene], settings, done=known)
+    assert kept == known
+    assert further.status is Status.SKIPPED
+    assert "not_mounted" in further.reason
+
+
+def test_a_run_that_measured_nothing_keeps_the_rows_that_it_took_over(tmp_path):
+    row = BenchRow("a", ORIGINAL, 1.0)
+    ResultFolder(tmp_path, run="this").add(row)
+    again = ResultFolder(tmp_path, run="this")
+    again.add(row)
+    again.abandon()
+    assert ResultFolder(tmp_path, run="this").done == [row]
+
+
 def test_finished_rows_are_not_measured_again(model, monkeypatch):
     scene = BenchScene("a", model)
     settings = BenchSettings(ratios=(0.5,), methods=("random",), views=1, sizes=(16,))

@@ -33,10 +33,15 @@ def empty_row(scene: BenchScene, method: str, target: BenchTarget) -> BenchRow:
     )  # fmt: skip
 
 
+def skipped_row(scene: BenchScene, method: str, target: BenchTarget, reason: str) -> BenchRow:
+    """Return a row of which there is nothing to measure, for the reason."""
+    return replace(empty_row(scene, method, target), status=Status.SKIPPED, reason=reason)
+
+
 def too_large_row(scene: BenchScene, method: str, target: BenchTarget, whole: int) -> BenchRow:
     """Return a skipped row: the requested size is so large that the whole model fits into it."""
     reason = f"The whole model as {target.format} takes {whole:,} B, which fits into this size."
-    return replace(empty_row(scene, method, target), status=Status.SKIPPED, reason=reason)
+    return skipped_row(scene, method, target, reason)
 
 
 def original_row(
@@ -116,10 +121,10 @@ def external_row(
     settings: BenchSettings,
 ) -> BenchRow:
     """Score another tool's file; `finite` is the number of finite splats of the original."""
-    row = empty_row(scene, name, target)
     path = external_path(settings.externals[name], scene, target)
     if not path.exists():
-        return replace(row, status=Status.SKIPPED, reason=f"There is no file {path}.")
+        return skipped_row(scene, name, target, f"There is no file {path}.")
+    row = empty_row(scene, name, target)
     try:
         splats = load(path, render_mode=settings.render_mode)
         row = replace(row, file_bytes=inspect(path).file_bytes, **_producer_figures(path))

@@ -139,13 +139,13 @@ class ResultFolder:
             (self.path / UNFINISHED).unlink(missing_ok=True)
 
     def abandon(self) -> None:
-        """Remove what was begun here, for a run that measured nothing.
+        """Remove what was begun here, for a run that measured nothing; rows taken over stay.
 
         Raises:
             OutputError: It cannot be removed.
         """
         with writing(self.path / UNFINISHED):
-            if self._begun:
+            if self._begun and not self.done:
                 (self.path / UNFINISHED).unlink(missing_ok=True)
         remove_empty(self._made)
 
@@ -203,6 +203,7 @@ class ResultFolder:
             if run == self._run:
                 return rows
             before, now = json.loads(run), json.loads(self._run or "")
+            _recall(now, before)
             files, known = _files_by_key(now), _files_by_key(before)
             alike = all(before[part] == now[part] for part in ("version", "settings"))
             alike = alike and all(scene in now["scenes"] for scene in before["scenes"])
@@ -210,7 +211,28 @@ class ResultFolder:
             return None
         if not alike or not known.keys() <= files.keys():
             return None
+        self._run = json.dumps(now, sort_keys=True)
         return [row for row in rows if row.key in known and known[row.key] == files[row.key]]
+
+
+def _recall(now: Mapping[str, Any], before: Mapping[str, Any]) -> None:
+    """Give files that cannot be accessed now the stamps that they had in an earlier run; in place.
+
+    While a drive is not mounted, nothing new can be measured on its files, and old rows stay valid.
+
+    Args:
+        now: From `run_of`, parsed.
+        before: The same of the earlier run.
+    """
+    scenes = {scene["name"]: scene for scene in before["scenes"]}
+    for scene in now["scenes"]:
+        scene["stamp"] = scene["stamp"] or scenes.get(scene["name"], scene)["stamp"]
+    files = _files_by_key(before)
+    for row in now["rows"]:
+        name, method, target, file = row
+        earlier = files.get((name, method, BenchTarget(*target)))
+        if file and earlier and not file[1:] and file[0] == earlier[0]:
+            row[-1] = earlier
 
 
 def _files_by_key(inputs: Mapping[str, Any]) -> dict[RowKey, list[Any] | None]:

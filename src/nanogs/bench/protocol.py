@@ -1,13 +1,12 @@
 """The main loop: measure each method on each scene for each request, in a separate process."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from nanogs.bench import measuring
 from nanogs.bench.bjontegaard import check_packages
-from nanogs.bench.rows import ORIGINAL, BenchRow, BenchTarget, RowKey, Status
+from nanogs.bench.rows import ORIGINAL, BenchRow, BenchTarget, RowKey
 from nanogs.bench.scenes import BenchScene, scene_views
 from nanogs.bench.settings import BenchSettings, refuse_duplicates
 from nanogs.cleanup import temporary_folder
@@ -98,7 +97,8 @@ def _scene_rows(
         splats = load(scene.model, render_mode=settings.render_mode)
         views = scene_views(scene, splats, settings)
     except NanogsError as error:
-        yield from _skipped_rows(scene, settings, str(error))
+        for key in keys:
+            yield known.get(key) or measuring.skipped_row(scene, key[1], key[2], str(error))
         return
     whole: dict[str, int] = {}  # bytes of the model in each format
     with temporary_folder("nanogs-bench-") as folder:
@@ -124,10 +124,3 @@ def _scene_rows(
                 yield measuring.too_large_row(scene, name, target, whole[target.format])
             else:
                 yield measuring.method_row(scene, name, target, views, settings, folder)
-
-
-def _skipped_rows(scene: BenchScene, settings: BenchSettings, reason: str) -> Iterator[BenchRow]:
-    for name, target in row_keys(settings):
-        yield replace(
-            measuring.empty_row(scene, name, target), status=Status.SKIPPED, reason=reason
-        )
