@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import nanogs
 from nanogs.bench.baselines import BASELINES
+from nanogs.bench.digest import digest_of_sources
 from nanogs.bench.worker import Job, run_job
 from nanogs.io import inspect, load
 from nanogs.pipeline.options.target import target_count
@@ -48,7 +48,6 @@ PEERS = ("nanogs-ref",)  # methods whose results were made beforehand, for some 
 SIZE = 512  # pixels of kinds of views without a size
 BASELINE_VIEWS = 40  # number of views that baselines learn from
 APART = ("cli", "bench", "scoring", "view", "lod", "studio")  # packages that do not affect results
-PACKAGE = Path(nanogs.__file__).parent
 Row = dict[str, Any]
 Tell = Callable[[str], None]
 
@@ -264,13 +263,4 @@ def digest_of_cameras(cameras: Iterable[Camera]) -> str:
     for camera in cameras:
         numbers = [*camera.world_to_camera.ravel(), camera.fx, camera.width, camera.near]
         found.update(np.round(numbers, 6).astype(np.float64).tobytes())
-    return found.hexdigest()[:10]
-
-
-def digest_of_sources(apart: Sequence[str]) -> str:
-    """Return a short hash of the package's sources, without some of its subpackages."""
-    found = hashlib.sha1(usedforsecurity=False)
-    for path in sorted(PACKAGE.rglob("*.py")):
-        if path.relative_to(PACKAGE).parts[0] not in apart:
-            found.update(path.read_bytes())
     return found.hexdigest()[:10]

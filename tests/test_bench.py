@@ -18,6 +18,7 @@ from PIL import Image
 import launch
 import nanogs
 from builders import model_bytes, random_splats
+from dataset_files import write_capture
 from nanogs.bench import measuring, output, protocol
 from nanogs.bench.baselines import MethodContext
 from nanogs.bench.gsplat import gsplat_fps
@@ -184,7 +185,8 @@ def test_an_unfinished_run_continues_where_it_ended(tmp_path):
     again.add(first)
     again.add(BenchRow("a", "y", 0.1, psnr=3.0))
     assert [row.psnr for row in ResultFolder(tmp_path, run="this").done] == [math.inf, 3.0]
-    with pytest.raises(OutputError, match=r"other models or settings; .* to begin anew"):
+    refused = r"other models, photographs or settings; .* to begin anew"
+    with pytest.raises(OutputError, match=refused):
         ResultFolder(tmp_path, run="that")
     assert ResultFolder(tmp_path, run="that", overwrite=True).done == []
 
@@ -302,10 +304,46 @@ def test_a_finished_run_of_another_model_or_without_its_record_is_refused(model,
         ResultFolder(out, run=run_of(scenes, more))
 
 
+@pytest.mark.parametrize("layout", ["blender", "colmap"])
+def test_a_run_of_other_photographs_or_cameras_is_refused(layout, model, tmp_path):
+    if layout == "blender":
+        write_photographs(tmp_path, model)
+        photo, cameras = tmp_path / "test" / "near.png", tmp_path / "transforms_test.json"
+    else:
+        write_capture(tmp_path)
+        photo, cameras = tmp_path / "images" / "img_0.png", tmp_path / "sparse" / "0" / "images.bin"
+    scene = BenchScene("a", model, tmp_path)
+    settings = BenchSettings(ratios=(0.5,), methods=("random",))
+    row = BenchRow("a", ORIGINAL, 1.0, psnr=12.0)
+    results = ResultFolder(tmp_path / "out", run=run_of([scene], settings))
+    results.add(row)
+    for file in (photo, cameras):
+        before = file.stat()
+        os.utime(file, (1, 1))
+        with pytest.raises(OutputError, match="other models, photographs"):
+            ResultFolder(tmp_path / "out", run=run_of([scene], settings))
+        os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+        file.rename(tmp_path / "away")  # counts as unchanged
+        assert ResultFolder(tmp_path / "out", run=run_of([scene], settings)).done == [row]
+        (tmp_path / "away").rename(file)
+    assert ResultFolder(tmp_path / "out", run=run_of([scene], settings)).done == [row]
+
+
+def test_a_run_of_other_sources_of_the_same_version_is_refused(model, tmp_path, monkeypatch):
+    settings = BenchSettings(ratios=(0.5,), methods=("random",))
+    scenes, _ = finished_run(tmp_path, model, settings)
+    more = replace(settings, methods=("random", "opacity"))
+    assert ResultFolder(tmp_path, run=run_of(scenes, more)).done
+    monkeypatch.setattr(output, "digest_of_sources", lambda _apart: "other")
+    with pytest.raises(OutputError, match="another version"):
+        ResultFolder(tmp_path, run=run_of(scenes, more))
+
+
 @pytest.mark.parametrize("finished", [True, False])
 def test_files_of_other_tools_that_changed_are_scored_again(finished, model, tmp_path):
-    files = {name: external(tmp_path, name) for name in ("old", "new")}
+    files = {name: external(tmp_path, name) for name in ("old", "new", "noted")}
     files["old"][1].write_text("as before")
+    files["noted"][1].write_text("as before")
     settings = BenchSettings(
         ratios=(0.5,), methods=("random",), externals={name: files[name][0] for name in files}
     )
@@ -317,6 +355,7 @@ def test_files_of_other_tools_that_changed_are_scored_again(finished, model, tmp
         for row in rows:
             results.add(row)
     files["new"][1].write_text("now there is one")
+    measuring.note_of(files["noted"][1]).write_text('{"seconds": 2}')
     kept = ResultFolder(out, run=run_of(scenes, settings)).done
     assert [row.method for row in kept] == [ORIGINAL, "random", "old"]
 

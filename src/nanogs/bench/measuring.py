@@ -151,6 +151,11 @@ def external_path(pattern: str, scene: BenchScene, target: BenchTarget) -> Path:
     return Path(fill(pattern, **named))
 
 
+def note_of(path: Path) -> Path:
+    """Return the path of the JSON file in which another tool's file has its seconds and memory."""
+    return path.with_name(path.name + ".json")
+
+
 def _size_note(taken: int, size: int) -> tuple[str, ...]:
     if taken <= size:
         return ()
@@ -169,7 +174,7 @@ def _producer_figures(path: Path) -> dict[str, Any]:
     Raises:
         OptionError: The note is not a JSON object of numbers.
     """
-    note = path.with_name(path.name + ".json")
+    note = note_of(path)
     if not note.exists():
         return {}
     try:

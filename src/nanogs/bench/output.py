@@ -1,5 +1,6 @@
 """The output folder of a run: rows as they are measured, then tables and plots."""
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -7,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from nanogs._version import __version__
-from nanogs.bench.measuring import external_path
+from nanogs.bench.digest import digest_of_sources
+from nanogs.bench.measuring import external_path, note_of
 from nanogs.bench.plot import plot
 from nanogs.bench.protocol import row_keys
 from nanogs.bench.rows import BenchRow, BenchTarget, RowKey, Status
@@ -16,7 +18,8 @@ from nanogs.bench.settings import BenchSettings
 from nanogs.bench.size_charts import SizeCharts
 from nanogs.bench.size_tables import size_page
 from nanogs.bench.tables import json_line, markdown
-from nanogs.errors import ExistsError
+from nanogs.datasets.dataset import open_dataset
+from nanogs.errors import ExistsError, NanogsError
 from nanogs.formatting import utf8
 from nanogs.io.atomic import atomic_write, writing
 from nanogs.io.folder import make_folders, remove_empty
@@ -25,6 +28,8 @@ TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
 PAGE, PICTURE = "results.html", "plot.png"  # only with file sizes
 RUN = "run.json"  # `run_of` of the finished run
 UNFINISHED = "unfinished.jsonl"  # first line: `run_of` of the run; then its rows so far
+_APART = ("cli", "view", "lod", "studio")  # packages that affect neither results nor scores
+_OTHER = "another version, other models, photographs or settings"
 # Settings that say which rows there are, and nothing of how each is measured.
 _ASKED = ("ratios", "methods", "externals", "file_sizes", "formats")
 
@@ -32,13 +37,17 @@ _ASKED = ("ratios", "methods", "externals", "file_sizes", "formats")
 def run_of(scenes: Sequence[BenchScene], settings: BenchSettings) -> str:
     """Return all inputs of a run as one line of JSON, with size and mtime of the files it reads.
 
-    These are the models, and the files of other tools, each beside the row that it is scored for.
+    These are the models, their cameras and photographs, and the files of other tools, each beside
+    the row that it is scored for. The version has a digest of the sources: clones share the number.
     """
     measured = {name: value for name, value in asdict(settings).items() if name not in _ASKED}
     about = {
-        "version": __version__,
+        "version": f"{__version__} {digest_of_sources(_APART)}",
         "settings": measured,
-        "scenes": [asdict(scene) | {"stamp": _stamp(scene.model)} for scene in scenes],
+        "scenes": [
+            asdict(scene) | {"stamp": _stamp(scene.model), "photographs": _photographs(scene)}
+            for scene in scenes
+        ],
         "rows": [
             [scene.name, name, target, _file_of(scene, name, target, settings)]
             for scene in scenes
@@ -51,11 +60,25 @@ def run_of(scenes: Sequence[BenchScene], settings: BenchSettings) -> str:
 def _file_of(
     scene: BenchScene, name: str, target: BenchTarget, settings: BenchSettings
 ) -> list[Any] | None:
-    """Return path and stamp of the file that another tool made for a row; None for our rows."""
+    """Return path, stamp and note's stamp of another tool's file for a row; None for our rows."""
     if name not in settings.externals:
         return None
     path = external_path(settings.externals[name], scene, target)
-    return [str(path), *_stamp(path)]
+    return [str(path), _stamp(path), _stamp(note_of(path))]
+
+
+def _photographs(scene: BenchScene) -> str:
+    """Return a digest of the stamps of camera files and test photographs; empty without them."""
+    if scene.photos is None:
+        return ""
+    try:
+        dataset = open_dataset(scene.photos, images=scene.images)
+        photos = [frame.photo_path for frame in dataset.split("test")]
+    except NanogsError:  # the run gives the reason
+        return ""
+    files = [*dataset.camera_files, *filter(None, photos)]
+    stamps = json.dumps([[str(path), _stamp(path)] for path in files])
+    return hashlib.sha1(stamps.encode(), usedforsecurity=False).hexdigest()
 
 
 class ResultFolder:
@@ -165,7 +188,7 @@ class ResultFolder:
         if run.exists() and lines.exists():
             rows = self._fitting(_text(run).rstrip("\n"), _text(lines).split("\n")[:-1])
             if rows is None:
-                fact = "with rows of other models, settings or methods than these"
+                fact = f"with rows of {_OTHER}, or methods other than these"
                 add = "give all of its scenes, ratios and methods as well to add to it"
                 raise ExistsError(f"{there[0]} exists already, {fact}", f"replace it, or {add}")
             asked = _files_by_key(json.loads(self._run or ""))
@@ -181,7 +204,7 @@ class ResultFolder:
         run, *lines = _text(unfinished).split("\n")
         rows = self._fitting(run, lines[:-1])
         if rows is None:
-            fact = f"{unfinished} belongs to an unfinished run of other models or settings"
+            fact = f"{unfinished} belongs to an unfinished run of {_OTHER}"
             raise ExistsError(fact, "begin anew, or name another folder to keep it")
         return rows
 
@@ -226,12 +249,13 @@ def _recall(now: Mapping[str, Any], before: Mapping[str, Any]) -> None:
     """
     scenes = {scene["name"]: scene for scene in before["scenes"]}
     for scene in now["scenes"]:
-        scene["stamp"] = scene["stamp"] or scenes.get(scene["name"], scene)["stamp"]
+        for part in ("stamp", "photographs"):
+            scene[part] = scene[part] or scenes.get(scene["name"], scene)[part]
     files = _files_by_key(before)
     for row in now["rows"]:
         name, method, target, file = row
         earlier = files.get((name, method, BenchTarget(*target)))
-        if file and earlier and not file[1:] and file[0] == earlier[0]:
+        if file and earlier and not file[1] and file[0] == earlier[0]:
             row[-1] = earlier
 
 

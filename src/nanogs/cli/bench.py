@@ -200,8 +200,7 @@ def _run(
     from nanogs.formatting import counted
     from nanogs.progress import Step
 
-    run = run_of(scenes, settings)
-    folder = ResultFolder(out, run=run, overwrite=overwrite) if out else None
+    folder = ResultFolder(out, run=run_of(scenes, settings), overwrite=overwrite) if out else None
     done = folder.done if folder else []
     if done and not reporting.hushed:
         taken = counted(len(done), "row is", "rows are")

@@ -39,6 +39,14 @@ class Dataset:
     path: Path
     images: Path | None = None
 
+    @property
+    def camera_files(self) -> list[Path]:
+        """The files that hold the cameras of both splits."""
+        if self.images is None:
+            files = [self.path / f"transforms_{name}.json" for name in ("test", "train")]
+            return [file for file in files if is_file(file)]
+        return sorted((_sparse(self.path) or self.path).iterdir())
+
     def split(self, name: Split) -> list[Frame]:
         """Return one split's frames; only the sizes of photographs are read.
 
