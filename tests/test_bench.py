@@ -565,6 +565,22 @@ def test_external_files_are_scored_and_missing_ones_skipped(model, tmp_path):
     assert "ball_0.01_them.ply" in missing.reason
 
 
+def test_external_files_of_another_degree_or_render_mode_are_noted(model, tmp_path):
+    other = replace(nanogs.load(model).take(np.arange(40)), render_mode="mip")
+    nanogs.save(other.with_sh_degree(0), tmp_path / "them.ply")
+    settings = BenchSettings(
+        ratios=(0.1,), methods=(), views=1, sizes=(32,),
+        externals={"them": str(tmp_path / "them.ply")},
+    )  # fmt: skip
+    notes = (
+        "SH degree 0, the original has 1",
+        "render mode mip, the original has default, and each is drawn in its own",
+    )
+    assert run_bench([scene_of_file(model)], settings)[1].notes == notes
+    drawn_alike = run_bench([scene_of_file(model)], replace(settings, render_mode="mip"))[1]
+    assert drawn_alike.notes == notes[:1]
+
+
 def test_the_size_of_an_external_folder_is_that_of_all_its_files(model, tmp_path):
     path = tmp_path / "ball_0.1" / "meta.json"
     nanogs.save(nanogs.load(model).take(np.arange(40)), path)

@@ -18,7 +18,9 @@ from nanogs.io import inspect, load, losses, save
 from nanogs.pipeline.options.target import target_count
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, prepare, render
+from nanogs.scoring.comparison import layout_notes
 from nanogs.scoring.scores import ModelScore, score
+from nanogs.source import Layout, source_of
 from nanogs.splats import Splats
 
 _FPS_VIEWS = 8  # most views rendered to measure frames per second
@@ -116,11 +118,22 @@ def external_row(
     scene: BenchScene,
     name: str,
     target: BenchTarget,
+    original: Layout,
     finite: int,
     views: SceneViews,
     settings: BenchSettings,
 ) -> BenchRow:
-    """Score another tool's file; `finite` is the number of finite splats of the original."""
+    """Score another tool's file.
+
+    Args:
+        scene: The scene.
+        name: The other tool's name.
+        target: The request.
+        original: The layout of the original model.
+        finite: Number of its finite splats.
+        views: What is compared with.
+        settings: The settings of the run.
+    """
     path = external_path(settings.externals[name], scene, target)
     if not path.exists():
         return skipped_row(scene, name, target, f"There is no file {path}.")
@@ -134,6 +147,7 @@ def external_row(
         notes = _size_note(row.file_bytes or 0, target.size)
     else:
         notes = _count_note(len(splats), target_count(finite, target.ratio, None))
+    notes += tuple(layout_notes(source_of(splats).columns, original, "the original"))
     return _scored(replace(row, notes=(*notes, *splats.notes)), splats, views, settings)
 
 

@@ -13,6 +13,7 @@ from nanogs.cleanup import temporary_folder
 from nanogs.errors import NanogsError, OptionError
 from nanogs.io import load
 from nanogs.scoring.scores import EXTRA_METRICS
+from nanogs.source import source_of
 from nanogs.threads import use_threads
 
 OnRow = Callable[[BenchRow], None]
@@ -111,7 +112,7 @@ def _scene_rows(
             row = row or measuring.original_row(scene, splats, views, settings)
             whole[target.format] = row.file_bytes or 0
             yield row
-        finite = int(splats.finite().sum())
+        original, finite = source_of(splats).columns, int(splats.finite().sum())
         del splats
         for key in (key for key in keys if key[1] != ORIGINAL):
             _, name, target = key
@@ -119,7 +120,7 @@ def _scene_rows(
             if key in known:
                 yield known[key]
             elif name not in settings.methods:
-                yield measuring.external_row(scene, name, target, finite, views, settings)
+                yield measuring.external_row(scene, name, target, original, finite, views, settings)
             elif target.size is not None and 0 < whole[target.format] <= target.size:
                 yield measuring.too_large_row(scene, name, target, whole[target.format])
             else:

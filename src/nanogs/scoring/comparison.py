@@ -22,7 +22,7 @@ from nanogs.scoring.scores import (
     score,
 )
 from nanogs.scoring.unpacked import Unpacked
-from nanogs.source import Source, source_of
+from nanogs.source import Layout, Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.costing import views_of
 from nanogs.views.covering import cost_on
@@ -46,16 +46,6 @@ class NamedModel:
     splats: Splats | Source
     file_bytes: int | None = None
     packed_as: str = ""
-
-    @property
-    def sh_degree(self) -> int:
-        """Degree of its spherical harmonics."""
-        return source_of(self.splats).columns.sh_degree
-
-    @property
-    def render_mode(self) -> str:
-        """The rasteriser that it was trained for."""
-        return source_of(self.splats).columns.render_mode
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -296,19 +286,31 @@ def score_models(
 
 
 def _differences(reference: NamedModel, models: Sequence[NamedModel]) -> list[str]:
-    """Note models whose SH degree or render mode is not the reference's: their scores show it."""
+    """Note models whose SH degree or render mode is not the reference's, by their names."""
+    known = source_of(reference.splats).columns
+    return [
+        f"{model.name}: {note}"
+        for model in models
+        for note in layout_notes(source_of(model.splats).columns, known, "the reference")
+    ]
+
+
+def layout_notes(layout: Layout, reference: Layout, name: str) -> list[str]:
+    """Note an SH degree and a render mode that are not the reference's: scores show them.
+
+    Args:
+        layout: Of the model that is scored.
+        reference: Of the model that it is compared with.
+        name: What the latter is called, such as "the reference".
+    """
     notes = []
-    for model in models:
-        if model.sh_degree != reference.sh_degree:
-            notes.append(
-                f"{model.name}: SH degree {model.sh_degree}, the reference has"
-                f" {reference.sh_degree}"
-            )
-        if model.render_mode != reference.render_mode:
-            notes.append(
-                f"{model.name}: render mode {model.render_mode}, the reference has"
-                f" {reference.render_mode}, and each is drawn in its own"
-            )
+    if layout.sh_degree != reference.sh_degree:
+        notes.append(f"SH degree {layout.sh_degree}, {name} has {reference.sh_degree}")
+    if layout.render_mode != reference.render_mode:
+        notes.append(
+            f"render mode {layout.render_mode}, {name} has {reference.render_mode}, and each is"
+            " drawn in its own"
+        )
     return notes
 
 
