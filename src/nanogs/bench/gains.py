@@ -1,7 +1,7 @@
 """Rate-distortion curves of files, and the gain of one method over another at equal file size."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,7 +142,17 @@ def _envelope(rows: Sequence[BenchRow], label: str) -> _Curves:
         psnr, ssim = (row.file_bytes, score.psnr or 0.0), (row.file_bytes, score.ssim or 0.0)
         known = best.get(row.size, (psnr, ssim))
         best[row.size] = (_higher(known[0], psnr), _higher(known[1], ssim))
-    return _Curves([psnr for psnr, _ in best.values()], [ssim for _, ssim in best.values()])
+    return _Curves(
+        _curve(psnr for psnr, _ in best.values()), _curve(ssim for _, ssim in best.values())
+    )
+
+
+def _curve(points: Iterable[tuple[float, float]]) -> Curve:
+    """Return the best point for each number of bytes: two requests may give the same file."""
+    qualities: dict[float, float] = {}
+    for taken, quality in points:
+        qualities[taken] = max(quality, qualities.get(taken, quality))
+    return list(qualities.items())
 
 
 def _higher(one: tuple[float, float], two: tuple[float, float]) -> tuple[float, float]:
