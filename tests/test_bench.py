@@ -96,7 +96,9 @@ def test_a_data_set_is_a_folder_with_a_folder_for_each_scene(tmp_path):
 
 def test_unknown_placeholders_are_refused():
     assert fill("{scene}_{ratio}.ply", scene="a", ratio="0.1") == "a_0.1.ply"
-    for pattern in ("{name}.ply", "{.ply", "{}"):
+    assert fill("{scene}{{}}.ply", scene="a", ratio="0.1") == "a{}.ply"
+    parts = ("{scene.name}", "{scene[a]}", "{scene[0]}", "{scene!r}", "{scene:{ratio.real}}")
+    for pattern in ("{name}.ply", "{.ply", "{}", *parts):
         with pytest.raises(OptionError, match="no other braces"):
             fill(pattern, scene="a", ratio="0.1")
 

@@ -2,8 +2,10 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from string import Formatter
 from typing import TYPE_CHECKING
 
 from nanogs.bench.published import DATASETS, image_folder
@@ -129,11 +131,12 @@ def fill(pattern: str, **values: str) -> str:
     Raises:
         OptionError: The pattern has an unknown placeholder or an unmatched brace.
     """
-    try:
-        return pattern.format(**values)
-    except (KeyError, IndexError, ValueError):
-        known = ", ".join(f"{{{name}}}" for name in values)
-        raise OptionError(f"{pattern!r} may hold {known} and no other braces.") from None
+    plain = {(None, None, None), *((name, "", None) for name in values)}  # no {name.x}, {name!r}
+    with suppress(ValueError):  # an unmatched brace
+        if plain.issuperset(part[1:] for part in Formatter().parse(pattern)):
+            return pattern.format(**values)
+    known = ", ".join(f"{{{name}}}" for name in values)
+    raise OptionError(f"{pattern!r} may hold {known} and no other braces.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
