@@ -94,6 +94,16 @@ def test_a_data_set_is_a_folder_with_a_folder_for_each_scene(tmp_path):
         parse_dataset(f"mine={tmp_path}")
 
 
+def test_missing_scaled_photographs_of_a_data_set_are_asked_for(model, tmp_path):
+    """Not a choice of `images`, which the command does not have."""
+    write_capture(tmp_path / "room")
+    shutil.copy(model, tmp_path / "room.ply")
+    scenes = parse_dataset(f"mip-nerf-360={tmp_path}", "{folder}/{scene}.ply")
+    row, *_ = run_bench(scenes, BenchSettings(ratios=(0.5,), methods=("random",)))
+    assert row.reason.startswith(f"{tmp_path / 'room' / 'images_2'}: is no folder; copy the photo")
+    assert "scaled to half of their width" in row.reason
+
+
 def test_unknown_placeholders_are_refused():
     assert fill("{scene}_{ratio}.ply", scene="a", ratio="0.1") == "a_0.1.ply"
     assert fill("{scene}{{}}.ply", scene="a", ratio="0.1") == "a{}.ply"

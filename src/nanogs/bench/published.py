@@ -108,6 +108,7 @@ DATASETS: Mapping[str, PublishedDataset] = {
 
 # The usual protocol scales photographs to a quarter of their width outdoors, to half indoors.
 _INDOORS = frozenset({"room", "counter", "kitchen", "bonsai"})
+IMAGE_SCALES = {"images_4": "a quarter", "images_2": "half"}
 
 
 def image_folder(dataset: str, scene: str) -> str | None:

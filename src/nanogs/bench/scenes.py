@@ -8,7 +8,7 @@ from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING
 
-from nanogs.bench.published import DATASETS, image_folder
+from nanogs.bench.published import DATASETS, IMAGE_SCALES, image_folder
 from nanogs.bench.rows import Against
 from nanogs.bench.settings import BenchSettings
 from nanogs.errors import FormatError, OptionError
@@ -229,6 +229,11 @@ def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
 
     folder = scene.photos
     assert folder is not None  # noqa: S101 - asked by the caller
+    if scene.images in IMAGE_SCALES and folder.is_dir() and not (folder / scene.images).is_dir():
+        raise FormatError(
+            f"{folder / scene.images}: is no folder; copy the photographs there, scaled to"
+            f" {IMAGE_SCALES[scene.images]} of their width, as is usual for this data set"
+        )
     dataset = open_dataset(folder, images=scene.images)
     frames = dataset.split("test")
     background = settings.background or dataset.background(frames)
