@@ -697,6 +697,25 @@ def test_compare_and_bench_use_the_same_background_for_photographs(model, tmp_pa
     assert compared()[0] == measured()[0] < 45
 
 
+def test_a_missing_training_photograph_skips_the_scene_and_no_training_views_do_not(
+    model, tmp_path
+):
+    """All methods would lose the cameras, under a note that there are none."""
+    write_photographs(tmp_path, model)
+    transforms = json.loads((tmp_path / "transforms_test.json").read_text())
+    train = {**transforms, "w": 32, "h": 32}
+    train["frames"][1]["file_path"] = "./train/gone"
+    (tmp_path / "transforms_train.json").write_text(json.dumps(train))
+    settings = BenchSettings(ratios=(0.5,), methods=("opacity",), fit_views=1)
+    rows = run_bench([BenchScene("ball", model, tmp_path)], settings)
+    assert [row.status for row in rows] == [Status.SKIPPED] * 2
+    assert "has no photograph train/gone" in rows[0].reason
+    (tmp_path / "transforms_train.json").write_text(json.dumps({**train, "frames": []}))
+    whole, small = run_bench([BenchScene("ball", model, tmp_path)], settings)
+    assert small.status is Status.OK
+    assert any("no training views" in note for note in whole.notes)
+
+
 def test_a_data_set_without_a_test_split_is_skipped_with_the_reason(model, tmp_path):
     (tmp_path / "transforms_train.json").write_text('{"camera_angle_x": 1, "frames": []}')
     scene = BenchScene("ball", model, tmp_path)
@@ -904,6 +923,21 @@ def test_a_number_of_views_is_refused_if_all_scenes_have_photographs(model, tmp_
     assert "--views has no effect, because all scenes have photographs" in result.stderr
     mixed = run("bench", *options, "--scene", f"other={model}", "--ratios", "0.5", "--json")
     assert (mixed.returncode, len(json.loads(mixed.stdout)["rows"])) == (0, 4)
+
+
+@pytest.mark.parametrize(
+    "option", [("--pixels", "64"), ("--cameras", "roam"), ("--up", "0,0,1")], ids=" ".join
+)
+def test_options_of_automatic_views_are_refused_if_none_are_made(option, model, tmp_path):
+    write_photographs(tmp_path, model)
+    words = ("bench", "--scene", f"ball={model}:{tmp_path}", "--methods", "random", *option)
+    shutil.copy(tmp_path / "transforms_test.json", tmp_path / "transforms_train.json")
+    result = run(*words)
+    assert (result.returncode, result.stdout) == (2, "")
+    name = option[0].replace("pixels", "sizes")
+    assert f"{name} has no effect, because all scenes have photographs" in result.stderr
+    (tmp_path / "transforms_train.json").unlink()  # so that methods learn from automatic views
+    assert run(*words, "--ratios", "0.5", "--quiet").returncode == 0
 
 
 def test_help_of_bench_imports_no_numba():

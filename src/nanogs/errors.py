@@ -17,6 +17,10 @@ class FormatError(NanogsError):
     """A file does not match its suffix, is damaged, or holds data that nanogs cannot keep."""
 
 
+class NoViewsError(FormatError):
+    """A data set has no views of a split, or a file of cameras lists none."""
+
+
 class ModelError(NanogsError):
     """A model's arrays are inconsistent or hold no usable splat."""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from nanogs.bench.published import DATASETS, IMAGE_SCALES, image_folder
 from nanogs.bench.rows import Against
 from nanogs.bench.settings import BenchSettings
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import FormatError, NanogsError, NoViewsError, OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.collect import WHOLE_FOLDERS, collect
@@ -182,11 +182,25 @@ def scene_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> S
         settings: Number and size of automatic views.
 
     Raises:
-        NanogsError: The data set cannot be read, has no test split, or no view shows anything.
+        NanogsError: The data set, or one of its splits, cannot be read, it has no test split, or no
+            view shows anything.
     """
     if scene.photos is None:
         return _automatic_views(scene, splats, settings)
     return _photographs(scene, splats, settings)
+
+
+def takes_automatic_views(scene: BenchScene) -> bool:
+    """Return whether automatic views may be made for a scene, to measure on or to learn from."""
+    from nanogs.datasets.dataset import open_dataset
+
+    if scene.photos is None:
+        return True
+    try:
+        open_dataset(scene.photos, images=scene.images).split("train")
+    except NanogsError:  # no training views; or it cannot be read, for which the run has the reason
+        return True
+    return False
 
 
 def _fit_cameras(scene: BenchScene, splats: Splats, settings: BenchSettings) -> tuple[Camera, ...]:
@@ -241,7 +255,7 @@ def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
     trained = True
     try:
         fit = tuple(frame.camera for frame in dataset.split("train"))
-    except FormatError as error:
+    except NoViewsError as error:
         trained, fit = False, _fit_cameras(scene, splats, settings)
         notes += (f"methods learn from automatic views, as there are no training views: {error}",)
     photos = PhotoViews(dataset, frames, background)

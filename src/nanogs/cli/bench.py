@@ -171,6 +171,7 @@ def bench(
         scenes += known.parse_dataset(text, model_pattern or known.TRAINED_MODEL)
     scenes = [replace(one, up=up) for one in scenes]
     _refuse_unused(scenes, dataset, model_pattern, views, background)
+    _refuse_unused_views(scenes, {"--sizes": sizes, "--cameras": cameras, "--up": up})
     above = preamble(settings, shlex.join(["nanogs", *sys.argv[1:]]))
     rows = _run(scenes, settings, out, overwrite, above, reporting)
     data: dict[str, Any] = {"rows": [row.to_dict() for row in rows]}
@@ -262,7 +263,7 @@ def _refuse_unused(
     views: int | None,
     background: str | None,
 ) -> None:
-    """Refuse options that no scene uses; those of views also serve methods that learn from some."""
+    """Refuse options that no scene uses."""
     if model_pattern is not None and not dataset:
         raise OptionError("--model-pattern works only with --dataset; give both, or leave it out.")
     if background is not None and not any(scene.photos for scene in scenes):
@@ -274,6 +275,18 @@ def _refuse_unused(
         raise OptionError(
             "--views has no effect, because all scenes have photographs, each of which is a view;"
             " leave it out."
+        )
+
+
+def _refuse_unused_views(scenes: "list[BenchScene]", given: dict[str, Any]) -> None:
+    """Refuse options of automatic views if none are made, not even for methods to learn from."""
+    from nanogs.bench.scenes import takes_automatic_views
+
+    unused = [name for name, value in given.items() if value is not None]
+    if unused and scenes and not any(map(takes_automatic_views, scenes)):
+        raise OptionError(
+            f"{unused[0]} has no effect, because all scenes have photographs to measure on and to"
+            " learn from; leave it out."
         )
 
 

@@ -13,7 +13,7 @@ from nanogs.datasets.frame import Frame
 from nanogs.datasets.inria import read_cameras_json
 from nanogs.datasets.photos import find_photo, is_file, is_transparent, photo_size, read_photo
 from nanogs.datasets.undistort import straightened, undistorted
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import FormatError, NoViewsError, OptionError
 from nanogs.raster.camera import Camera
 
 Kind = Literal["blender", "colmap"]
@@ -61,15 +61,16 @@ class Dataset:
             At least one frame; each has a photograph, and a camera without lens distortion.
 
         Raises:
-            FormatError: The split, a photograph or a camera is missing or unusable, a photograph
-                has another size than its camera, or cannot be undistorted.
+            NoViewsError: The split is missing or empty.
+            FormatError: A photograph or a camera is missing or unusable, a photograph has another
+                size than its camera, or cannot be undistorted.
             OptionError: `name` is not a split.
         """
         if name not in ("test", "train"):
             raise OptionError(f"split {name!r}: choose 'test' or 'train'")
         frames = self._blender(name) if self.images is None else self._colmap(name, self.images)
         if not frames:
-            raise FormatError(
+            raise NoViewsError(
                 f"{self.path}: its few images leave none for the {name} split; use a larger set"
             )
         return frames
@@ -115,7 +116,9 @@ class Dataset:
     def _blender(self, name: Split) -> list[Frame]:
         file = self.path / f"transforms_{name}.json"
         if not is_file(file):
-            raise FormatError(f"{self.path}: has no {name} split; put its cameras into {file.name}")
+            raise NoViewsError(
+                f"{self.path}: has no {name} split; put its cameras into {file.name}"
+            )
         return [
             replace(
                 _straight(frame.camera, _present(frame.photo_path, file, frame.camera.name)),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F64
-from nanogs.errors import FormatError
+from nanogs.errors import FormatError, NoViewsError
 from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens
@@ -63,9 +63,14 @@ def entry(value: object, where: str) -> dict[str, Any]:
 
 
 def entries(value: object, where: str) -> list[dict[str, Any]]:
-    """Return a list of at least one JSON object, refusing anything else with a `FormatError`."""
+    """Return a list of at least one JSON object, refusing anything else with a `FormatError`.
+
+    Raises:
+        NoViewsError: The list is empty.
+    """
     if not isinstance(value, list) or not value:
-        raise FormatError(
+        problem = NoViewsError if value == [] else FormatError
+        raise problem(
             f"{where}: needs a list of at least one camera, not {shown(value)}; "
             "export the cameras again"
         )
