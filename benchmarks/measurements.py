@@ -47,7 +47,10 @@ PHOTOS = {"chair": "chair_photos"}
 PEERS = ("nanogs-ref",)  # methods whose results were made beforehand, for some scenes
 SIZE = 512  # pixels of kinds of views without a size
 BASELINE_VIEWS = 40  # number of views that baselines learn from
-APART = ("cli", "bench", "scoring", "view", "lod", "studio")  # packages that do not affect results
+# Packages that do not affect results of presets, of baselines, and scores of a result.
+APART = ("cli", "bench", "scoring", "view", "lod", "studio")
+BASELINES_APART = tuple(name for name in APART if name != "bench")
+SCORES_APART = ("cli", "bench", "view", "lod", "studio", "method", "pipeline", "fit", "store")
 Row = dict[str, Any]
 Tell = Callable[[str], None]
 
@@ -67,7 +70,6 @@ class Views:
 
     views: list[ReferenceView]
     background: Background
-    digest: str
 
 
 class Bench:
@@ -77,6 +79,8 @@ class Bench:
         self.scenes, self.peers, self.folder = scenes, peers, folder
         self.rows_file = folder / "measured.jsonl"
         self.ours = f"nanogs {digest_of_sources(APART)}"
+        self.baselines = f"nanogs {digest_of_sources(BASELINES_APART)}"
+        self.scorer = digest_of_sources(SCORES_APART)
 
     def offers(self, key: Key) -> bool:
         """Return whether a scene has views of a kind, and the method's result if it is to exist."""
@@ -99,7 +103,8 @@ class Bench:
             kind: self.cameras(scene, kind) for kind in dict.fromkeys(key.kind for key in keys)
         }
         known = self._known()
-        names = {key: self._name(key, cameras[key.kind]) for key in keys}
+        digests = {kind: self._digest(scene, kind, some) for kind, some in cameras.items()}
+        names = {key: self._name(key, digests[key.kind]) for key in keys}
         missing = [key for key in keys if names[key] not in known]
         if missing:
             splats = load(model)
@@ -117,15 +122,28 @@ class Bench:
         rows = map(json.loads, self.rows_file.read_text().splitlines())
         return {row["name"]: row for row in rows}
 
-    def _name(self, key: Key, cameras: Sequence[Camera]) -> str:
-        """Return the cache key of a row: a text of everything that it depends on."""
-        return " | ".join([*map(str, key), self.version(key.method), digest_of_cameras(cameras)])
+    def _name(self, key: Key, views: str) -> str:
+        """Return the cache key of a row: a text of everything that it depends on.
+
+        Args:
+            key: The key of the measurement.
+            views: From `_digest`.
+        """
+        return " | ".join([*map(str, key), self.version(key.method), views, self.scorer])
+
+    def _digest(self, scene: str, kind: str, cameras: Sequence[Camera]) -> str:
+        """Return a hash of the views of a kind: of the cameras, or of the photographs' folder."""
+        if kind == "photographs":
+            return digest_of_folder(self.scenes / PHOTOS[scene])
+        return digest_of_cameras(cameras)
 
     def version(self, method: str) -> str:
         """Return the version of the program that a method belongs to."""
         if method in RIVALS:
             return rival_version()
-        return "kept" if self._kept(method) else self.ours
+        if self._kept(method):
+            return "kept"
+        return self.baselines if method in BASELINES else self.ours
 
     def _kept(self, method: str) -> bool:
         return any(self.peers.glob(f"*_{method}.ply"))
@@ -180,7 +198,8 @@ class Bench:
         outcome = run_job(Job(model, key.method, key.ratio, target, learnt))
         if outcome.error:
             raise SystemExit(f"{key}: {outcome.error}")
-        if self.ours != f"nanogs {digest_of_sources(APART)}":
+        apart = BASELINES_APART if key.method in BASELINES else APART
+        if self.version(key.method) != f"nanogs {digest_of_sources(apart)}":
             target.unlink()
             raise SystemExit(
                 "The sources were changed meanwhile; start again: what is done is kept."
@@ -225,9 +244,9 @@ class Bench:
     def _views(self, scene: str, splats: Splats, kind: str, cameras: Sequence[Camera]) -> Views:
         if kind == "photographs":
             photos = photographs(self.scenes / PHOTOS[scene], None, "test", None)
-            return Views(list(photos), photos.background, "photographs")
+            return Views(list(photos), photos.background)
         found, _ = reference_views(prepare(splats), cameras, BLACK, depth=False)
-        return Views(found, BLACK, digest_of_cameras(cameras))
+        return Views(found, BLACK)
 
 
 def result_file(folder: Path, scene: str, ratio: float, method: str, version: str) -> Path:
@@ -263,4 +282,12 @@ def digest_of_cameras(cameras: Iterable[Camera]) -> str:
     for camera in cameras:
         numbers = [*camera.world_to_camera.ravel(), camera.fx, camera.width, camera.near]
         found.update(np.round(numbers, 6).astype(np.float64).tobytes())
+    return found.hexdigest()[:10]
+
+
+def digest_of_folder(folder: Path) -> str:
+    """Return a short hash of the names and contents of all files in a folder."""
+    found = hashlib.sha1(usedforsecurity=False)
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        found.update(str(path.relative_to(folder)).encode() + path.read_bytes())
     return found.hexdigest()[:10]

@@ -14,8 +14,10 @@ short for roam@512 and inside@512; or `photographs`, for scenes that have some.
 Results and measurements are cached in --cache, by default the environment's NANOGS_BENCHMARKS or
 ~/.cache/nanogs-benchmarks: an interrupted run can be continued, and only what a change of the
 sources affects is measured again. The cache key of our results has a hash of the sources, and that
-of a measurement also one of its views. Node 22 and splat-transform are installed there by npm;
-splat-transform converts each scene to .ply, so that all tools start from the same file.
+of a measurement also one of its views, or of its photographs, and one of the sources that render
+and score, so that all methods are measured in one way. Node 22 and splat-transform are installed
+there by npm; splat-transform converts each scene to .ply, so that all tools start from the same
+file.
 
 The folder of the scenes is --folder or the environment's NANOGS_SCENES; by default it is
 ../shared/scenes beside the repository. Files made beforehand are in `peers` beside it.

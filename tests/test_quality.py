@@ -55,8 +55,12 @@ def test_kept_measurements_are_reused_and_others_are_made(benchmarks, bench):
 
 
 def test_packages_excluded_from_the_digest_exist(benchmarks):
-    assert all((PACKAGE / name).is_dir() for name in benchmarks.measurements.APART)
+    apart = {*benchmarks.measurements.APART, *benchmarks.measurements.SCORES_APART}
+    assert all((PACKAGE / name).is_dir() for name in apart)
     assert "studio" in benchmarks.measurements.APART
+    scoring = {"raster", "kernels", "metrics", "scoring", "views", "datasets", "io"}
+    assert not scoring & {*benchmarks.measurements.SCORES_APART}
+    assert not {"bench", "kernels"} & {*benchmarks.measurements.BASELINES_APART}
 
 
 def test_changed_sources_are_run_again_and_kept_files_only_measured(benchmarks, bench, monkeypatch):
@@ -69,6 +73,44 @@ def test_changed_sources_are_run_again_and_kept_files_only_measured(benchmarks, 
     nanogs.save(make_scene(40), bench.found.peers / "a_0.1_theirs.ply")
     [row] = measure(benchmarks, bench, ("a", 0.1, "theirs", "32"))
     assert (row["splats"], bench.made) == (40, ["fast"] * 3)
+
+
+def test_results_of_all_methods_are_scored_again_after_a_change_of_how(benchmarks, bench):
+    (bench.found.peers).mkdir()
+    nanogs.save(make_scene(40), bench.found.peers / "a_0.1_theirs.ply")
+    keys = [("a", 0.1, method, "32") for method in ("fast", "random", "theirs")]
+    measure(benchmarks, bench, *keys)
+    bench.found.scorer = "other"
+    measure(benchmarks, bench, *keys)
+    assert (bench.made, len(bench.messages)) == (["fast", "random"], 3), "results are kept"
+    measure(benchmarks, bench, *keys)
+    assert bench.messages == []
+
+
+def test_baselines_are_run_again_if_their_package_changed(benchmarks, bench, monkeypatch):
+    keys = [("a", 0.1, method, "32") for method in ("fast", "random")]
+    measure(benchmarks, bench, *keys)
+    sources = benchmarks.measurements.digest_of_sources
+    monkeypatch.setattr(
+        benchmarks.measurements,
+        "digest_of_sources",
+        lambda apart: sources(apart) if "bench" in apart else "changed",
+    )
+    folder = bench.found.folder
+    bench.found = benchmarks.measurements.Bench(folder, folder / "peers", folder)
+    measure(benchmarks, bench, *keys)
+    assert bench.made == ["fast", "random", "random"]
+
+
+def test_scores_on_photographs_depend_on_their_files(benchmarks, bench, monkeypatch):
+    monkeypatch.setattr(benchmarks.measurements, "PHOTOS", {"a": "photos"})
+    photo = bench.found.scenes / "photos" / "images" / "0.png"
+    photo.parent.mkdir(parents=True)
+    digests = []
+    for content in (b"white", b"black", b"white"):
+        photo.write_bytes(content)
+        digests.append(bench.found._digest("a", "photographs", []))
+    assert digests[0] == digests[2] != digests[1]
 
 
 def test_results_made_beforehand_are_left_out_where_there_are_none(benchmarks, bench):
