@@ -395,6 +395,23 @@ def test_files_that_are_missing_for_a_while_count_as_unchanged(model, tmp_path):
     assert [row.method for row in kept] == [ORIGINAL, "random"]
 
 
+def test_a_run_continues_once_files_are_there_that_were_missing(model, tmp_path):
+    scenes = [BenchScene("a", model), BenchScene("b", tmp_path / "b.ply", tmp_path / "photos")]
+    settings = BenchSettings(ratios=(0.5,), methods=("random",))
+    row = BenchRow("a", ORIGINAL, 1.0)
+    results = ResultFolder(tmp_path / "out", run=run_of(scenes, settings))
+    results.add(row)
+    results.add(BenchRow("b", ORIGINAL, 1.0, status=Status.SKIPPED, reason="There is none."))
+    shutil.copy(model, tmp_path / "b.ply")
+    write_capture(tmp_path / "photos")
+    again = ResultFolder(tmp_path / "out", run=run_of(scenes, settings))
+    assert again.done == [row]
+    again.add(BenchRow("b", ORIGINAL, 1.0, psnr=20.0))
+    os.utime(tmp_path / "b.ply", (1, 1))
+    with pytest.raises(OutputError, match="other models"):
+        ResultFolder(tmp_path / "out", run=run_of(scenes, settings))
+
+
 def test_rows_of_a_scene_that_cannot_be_read_any_more_stay(model, tmp_path):
     known = [BenchRow("a", ORIGINAL, 1.0), BenchRow("a", "random", 0.5, psnr=12.0)]
     scene = BenchScene("a", model, tmp_path / "not_mounted")

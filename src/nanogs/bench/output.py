@@ -239,9 +239,9 @@ class ResultFolder:
 
 
 def _recall(now: Mapping[str, Any], before: Mapping[str, Any]) -> None:
-    """Give files that cannot be accessed now the stamps that they had in an earlier run; in place.
+    """Give files that cannot be accessed in one of two runs the stamps of the other; in place.
 
-    While a drive is not mounted, nothing new can be measured on its files, and old rows stay valid.
+    While a drive is not mounted, nothing is measured on its files, and other rows stay valid.
 
     Args:
         now: From `run_of`, parsed.
@@ -249,14 +249,16 @@ def _recall(now: Mapping[str, Any], before: Mapping[str, Any]) -> None:
     """
     scenes = {scene["name"]: scene for scene in before["scenes"]}
     for scene in now["scenes"]:
+        earlier = scenes.get(scene["name"], scene)
         for part in ("stamp", "photographs"):
-            scene[part] = scene[part] or scenes.get(scene["name"], scene)[part]
+            scene[part] = scene[part] or earlier[part]
+            earlier[part] = earlier[part] or scene[part]
     files = _files_by_key(before)
     for row in now["rows"]:
         name, method, target, file = row
-        earlier = files.get((name, method, BenchTarget(*target)))
-        if file and earlier and not file[1] and file[0] == earlier[0]:
-            row[-1] = earlier
+        known = files.get((name, method, BenchTarget(*target)))
+        if file and known and not file[1] and file[0] == known[0]:
+            row[-1] = known
 
 
 def _files_by_key(inputs: Mapping[str, Any]) -> dict[RowKey, list[Any] | None]:
