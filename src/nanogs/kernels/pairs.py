@@ -9,12 +9,14 @@ _LEAST = 1 << 13  # least number of smaller rows for which a thread scans all ne
 
 
 @inline
-def _lists(neighbours: I32, row: int, value: int) -> bool:
-    """Return whether a row's neighbours include a value; vectorised, since it has no early exit."""
+def _lists(neighbours: I32, row: int, larger: int) -> bool:
+    """Return whether a row's neighbours include a larger row; has no early exit, to be vectorised.
+
+    Another thread may be marking the row meanwhile, which changes only neighbours below the row.
+    """
     hits = 0
     for place in range(neighbours.shape[1]):
-        # The complement, too: another thread may be marking the row.
-        hits += (neighbours[row, place] == value) | (neighbours[row, place] == ~value)
+        hits += neighbours[row, place] == larger
     return hits != 0
 
 
