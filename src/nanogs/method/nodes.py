@@ -33,7 +33,7 @@ class Nodes:
     """N nodes, in an order that keeps spatial neighbours close together.
 
     Attributes:
-        weights: (N,) float64, above 0; the mean over all splats is 1.
+        weights: (N,) float64, above 0; the `typical_weight` of all splats is about 1.
         coverages: (N,) float64, alpha times footprint, square scene units.
         means: (N, 3) float64, scene units, relative to the origin of the run.
         covariances: (N, 6) float64, xx, xy, xz, yy, yz, zz, square scene units.
