@@ -36,7 +36,7 @@ from nanogs.kernels.nodes import (
 from nanogs.kernels.pairs import collect_free, count_pairs, fill_firsts, fill_seconds, tally_free
 from nanogs.kernels.quaternion import rotation_matrix, unit_quaternion
 from nanogs.kernels.radix import radix_sort
-from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix
+from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix, shortest_last
 from nanogs.method import match as matching
 from nanogs.method.graph import neighbour_pairs
 from nanogs.method.match import MergePlan, match
@@ -105,6 +105,15 @@ def test_eigen_reconstructs_any_symmetric_matrix_in_any_unit(entries, unit):
     assert np.allclose(
         axes @ np.diag(values) @ axes.T, reference.unpack(sigma), atol=1e-13 * largest
     )
+
+
+@pytest.mark.parametrize("variances", list(itertools.product((0.0, 1.0, 2.0), repeat=3)))
+def test_the_shortest_axis_is_put_last_and_axes_stay_a_rotation(variances):
+    values, axes = shortest_last(variances, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    axes = np.array(axes)
+    assert values[2] == min(variances)
+    assert np.array_equal(axes @ np.diag(values) @ axes.T, np.diag(variances))
+    assert np.linalg.det(axes) == 1
 
 
 def test_eigen_rotates_a_matrix_with_equal_diagonals_by_45_degrees():

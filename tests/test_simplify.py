@@ -3,6 +3,7 @@
 Promises of `simplify` are tested with all presets; tests of the published method alone say so.
 """
 
+import dataclasses
 import itertools
 import math
 
@@ -14,6 +15,7 @@ from scipy.spatial import ConvexHull
 
 import nanogs
 from builders import model_bytes, random_splats
+from nanogs.activations import rotations
 from nanogs.errors import ModelError, OptionError
 from nanogs.method import match as match_stage
 from nanogs.method.paper import passes
@@ -324,6 +326,20 @@ def test_render_mode_comments_and_elements_are_kept(preset):
     assert small.render_mode == nanogs.RenderMode.MIP
     assert small.comments == ("by me",)
     assert small.elements == (element,)
+
+
+@every_preset
+def test_the_third_axis_of_flat_splats_stays_the_normal_of_their_plane(preset):
+    """As a renderer of 2DGS takes it; here it is the x axis of the scene."""
+    splats = random_splats(200, degree=0, seed=6)
+    splats.means[:, 0] = 0
+    splats.log_scales[:] += (0.0, 0.0, -6.0)
+    splats.quats[:] = (1, 0, 1, 0)
+    flat = dataclasses.replace(splats, render_mode="2dgs")
+    small, _ = nanogs.simplify(flat, count=20, preset=preset)
+    assert small.render_mode == "2dgs"
+    normals = rotations(small.unit_quats().astype(np.float64))[:, :, 2]
+    assert np.abs(normals[:, 0]).min() > 0.99
 
 
 @every_preset

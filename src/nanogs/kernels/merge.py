@@ -4,7 +4,7 @@ from nanogs._types import F32, F64, I32, I64
 from nanogs.kernels.mass import mass_fraction
 from nanogs.kernels.policy import parallel_kernel
 from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
-from nanogs.kernels.symmetric3 import covariance, deviation, eigen, mix
+from nanogs.kernels.symmetric3 import covariance, deviation, eigen, mix, shortest_last
 
 
 @parallel_kernel("pairs")
@@ -37,6 +37,7 @@ def merge_pairs(
             wj, covariance(rj, sjx * sjx, sjy * sjy, sjz * sjz), wi * wj, (x, y, z),
         )  # fmt: skip
         variances, axes = eigen(merged)
+        variances, axes = shortest_last(variances, axes)
         q = unit_quaternion(axes)
         longest = max(variances[0], variances[1], variances[2])
         for axis in range(3):

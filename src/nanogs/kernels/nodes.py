@@ -9,7 +9,7 @@ from nanogs._types import F32, F64, I32, I64
 from nanogs.kernels.lazy_features import feature
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
-from nanogs.kernels.symmetric3 import Symmetric3, covariance, deviation, eigen
+from nanogs.kernels.symmetric3 import Symmetric3, covariance, deviation, eigen, shortest_last
 
 
 @inline
@@ -139,12 +139,13 @@ def gather_moments(
 
 @parallel_kernel("covariances")
 def principal_axes(start: int, stop: int, covariances: F64, scales: F32, quats: F32) -> None:
-    """Compute standard deviations and rotation of every covariance.
+    """Compute standard deviations and rotation of every covariance; the shortest axis is the third.
 
     covariances: (N, 6); scales: (N, 3) out, scene units; quats: (N, 4) out, wxyz unit.
     """
     for i in range(start, stop):
         variances, axes = eigen(symmetric(covariances, i))
+        variances, axes = shortest_last(variances, axes)
         q = unit_quaternion(axes)
         longest = max(variances[0], variances[1], variances[2])
         for axis in range(3):

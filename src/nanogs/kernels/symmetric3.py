@@ -178,3 +178,20 @@ def eigen(s: Symmetric3) -> tuple[tuple[float, float, float], Matrix3]:
             si * e + co * f, co * h - si * i, si * h + co * i,
         )  # fmt: skip
     return (xx * largest, yy * largest, zz * largest), ((a, b, c), (d, e, f), (g, h, i))
+
+
+@inline
+def shortest_last(
+    variances: tuple[float, float, float], axes: Matrix3
+) -> tuple[tuple[float, float, float], Matrix3]:
+    """Reorder what `eigen` returns so that the smallest variance is last, and its axis the third.
+
+    The rasteriser of 2DGS takes the third axis of a splat as the normal of its plane. The order is
+    cyclic, so that the axes remain those of a rotation.
+    """
+    (u, v, w), ((a, b, c), (d, e, f), (g, h, i)) = variances, axes
+    if u < v and u < w:
+        return (v, w, u), ((b, c, a), (e, f, d), (h, i, g))
+    if v < w:
+        return (w, u, v), ((c, a, b), (f, d, e), (i, g, h))
+    return variances, axes
