@@ -209,10 +209,10 @@ def merges_below(children, node, count):
 
 
 def misfit(mean, sigma, features, centre, cluster_sigma, colour, lambda_app):
-    """Expected negative log likelihood of a splat under a cluster, less the constant."""
+    """Kullback-Leibler divergence of a splat from a cluster, plus that of the colours."""
     inverse, offset = np.linalg.inv(cluster_sigma), mean - centre
     fit = offset @ inverse @ offset + np.trace(inverse @ sigma)
-    geometry = 0.5 * (fit + np.linalg.slogdet(cluster_sigma)[1])
+    geometry = 0.5 * (fit - 3 - np.linalg.slogdet(inverse @ sigma)[1])
     return geometry + lambda_app * np.sum((features.astype(np.float64) - colour) ** 2)
 
 

@@ -350,7 +350,10 @@ def test_a_forest_that_ends_early_gives_its_lowest_possible_count(monkeypatch):
 
 
 def log_likelihood(leaves, labels, groups):
-    """Return the weighted log likelihood of the leaves under their own groups, in nats."""
+    """Return the weighted log likelihood of the leaves under their own groups, in nats.
+
+    Less what each would have in a group of its own.
+    """
     merged = gather(leaves, labels, groups)
     inverses, dets = np.empty((groups, 6)), np.empty(groups)
     invert_covariances(merged.covariances, inverses, dets)
@@ -411,14 +414,43 @@ def test_empty_groups_take_the_worst_fitting_splats_of_larger_groups():
     assert labels.tolist() == [0, 1, 5, 3, 4, 2]
 
 
-def test_misfits_for_refilling_groups_are_weighted(monkeypatch):
+def misfits_for_refilling(leaves, labels):
+    given_misfits = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            reassign, "_refill", lambda _new, misfits, _groups: given_misfits.append(misfits)
+        )
+        reassign.reassign(leaves, labels, labels.max() + 1, 1)
+    return given_misfits[0]
+
+
+def test_misfits_for_refilling_groups_are_weighted():
     leaves, _ = nodes_of(random_splats(30, seed=10))
-    given_misfits, labels = [], np.zeros(30, np.int32)
-    monkeypatch.setattr(
-        reassign, "_refill", lambda _new, misfits, _groups: given_misfits.append(misfits)
+    labels = np.zeros(30, np.int32)
+    misfits = misfits_for_refilling(leaves, labels)
+    assert misfits.sum() == pytest.approx(-log_likelihood(leaves, labels, 1))
+    whole, sigmas = gather(leaves, labels, 1), map(reference.unpack, leaves.covariances)
+    group = whole.means[0], reference.unpack(whole.covariances[0]), whole.features[0]
+    expected = [
+        weight * reference.misfit(*splat, *group, reassign.LAMBDA_APP)
+        for weight, *splat in zip(
+            leaves.weights, leaves.means, sigmas, leaves.features[leaves.rows], strict=True
+        )
+    ]
+    assert misfits == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("unit", [2.0**-20, 2.0**20])
+def test_misfits_for_refilling_groups_have_no_unit_of_length(unit):
+    """Else the sign of a logarithm decides whether a heavy splat fits badly or well."""
+    leaves, _ = nodes_of(random_splats(60, seed=10))
+    scaled = dataclasses.replace(
+        leaves, means=leaves.means * unit, covariances=leaves.covariances * unit**2
     )
-    reassign.reassign(leaves, labels, 1, 1)
-    assert given_misfits[0].sum() == pytest.approx(-log_likelihood(leaves, labels, 1))
+    labels = (np.arange(60) % 20).astype(np.int32)
+    misfits = misfits_for_refilling(leaves, labels)
+    assert misfits.min() >= 0
+    assert misfits_for_refilling(scaled, labels) == pytest.approx(misfits, rel=1e-9)
 
 
 def test_a_group_that_loses_all_its_splats_is_refilled():

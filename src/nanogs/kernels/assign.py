@@ -5,7 +5,7 @@ import math
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.symmetric3 import Symmetric3, adjugate, resolved
+from nanogs.kernels.symmetric3 import Symmetric3, adjugate, log_determinant, resolved
 
 _LEAST = 1e-6  # least variance over the sum of all three, as of the flattest splats
 
@@ -51,10 +51,12 @@ def assign_nearest(
     cluster; ties go to the earlier candidate.
     labels: (N,); candidates: (G, k) clusters; means: (N, 3); covariances: (N, 6); features:
     (F, C); rows: (N,) of the features; centres: (G, 3); inverses: (G, 6); log_dets: (G,);
-    colours: (G, C); out: (N,) new labels; distances: (N,) out, the least values.
+    colours: (G, C); out: (N,) new labels; distances: (N,) out, the least values, less
+    ½ [3 + log |Sigma|]: the Kullback-Leibler divergence + lambda |f - f_c|², 0 or more in any unit.
     """
     for i in range(start, stop):
-        xx, xy, xz, yy, yz, zz = symmetric(covariances, i)
+        sigma = symmetric(covariances, i)
+        xx, xy, xz, yy, yz, zz = sigma
         own = labels[i]
         best, chosen = math.inf, own
         for place in range(-1, candidates.shape[1]):
@@ -72,4 +74,4 @@ def assign_nearest(
             total = 0.5 * (spread + log_dets[g]) + lambda_app * distance
             if total < best:
                 best, chosen = total, g
-        out[i], distances[i] = chosen, best
+        out[i], distances[i] = chosen, best - 0.5 * (3.0 + log_determinant(sigma))

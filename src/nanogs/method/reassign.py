@@ -17,7 +17,8 @@ def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int) -> tuple[I32,
     """Assign each splat to the group of highest likelihood, match moments again, and repeat.
 
     A group that loses all its splats takes the worst fitting splat of a group with several, so that
-    the number of groups is unchanged.
+    the number of groups is unchanged: that of the largest product of its weight and its distance
+    from its group (see `assign_nearest`).
 
     Args:
         leaves: N nodes, one for each splat.
@@ -57,8 +58,8 @@ def _one_round(leaves: Nodes, labels: I32, groups: int) -> I32:
         moved,
         distances,
     )
-    distances *= leaves.weights
-    _refill(moved, distances, groups)
+    misfits = np.multiply(distances, leaves.weights, out=distances)
+    _refill(moved, misfits, groups)
     return moved
 
 
