@@ -106,6 +106,12 @@ def test_members_of_one_colour_keep_it():
     np.testing.assert_allclose(colours[0], splats.sh[0], atol=1e-6)
 
 
+def test_so_many_members_that_shares_vanish_in_single_precision_keep_their_colour():
+    splats = random_splats(1, degree=1).take(np.zeros(200_000, np.int64))
+    means, colours = fitted(splats, np.zeros(len(splats), np.int32))
+    np.testing.assert_allclose(colours, means, atol=2e-5)
+
+
 def test_harmonics_below_black_do_not_darken_other_members():
     splats = flat_pair((0.6,) * 3, (-0.8,) * 3)  # one is drawn black, not darker than black
     means, colours = fitted(splats, np.zeros(2, np.int32))

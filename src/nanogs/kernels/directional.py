@@ -12,6 +12,7 @@ from nanogs.kernels.quaternion import rotation_matrix
 from nanogs.kernels.symmetric3 import adjugate
 
 DIRECTIONS = 24  # known to the compiler, which unrolls the loops over them
+_SUMMED = 1024  # members added up in single precision, for speed; of more, shares would get lost
 _GREY = np.float32(0.5)  # the colour without harmonics
 _BLACK = np.float32(0.0)
 
@@ -53,6 +54,7 @@ def fit_directional_colours(
     """
     areas, whole = np.empty(DIRECTIONS, np.float32), np.empty(DIRECTIONS, np.float32)
     shown, light = np.empty((3, DIRECTIONS), np.float32), np.empty((3, DIRECTIONS), np.float32)
+    wholes, lights = np.empty(DIRECTIONS), np.empty((3, DIRECTIONS))  # of all members
     forms, changes = np.empty((6, DIRECTIONS), np.float32), np.empty((3, fitted), np.float32)
     basis = np.empty((colours.shape[1] // 3, DIRECTIONS), np.float32)
     transposed = np.empty((DIRECTIONS, len(basis)), np.float32)
@@ -65,19 +67,26 @@ def fit_directional_colours(
         for place in range(first, end):
             total += weights[members[place]]
         turn_directions(frames[group], directions, degree, forms, transposed, basis)
-        whole[:] = _BLACK
-        light[:] = _BLACK
-        for place in range(first, end):
-            row = members[place]
-            mean = projected_areas(covariances, row, forms, areas)
-            share = np.float32(weights[row] / (total * mean))
-            evaluate_colours(features[rows[row]], basis, shown)
-            for d in range(DIRECTIONS):
-                area = share * areas[d]
-                whole[d] += area
-                light[0, d] += area * max(shown[0, d], _BLACK)
-                light[1, d] += area * max(shown[1, d], _BLACK)
-                light[2, d] += area * max(shown[2, d], _BLACK)
+        wholes[:] = 0.0
+        lights[:] = 0.0
+        for part in range(first, end, _SUMMED):
+            whole[:] = _BLACK
+            light[:] = _BLACK
+            for place in range(part, min(part + _SUMMED, end)):
+                row = members[place]
+                mean = projected_areas(covariances, row, forms, areas)
+                share = np.float32(weights[row] / (total * mean))
+                evaluate_colours(features[rows[row]], basis, shown)
+                for d in range(DIRECTIONS):
+                    area = share * areas[d]
+                    whole[d] += area
+                    light[0, d] += area * max(shown[0, d], _BLACK)
+                    light[1, d] += area * max(shown[1, d], _BLACK)
+                    light[2, d] += area * max(shown[2, d], _BLACK)
+            wholes += whole
+            lights += light
+        whole[:] = wholes
+        light[:] = lights
         for _ in range(steps):
             descend(colours[group], light, whole, basis, transposed, factor, shown, changes)
 
