@@ -470,6 +470,15 @@ def test_random_pairs_depend_on_the_seed_and_are_spread_over_all_rows():
     assert len(random_pairs(1, 4, 0)) == 0
 
 
+def test_random_pairs_are_those_of_one_draw_for_all_rows():
+    n, k = 5000, 20  # several slices, which begin within a row
+    partners = np.random.default_rng(3).integers(0, n - 1, n * k)
+    rows = np.repeat(np.arange(n), k)
+    partners += partners >= rows
+    expected = np.unique(np.sort([rows, partners], axis=0), axis=1)
+    assert np.array_equal(random_pairs(n, k, 3), expected.T)
+
+
 def test_the_random_graph_gives_the_exact_count_and_larger_splats():
     splats = random_splats(500)
     near, _ = nanogs.simplify(splats, ratio=0.1, preset="paper")

@@ -8,6 +8,7 @@ import numpy as np
 from nanogs._types import F64, I32, I64, U32
 from nanogs.kernels.pairs import count_pairs, fill_firsts, fill_seconds
 from nanogs.neighbours import nearest_neighbours
+from nanogs.slices import SLICE_PAIRS, slices
 
 
 def neighbour_pairs(means: F64, k: int) -> I32:
@@ -43,13 +44,23 @@ def random_pairs(n: int, k: int, seed: int) -> I32:
         seed: Seed of the draws.
 
     Returns:
-        (E, 2) int32, i < j in every row, each pair once, ascending.
+        (E, 2) int32, i < j in every row, each pair once, ascending; in column-major order in
+        memory.
     """
     if n < 2:
         return np.empty((0, 2), dtype=np.int32)
-    rows = np.repeat(np.arange(n), k)
-    partners = np.random.default_rng(seed).integers(0, n - 1, n * k)
-    partners += partners >= rows  # of the n - 1 others, the row itself left out
-    low, high = np.minimum(rows, partners), np.maximum(rows, partners)
-    packed = np.unique(low << 32 | high)
-    return np.stack([packed >> 32, packed & 0xFFFFFFFF], axis=1).astype(np.int32)
+    generator = np.random.default_rng(seed)
+    packed: I64 = np.empty(n * k, dtype=np.int64)
+    for part in slices(len(packed), SLICE_PAIRS):
+        rows = np.arange(part.start, part.stop) // k
+        partners = generator.integers(0, n - 1, len(rows))
+        partners += partners >= rows  # of the n - 1 others, the row itself left out
+        packed[part] = np.minimum(rows, partners) << 32 | np.maximum(rows, partners)
+    packed.sort()
+    first = np.append(True, packed[1:] != packed[:-1])
+    packed = packed[first]
+    del first
+    columns: I32 = np.empty((2, len(packed)), dtype=np.int32)
+    np.right_shift(packed, 32, out=columns[0], casting="unsafe")
+    np.bitwise_and(packed, 0xFFFFFFFF, out=columns[1], casting="unsafe")
+    return columns.T

@@ -26,6 +26,9 @@ from nanogs.slices import pairs_in_flight
 
 LEAST_BYTES = 8  # fewest bytes of a splat in a packed file
 _GEOMETRY = 3 * F8 + 3 * F4 + 4 * F4 + F8 + I4 + 1  # a Gaussian; features are in the model
+_DRAWN = 2 * I8 + 1  # a random pair: packed, whether it is new, and packed once more if so
+# A random pair while it is matched: nearly all join rows of two stretches, and are sorted by one.
+_CROSSING = 2 * I4 + 2 + 2 * I8
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +72,8 @@ def plan_memory(
     neighbours = min(parameters.k, max(count - 1, 0))
     if isinstance(parameters, PaperParameters):
         working_set = count * (I4 + _GEOMETRY)
-        held = _paper_stages(count, row, features, neighbours, target)
+        random = parameters.graph == "random"
+        held = _paper_stages(count, row, features, neighbours, target, random=random)
     else:
         working_set, held = forest_stages(
             count, row, features, neighbours, parameters, target, judged=judged
@@ -138,17 +142,20 @@ def plan_chunks(
     return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
 
 
-def _paper_stages(count: int, row: int, features: int, k: int, target: int) -> dict[str, int]:
-    pairs, masses = pairs_of(k), 6 * F8  # including logarithms of scales and opacity
+def _paper_stages(
+    count: int, row: int, features: int, k: int, target: int, *, random: bool
+) -> dict[str, int]:
+    pairs = float(k) if random else pairs_of(k)  # random pairs are hardly ever mutual
+    masses = 6 * F8  # including logarithms of scales and opacity
     # Second pass: merged pairs, which refer to features of the model; third: with own features.
     second = LEFT * (_GEOMETRY + 2 * I4 + 2 * F8)
     third = LEFT**2 * (_GEOMETRY + I4 + features)
     lists = 3 * I4 + I8 + 1 + 2 * F8
     splats = {
         "activate": max(_GEOMETRY, 9 * F8),
-        "graph": _GEOMETRY + graph_bytes(k),
+        "graph": _GEOMETRY + (_DRAWN * pairs if random else graph_bytes(k)),
         "cost": _GEOMETRY + 2 * I4 * pairs + max(F4 * pairs + F8, masses),
-        "match": _GEOMETRY + match_bytes(k),
+        "match": _GEOMETRY + match_bytes(pairs) + (_CROSSING * pairs if random else 0),
         "merge": max(_GEOMETRY + masses + lists + second, second + LEFT * lists + third),
     }
     held = {stage: int(count * (I4 + bytes_each)) for stage, bytes_each in splats.items()}

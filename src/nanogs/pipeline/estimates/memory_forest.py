@@ -104,14 +104,14 @@ def graph_bytes(k: int) -> float:
     return max(_TREE + neighbours, neighbours + starts + I4 * pairs, I8 + 2 * I4 * pairs)
 
 
-def match_bytes(k: int) -> float:
-    """Return the bytes per splat of matching.
+def match_bytes(pairs: float) -> float:
+    """Return the bytes per splat of matching its candidate pairs.
 
     These are the pairs with their costs, and for each row a flag, its cheapest pair and the one it
     was joined in. The steps after that, with sorted batches of keys and the matched pairs, take no
     more.
     """
-    return pairs_of(k) * (2 * I4 + F4) + 1 + 2 * I8
+    return pairs * (2 * I4 + F4) + 1 + 2 * I8
 
 
 def pairs_of(k: int) -> float:
@@ -132,7 +132,7 @@ def _growing(count: int, features: int, k: int) -> dict[str, int]:
     during = {
         "graph": graph_bytes(k),
         "cost": pairs_of(k) * (2 * I4 + F4) + F8,
-        "match": match_bytes(k) + F8,
+        "match": match_bytes(pairs_of(k)) + F8,
     }
     stages = {
         stage: max(h + x * more for h, x in zip(held, left, strict=True))
