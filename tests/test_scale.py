@@ -585,7 +585,9 @@ def test_a_job_folder_with_other_files_is_refused_and_kept(scene, tmp_path):
     assert names_in(tmp_path / "job") == ["thesis.txt"]
 
 
-@pytest.mark.parametrize("name", ["result-1.ply", "result-x/a.txt", "scratch/a.npy", "scratch"])
+@pytest.mark.parametrize(
+    "name", ["result-1.ply", "result-x/a.txt", "scratch/a.npy", "scratch", "lock"]
+)
 def test_files_that_are_named_like_those_of_a_job_are_kept(scene, tmp_path, name):
     mine = tmp_path / "job" / name
     mine.parent.mkdir(parents=True)

@@ -19,10 +19,10 @@ from nanogs.io.atomic import atomic_write, output_error
 from nanogs.io.folder import make_folders, remove_empty
 from nanogs.pipeline.options.settings import VERSION, Settings
 
-MANIFEST, LOCK, SCRATCH = "job.json", "lock", "scratch"
-# The results of a job until they are moved. No user chooses this name: what has it, alone or with a
-# suffix, is deleted with the job.
-RESULT = "result-of-nanogs-job"
+MANIFEST, SCRATCH = "job.json", "scratch"
+# The lock, and the results of a job until they are moved. No user chooses these names: the lock,
+# and what has the second one, alone or with a suffix, are deleted with the job.
+LOCK, RESULT = "lock-of-nanogs-job", "result-of-nanogs-job"
 
 
 def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
