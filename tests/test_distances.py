@@ -3,8 +3,6 @@
 from dataclasses import replace
 from decimal import Decimal, localcontext
 
-import dataclasses
-
 import numba
 import numpy as np
 import pytest
@@ -273,7 +271,7 @@ def test_a_group_of_one_blocks_what_its_member_covers():
 
 def test_effective_counts_are_those_of_members_of_equal_coverage():
     leaves = activate_nodes(random_splats(9), np.arange(9), np.zeros(3), same_pixel(0.0))
-    leaves = dataclasses.replace(leaves, coverages=np.array([2.0, 2, 2, 5, 1e-9, 0, 0, 3, 1]))
+    leaves = replace(leaves, coverages=np.array([2.0, 2, 2, 5, 1e-9, 0, 0, 3, 1]))
     labels = np.array([0, 0, 0, 1, 1, 2, 2, 3, 3], np.int32)
     found = effective_counts(leaves, labels, np.bincount(labels, leaves.coverages))
     assert found == pytest.approx([3, 1, 1, 16 / 10])

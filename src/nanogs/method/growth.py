@@ -97,8 +97,9 @@ def area_needs(
 
     A group has to block as much light as its members do (`blocked`), each counted by its
     visibility. They are taken as very many, which asks for the least: growth that is not needed
-    reaches beyond a surface. Their coverage is then (sum w)² / (sum w²/a), for weights w and coverages a: the sum
-    of all coverages if all are equally visible, and without those of hidden members otherwise.
+    reaches beyond a surface. Their coverage is then (sum w)² / (sum w²/a), for weights w and
+    coverages a: the sum of all coverages if all are equally visible, and without those of hidden
+    members otherwise.
     Members of the least weight, such as splats of alpha 0, have that weight for any coverage, and
     are left out; if a group has no others, all coverage counts.
     Members side by side on a flat sheet do not hide each other: there all their coverage counts.
