@@ -518,6 +518,23 @@ def test_a_browser_without_webgl_gets_a_message(chromium):
         page.close()
 
 
+def test_a_scene_that_cannot_be_opened_gets_its_message_and_may_open_later(tab):
+    with running_fake(MODELS) as (fake, address), without_errors(tab):
+        message = "The model shows nothing."
+        scene, fake.scene = fake.scene, {
+            "type": "failed", "number": None, "kind": "open", "message": message,
+        }  # fmt: skip
+        tab.goto(address)
+        tab.wait_for_selector("body[data-state=failed]", timeout=TIMEOUT)
+        assert tab.get_by_role("alert").inner_text() == message
+        assert tab.inner_text("#said") == ""
+        fake.send_event(**scene)
+        fake.wait("ask")
+        assert not tab.is_visible("#alert")
+        tab.evaluate("sessionStorage.clear()")
+        tab.goto("about:blank")
+
+
 def test_a_plot_of_one_point_has_its_size_on_the_axis(tab):
     with opened(tab, answered=False) as studio:
         studio.answer_request(bytes=1_300_000)

@@ -35,6 +35,12 @@ connection.on("scene", (scene) => {
   if (begun) begun.again();
   else open(scene);
 });
+connection.on("failed", ({ message }) => {
+  if (begun) return; // `begin` listens, too
+  data.state = "failed";
+  status.say("");
+  status.complain(message);
+});
 connection.on("progress", (event) => status.work(event));
 connection.on("connected", () => {
   if (data.lost) status.complain("");
