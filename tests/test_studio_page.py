@@ -347,6 +347,35 @@ def test_splats_to_be_removed_are_magenta_before_the_filter_is_applied(studio):
     assert page.input_value("#opacity") == "0"
 
 
+def test_the_left_side_follows_a_scene_that_a_new_worker_has_opened(studio):
+    page, fake = studio.page, studio.fake
+    took = [{"name": "crop", "argument": "", "removed": 100, "left": 200}]
+    filtered = {"type": "filtered", "preview": False, "took": took, "left": 200}
+    page.click("#sift summary")
+    page.fill("#opacity", "0.1")
+    page.press("#opacity", "Enter")
+    page.click("#take")
+    number = fake.wait("ask", 2)["number"]
+    fake.send_event(**filtered, number=number, model=fake.model("green"))
+    studio.wait_for_colour(GREEN, "left")
+    fake.send_event(**fake.scene)  # the connection was lost, but the worker still runs
+    fake.wait("ask", 3)
+    assert page.inner_text("#taken") == "100 removed"
+    studio.answer_request()
+    assert studio.share_of_colour(GREEN, "left") > 0.05
+    fake.send_event(**fake.scene | {"model": fake.model("magenta")})
+    # The answer to the request for which the worker was started, before it is asked again.
+    fake.send_event(**filtered, number=number + 1, model=fake.model("blue"))
+    fake.wait("ask", 4)
+    studio.wait_for_colour(BLUE, "left")
+    assert page.inner_text("#taken") == "100 removed"
+    page.click("#undo")
+    fake.wait("ask", 5)
+    fake.send_event(**fake.scene | {"model": fake.model("green")})
+    studio.wait_for_colour(GREEN, "left")
+    assert page.inner_text("#taken") == ""
+
+
 @pytest.mark.parametrize("face", ["x-high", "y-low", "z-high"])
 def test_a_face_of_the_crop_box_can_be_dragged_in_the_picture(studio, face):
     page = studio.page

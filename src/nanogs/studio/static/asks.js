@@ -17,12 +17,13 @@ export function makeAsks(connection, state, { onSend, onCommand, onRefuse }) {
     waiting = true;
     while (!same(asked, state.choice)) {
       const before = asked;
+      const last = choices.get(latest); // also after `again`
       asked = state.choice;
       const { number, answer } = connection.start("ask", { choice: asked });
       latest = number;
       choices.set(number, asked);
       choices.delete(number - KEPT);
-      if (!before || !sameScene(before, asked)) since = number;
+      if (!last || !sameScene(last, asked)) since = number;
       onSend(asked, before);
       await answer.then(onCommand, (error) => onRefuse(number, error.message));
       await new Promise((done) => setTimeout(done, PAUSE));
@@ -39,7 +40,7 @@ export function makeAsks(connection, state, { onSend, onCommand, onRefuse }) {
     },
     choiceOf: (number) => choices.get(number),
     send,
-    // Called after the connection was lost, because the server may have forgotten the page.
+    // Sends the choice again, because the server may have forgotten the page.
     again() {
       asked = null;
       send();

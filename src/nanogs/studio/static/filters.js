@@ -162,6 +162,11 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
       byId("taken").textContent = lost ? `${numbers.count(lost)} removed` : "";
       byId("taken").title = lost ? outcome(event) : "";
     },
+    // Called when the left side shows the whole scene again.
+    reopened() {
+      if (marked) forget();
+      byId("taken").textContent = byId("taken").title = "";
+    },
     refused(message) {
       document.body.dataset.preview = "none";
       say(message);

@@ -45,6 +45,11 @@ export function makePreview(scene, state, facts, { connection, asks, picture, st
     follow: filters.follow,
     // Called when a face of the box is dragged in the picture; `value` is in units of the page.
     drag: (axis, end, value) => filters.drag(axis, end, value / scale + centre[axis]),
+    // Called when the scene was opened again: the left side shows all of it.
+    reopened(model) {
+      filters.reopened();
+      picture.base(model, scene.name, facts).catch(failed);
+    },
     filtered: (event) => (event.preview ? look(event) : taken(event)),
     // Handles a request that has failed; returns whether it was the awaited preview.
     refused(number, message) {

@@ -32,7 +32,7 @@ function stop() {
 
 let begun = null;
 connection.on("scene", (scene) => {
-  if (begun) begun.again();
+  if (begun) begun.again(scene);
   else open(scene);
 });
 connection.on("failed", ({ message }) => {
@@ -135,7 +135,16 @@ function begin(scene) {
   if (state.choice.up !== null) picture.up(state.choice.up);
   sliders.render();
   asks.send();
-  return asks;
+  let { id } = scene.model;
+  return {
+    // Called when the scene has come again: after the connection was lost, or from a new worker,
+    // whose model has another ID and which takes this page to show the whole scene.
+    again({ model }) {
+      if (model.id !== id) preview.reopened(model);
+      id = model.id;
+      asks.again();
+    },
+  };
 }
 
 function firstChoice(scene) {
