@@ -16,11 +16,13 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from launch import run_here
+from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import OptionError
-from nanogs.frames import change_between
+from nanogs.frames import change_between, change_frame
 from nanogs.pipeline.options.presets import FORESTS
 from nanogs.studio import turning
 from nanogs.studio.choice import UPS, choice_of
+from nanogs.studio.opening import opened
 from nanogs.studio.orders import LAYOUTS, SaveRequest, refuse_unfit, shown_path
 from nanogs.studio.scene import StudioSettings, scene_of
 
@@ -199,6 +201,29 @@ def test_up_cannot_be_changed_if_the_file_states_its_frame(tmp_path):
     with pytest.raises(OptionError, match="states its frame"):
         refuse_unfit(scene_of(path), choice)
     refuse_unfit(scene_of(path), choice_of({"wish": {"splats": 5}, "up": "-y"}))
+
+
+@pytest.mark.parametrize(
+    ("frame", "up"), [("rub", "+y"), ("luf", "+y"), ("ruf", "+y"), ("rdf", "-y")]
+)
+def test_a_page_opens_with_the_up_that_the_file_states(tmp_path, frame, up):
+    path = tmp_path / "without ground.spz"
+    nanogs.save(random_splats(60), path, format_options={"spz_version": 4, "frame": frame})
+    assert opening_of(path) == (up, turning.direction_of(up), False)
+
+
+def test_a_page_opens_with_the_up_that_is_found_if_only_the_format_has_one(tmp_path):
+    path = tmp_path / "scene.ply"
+    nanogs.save(change_frame(make_scene(3000), "rdf", "rfu"), path)
+    assert opening_of(path) == ("+z", (0, 0, 1), True)
+    assert opening_of(path, up="-x") == ("-x", (-1, 0, 0), True)
+
+
+def opening_of(path, **given):
+    """Return the up axis, the camera's up and whether it can be changed, as a page is told."""
+    event, start, _ = opened(scene_of(path), StudioSettings(**given), nanogs.load(path))
+    assert event["camera"]["up"] == start.up.tolist()
+    return event["up"], tuple(start.up), event["can_turn"]
 
 
 @pytest.mark.parametrize("up", UPS)

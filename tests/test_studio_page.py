@@ -452,7 +452,7 @@ def test_another_up_turns_the_picture_and_the_old_one_restores_it(studio):
     page.click("#first-view")
     studio.wait_until(lambda: np.array_equal(studio.pixels(), turned))
     page.click("#up [data-value='-y']")
-    assert studio.choice_of_request(3)["up"] is None
+    assert studio.choice_of_request(3)["up"] == "-y"
     studio.wait_until(lambda: np.array_equal(studio.pixels(), first))
 
 

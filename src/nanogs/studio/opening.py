@@ -27,14 +27,16 @@ def opened(
         ModelError: No splat is visible.
     """
     drawn = few(whole)
-    start = opening_for(drawn, up=None if settings.up is None else direction_of(settings.up))
+    stated = scene.up if scene.states_frame else None  # the axis of a mere format may be wrong
+    asked = settings.up or stated
+    start = opening_for(drawn, up=None if asked is None else direction_of(asked))
     shown = show(drawn, start, len(whole))
     low, high, inner_low, inner_high = _bounds(whole)
     first = {"preset": settings.preset, "render_mode": settings.render_mode, "up": settings.up}
     event = {
         "type": "scene", "name": scene.path.name, "stem": scene.stem, "splats": len(whole),
         "sh_degree": whole.sh_degree, "file_bytes": scene.file_bytes,
-        "render_mode": scene.render_mode, "up": scene.up or up_of(start.up.tolist()),
+        "render_mode": scene.render_mode, "up": stated or up_of(start.up.tolist()),
         "can_turn": not scene.states_frame, "available": int(whole.finite().sum()),
         "formats": writable_formats(), "presets": list(FORESTS),
         "layouts": [

@@ -46,8 +46,10 @@ def stated_up(source: FileSource, path: Path) -> str | None:
         path: Its path.
     """
     known = registry.reader(path)
-    frame = known.axes or source.frame
-    return next((up for up, name in FRAMES.items() if name == frame), None)
+    letters = zip("xyz", known.axes or source.frame, strict=False)  # no letters if none is stated
+    return next(
+        (("+" if letter == "u" else "-") + axis for axis, letter in letters if letter in "ud"), None
+    )
 
 
 def states_frame(source: FileSource, path: Path) -> bool:

@@ -41,9 +41,7 @@ export function makeMethod(scene, state) {
     state.set({ render_mode: mode === scene.render_mode ? null : mode }),
   );
   const ups = UPS.map((axis) => [axis, axis.replace("-", "−"), `${axis} is up`]);
-  const pressUp = segments(byId("up"), ups, (axis) =>
-    state.set({ up: axis === scene.up ? null : axis }),
-  );
+  const pressUp = segments(byId("up"), ups, (up) => state.set({ up }));
   const notes = [...(scene.notes ?? [])];
   if (scene.can_turn === false) {
     for (const button of byId("up").children) button.disabled = true;
