@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from builders import cloud_pair
 from nanogs.io import encoded_bytes, save
 from nanogs.pipeline.options.target import Goal
-from nanogs.studio import asking
+from nanogs.studio import asking, showing
 from nanogs.studio.asking import QUICK, TRIES, UNSEEN, RequestHandler
 from nanogs.studio.cache import FilteredScene, WorkerCache
 from nanogs.studio.choice import Choice, choice_of
@@ -285,6 +285,14 @@ def test_of_several_results_the_one_that_meets_the_psnr_is_shown(answers, forest
     answers.ask(choice_of({"wish": {"psnr": 30.0}}), job)
     assert job.events == ["draft", *["made", "point"] * 3, "measured"]
     assert job.said[-1]["psnr"] == 31.0
+
+
+def test_a_model_that_is_too_large_to_be_drawn_keeps_its_harmonics(forest, monkeypatch):
+    monkeypatch.setattr(showing, "MOST_SHOWN", 150)
+    drawn = showing.few(forest.splats)
+    assert np.array_equal(drawn.sh, forest.splats.sh[::3])
+    shown = showing.show(drawn, opening_for(forest.splats), 400)
+    assert (shown.entry["splats"], shown.entry["of"]) == (134, 400)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".glb", ".npz", ".compressed.ply", ".splat"])

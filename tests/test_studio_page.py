@@ -439,6 +439,32 @@ def test_the_error_map_is_bright_where_the_sides_differ(studio):
     assert not page.is_visible("#legend")
 
 
+def test_a_reduced_model_is_said_to_be_one_beside_the_picture_and_the_error_map(studio):
+    page, fake = studio.page, studio.fake
+    page.keyboard.press("e")
+    assert not page.is_visible("#legend-note")
+    page.click("#sift summary")
+    page.fill("#opacity", "0.1")
+    page.press("#opacity", "Enter")
+    page.click("#take")
+    number = fake.wait("ask", 2)["number"]
+    took = [{"name": "opacity", "argument": "", "removed": 100, "left": 200}]
+    model = fake.model("green", 50) | {"of": 200, "note": "50 are drawn in place of 200."}
+    fake.send_event(
+        type="filtered", preview=False, number=number, took=took, left=200, model=model
+    )  # fmt: skip
+    page.wait_for_selector("#legend-note:visible", timeout=TIMEOUT)
+    label = page.locator(".nv-label.nv-left").inner_text()
+    assert "200 splats of 300" in label
+    assert "50 are drawn in place of 200." in label
+    page.click("#undo")
+    number = fake.wait("ask", 3)["number"]
+    fake.send_event(
+        type="filtered", preview=False, number=number, took=[], left=300, model=fake.model("blue")
+    )  # fmt: skip
+    studio.wait_until(lambda: not page.is_visible("#legend-note"))
+
+
 def test_another_up_turns_the_picture_and_the_old_one_restores_it(studio):
     page = studio.page
     first = studio.pixels()

@@ -48,14 +48,17 @@ def show(splats: Splats, start: Opening, of: int) -> Shown:
             " cannot draw more; numbers are those of the whole model.",
         )
     entry = {
-        "id": name, "splats": len(splats), "mip": packed.mip, "note": " ".join(notes) or None,
+        "id": name, "splats": len(splats), "of": of, "mip": packed.mip,
+        "note": " ".join(notes) or None,
     }  # fmt: skip
     return Shown(entry, {name: packed.data})
 
 
 def few(splats: Splats) -> Splats:
-    """Reduce a model to `MOST_SHOWN` splats if it has more."""
-    return splats if len(splats) <= MOST_SHOWN else decimated(splats, MOST_SHOWN)
+    """Reduce a model to `MOST_SHOWN` splats if it has more; those keep their harmonics."""
+    if len(splats) <= MOST_SHOWN:
+        return splats
+    return decimated(splats, MOST_SHOWN, sh_degree=splats.sh_degree)
 
 
 def marked(splats: Splats, stays: Bool) -> Splats:

@@ -13,11 +13,12 @@ export function makePicture(scene, fetchModel, { complain, onStill, onBox }) {
     onBox,
   });
   const asked = [0, 0]; // number of models asked for on each side
+  const reduced = [false, false]; // whether a side is drawn with fewer splats than its model has
   let result = null; // the latest model of the right side: { id, shown }
-  let base = null; // the scene that results are compared with: { fetched, mip, name, facts }
+  let base = null; // the scene that results are compared with, from `entry`
 
   // Shows a model on a side; returns false if a later one was asked for meanwhile.
-  async function show(side, { fetched, mip, name, facts }) {
+  async function show(side, { fetched, mip, name, facts, isReduced }) {
     const turn = (asked[side] += 1);
     let bytes;
     try {
@@ -30,17 +31,26 @@ export function makePicture(scene, fetchModel, { complain, onStill, onBox }) {
     await viewer.show(side, bytes.slice(), mip);
     if (turn !== asked[side]) return false;
     viewer.label(side, name, facts);
+    reduced[side] = isReduced;
+    byId("legend-note").hidden = !reduced.includes(true);
     return true;
   }
 
-  const entry = (model, name, facts) => ({ fetched: fetchModel(model.id), mip: model.mip, name, facts });
+  const entry = (model, name, facts) => ({
+    fetched: fetchModel(model.id),
+    mip: model.mip,
+    isReduced: model.splats < model.of,
+    name,
+    facts,
+  });
 
   return {
     box: viewer.box,
     key: viewer.key,
     label: viewer.label,
     base(model, name, facts) {
-      base = entry(model, name, facts); // kept here, because the server does not keep it
+      const noted = model.note ? [...facts, model.note] : facts;
+      base = entry(model, name, noted); // kept here, because the server does not keep it
       return show(0, base);
     },
     // Shows another model in place of the scene, until `back`.

@@ -91,7 +91,6 @@ function begin(scene) {
 
   const facts = [numbers.splats(scene.splats), numbers.size(scene.file_bytes)];
   byId("scene-facts").textContent = facts.join(" · ");
-  if (scene.model.note) facts.push(scene.model.note);
   picture.bind();
   picture.base(scene.model, scene.name, facts).catch((error) => status.complain(error.message));
   const { rest } = answers;
