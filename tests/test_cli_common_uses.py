@@ -279,6 +279,27 @@ def test_view_shows_the_finest_level_that_fits_a_page(folder, tmp_path, monkeypa
                    "--level")  # fmt: skip
 
 
+def test_view_says_which_level_of_a_stream_its_psnr_is_against(folder, tmp_path):
+    require_bundle()
+    page, models = tmp_path / "page.html", [folder / "stream" / "lod-meta.json", folder / "a.ply"]
+
+    def seen(level):
+        report = view_files(
+            [(path.stem, path) for path in models], page, level=level, views=1, width=32, height=32,
+            overwrite=True,
+        )  # fmt: skip
+        return "against level 1 of 0 to 3" in page.read_text(encoding="utf-8"), report.notes
+
+    assert seen(0) == (False, ())
+    in_page, notes = seen(1)
+    assert in_page
+    assert [note.split(";")[0] for note in notes] == [
+        "The PSNR is against level 1 of 0 to 3 of lod-meta"
+    ]
+    models.reverse()
+    assert seen(1) == (False, ())
+
+
 @pytest.mark.parametrize("command", ["convert", "view"])
 def test_a_level_of_a_folder_of_files_is_refused_with_the_name_of_its_file(
     folder, tmp_path, command

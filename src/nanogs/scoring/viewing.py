@@ -61,8 +61,8 @@ class ViewReport:
         output: The page.
         output_bytes: Its size.
         models: The one or two models.
-        judged: Scores of the second model against the first, as from `compare`; None for one model,
-            or if not requested.
+        judged: Scores of the second model against the first as it is shown, as from `compare`; None
+            for one model, or if not requested.
         notes: Remarks that matter for reading these scores.
         seconds: Time by stage.
     """
@@ -150,17 +150,18 @@ def view_files(
             found, kind = chosen_cameras(models[0], wanted, views, (width, height), up)
         first_view = AUTOMATIC.get(wanted, "auto") if isinstance(wanted, str) else wanted[0]
         start = opening_for(models[0], first_view, up)
+    texts = [_level_text(counts, level) for counts in levels]
     judged, notes = None, tuple[str, ...]()
     if measured:
         with clock.time("measure"):
             comparison = _compare(inputs, models, found, kind, background, tracker)
-        judged, notes = comparison.judged(0), comparison.notes
+        judged = comparison.judged(0)
+        notes = (*_against(inputs[0][0], texts[0]), *comparison.notes)
     tracker.begin("encode")
     with clock.time("pack"):
         packed = [pack(splats, start) for splats in each(models, tracker.part)]
     tracker.begin("write")
     with clock.time("write"):
-        texts = [_level_text(counts, level) for counts in levels]
         shown = _shown(infos, inputs, models, packed, judged, texts)
         text = render_page(shown, start, background)
         with atomic_write(page, overwrite=overwrite) as file:
@@ -213,6 +214,12 @@ def _level_text(levels: Sequence[int], level: int | None) -> str:
     """Name the level that is shown; empty for the finest, and for a model without levels."""
     number = _number(levels, level)
     return f"level {number} of 0 to {len(levels) - 1}" if number else ""
+
+
+def _against(name: str, coarse: str) -> tuple[str, ...]:
+    """Return a note if the scores are against a coarse level of the first model."""
+    note = f"The PSNR is against {coarse} of {name}; nanogs compare measures against the finest."
+    return (note,) if coarse else ()
 
 
 def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
@@ -277,6 +284,8 @@ def _shown(
     for place, (info, (name, _path), splats, data, coarse) in enumerate(together):
         reference, score = (len(models[0]), judged) if place else (None, None)
         facts = facts_of(len(splats), info.file_bytes, reference=reference, judged=score)
+        if score is not None and levels[0]:
+            facts += (f"against {levels[0]}",)
         shown.append(Shown(name, (*facts, coarse) if coarse else facts, data))
     return shown
 
