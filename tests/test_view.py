@@ -321,6 +321,24 @@ def test_the_second_model_is_measured_as_compare_measures_it(files, tmp_path):
     assert "PSNR" not in without_licences((tmp_path / "b.html").read_text(encoding="utf-8"))
 
 
+def test_a_report_says_how_its_interactive_part_differs_from_the_models(tmp_path):
+    require_bundle()
+    splats = random_splats(100)
+    splats.means[:3] *= 1000 / np.linalg.norm(splats.means[:3], axis=1, keepdims=True)
+    splats.sh[:5, 0] = 9
+    nanogs.save(splats, tmp_path / "a.ply")
+    inputs = [(name, tmp_path / "a.ply") for name in "ab"]
+    page, small = tmp_path / "a.html", {"views": 1, "sizes": [(32, 32)], "overwrite": True}
+    told = compare_files(inputs[0], inputs[1:], report=page, interactive=True, **small)
+    written = page.read_text(encoding="utf-8")
+    plain = compare_files(inputs[0], inputs[1:], report=page, **small)
+    packed = pack(nanogs.load(tmp_path / "a.ply"), opening_for(splats))
+    assert len(packed.notes) == 3
+    expected = [f"{name}, in 3D: {note}" for name in "ab" for note in packed.notes]
+    assert list(told.notes) == [*plain.notes, *expected]
+    assert "b, in 3D: 3 splats farther" in written
+
+
 def test_pages_show_names_that_are_not_utf8(files, tmp_path):
     require_bundle()
     inputs, page = (

@@ -69,14 +69,15 @@ def _overhead_bytes() -> int:
 def losses(splats: Splats) -> tuple[str, ...]:
     """Name the parts of a model that the page does not show or clamps, one sentence each.
 
-    Splats that the page moves because they are far away are not named: which these are depends on
-    the first view of the whole model, and this may be some of its rows.
+    Splats that the page moves because they are far away, and scales that it clamps at 47 times the
+    first distance, are not named: which these are depends on the first view of the whole model, and
+    this may be some of its rows.
     """
     from nanogs.io.spz.write import clamped_colours
 
     found = limits.left_out(splats, SUFFIX, max_degree=_MAX_DEGREE)
     found += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)
-    # The page holds an .spz in units of its own, in which colours alone can be out of range.
+    # The page holds an .spz in units of its own, in which the other ranges have this distance.
     return (*found, *clamped_colours(splats.with_sh_degree(_MAX_DEGREE)))
 
 

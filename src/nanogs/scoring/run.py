@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -119,7 +120,11 @@ def compare_files(
         viewer = None
         if how.shown:
             tracker.begin("encode")
-            viewer = _viewer(found, _first_view(seen, found), up)
+            viewer, notes = _viewer(found, _first_view(seen, found), up)
+            comparison = found.comparison
+            found = found._replace(
+                comparison=replace(comparison, notes=(*comparison.notes, *notes))
+            )
         tracker.begin("write")
         text = render_page(found.comparison, found.sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
@@ -135,12 +140,19 @@ def _first_view(seen: ComparedViews | Photographs, found: Measured) -> "Kind | C
     return found.cameras[0]
 
 
-def _viewer(found: Measured, start: "Kind | Camera", up: Sequence[float] | None) -> str:
-    """Return the page's interactive part, with the given models but not their packed files."""
+def _viewer(
+    found: Measured, start: "Kind | Camera", up: Sequence[float] | None
+) -> tuple[str, list[str]]:
+    """Return the page's interactive part, and notes on how it shows the models.
+
+    It holds the given models but not their packed files.
+    """
     models = [model for model in found.models if not model.packed_as]
     held = [source_of(model.splats).load() for model in models]
     opening = opening_for(held[0], start, up)
-    return viewer_part(_shown(models, held, found.comparison, opening), opening, found.background)
+    shown = _shown(models, held, found.comparison, opening)
+    notes = [f"{model.name}, in 3D: {note}" for model in shown for note in model.packed.notes]
+    return viewer_part(shown, opening, found.background), notes
 
 
 def _shown(
