@@ -1,5 +1,7 @@
 """`compare` and `render`: scores, skipped views, and the report page in a real browser."""
 
+import base64
+import io
 import json
 import math
 import os
@@ -23,7 +25,7 @@ from nanogs.raster.images import color_image, depth_image, to_bytes
 from nanogs.raster.rendering import Rendering, prepare, render
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.scoring.page import rate_distortion_plot, render_page
-from nanogs.scoring.pictures import error_map
+from nanogs.scoring.pictures import data_uri, error_map
 from nanogs.scoring.run import compare_files
 from nanogs.scoring.scores import mean_psnr
 from nanogs.views.png import file_names, render_images
@@ -154,6 +156,15 @@ def test_a_comparison_without_models_or_with_an_unknown_metric_is_refused():
         compare_models(
             NamedModel("r", splats), [NamedModel("s", splats)], [camera()], extras=["vmaf"]
         )
+
+
+@pytest.mark.parametrize(("side", "kind"), [(16_383, "webp"), (16_384, "jpeg")])
+def test_pictures_of_any_side_that_a_view_may_have_are_encoded(side, kind):
+    image = np.full((2, side, 3), 0.5, np.float32)
+    start, data = data_uri(image).split(",")
+    assert start == f"data:image/{kind};base64"
+    with Image.open(io.BytesIO(base64.b64decode(data))) as decoded:
+        assert decoded.size == (side, 2)
 
 
 def test_the_error_map_is_black_where_images_are_equal_and_bright_elsewhere():

@@ -8,7 +8,8 @@ import numpy as np
 from nanogs._types import F32
 from nanogs.raster.images import to_bytes
 
-_WEBP_QUALITY = 85
+_QUALITY = 85
+_WEBP_SIDE = 16_383  # longest side of a WebP picture, pixels
 ERROR_FULL_SCALE = 0.25  # mean absolute difference shown in the map's brightest colour
 # Every 15th colour of "inferno", by Nathaniel Smith and Stéfan van der Walt (CC0).
 _INFERNO = (
@@ -30,9 +31,9 @@ def error_map(reference: F32, image: F32) -> F32:
 
 
 def data_uri(image: F32) -> str:
-    """Encode the image as a WebP `data:` URL, for self-contained pages."""
+    """Encode the image as a `data:` URL, for self-contained pages: WebP, or JPEG if too large."""
     from PIL import Image
 
-    buffer = io.BytesIO()
-    Image.fromarray(to_bytes(image)).save(buffer, format="WEBP", quality=_WEBP_QUALITY)
-    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    buffer, kind = io.BytesIO(), "webp" if max(image.shape) <= _WEBP_SIDE else "jpeg"
+    Image.fromarray(to_bytes(image)).save(buffer, format=kind, quality=_QUALITY)
+    return f"data:image/{kind};base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
