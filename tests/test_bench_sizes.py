@@ -240,6 +240,21 @@ def test_scenes_with_and_without_photographs_have_means_of_their_own():
     assert values["mean over scenes against photographs, .sog"] == list(base_plus(3))
 
 
+def test_no_chart_is_without_points():
+    """Neither for the original, which is measured against photographs, nor for other views."""
+    photographs = [
+        replace(row, scene="b", label="", further=(), against=Against.PHOTOGRAPHS)
+        for row in rows_of("ours", base_plus(3))
+    ]
+    original = replace(photographs[0], method=ORIGINAL, format="", size=None)
+    charts = SizeCharts([original, *photographs])
+    assert [chart.title for chart in charts.charts] == ["b, .sog"]
+    assert charts.columns == 1
+    charts = SizeCharts([original, *photographs, *rows_of("ours", BASE, scene="a", near=1)])
+    assert all(chart.lines["ours"] for chart in charts.charts)
+    assert (len(charts.charts), charts.columns) == (2 * (1 + 2), 2)
+
+
 def test_the_picture_shows_the_points_in_the_colours_of_the_page():
     rows = [*rows_of("them", BASE), *rows_of("ours", base_plus(2))]
     charts = SizeCharts(rows)

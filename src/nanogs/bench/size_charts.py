@@ -19,7 +19,12 @@ _DOTS = 110  # per inch
 
 
 class SizeCharts:
-    """A grid of charts: a row for the mean and each scene, a column for each format and views."""
+    """A grid of charts: for the mean and for each scene, one for each format and views with points.
+
+    Attributes:
+        charts: The charts, row by row.
+        columns: Number of charts in a row.
+    """
 
     def __init__(self, rows: Sequence[BenchRow]) -> None:
         """Collect the charts' points.
@@ -27,18 +32,22 @@ class SizeCharts:
         Args:
             rows: From `run_bench` with file sizes.
         """
-        columns = views_of(rows)
-        self.columns = len(columns)
+        columns = views_of([row for row in rows if row.format])  # the original has its own views
         scenes = unique(row.scene for row in rows)
         names = unique(row.method for row in rows if row.method != ORIGINAL)
         groups = {scene: [row for row in rows if row.scene == scene] for scene in scenes}
         if len(scenes) > 1:
             groups = _means(rows) | groups
-        self.charts = [
-            Chart(_title(name, *column), _ACROSS, _lines(group, names, *column))
+        drawn = [
+            [
+                Chart(_title(name, *column), _ACROSS, lines)
+                for column in columns
+                if any((lines := _lines(group, names, *column)).values())
+            ]
             for name, group in groups.items()
-            for column in columns
         ]
+        self.charts = [chart for row in drawn for chart in row]
+        self.columns = max(map(len, drawn), default=0)
 
     def svg(self) -> str:
         """Return all charts as one SVG element."""
