@@ -511,6 +511,22 @@ def test_a_short_name_of_a_scene_is_replaced_once_in_that_of_its_levels(tab):
         assert studio.page.input_value("#save-name") == "s-small/tileset.json"
 
 
+def test_a_format_that_is_a_folder_is_saved_as_a_folder_of_the_chosen_name(tab):
+    with opened(tab) as studio:
+        studio.fake.scene["formats"] = [".sog", "meta.json"]
+        studio.page.reload()
+        studio.fake.wait("ask", 2)
+        studio.answer_request()
+        page = studio.page
+        page.keyboard.press("Control+s")
+        page.wait_for_selector("#entries >> text=old/")
+        page.select_option("#save-format", "file meta.json")
+        assert page.input_value("#save-name") == "scene-small/meta.json"
+        page.fill("#save-name", "x/meta.json")
+        page.select_option("#save-format", "file .sog")
+        assert page.input_value("#save-name") == "x.sog"
+
+
 def test_saving_asks_before_it_replaces_a_file_and_shows_the_command(studio):
     page, fake = studio.page, studio.fake
     page.keyboard.press("Control+s")

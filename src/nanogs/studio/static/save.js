@@ -38,6 +38,8 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
     return kind === "levels" ? scene.layouts.find((one) => one.suffix === suffix) : null;
   };
   const suffix = () => format.value.split(" ")[1];
+  // What the name of a file has after its stem; a format without a dot names a file in a folder.
+  const ending = () => (suffix().startsWith(".") ? suffix() : `/${suffix()}`);
   const path = () => (folder ? `${folder}/${name.value.trim()}` : name.value.trim());
   const choice = () => ({
     ...state.choice,
@@ -53,7 +55,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   // Changes the suffix of the name to that of the format, and keeps the typed stem.
   function rename() {
     const found = layout();
-    name.value = found ? stem + found.example.slice(scene.stem.length) : `${stem}${suffix()}`;
+    name.value = found ? stem + found.example.slice(scene.stem.length) : `${stem}${ending()}`;
     for (const element of dialog.querySelectorAll(".levels")) element.hidden = !found;
     changed(0);
   }
@@ -121,7 +123,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   }
 
   function learnStem() {
-    const end = layout() ? /\/[^/]*$|\.[^./]*$/ : suffix();
+    const end = layout() ? /\/[^/]*$|\.[^./]*$/ : ending();
     const typed = name.value.trim();
     if (typeof end === "string") stem = typed.endsWith(end) ? typed.slice(0, -end.length) : typed;
     else stem = typed.replace(end, "");
