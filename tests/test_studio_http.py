@@ -1,5 +1,6 @@
 """HTTP security of the studio: it answers only its own page, and shows only its own folder."""
 
+import asyncio
 import json
 import os
 import re
@@ -7,12 +8,14 @@ import sys
 from urllib.parse import urlsplit
 
 import pytest
+from starlette.responses import PlainTextResponse
 
 import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.studio.listing import Folder
 from nanogs.studio.pages import MOST, Pages
+from nanogs.studio.safety import Guard
 from studio import running
 
 
@@ -103,6 +106,27 @@ def test_localhost_is_accepted_as_host_name(studio):
     names = {"Host": f"localhost:{port}", "Origin": f"http://localhost:{port}"}
     assert studio.request("GET", headers=names)[0] == 200
     assert studio.request("POST", "ask", ASK, headers=names)[0] == 200
+
+
+@pytest.mark.parametrize(("port", "status"), [(80, 200), (8080, 421)])
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+@pytest.mark.parametrize("method", ["GET", "POST"])
+def test_only_port_80_may_be_left_out_of_the_host_name(port, status, host, method):
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    headers = {
+        "host": host, "origin": f"http://{host}", "content-type": "application/json",
+        "content-length": "0",
+    }  # fmt: skip
+    scope = {
+        "type": "http", "method": method, "path": "/token/",
+        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+    }  # fmt: skip
+    asyncio.run(Guard(PlainTextResponse("here"), "token", port)(scope, None, send))
+    assert sent[0]["status"] == status
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MOST_BYTES = 1 << 16  # of a request body
+_HTTP_PORT = 80  # the port that clients leave out of `Host` and `Origin`
 HEADERS = {
     "content-security-policy": "default-src 'none'; script-src 'self' 'wasm-unsafe-eval' blob:;"
     " worker-src blob:; connect-src 'self' data: blob:; img-src 'self' data: blob:;"
@@ -38,7 +39,10 @@ class Guard:
             port: Port of the server.
         """
         self._inner, self._token = inner, token
-        self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        names = ("127.0.0.1", "localhost")
+        self._hosts = {f"{name}:{port}" for name in names}
+        if port == _HTTP_PORT:
+            self._hosts.update(names)
 
     async def __call__(self, scope: "Scope", receive: "Receive", send: "Send") -> None:
         """Refuse a request, or pass it to the application and add the security headers."""
