@@ -281,7 +281,8 @@ def test_drafts_are_shown_while_a_slider_moves(studio):
 
 
 @pytest.mark.parametrize(
-    ("typed", "fragment"), [("lots", "“lots”"), ("5,000", "300"), ("-1", "“-1”")]
+    ("typed", "fragment"),
+    [("lots", "“lots”"), ("5,000", "300"), ("5k", "300"), ("-1", "“-1”"), ("1,5", "“1,5”")],
 )
 def test_an_invalid_entry_shows_an_error_and_sends_no_request(studio, typed, fragment):
     studio.page.fill("#splats", typed)
@@ -289,6 +290,24 @@ def test_an_invalid_entry_shows_an_error_and_sends_no_request(studio, typed, fra
     assert fragment in studio.page.get_by_role("alert").inner_text()
     studio.page.wait_for_timeout(100)
     assert len(studio.fake.requests) == 1
+
+
+def test_numbers_with_a_decimal_comma_or_a_unit_are_refused(studio):
+    page = studio.page
+    page.click("#sift summary")
+    for typed in ("0,5", "0,500", "1.5M", "1,2345", "1.000,5", "e1"):
+        for name in ("bytes", "psnr", "opacity"):
+            page.fill(f"#{name}", typed)
+            page.press(f"#{name}", "Enter")
+            assert f"“{typed}”" in page.get_by_role("alert").inner_text()
+            page.get_by_role("button", name="Close message").click()
+    assert len(studio.fake.requests) == 1
+
+
+def test_numbers_may_have_commas_between_thousands(studio):
+    studio.page.fill("#bytes", "1,234.5")
+    studio.page.press("#bytes", "Enter")
+    assert studio.choice_of_request(2)["wish"] == {"bytes": 1_234_500_000}
 
 
 def test_choices_can_be_undone_and_redone(studio):

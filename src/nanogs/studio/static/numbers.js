@@ -43,10 +43,19 @@ function text(value, digits) {
   return Number.isFinite(value) ? value.toLocaleString("en-US", options) : "∞";
 }
 
-// Parses typed text such as "50,000", "50k" or "1.2 M"; NaN if it is not a number.
+// A comma separates thousands, and is no decimal point: "1,5" is refused rather than guessed.
+const NUMBER = /^[-+]?(?:\d*|[1-9]\d{0,2}(?:,\d{3})+)(?:\.\d*)?(?:e[-+]?\d+)?$/i;
+
+// Parses typed text such as "50,000" or "1.5"; NaN if it is not a number.
 export function parsed(words) {
-  const found = /^([-+]?[\d.]+(?:e[-+]?\d+)?)([kmg]?)$/i.exec(words.replace(/[\s,_]/g, ""));
-  return found ? Number(found[1]) * (UNITS[found[2].toLowerCase()] ?? 1) : NaN;
+  const bare = words.replace(/[\s_]/g, "");
+  return bare && NUMBER.test(bare) ? Number(bare.replaceAll(",", "")) : NaN;
+}
+
+// Parses a typed count such as "50,000", "50k" or "1.2 M"; NaN if it is not a number.
+export function parsedCount(words) {
+  const [, bare, unit] = /^(.*?)([kmg]?)$/is.exec(words.trim());
+  return parsed(bare) * (UNITS[unit.toLowerCase()] ?? 1);
 }
 
 // Maps the position on a slider, 0 to 1, to a value (`at`) and back (`place`).

@@ -10,7 +10,7 @@ const USUAL = [20, 45]; // ends of the PSNR slider in dB, until points are known
 const KINDS = {
   splats: {
     words: numbers.count,
-    read: (words) => Math.round(numbers.parsed(words)),
+    read: (words) => Math.round(numbers.parsedCount(words)),
     tidy: Math.round,
     full: numbers.splats,
     sample: "such as 50,000",
