@@ -343,8 +343,9 @@ def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
     page = opened.page
     assert page.locator("canvas").count() == 0
     assert page.evaluate("typeof nanogsViewer") == "undefined"
-    page.get_by_role("button", name="Show in 3D").click()
+    page.get_by_role("button", name="Show in 3D").dblclick()
     opened.settle()
+    assert page.locator("head > script").count() == 1  # the program is started once
     many = opened.pixels()
     assert is_red(many).any()
     assert is_blue(many).any()
