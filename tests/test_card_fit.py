@@ -133,15 +133,16 @@ def test_errors_of_views_agree():
 
 
 @pytest.mark.parametrize("blocks", [ALL_BLOCKS, FIELDS[0]])
-def test_errors_of_splats_agree(blocks):
+@pytest.mark.parametrize("halved", [False, True])
+def test_errors_of_splats_agree(blocks, halved):
     original, small, targets = scene()
     prepared = prepare(small)
     for target in targets[:2]:
         camera = target.camera.cropped(0, 0, 63, 47)  # odd: the last row and column do not count
         part = make_target(prepare(original), camera, depth=False, wanted=blocks)
-        on_cpu = errors_of_splats(prepared, part)
+        on_cpu = errors_of_splats(prepared, part, halved=halved)
         with use_device(CARD):
-            on_card = errors_of_splats(prepared, part)
+            on_card = errors_of_splats(prepared, part, halved=halved)
         assert on_cpu.max(axis=0).min() > 0
         np.testing.assert_allclose(on_card, on_cpu, rtol=1e-3, atol=1e-4 * on_cpu.max())
 

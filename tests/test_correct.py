@@ -23,6 +23,7 @@ from nanogs.method.correct import (
     usual_change,
 )
 from nanogs.method.cut import label_groups
+from nanogs.pipeline.tasks.corrections import summed_errors
 from nanogs.raster.rendering import prepare
 from reference_raster import render_reference
 from test_kernels import random_forest
@@ -149,33 +150,61 @@ def test_groups_with_larger_errors_than_predicted_are_divided():
 
 @pytest.mark.parametrize("blocks", [ALL_BLOCKS, FIELDS[0], FIELDS[1]])
 @pytest.mark.parametrize("size", [(64, 48), (37, 21), (2, 30)])
-def test_errors_of_splats_equal_their_reference(blocks, size):
-    """The squared error over black and over white, at half of the size, where each splat shows."""
+@pytest.mark.parametrize("times", [1, 2])
+def test_errors_of_splats_equal_their_reference(blocks, size, times):
+    """The squared error over black and over white, where each splat shows; also at half size."""
     original, camera = make_splats(20, 3), make_camera(*size)
     changed = dataclasses.replace(original, sh=original.sh + np.float32(0.2))
     whole = make_target(prepare(original), camera, depth=False)
     target = make_target(prepare(original), camera, depth=False, wanted=blocks)
-    found = errors_of_splats(prepare(changed), target)
-    width, height = size[0] // 2, size[1] // 2
-    small = camera.cropped(0, 0, 2 * width, 2 * height).resized(width, height)
-    wanted = whole.image[: 2 * height, : 2 * width] / 255
-    wanted = wanted.reshape(height, 2, width, 2, 4).mean(axis=(1, 3))
+    found = errors_of_splats(prepare(changed), target, halved=times == 2)
+    width, height = size[0] // times, size[1] // times
+    small = camera.cropped(0, 0, times * width, times * height).resized(width, height)
+    wanted = whole.image[: times * height, : times * width] / 255
+    wanted = wanted.reshape(height, times, width, times, 4).mean(axis=(1, 3))
     color, alpha, _, _, sure = render_reference(changed, small)
     assert sure.mean() > 0.99
     over_black = wanted[..., :3] - np.minimum(color, 1)
     over_white = over_black - (wanted[..., 3:] - alpha[..., None])
     squared = ((over_black**2 + over_white**2) / 2).sum(axis=-1)
-    rows, columns = np.indices((height, width)) * 2 // 4 % 4
+    rows, columns = np.indices((height, width)) * times // 4 % 4
     counted = (blocks >> (4 * rows + columns)) & 1
     expected = render_reference(changed, small, probes=np.stack([squared * counted, counted]))[3]
     assert counted.mean() > 0.4
     np.testing.assert_allclose(found, expected, rtol=0.02, atol=0.01 * expected.max())
 
 
+def cloud(size):
+    """Return splats of a size, scene units of some 8 pixels, and a view of them."""
+    splats = make_splats(300, 3)
+    scales = np.full_like(splats.log_scales, np.log(size))
+    return dataclasses.replace(splats, log_scales=scales), make_camera(64, 48)
+
+
+def test_errors_are_summed_at_full_size_where_half_shows_other_errors_than_those_of_merging():
+    """A model against itself: the errors at half size are those of drawing small splats there."""
+    splats, camera = cloud(size=0.004)
+    prepared = prepare(splats)
+    target, seen = make_target(prepared, camera, depth=False), []
+    found = summed_errors(prepared, [target, target], seen.append)
+    full, half = (errors_of_splats(prepared, target, halved=each) for each in (False, True))
+    assert half[:, 0].sum() > 100 * full[:, 0].sum()
+    assert np.array_equal(found, full + full)
+    assert seen == [0, 1]
+
+
+def test_errors_are_summed_at_half_size_where_they_are_as_large():
+    original, camera = cloud(size=0.5)
+    changed = prepare(dataclasses.replace(original, sh=original.sh + np.float32(0.2)))
+    target = make_target(prepare(original), camera, depth=False)
+    half = errors_of_splats(changed, target, halved=True)
+    assert np.array_equal(summed_errors(changed, [target, target], lambda _: None), half + half)
+
+
 def test_a_view_of_one_row_tells_nothing():
     prepared = prepare(make_splats(20, 3))
     target = make_target(prepared, make_camera(40, 1), depth=False)
-    assert not errors_of_splats(prepared, target).any()
+    assert not errors_of_splats(prepared, target, halved=True).any()
 
 
 @pytest.mark.filterwarnings("error")
@@ -185,8 +214,8 @@ def test_colours_beyond_any_screen_give_the_error_that_a_screen_shows():
     black, bright = np.zeros((32, 32, 4), np.uint8), np.full_like(splats.sh, 3e38)
     target = Target(camera, black, np.inf)
     squared, light = errors_of_splats(
-        prepare(dataclasses.replace(splats, sh=bright)), target
-    ).T  # fmt: skip
+        prepare(dataclasses.replace(splats, sh=bright)), target, halved=True
+    ).T
     assert light.max() > 1
     assert (squared <= 3 * light * (1 + 1e-5)).all()
     assert (squared > 1.5 * light * (1 - 1e-5)).all()

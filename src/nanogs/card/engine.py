@@ -239,7 +239,7 @@ class View:
         ones = wp.full((height, width), 1.0, dtype=wp.float32, device=self.engine.device)
         return self._sums(ones, wanted)
 
-    def errors(self, target: U8, white: float, alpha: float, counted: F32) -> F64:
+    def errors(self, target: U8, white: float, alpha: float, counted: F32, wanted: int) -> F64:
         """(N, 2) float64, sums of T alpha times the squared residual, and of T alpha.
 
         Args:
@@ -247,13 +247,14 @@ class View:
             white: As in `weigh`.
             alpha: As in `weigh`.
             counted: (H, W), 1 for pixels that count and 0 for others.
+            wanted: Bit mask of the blocks of each tile in which pixels count.
         """
         engine, (width, height) = self.engine, self.size
-        image, _ = self.blend(self.tinted(white, alpha), np.zeros(CHANNELS, np.float32))
-        residual, _, _ = self.weigh(image, engine.put(target), white, alpha, ALL_BLOCKS)
+        image, _ = self.blend(self.tinted(white, alpha), np.zeros(CHANNELS, np.float32), wanted)
+        residual, _, _ = self.weigh(image, engine.put(target), white, alpha, wanted)
         mask, squares = engine.put(counted), engine.empty((height, width), wp.float32)
         engine.launch(square_pixels, (height, width), residual, mask, squares)
-        return np.stack([self._sums(squares, ALL_BLOCKS), self._sums(mask, ALL_BLOCKS)], axis=1)
+        return np.stack([self._sums(squares, wanted), self._sums(mask, wanted)], axis=1)
 
     def _sums(self, probe: wp.array, wanted: int) -> F64:
         """(N,) float64, sums of each splat's weight T alpha times a probe (H, W)."""

@@ -173,14 +173,13 @@ def squared_error(model: PreparedSplats, target: Target) -> float:
     return _weigh(target, _blend(project(model, target.camera), target.camera)[1])[2]
 
 
-def errors_of_splats(model: PreparedSplats, target: Target) -> F64:
+def errors_of_splats(model: PreparedSplats, target: Target, *, halved: bool) -> F64:
     """Compute how large the squared error is where each splat of a model shows in a view.
-
-    It is measured at half of the view's size.
 
     Args:
         model: N splats.
         target: The view of the original.
+        halved: Whether it is measured at half of the view's size.
 
     Returns:
         (N, 2) float64, for each splat the sums over the pixels of T alpha times the squared
@@ -188,21 +187,23 @@ def errors_of_splats(model: PreparedSplats, target: Target) -> F64:
     """
     if min(target.camera.width, target.camera.height) < 2:
         return np.zeros((len(model), 2))
-    target = _halved(target)
+    side, wanted = SIDE, target.blocks
+    if halved:
+        side, wanted, target = SIDE // 2, ALL_BLOCKS, _halved(target)
     camera = target.camera
     counted = np.ones((camera.height, camera.width), np.float32)
     if target.blocks != ALL_BLOCKS:
-        counted[~_in_blocks(target.blocks, camera, SIDE // 2)] = 0
+        counted[~_in_blocks(target.blocks, camera, side)] = 0
     engine = engine_in_use()
     if engine is not None:
-        return view_on(engine, model, camera).errors(target.image, WHITE, ALPHA, counted)
+        return view_on(engine, model, camera).errors(target.image, WHITE, ALPHA, counted, wanted)
     view = project(model, camera)
-    features, image = _blend(view, camera)
-    residual, _, _ = _weigh(target, image)
-    probes = np.stack([np.einsum("hwc,hwc->hw", residual, residual), np.ones_like(counted)])
-    probes *= counted
+    features, image = _blend(view, camera, wanted)
+    residual, _, _ = _weigh(target, image, wanted)
+    residual[counted == 0] = 0  # not initialised in blocks that are not wanted
+    probes = np.stack([np.einsum("hwc,hwc->hw", residual, residual), counted])
     colours = np.ascontiguousarray(features[:, :1])  # one channel: the image is not needed again
-    return blend(view, camera, colours, np.zeros(1, np.float32), probes)[2]
+    return blend(view, camera, colours, np.zeros(1, np.float32), probes, wanted)[2]
 
 
 def _halved(target: Target) -> Target:
