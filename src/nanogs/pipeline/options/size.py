@@ -79,7 +79,10 @@ class SizeRequest(NamedTuple):
         }
         if not degrees[-1]:
             bits.pop(SH_BITS, None)
-        return Choices(degrees, self._has_palettes(), bits, self.by_psnr, self._entries())
+        own_share = None if self.known.streams else 1.0
+        return Choices(
+            degrees, self._has_palettes(), bits, self.by_psnr, self._entries(), own_share
+        )
 
     def _has_palettes(self) -> bool:
         """Whether the size of a palette is to be chosen.

@@ -31,9 +31,11 @@ NEAR, NEAR_BITS = 0.12, 0.03
 # dB by which a degree or palette may be behind, unfitted, and still be tried.
 BEHIND = 1.5
 FINE = 0.25  # dB by which a packing may be behind the best and still be tried with other bits
-# Share of all splats that fit by the guess, which is 10 to 20 % low: beyond it, finer bits gain
-# more than further splats.
-ENOUGH_SPLATS = 0.75
+# Share of all splats that must fit by the guess, which is up to 20 % low, for a finer packing to be
+# worth the splats that it costs: a larger palette, one in which splats have harmonics of their own,
+# more bits, and the most bits. The finest of each kind gains least.
+LARGER_PALETTE, OWN_HARMONICS = 0.77, 0.92
+MORE_BITS, MOST_BITS = 0.7, 0.88
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +44,8 @@ class Packing:
 
     Attributes:
         sh_degree: Degree of the harmonics that are written.
-        share: Number of splats for each entry of the palette of the higher harmonics, or None if
-            there is no choice.
+        share: Number of splats for each entry of the palette of the higher harmonics, or None
+            without a choice of palette.
         bits: The format's options that set its precision, as (name, value).
         entries: Largest number of entries that a palette of the format has.
         derived_options: Other options of the format that were derived from one result and are
@@ -114,6 +116,8 @@ class Choices:
         bits: The format's options that set its precision, by name.
         by_psnr: Whether the PSNR alone decides, without the SSIM.
         entries: Largest number of entries that a palette of the format has.
+        own_share: Share of the finest packing, in which splats have harmonics of their own: None,
+            without a palette, or 1 if the format always has one.
     """
 
     degrees: Sequence[int]
@@ -121,6 +125,7 @@ class Choices:
     bits: Mapping[str, Bits] = field(default_factory=dict)
     by_psnr: bool = False
     entries: int = 1 << 16
+    own_share: float | None = None
 
     @property
     def first(self) -> Packing:
@@ -163,13 +168,16 @@ def choose_packing(
     search = _Search(choices, size, slope, guess, attempt, available)
     best = search.begin()
     first = best
-    if search.smaller:
+    if search.own_fit >= OWN_HARMONICS:
+        finest = (choices.own_share, *LARGER[::-1])
+        best = search.climb(first, [replace(first, share=share) for share in finest])
+    elif search.smaller:
         best = search.climb(first, [replace(first, share=share) for share in SMALLER])
     if best is first and first.share is not None:
         best = search.climb(first, [replace(first, share=share) for share in LARGER])
     lower = [replace(best, sh_degree=degree) for degree in search.promising]
     best = search.climb(best, lower)
-    if best.share is not None:  # without a palette, `begin` has compared the bits
+    if first.share is not None:  # without palettes, `begin` has compared the bits
         best = search.compare_bits(best)
     return search.again(best), search.filling(best), tuple(search.probes)
 
@@ -178,8 +186,8 @@ def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available:
     """Return the packing if nothing is rendered: about the first of a search, or finer.
 
     Coarse bits and a small palette leave room for more splats, which matter most in a result that
-    keeps a small part of the model. If all splats fit, a palette loses more than anything else;
-    without one, precision gains more than the last quarter of the splats.
+    keeps a small part of the model. Near the whole model, precision gains more than the last
+    splats: a larger palette first, then bits; with a palette, further bits gain least.
 
     Args:
         choices: What may be chosen.
@@ -188,15 +196,22 @@ def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available:
     """
     bits = tuple((name, each.unseen) for name, each in choices.bits.items())
     packing = replace(choices.first, bits=bits)
-    for share in (*LARGER, None) if packing.share is not None else ():
-        if guess(packing) < available:
-            return packing
-        packing = replace(packing, share=share)
+    own = choices.own_share
+    for share in (*LARGER, own) if packing.share is not None else ():
+        finer = replace(packing, share=share)
+        if guess(finer) < (OWN_HARMONICS if share == own else LARGER_PALETTE) * available:
+            if share != own:
+                return packing
+            break
+        packing = finer
+    shared = packing.share != own and choices.first.share is not None
     for name, each in choices.bits.items():
         for value in each.ways(each.unseen)[1]:
-            if guess(packing) <= ENOUGH_SPLATS * available:
+            finer = replace(packing, bits=tuple((dict(packing.bits) | {name: value}).items()))
+            most = shared or value == each.values[-1]
+            if guess(finer) < (MOST_BITS if most else MORE_BITS) * available:
                 return packing
-            packing = replace(packing, bits=tuple((dict(packing.bits) | {name: value}).items()))
+            packing = finer
     return packing
 
 
@@ -311,6 +326,14 @@ class _Search:
         derived = [item for item in file.options.items() if item[0] not in chosen]
         return replace(packing, derived_options=tuple(derived))
 
+    @property
+    def own_fit(self) -> float:
+        """Share of all splats that fit with harmonics of their own; 0 if there is no choice."""
+        first = self.choices.first
+        if first.share is None:
+            return 0.0
+        return self.guess(replace(first, share=self.choices.own_share)) / self.available
+
     def filling(self, packing: Packing) -> int:
         """Return a count that about fills the size with a packing that was tried."""
         return self._filling(self._file(packing))
@@ -375,7 +398,8 @@ class _Search:
                 another result is made, and not far behind the best.
         """
         chosen = dict(packing.bits)
-        larger = packing.share is not None and packing.share < FIRST_SHARE
+        usual = self.choices.first.share
+        larger = usual is not None and (packing.share is None or packing.share < usual)
         best = measure(packing)
         probes = [best]
         if near and (self._is_far(best) or self._worth(best) < self._most - FINE):
