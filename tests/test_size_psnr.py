@@ -1,6 +1,7 @@
 """A file size or a PSNR as the target: `simplify(size=...)`, `simplify(psnr=...)`."""
 
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,11 @@ from nanogs.pipeline.options.target import Goal, count_for_size
 from nanogs.pipeline.search.file_size import ENOUGH, search_fit
 from nanogs.pipeline.search.file_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.search.file_size import TOLERANCE as CLOSE
-from nanogs.pipeline.search.psnr import MOST_PROBES, NEAR_DB, STEPS, search_count
-from nanogs.report import StopReason
+from nanogs.pipeline.search.packer import Packed, PackingForPsnr
+from nanogs.pipeline.search.packing import Packing
+from nanogs.pipeline.search.psnr import MOST_PROBES, NEAR_DB, STEPS, reach_psnr, search_count
+from nanogs.progress import Tracker
+from nanogs.report import PackingReport, StopReason
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.scoring.held_out import held_out
 from nanogs.splats import ExtraElement, RenderMode
@@ -351,6 +355,68 @@ def test_the_search_stays_between_the_lowest_count_and_the_whole_model():
     assert [probe.count for probe in missed.probes] == [100, 990]
     alone = search_count(lambda count: 0.0, 30.0, 1, 1, 1)
     assert (alone.probes, alone.stop) == ((), StopReason.UNREACHED)
+
+
+class CountedResults:
+    """Results of a model of 1,000 splats; a result is its count."""
+
+    available, fewest, looks = 1000, 1, True
+
+    def plain(self, rounds=None):
+        return self
+
+    def stages(self, count):
+        return []
+
+    def make(self, count, progress):
+        return count
+
+    def make_and_measure(self, count, measure, progress):
+        return count, measure(count)
+
+    def keep(self, result):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("asked", "whole_psnr", "each", "expected"),
+    [
+        (29.5, 29.6, 40, 1000),  # finer files of more than 750 splats take more bytes
+        (29.5, 29.4, 40, None),  # the whole model does not reach the PSNR with fewer bytes each
+        (29.5, 29.6, 30, None),
+        (25.0, 29.6, 90, None),  # far from the whole model
+    ],
+)
+def test_a_psnr_never_takes_more_bytes_than_the_whole_model(asked, whole_psnr, each, expected):
+    """With a finer packing than the format's own, fewer splats can take more bytes."""
+
+    class Files:
+        def count(self, result):
+            return result
+
+        def bytes_of(self, result, options):
+            return result * (each if options else 30)
+
+    def psnr_of(result):
+        return 20 + result / 100 if pack.packed or result < 1000 else whole_psnr
+
+    results = CountedResults()
+    pack = PackingForPsnr(results, None, None, Files(), Tracker(None, []))
+
+    def chosen(count):
+        packing = Packing(0, None, (("bits", 8),))
+        pack.packed = Packed(packing, count, (PackingReport(0, {}, count, 1, 30.0, 0.9),), 0)
+        return CountedResults(), count
+
+    smaller = partial(pack.smaller, reaches=lambda whole: psnr_of(whole) >= asked)
+    result, found = reach_psnr(results, asked, psnr_of, Tracker(None, []), chosen, smaller)
+    assert result == found.count
+    if expected:
+        assert (result, found.stop, pack.options(result)) == (1000, StopReason.STEP, {})
+    else:
+        assert result < 1000
+        assert found.stop is StopReason.TARGET
+        assert pack.options(result) == {"bits": 8}
 
 
 def test_the_number_of_probes_is_limited():

@@ -184,6 +184,7 @@ def reach_psnr(
     psnr_of: Callable[[T], float],
     progress: Tracker,
     pack: Callable[[int], tuple[Results[T], int]],
+    smaller: Callable[[T, T], bool],
 ) -> tuple[T, Found]:
     """Find the smallest result of a model that reaches a PSNR on held-out views.
 
@@ -196,6 +197,9 @@ def reach_psnr(
         progress: Notified of each stage.
         pack: Takes the count that quick results lead to, and chooses the packing of the delivered
             ones; returns a maker of these and a count to begin with.
+        smaller: Whether the whole model, packed by the defaults of its format, reaches the PSNR in
+            a smaller file than a result, which is asked if a packing was chosen and most splats are
+            left; if so, the whole model is returned.
 
     Returns:
         The result, and what was tried.
@@ -221,6 +225,10 @@ def reach_psnr(
     found = replace(found, probes=probes + found.probes)
     if tried.best is None:
         return _whole(results, found, progress)
+    if delivered is not results and found.count > FAR * results.available:
+        whole = results.make(results.available, progress)
+        if smaller(whole, tried.best):
+            return whole, replace(found, count=results.available, stop=StopReason.STEP)
     return tried.best, found
 
 
