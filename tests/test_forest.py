@@ -13,6 +13,7 @@ import reference_kernels as reference
 from builders import model_bytes, random_splats, same_pixel
 from nanogs.clock import StageClock
 from nanogs.fit.targets import make_target
+from nanogs.kernels import assign
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.method import forest as growth
 from nanogs.method import parameters, reassign
@@ -386,6 +387,7 @@ def test_reassignment_keeps_every_group_and_does_not_lower_the_likelihood(n, see
             original(new, misfits, groups)
 
         patch.setattr(reassign, "_refill", refill)
+        patch.setattr(reassign, "MOVES", 0)  # they lower another error
         moved, rounds = reassign.reassign(leaves, labels, n // 4, 3)
     assert rounds <= len(had_empty_groups) <= 3
     assert sorted(set(moved.tolist())) == list(range(n // 4))
@@ -393,7 +395,8 @@ def test_reassignment_keeps_every_group_and_does_not_lower_the_likelihood(n, see
     assert any(had_empty_groups) or after >= before - 1e-6 * abs(before)
 
 
-def test_reassignment_ends_after_the_given_rounds_or_when_nothing_moves():
+def test_reassignment_ends_after_the_given_rounds_or_when_nothing_moves(monkeypatch):
+    monkeypatch.setattr(reassign, "MOVES", 0)
     leaves, _ = nodes_of(random_splats(60, seed=5))
     labels = cut(grow_forest(leaves, ForestParameters(k=8), ignore_progress), 12, 0.8)
     unchanged, rounds_with_moves = reassign.reassign(leaves, labels, 12, 0)
@@ -405,6 +408,63 @@ def test_reassignment_ends_after_the_given_rounds_or_when_nothing_moves():
     settled_again, rounds_with_moves = reassign.reassign(leaves, settled, 12, 1)
     assert np.array_equal(settled_again, settled)
     assert rounds_with_moves == 0
+
+
+def error_of(leaves, labels, groups):
+    """Return the error that moves of single splats lower, as the forest sums it up."""
+    merged, colours = gather(leaves, labels, groups), leaves.features[leaves.rows]
+    own, whole = (
+        np.linalg.slogdet([reference.unpack(each) for each in nodes.covariances])[1]
+        for nodes in (leaves, merged)
+    )
+    apart = ((colours - merged.features[labels]).astype(np.float64) ** 2).sum(axis=1)
+    geometry = merged.weights @ whole - leaves.weights @ own
+    return 0.5 * geometry + reassign.MOVES_APP * leaves.weights @ apart
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_moves_lower_the_error_by_what_is_predicted(seed, monkeypatch):
+    """Rounds that take a splat for infinitely light leave most groups of two as they are."""
+    count, groups = 60, 25
+    leaves, _ = nodes_of(random_splats(count, seed=seed), 0.01)
+    labels = cut(grow_forest(leaves, ForestParameters(k=8), ignore_progress), groups, 0.8)
+    monkeypatch.setattr(reassign, "MOVES", 0)
+    before, _ = reassign.reassign(leaves, labels, groups, 1)
+    monkeypatch.setattr(reassign, "MOVES", 1)
+    predicted = []
+
+    def make_moves(order, targets, taken, moved):
+        unmoved = moved.copy()
+        made = assign.make_moves(order, targets, taken, moved)
+        rows = np.flatnonzero(moved != unmoved)
+        assert made == len(rows) > 0
+        assert np.array_equal(moved[rows], targets[rows])
+        changed = np.concatenate([unmoved[rows], moved[rows]])
+        assert len(np.unique(changed)) == len(changed)
+        predicted.append(rows)
+        return made
+
+    gains = []
+
+    def best_moves(*arguments):
+        assign.best_moves(*arguments)
+        gains.append(arguments[-1])
+
+    monkeypatch.setattr(reassign, "make_moves", make_moves)
+    monkeypatch.setattr(reassign, "best_moves", best_moves)
+    after, _ = reassign.reassign(leaves, labels, groups, 1)
+    assert np.bincount(after, minlength=groups).min() > 0
+    fall = error_of(leaves, before, groups) - error_of(leaves, after, groups)
+    assert fall == pytest.approx(gains[0][predicted[0]].sum(), rel=1e-4)
+
+
+def test_a_splat_stays_with_one_that_weighs_nothing_beside_it():
+    leaves, _ = nodes_of(random_splats(6, seed=1))
+    leaves = dataclasses.replace(leaves, weights=np.array([1.0, 1e-9, 1, 1, 1, 1]))
+    labels = np.array([0, 0, 1, 1, 2, 2], np.int32)
+    moved, _ = reassign.reassign(leaves, labels, 3, 1)
+    assert moved[0] == 0
+    assert np.bincount(moved, minlength=3).min() > 0
 
 
 def test_empty_groups_take_the_worst_fitting_splats_of_larger_groups():

@@ -1,12 +1,16 @@
-"""Assign splats to clusters: the classification step of hard EM for Gaussian mixtures."""
+"""Assign splats to clusters: the classification step of hard EM, and moves of single splats.
+
+Source of the moves: Hartigan, "Clustering Algorithms", 1975, section 4.2, for k-means.
+"""
 
 import math
 
-from nanogs._types import F32, F64, I32
+from nanogs._types import F32, F64, I32, I64, Bool
 from nanogs.kernels.nodes import symmetric
-from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.symmetric3 import Symmetric3, adjugate, log_determinant, resolved
+from nanogs.kernels.policy import inline, kernel, parallel_kernel
+from nanogs.kernels.symmetric3 import Symmetric3, adjugate, log_determinant, mix, resolved
 
+_ALL = 1e-6  # share of a cluster's weight below which what a splat leaves is lost to rounding
 _LEAST = 1e-6  # least variance over the sum of all three, as of the flattest splats
 
 
@@ -75,3 +79,83 @@ def assign_nearest(
             if total < best:
                 best, chosen = total, g
         out[i], distances[i] = chosen, best - 0.5 * (3.0 + log_determinant(sigma))
+
+
+@inline
+def _apart(features: F32, row: int, colours: F32, cluster: int) -> float:
+    """Return |f - f_c|² of a splat and a cluster."""
+    total = 0.0
+    for channel in range(features.shape[1]):
+        difference = features[row, channel] - colours[cluster, channel]
+        total += difference * difference
+    return total
+
+
+@parallel_kernel("labels", each=32)
+def best_moves(
+    start: int, stop: int,
+    labels: I32, sizes: I64, candidates: I32,
+    weights: F64, means: F64, covariances: F64, features: F32, rows: I32,
+    totals: F64, centres: F64, spreads: F64, log_dets: F64, colours: F32, lambda_app: float,
+    targets: I32, gains: F64,
+) -> None:  # fmt: skip
+    """Find the move of every splat to another cluster that lowers the error of all the most.
+
+    The error is the sum over clusters of ½ [W log |Sigma_c| - sum w log |Sigma|] + lambda sum w
+    |f - f_c|², as of the merge forest. Moments are those after the move: a splat of a small cluster
+    has pulled them towards itself, which favours its own cluster.
+    labels: (N,); sizes: (G,) number of members; candidates: (G, k) clusters; weights: (N,); means:
+    (N, 3); covariances: (N, 6); features: (F, C); rows: (N,) of the features; totals: (G,) weights
+    of the clusters; centres: (G, 3); spreads: (G, 6) covariances; log_dets: (G,); colours: (G, C);
+    targets: (N,) out, the cluster to move to, or the own one; gains: (N,) out, by how much the
+    error falls, 0 or more.
+    """
+    for i in range(start, stop):
+        own = labels[i]
+        targets[i], gains[i] = own, 0.0
+        w, rest = weights[i], totals[own] - weights[i]
+        if sizes[own] < 2 or not rest > _ALL * totals[own]:
+            continue
+        sigma = symmetric(covariances, i)
+        x = means[i, 0] - centres[own, 0]
+        y = means[i, 1] - centres[own, 1]
+        z = means[i, 2] - centres[own, 2]
+        p, q = totals[own] / rest, w / rest
+        left = mix(p, symmetric(spreads, own), -q, sigma, -p * q, (x, y, z))
+        if not (left[0] > 0.0 and left[3] > 0.0 and left[5] > 0.0):
+            continue
+        single = w * log_determinant(sigma)
+        change = totals[own] * log_dets[own] - rest * log_determinant(left) - single
+        stay = 0.5 * change + lambda_app * w * p * _apart(features, rows[i], colours, own)
+        best = stay
+        for place in range(candidates.shape[1]):
+            g = candidates[own, place]
+            if g == own:
+                continue
+            total = totals[g] + w
+            p, q = totals[g] / total, w / total
+            x = means[i, 0] - centres[g, 0]
+            y = means[i, 1] - centres[g, 1]
+            z = means[i, 2] - centres[g, 2]
+            joined = mix(p, symmetric(spreads, g), q, sigma, p * q, (x, y, z))
+            cost = 0.5 * (total * log_determinant(joined) - totals[g] * log_dets[g] - single)
+            if cost < best:
+                cost += lambda_app * w * p * _apart(features, rows[i], colours, g)
+            if cost < best:
+                best, targets[i] = cost, g
+        gains[i] = stay - best
+
+
+@kernel
+def make_moves(order: I64, targets: I32, taken: Bool, labels: I32) -> int:
+    """Move splats in the given order, but no two that have a cluster in common; return how many.
+
+    order: rows of splats; targets: (N,) clusters; taken: (G,) False, changed; labels: (N,) changed.
+    """
+    made = 0
+    for i in order:
+        if not (taken[labels[i]] or taken[targets[i]]):
+            taken[labels[i]] = taken[targets[i]] = True
+            labels[i] = targets[i]
+            made += 1
+    return made

@@ -1,20 +1,30 @@
-"""Reassignment: move splats to the neighbouring group where they fit best (hard EM)."""
+"""Reassignment: move splats to the neighbouring group where they fit best.
+
+Rounds of hard EM move all at once. They treat a splat as infinitely light: that its own group's
+moments contain it, and that it changes those of another group, does not count. So single splats are
+then moved by the exact change of the error, which matters in groups of few members.
+"""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from nanogs._types import F64, I32
-from nanogs.kernels.assign import assign_nearest, invert_covariances
+from nanogs.kernels.assign import assign_nearest, best_moves, invert_covariances, make_moves
+from nanogs.kernels.forest import log_determinants
 from nanogs.method.nodes import Nodes, gather
 from nanogs.neighbours import nearest_neighbours
 
 NEIGHBOURS = 12  # number of other groups that a splat may move to
 LAMBDA_APP = 0.2  # weight of the squared colour distance relative to the log likelihood
+MOVES_APP = 1.0  # the same in moves of single splats, as while the forest grows
+MOVES = 2  # how often moves of single splats are made; each group takes part in one at a time
 
 
 def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int) -> tuple[I32, int]:
     """Assign each splat to the group of highest likelihood, match moments again, and repeat.
+
+    Then single splats are moved, if there are any rounds.
 
     A group that loses all its splats takes the worst fitting splat of a group with several, so that
     the number of groups is unchanged: that of the largest product of its weight and its distance
@@ -29,12 +39,36 @@ def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int) -> tuple[I32,
     Returns:
         (N,) int32, new labels, no group empty; and the number of rounds in which splats moved.
     """
-    for done in range(rounds):
+    done = 0
+    while done < rounds:
         moved = _one_round(leaves, labels, groups)
         if np.array_equal(moved, labels):
-            return labels, done
-        labels = moved
-    return labels, rounds
+            break
+        labels, done = moved, done + 1
+    return (_move(leaves, labels, groups) if rounds else labels), done
+
+
+def _move(leaves: Nodes, labels: I32, groups: int) -> I32:
+    """Move single splats to where the error of all groups falls the most; see `best_moves`."""
+    labels = labels.copy()
+    targets, gains, dets = np.empty_like(labels), np.empty(len(labels)), np.empty(groups)
+    candidates = None
+    for _ in range(MOVES):
+        merged = gather(leaves, labels, groups)
+        if candidates is None:  # moves hardly change which groups are near
+            candidates = nearest_neighbours(merged.means, NEIGHBOURS)
+        log_determinants(merged.covariances, dets)
+        best_moves(
+            labels, np.bincount(labels, minlength=groups), candidates, leaves.weights, leaves.means,
+            leaves.covariances, leaves.features, leaves.rows, merged.weights, merged.means,
+            merged.covariances, dets, merged.features, MOVES_APP, targets, gains,
+        )  # fmt: skip
+        del merged  # frees memory for the next one
+        rows = np.flatnonzero(gains > 0)
+        order = rows[np.argsort(-gains[rows], kind="stable")]
+        if make_moves(order, targets, np.zeros(groups, np.bool_), labels) == 0:
+            break
+    return labels
 
 
 def _one_round(leaves: Nodes, labels: I32, groups: int) -> I32:
