@@ -333,6 +333,14 @@ def test_an_unreadable_manifest_is_refused(tmp_path, change, message):
         read_manifest(tmp_path)
 
 
+def test_a_manifest_of_another_release_is_refused(tmp_path):
+    write_manifest(tmp_path, settings(50, [30]), "here")
+    manifest = tmp_path / MANIFEST
+    manifest.write_text(manifest.read_text().replace(nanogs.__version__, "0.0.9"))
+    with pytest.raises(FormatError, match="another version of nanogs"):
+        read_manifest(tmp_path)
+
+
 def test_blocks_are_as_large_as_memory_allows():
     layout, chosen = Layout(3, False, (), "default", (), ()), ForestParameters()
     plan = plan_blocks(10**8, layout, chosen, (0.1,), 2 * 10**9)

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
 
+from nanogs._version import __version__
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.filters import Plain
 from nanogs.method.parameters import ForestParameters
@@ -15,7 +16,9 @@ from nanogs.source import Layout
 
 # Most splats of a block's halo, as a share of its own, to bound memory; the nearest are kept.
 MOST_SEEN = 0.1
-VERSION = 17  # of the job folder's format; a folder of another version is not continued
+# A job is continued only by the release that began it. The number increases with each change of the
+# job folder's format, or of the results, between releases.
+VERSION = f"{__version__}, 18"
 
 _WISH = "the request (ratio, count, size, PSNR, draw cost)"
 _SIZE = "the memory for blocks, or their size"
