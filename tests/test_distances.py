@@ -277,6 +277,16 @@ def test_effective_counts_are_those_of_members_of_equal_coverage():
     assert found == pytest.approx([3, 1, 1, 16 / 10])
 
 
+def test_effective_counts_of_merged_groups_are_those_of_all_members():
+    leaves = activate_nodes(random_splats(9), np.arange(9), np.zeros(3), same_pixel(0.0))
+    labels, together = np.array([0, 0, 0, 1, 1, 2, 2, 3, 3], np.int32), np.zeros(9, np.int32)
+    merged = gather(leaves, labels, 4)
+    counts = effective_counts(leaves, labels, merged.coverages)
+    whole = merged.coverages.sum(keepdims=True)
+    again = effective_counts(merged, together[:4], whole, counts)
+    assert again == pytest.approx(effective_counts(leaves, together, whole))
+
+
 @pytest.mark.parametrize("preset", ["fast", "default"])
 def test_an_opaque_splat_stays_opaque_when_an_invisible_one_joins_it(preset):
     splats = random_splats(1).take(np.zeros(2, np.int64))

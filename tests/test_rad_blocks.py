@@ -13,7 +13,7 @@ from launch import run
 from nanogs import io, sink
 from nanogs.errors import OptionError
 from nanogs.levels_of_detail import write_levels
-from nanogs.lod.tree_blocks import Linked
+from nanogs.lod.tree_blocks import Linked, joined_trees
 from nanogs.metrics import psnr
 from nanogs.pipeline import run as scale_run
 from nanogs.pipeline import stages
@@ -21,9 +21,10 @@ from nanogs.pipeline.estimates.block_plan import plan_blocks
 from nanogs.pipeline.job.folder import MANIFEST
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.raster.rendering import render
+from nanogs.source import InMemory
 from nanogs.source import Layout as Columns
 from spark_page import render_in_spark
-from test_rad_lod import rows_sorted, tree_of
+from test_rad_lod import root_of, rows_sorted, sheet, tree_of
 from test_rad_spark import three_clusters
 from views_and_scores import opening_camera
 
@@ -107,6 +108,14 @@ def test_trees_made_in_blocks_look_like_those_made_in_memory(
     ]  # fmt: skip
     assert max(losses) < 1.5
     assert np.mean(losses) < 0.5
+
+
+def test_the_root_of_blocks_is_merged_from_all_leaves():
+    splats = sheet(64)
+    parts = [InMemory(splats.take(np.arange(start, start + 32))) for start in (0, 32)]
+    trees = [Linked().link([part], splats, steps=2) for part in parts]
+    root = joined_trees(trees, (), splats).read(0, 1)
+    assert root.opacities() == pytest.approx(root_of(splats, 64).opacities(), rel=1e-5)
 
 
 @pytest.mark.slow

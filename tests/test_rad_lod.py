@@ -76,6 +76,33 @@ def test_transparent_leaves_do_not_change_the_size_of_the_root():
     assert np.allclose(root(24).log_scales, root(20).log_scales, atol=1e-3)
 
 
+def sheet(count):
+    """Return equal thin splats at random in a square."""
+    splats = random_splats(1).take(np.zeros(count, np.int64))
+    splats.means[:] = np.random.default_rng(0).normal(size=(count, 3)) * [1, 1, 0.02]
+    splats.log_scales[:] = np.log([0.5, 0.5, 0.02])
+    splats.quats[:] = 1, 0, 0, 0
+    splats.opacity_logits[:] = -3
+    return splats
+
+
+def root_of(splats, together):
+    """Return the root of a tree whose inner nodes have as many children each."""
+    leaves, layers, means = InMemory(splats), [], splats.means.astype(np.float64)
+    while len(means) > 1:
+        layers.append(Layer(means, np.arange(len(means)) // together))
+        means = means.reshape(-1, together, 3).mean(axis=1)
+    top = Layer(means, np.empty(0, np.int64))
+    return build(leaves, [*layers, top], units_of(leaves)).layers[-1].load()
+
+
+@pytest.mark.parametrize("together", [2, 8])
+def test_the_root_is_the_same_however_many_layers_are_below_it(together):
+    expected, found = root_of(sheet(64), 64), root_of(sheet(64), together)
+    assert found.opacities() == pytest.approx(expected.opacities(), rel=1e-5)
+    np.testing.assert_allclose(found.log_scales, expected.log_scales, atol=1e-5)
+
+
 def rows_sorted(means):
     return means[np.lexsort(means.T)]
 

@@ -22,6 +22,7 @@ from nanogs.errors import OptionError
 from nanogs.io.in_order import in_order
 from nanogs.lod.links import Shapes, parents_of, shapes_of
 from nanogs.method.extent import Dilation, estimate_dilation
+from nanogs.method.growth import effective_counts
 from nanogs.method.nodes import (
     LIGHTEST,
     Nodes,
@@ -187,6 +188,32 @@ def as_rows(leaves: Source, layers: Sequence[Layer]) -> tuple[Source, Tree]:
     return Joined(made.layers[::-1]), Tree(np.concatenate(made.children[::-1]))
 
 
+class Moments(NamedTuple):
+    """The moments of all leaves below each of N inner splats.
+
+    Attributes:
+        nodes: N nodes, without features.
+        counts: (N,) float64, as `effective_counts` gives them; 1 for leaves.
+    """
+
+    nodes: Nodes
+    counts: F64
+
+    def take(self, rows: I64) -> "Moments":
+        """Return those of some rows."""
+        return Moments(without_features(self.nodes, rows), self.counts[rows])
+
+    @staticmethod
+    def joined(parts: Sequence["Moments"]) -> "Moments":
+        """Concatenate several of them."""
+        columns = {
+            name: np.concatenate([getattr(part.nodes, name) for part in parts])
+            for name in ("weights", "coverages", "means", "covariances")
+        }
+        nodes = replace(parts[0].nodes, **columns)
+        return Moments(nodes, np.concatenate([part.counts for part in parts]))
+
+
 class Built(NamedTuple):
     """The layers of a tree with their splats, each in the order of the file.
 
@@ -194,17 +221,17 @@ class Built(NamedTuple):
         layers: The splats of each layer, the finest first.
         children: For each layer, the number of children of each row in the next finer layer.
         order: (N,) the permutation that sorted the leaves: input rows in the order of the file.
-        nodes: Nodes of the last layer, without features.
+        moments: Of the last layer.
     """
 
     layers: Sequence[Source]
     children: Sequence[I64]
     order: I64
-    nodes: Nodes
+    moments: Moments
 
 
 def build(
-    leaves: Source, layers: Sequence[Layer], units: "Units", nodes: Nodes | None = None
+    leaves: Source, layers: Sequence[Layer], units: "Units", below: Moments | None = None
 ) -> Built:
     """Sort all layers and compute the inner splats from the moments of all leaves below them.
 
@@ -212,18 +239,18 @@ def build(
         leaves: The finest layer.
         layers: From that to the last; the last may have several rows.
         units: Values for converting splats to nodes.
-        nodes: Nodes of the leaves, without features, if these are inner splats of other trees.
+        below: Moments of the leaves, if these are inner splats of other trees.
     """
     orders, children = _places(layers)
     order = orders[0]
     made: list[Source] = [in_order(leaves, order)]
-    moments = None if nodes is None else without_features(nodes, order)
-    for counts in children[1:]:
-        splats, moments = _merged_layer(made[-1], moments, counts, units)
+    moments = None if below is None else below.take(order)
+    for each in children[1:]:
+        splats, moments = _merged_layer(made[-1], moments, each, units)
         made.append(InMemory(splats))
     if moments is None:
         alone = _nodes(made[0].load(), None, slice(None), units)
-        moments = without_features(alone, slice(None))
+        moments = Moments(without_features(alone, slice(None)), np.ones(len(alone)))
     return Built(made, children, order, moments)
 
 
@@ -262,42 +289,38 @@ def units_of(leaves: Source) -> Units:
 
 
 def _merged_layer(
-    below: Source, moments: Nodes | None, counts: I64, units: Units
-) -> tuple[Splats, Nodes]:
+    below: Source, moments: Moments | None, children: I64, units: Units
+) -> tuple[Splats, Moments]:
     """Compute the splats of a layer by merging the rows of the next finer one.
 
     Args:
         below: The finer layer, in the order of the file.
-        moments: Its nodes, without features; None for leaves.
-        counts: Number of children of each splat; children of one parent are contiguous.
+        moments: Its moments; None for leaves.
+        children: Number of children of each splat; children of one parent are contiguous.
         units: Values for converting rows to nodes; see `activate_nodes`.
 
     Returns:
-        The splats, and their nodes without features.
+        The splats, and their moments.
     """
-    ends = np.concatenate([[0], np.cumsum(counts)])
-    cuts = np.unique([*np.searchsorted(ends, np.arange(0, ends[-1], _ROWS)), len(counts)])
+    ends = np.concatenate([[0], np.cumsum(children)])
+    cuts = np.unique([*np.searchsorted(ends, np.arange(0, ends[-1], _ROWS)), len(children)])
     made, found = [], []
     for first, last in pairwise(cuts.tolist()):
         rows = slice(int(ends[first]), int(ends[last]))
         splats = below.read(rows.start, rows.stop)
         nodes = _nodes(splats, moments, rows, units)
-        labels = np.repeat(np.arange(last - first, dtype=np.int32), counts[first:last])
-        stored = store_groups(nodes, labels, splats, units.origin, units.added)
+        counts = None if moments is None else moments.counts[rows]
+        labels = np.repeat(np.arange(last - first, dtype=np.int32), children[first:last])
+        stored = store_groups(nodes, labels, splats, units.origin, units.added, counts=counts)
         # `store_groups` sorts groups by their heaviest members: here this keeps their order.
         made.append(replace(stored.grown(_GROWTH), notes=()))
-        found.append(without_features(gather(nodes, labels, last - first), slice(None)))
-    return concatenate(made), joined_nodes(found)
+        merged = without_features(gather(nodes, labels, last - first), slice(None))
+        like = effective_counts(nodes, labels, merged.coverages, counts)
+        found.append(Moments(merged, like))
+    return concatenate(made), Moments.joined(found)
 
 
-def joined_nodes(parts: Sequence[Nodes]) -> Nodes:
-    """Concatenate nodes without features."""
-    names = ("weights", "coverages", "means", "covariances")
-    columns = {name: np.concatenate([getattr(each, name) for each in parts]) for name in names}
-    return replace(parts[0], **columns)
-
-
-def _nodes(splats: Splats, moments: Nodes | None, rows: slice, units: Units) -> Nodes:
+def _nodes(splats: Splats, moments: Moments | None, rows: slice, units: Units) -> Nodes:
     """Return the nodes of some rows, with weights in proportion to their coverage.
 
     With these weights, moments that are merged from moments equal those merged from all leaves.
@@ -307,7 +330,7 @@ def _nodes(splats: Splats, moments: Nodes | None, rows: slice, units: Units) -> 
         leaves = activate_nodes(splats, own, units.origin, units.added, units.thinnest)
         return replace(leaves, weights=np.maximum(leaves.coverages / units.usual, LIGHTEST))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
-    some = without_features(moments, rows)
+    some = without_features(moments.nodes, rows)
     # `area_needs` recognises rows without coverage by the least weight; in merged rows, several
     # least weights have added up, so it is restored.
     weights = np.where(some.coverages <= LIGHTEST * units.usual, LIGHTEST, some.weights)

@@ -16,14 +16,14 @@ import numpy as np
 from nanogs._types import I64
 from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
-from nanogs.lod.tree import build, joined_nodes, layers_of, refuse_many, units_of
+from nanogs.lod.tree import Moments, build, layers_of, refuse_many, units_of
 from nanogs.method.nodes import Nodes
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.source import InMemory, Source
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats, concatenate
 
-_MOMENTS = ("weights", "coverages", "means", "covariances")
+_NODES, _COUNTS = ("weights", "coverages", "means", "covariances"), "counts"  # of `Moments`
 _SEARCHED = 240  # bytes per splat of the finest level while it is linked to the next; measured
 _LAYER = 100  # bytes per splat of all layers: their order, links and moments; measured
 _WRITTEN = 6  # memory while a chunk is written, as a factor of its rows' size
@@ -44,7 +44,8 @@ class Linked:
         leaves = InMemory(levels[0].load())
         made = build(leaves, layers, units_of(InMemory(some)))
         children = [partial(_part, counts) for counts in made.children]
-        roots = {name: getattr(made.nodes, name) for name in _MOMENTS}
+        nodes, counts = made.moments
+        roots = {_COUNTS: counts, **{name: getattr(nodes, name) for name in _NODES}}
         return BlockTree(made.layers, children, roots)
 
     def encoding(
@@ -137,7 +138,7 @@ def joined_trees(
     roots = InMemory(concatenate([tree.layers[-1].load() for tree in trees]))
     levels = len(trees[0].layers) - 1
     up = layers_of([roots, *further], first=levels - 1)
-    top = build(roots, up, units_of(InMemory(some)), _nodes_of(trees))
+    top = build(roots, up, units_of(InMemory(some)), _moments_of(trees))
     layers, children = list(top.layers), list(top.children)
     bounds = _bounds(trees)
     below = np.concatenate([np.diff(each[-2]) for each in bounds]) if levels else None
@@ -156,9 +157,14 @@ def joined_trees(
     return TreeRows([*runs, *_below(trees, bounds, top.order)], on_progress)
 
 
-def _nodes_of(trees: Sequence[BlockTree]) -> Nodes:
-    features, rows = np.empty((0, 0), np.float32), np.empty(0, np.int32)
-    return joined_nodes([Nodes(**tree.roots, features=features, rows=rows) for tree in trees])
+def _moments_of(trees: Sequence[BlockTree]) -> Moments:
+    """Return the moments of the roots of all trees, in order."""
+    found = []
+    for tree in trees:
+        columns = {name: tree.roots[name] for name in _NODES}
+        nodes = Nodes(**columns, features=np.empty((0, 0), np.float32), rows=np.empty(0, np.int32))
+        found.append(Moments(nodes, tree.roots[_COUNTS]))
+    return Moments.joined(found)
 
 
 def _bounds(trees: Sequence[BlockTree]) -> list[list[I64]]:

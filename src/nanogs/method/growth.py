@@ -43,24 +43,29 @@ class Cover:
         )
 
 
-def effective_counts(leaves: Nodes, labels: I32, coverages: F64) -> F64:
+def effective_counts(leaves: Nodes, labels: I32, coverages: F64, counts: F64 | None = None) -> F64:
     """Compute (G,) float64, how many members of equal coverage each group is like, 1 or more.
 
-    For coverages a it is (sum a)² / sum a² (Kish's effective sample size).
+    For coverages a it is (sum a)² / sum a² (Kish's effective sample size), and for members that are
+    themselves like n splats, (sum a)² / sum (a²/n): as if all these were members.
 
     Args:
         leaves: M nodes.
         labels: (M,) the group of each.
         coverages: (G,) float64, sum of all members' coverages, square scene units.
+        counts: (M,) float64, effective counts of the members; by default 1.
     """
     squares = np.zeros(len(coverages))
     with np.errstate(divide="ignore", invalid="ignore"):
         for part in slices(len(leaves)):
             shares = leaves.coverages[part] / coverages[labels[part]]
-            np.add.at(squares, labels[part], np.square(shares, out=shares))
-        counts = 1 / squares
+            np.square(shares, out=shares)
+            if counts is not None:
+                shares /= counts[part]
+            np.add.at(squares, labels[part], shares)
+        found = 1 / squares
     # Groups without any coverage have NaN; the sum of the shares is rounded.
-    return np.fmax(counts, 1.0)
+    return np.fmax(found, 1.0)
 
 
 def blocked(coverages: F64, areas: F64, counts: F64) -> F64:

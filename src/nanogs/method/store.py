@@ -81,6 +81,7 @@ def store_groups(
     *,
     growth: float | None = None,
     others: Sequence[Cover] = (),
+    counts: F64 | None = None,
 ) -> Groups:
     """Convert groups to stored splats, in the order of their dominant members in the input.
 
@@ -101,6 +102,8 @@ def store_groups(
             means; else they are fitted to directions (`directional.fit_colours`), and what may
             follow, a fit to views, starts from there.
         others: Neighbouring groups that are stored elsewhere and may cover these.
+        counts: (M,) float64, `growth.effective_counts` of splats that were merged before; by
+            default 1.
     """
     groups = int(labels.max()) + 1
     sources, order, new = stored_order(leaves, labels, groups)
@@ -117,9 +120,9 @@ def store_groups(
     if growth is not None:
         fit_colours(leaves, starts, members, _frames(quats, new), merged.features)
     del starts, members  # only to free their memory
-    counts = effective_counts(leaves, labels, merged.coverages)
+    like = effective_counts(leaves, labels, merged.coverages, counts)
     needed, least = area_needs(merged, leaves, labels, areas, sheets=growth is not None)
-    every = _alphas(merged.coverages, areas, counts)
+    every = _alphas(merged.coverages, areas, like)
     alphas, covered = every[new], np.zeros(len(scales))
     if growth is not None:
         cover = Cover(merged.means, merged.covariances, every)
