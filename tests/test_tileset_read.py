@@ -50,6 +50,15 @@ def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, unpacked):
     assert {file.name[0] for file in read} == {"t", "0"}
 
 
+def test_blocks_without_a_splat_of_a_level_add_none_to_it(splats, tmp_path):
+    nanogs.save(splats, tmp_path / "a.ply")
+    options = {"preset": "fast", "layout": Layout.TILES, "chunk": 100, "block": 100, "threads": 1}
+    write_levels(tmp_path / "a.ply", tmp_path / "t", (1, 0.5, 0.005), **options)
+    path = tmp_path / "t" / "tileset.json"
+    assert [len(io.load(path, level=level)) for level in range(3)] == [900, 450, 5]
+    assert io.open(path).levels == (900, 450, 5)
+
+
 def test_each_tile_is_opened_once_to_describe_a_tileset(splats, tmp_path, monkeypatch):
     options = {"source": "a", "preset": "fast", "layout": Layout.TILES, "chunk": 100}
     write_levels(splats, tmp_path / "t", RATIOS, **options)

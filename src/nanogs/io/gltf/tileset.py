@@ -4,7 +4,8 @@ Specification: https://docs.ogc.org/cs/22-025r4/22-025r4.html. Tiles form a tree
 tile's children replace it by finer content; with `ADD`, they are drawn in addition to it. A level
 is the whole scene as drawn by a viewer that descends to a limited depth: level 0 descends to the
 leaves, level 1 one step less, and so on up to the first tiles with contents. A tile without content
-is represented by its descendants.
+is represented by its descendants, except in tilesets that nanogs wrote: there all tiles of a level
+have the same depth, and one without content has no splat of this level.
 
 The tileset's frame is z up. Transforms of tiles are applied, except one with a far translation,
 which places the scene on Earth, at coordinates where single precision is coarser than a splat. The
@@ -22,6 +23,7 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.findings import join_findings
+from nanogs.io.generator import read_own
 from nanogs.io.gltf import read as gltf
 from nanogs.io.gltf.scene import Z_UP
 from nanogs.io.info import FileInfo
@@ -61,10 +63,18 @@ class _Tile:
 
 @dataclass(frozen=True, slots=True)
 class _Tileset:
-    """A tree of tiles, with notes about reading it."""
+    """A tree of tiles, with notes about reading it.
+
+    Attributes:
+        path: The `tileset.json`.
+        root: The root of the tree.
+        own: Whether nanogs wrote it.
+        notes: Notes about reading it.
+    """
 
     path: Path
     root: _Tile
+    own: bool
     notes: tuple[str, ...]
 
     def levels(self) -> int:
@@ -82,7 +92,7 @@ class _Tileset:
         """
         check_level(self.path, number, self.levels())
         deepest = max(tile.depth for tile in _all(self.root) if tile.contents)
-        return list(_drawn(self.root, deepest - number))
+        return list(_drawn(self.root, deepest - number, empty=self.own))
 
 
 def open_level(path: Path, level: int = 0) -> "TilesLevel":
@@ -158,12 +168,19 @@ def _all(root: _Tile) -> Iterator[_Tile]:
         waiting += reversed(tile.children)
 
 
-def _drawn(root: _Tile, depth: int) -> Iterator[_Tile]:
-    """Yield the tiles with contents that a viewer draws if it descends to `depth` at most."""
+def _drawn(root: _Tile, depth: int, *, empty: bool) -> Iterator[_Tile]:
+    """Yield the tiles with contents that a viewer draws if it descends to `depth` at most.
+
+    Args:
+        root: Of the tree.
+        depth: Number of steps from the root.
+        empty: Whether nothing is drawn for a tile of that depth without content; otherwise its
+            descendants are.
+    """
     waiting = [root]
     while waiting:
         tile = waiting.pop()
-        stays = tile.depth == depth and tile.contents
+        stays = tile.depth == depth and (empty or tile.contents)
         refined = bool(tile.children) and not stays
         if tile.contents and (tile.adds or not refined):
             yield tile
@@ -249,18 +266,19 @@ class _Place:
 def _read(path: Path) -> _Tileset:
     """Read and check a `tileset.json`."""
     reader = _Reader()
+    own = read_own(path, "asset", "extras", "generator") is not None
     try:
         tree = reader.tile(reader.root(path), _Place(path, 0, _IDENTITY, adds=False))
         place = _place_of(tree)
         if place is None:
-            return _Tileset(path, tree, ())
+            return _Tileset(path, tree, own, ())
         near = _in_frame_of(tree, place, np.linalg.inv(place).astype(np.float64))
     except RecursionError:
         raise refused(str(path), "has tiles that are nested too deeply") from None
     except np.linalg.LinAlgError:
         raise refused(f"{path}, tile", "flattens the splats with its transform") from None
     note = f"The position of the scene on Earth was left out: {text_of(Z_UP @ place @ Z_UP.T)}."
-    return _Tileset(path, near, (note,))
+    return _Tileset(path, near, own, (note,))
 
 
 def _place_of(root: _Tile) -> F64 | None:
