@@ -679,6 +679,15 @@ def test_units_survive_json_exactly():
     positions = ((1 / 3, -1e-300, 7.0), (0.1, 0.2, 0.3))
     for viewers, spacing in ((positions, 1 / 7), ((), 0.0)):  # with a user's cameras, and without
         units = Units(
-            (0.1, 1 / 3, 1e-300), anchors, 0.2, viewers, spacing, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9
+            (0.1, 1 / 3, 1e-300),
+            anchors,
+            0.2,
+            viewers,
+            spacing,
+            1e-9,
+            1 / 7,
+            np.inf,
+            (-1.1, 0.0, 3.0),
+            9.9,
         )
         assert units_of(json.loads(json.dumps(units.to_dict()))) == units

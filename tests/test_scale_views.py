@@ -15,6 +15,7 @@ from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import RefitStop
 from nanogs.fit.rounds import fit
 from nanogs.fit.targets import Fitting, make_target
+from nanogs.method.nodes import LIGHTEST
 from nanogs.pipeline import run, stages, work
 from nanogs.pipeline.estimates.block_plan import plan_blocks
 from nanogs.pipeline.estimates.memory_blocks import FINE, ROUGH, block_stages, most_coarse
@@ -26,6 +27,7 @@ from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.options.views import RequestedViews
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.tasks import fitting, look
+from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.pipeline.work import Work
 from nanogs.progress import ignore_progress
@@ -361,6 +363,28 @@ def test_an_invisible_scene_is_simplified_all_the_same(splats, tmp_path):
     report = nanogs.simplify_blocks(tmp_path / "clear.ply", tmp_path / "a.ply", ratio=0.2, **BLOCKS)
     assert report.achieved_count == COUNT // 5
     assert any("Nothing was rendered" in note for note in report.notes)
+
+
+def test_an_immense_splat_does_not_make_all_others_equal(splats, tmp_path, monkeypatch):
+    """Their weights are relative to the mean of all, and limited below."""
+    log_scales = splats.log_scales.copy()
+    log_scales[7] = np.log(1e7)
+    logits = splats.opacity_logits.copy()
+    logits[7] = -4
+    immense = dataclasses.replace(splats, log_scales=log_scales, opacity_logits=logits)
+    nanogs.save(immense, tmp_path / "a.ply")
+    found = []
+
+    def noted(*given, **more):
+        nodes = leaves_of(*given, **more)
+        if len(given) == 4 and given[3]:
+            found.append(nodes.weights)
+        return nodes
+
+    monkeypatch.setattr("nanogs.pipeline.work.leaves_of", noted)
+    nanogs.simplify_blocks(tmp_path / "a.ply", tmp_path / "b.ply", ratio=0.2, **BLOCKS)
+    assert len(found) >= 3
+    assert min(weights.min() for weights in found) > LIGHTEST
 
 
 def test_blocks_that_are_small_in_every_view_get_nearer_cameras(tmp_path):

@@ -5,6 +5,12 @@ import numpy as np
 from nanogs._types import F64
 
 
+def cap(some: F64, medians: float) -> float:
+    """Return a number of medians of values without zeros; infinite if there are only zeros."""
+    positive = some[some > 0]
+    return medians * float(np.median(positive)) if len(positive) else np.inf
+
+
 def capped_mean(values: F64, some: F64, medians: float) -> float:
     """Return the mean of values, of which each counts as a number of medians at most.
 
@@ -14,6 +20,4 @@ def capped_mean(values: F64, some: F64, medians: float) -> float:
             zeros, no value is capped.
         medians: How many medians a value counts as at most.
     """
-    positive = some[some > 0]
-    most = medians * float(np.median(positive)) if len(positive) else np.inf
-    return float(np.minimum(values, most).mean())
+    return float(np.minimum(values, cap(some, medians)).mean())

@@ -12,7 +12,7 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Bool
 from nanogs.activations import alphas
-from nanogs.averages import capped_mean
+from nanogs.averages import cap, capped_mean
 from nanogs.kernels.grouping import group_members
 from nanogs.kernels.nodes import covariances_of, gather_moments, heaviest_members
 from nanogs.method.activation import activated
@@ -198,7 +198,16 @@ def typical_weight(weights: F64) -> float:
 
     So one immense splat does not make all others equal, at `LIGHTEST`.
     """
-    return capped_mean(weights, weights[:: len(weights) // _WEIGHED + 1], _IMMENSE)
+    return capped_mean(weights, _some(weights), _IMMENSE)
+
+
+def immense_weight(weights: F64) -> float:
+    """Return the weight that one of (N,) counts as at most for `typical_weight`."""
+    return cap(_some(weights), _IMMENSE)
+
+
+def _some(weights: F64) -> F64:
+    return weights[:: len(weights) // _WEIGHED + 1]
 
 
 def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:

@@ -3,6 +3,8 @@
 from dataclasses import astuple
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from nanogs._types import F64
 from nanogs.fit.views import choose_cameras
 from nanogs.method.nodes import prominence
@@ -29,12 +31,14 @@ def write_look(work: "Work", name: str, look: Look) -> Record:
     assert own.visible is not None  # noqa: S101 - it was computed
     leaves, visible = leaves_of(own.splats, own.rows, work.units), own.visible[own.rows]
     prominences = prominence(leaves.coverages, leaves.means, work.units.viewers())
+    counted = np.minimum(prominences, work.units.immense)
     facts = {
         "cameras": [plain_camera(camera) for camera, _ in look.lights],
         LIGHT: [light for _, light in look.lights],
         "discovery": astuple(look.missed_light),
         "prominence": float(prominences.sum()),
-        "visible": float((prominences * visible).sum()),
+        "counted": float(counted.sum()),
+        "visible": float((counted * visible).sum()),
         "shown": shown_prominence(prominences, visible, look.missed[own.rows]),
     }
     return write_table(work.scratch, name, {VISIBLE: own.visible}, facts)
@@ -69,14 +73,14 @@ def closer_views(work: "Work", own: Splats) -> list[Camera]:
 def typical_weight(work: "Work", hidden: float) -> float:
     """Compute the mean weight of all splats, the unit of node weights; 1 if all are 0.
 
+    As in memory (`nodes.typical_weight`), one immense splat does not make all others equal.
+
     Args:
         work: The job, the visibility of all blocks known.
         hidden: Relative weight of a splat that no view shows; see `hidden_weight`.
     """
     facts = [record.facts for record in work.of_blocks("look")]
-    every, visible = (
-        sum(float(each[name]) for each in facts) for name in ("prominence", "visible")
-    )
+    every, visible = (sum(float(each[name]) for each in facts) for name in ("counted", "visible"))
     mean = (hidden * every + (1 - hidden) * visible) / work.partition.splats
     return mean if mean > 0 else 1.0
 

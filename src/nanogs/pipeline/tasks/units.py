@@ -10,7 +10,13 @@ from nanogs._types import F64, U64
 from nanogs.errors import NONE_USABLE, ModelError
 from nanogs.method.activation import scene_origin
 from nanogs.method.extent import MOST_VIEWERS, Dilation, Viewers, estimate_dilation, viewers_at
-from nanogs.method.nodes import activate_nodes, prominence, thinnest_axis, typical_weight
+from nanogs.method.nodes import (
+    activate_nodes,
+    immense_weight,
+    prominence,
+    thinnest_axis,
+    typical_weight,
+)
 from nanogs.method.order import code_box, codes_in
 from nanogs.pipeline.job.rows import sample
 from nanogs.pipeline.options.settings import Settings
@@ -32,6 +38,7 @@ class Units:
         apart: As in `Viewers`.
         thinnest: Thinnest axis of any node, scene units.
         prominence: Of a typical splat, square scene units; weights are divided by it.
+        immense: Prominence that a splat counts as at most for the mean of all, square scene units.
         corner: Lowest corner of the box of the Morton grid, relative to the origin.
         width: Of that box, scene units.
     """
@@ -43,6 +50,7 @@ class Units:
     apart: float
     thinnest: float
     prominence: float
+    immense: float
     corner: tuple[float, ...]
     width: float
 
@@ -99,7 +107,8 @@ def find_units(settings: Settings, unpacked: Unpacked | None = None) -> Units:
     nodes = activate_nodes(some, np.arange(len(some)), origin, dilation, thinnest)
     cameras = settings.asked.given()
     given_viewers = viewers_of(cameras, origin, means) if cameras else None
-    typical = typical_weight(prominence(nodes.coverages, nodes.means, given_viewers or dilation))
+    prominences = prominence(nodes.coverages, nodes.means, given_viewers or dilation)
+    typical = typical_weight(prominences)
     corner, width = code_box(means)
     return Units(
         origin=tuple(map(float, origin)),
@@ -109,6 +118,7 @@ def find_units(settings: Settings, unpacked: Unpacked | None = None) -> Units:
         apart=given_viewers.apart if given_viewers else 0.0,
         thinnest=thinnest,
         prominence=typical if typical > 0 else 1.0,
+        immense=immense_weight(prominences),
         corner=tuple(map(float, corner)),
         width=width,
     )
