@@ -162,7 +162,7 @@ class Linked(Protocol):
                 are few roots.
 
         Raises:
-            OptionError: A node would have too many children.
+            ManyChildrenError: A node would have too many children.
         """
 
     def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:

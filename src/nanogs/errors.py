@@ -67,6 +67,10 @@ class CrowdedError(OptionError):
     """More splats than a block may hold share one place, so that they cannot be divided."""
 
 
+class ManyChildrenError(OptionError):
+    """A splat of a level would stand for more of the next finer level than a format can state."""
+
+
 class SmallViewError(OptionError):
     """A view is too small to choose results by."""
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import F64, I32, I64
-from nanogs.errors import OptionError
+from nanogs.errors import ManyChildrenError
 from nanogs.io.in_order import in_order
 from nanogs.lod.links import Shapes, parents_of, shapes_of
 from nanogs.method.extent import Dilation, estimate_dilation
@@ -85,7 +85,7 @@ class Linking:
             level: The next level, of one splat or more.
 
         Raises:
-            OptionError: A splat would have more than `MOST_CHILDREN`.
+            ManyChildrenError: A splat would have more than `MOST_CHILDREN`.
         """
         coarse, fine = shapes_of(level), self._shapes
         self._shapes = coarse
@@ -117,10 +117,10 @@ def refuse_many(children: I64, level: int) -> None:
         level: Number of the level of the children.
 
     Raises:
-        OptionError: One of these is too large.
+        ManyChildrenError: One of these is too large.
     """
     if (most := int(children.max())) > MOST_CHILDREN:
-        raise OptionError(
+        raise ManyChildrenError(
             f"A splat of level {level + 1} would stand for {most:,} of level {level}, and a .rad"
             f" file holds {MOST_CHILDREN:,}; give more levels between the two."
         )
@@ -135,7 +135,7 @@ def layers_of(levels: Sequence[Source], *, first: int = 0, steps: int | None = N
         steps: As `above` takes it.
 
     Raises:
-        OptionError: A splat would have more than `MOST_CHILDREN`.
+        ManyChildrenError: A splat would have more than `MOST_CHILDREN`.
     """
     linking = Linking(first)
     for level in levels:

@@ -133,7 +133,7 @@ def joined_trees(
         on_progress: As `TreeRows` takes it.
 
     Raises:
-        OptionError: A splat would have too many children.
+        ManyChildrenError: A splat would have too many children.
     """
     roots = InMemory(concatenate([tree.layers[-1].load() for tree in trees]))
     levels = len(trees[0].layers) - 1

@@ -12,6 +12,7 @@ from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.errors import (
     CrowdedError,
+    ManyChildrenError,
     ModelError,
     NanogsError,
     OutputError,
@@ -46,7 +47,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 UNRECOVERABLE = (
-    CrowdedError, ModelError, SmallViewError, TooManyError, TooSmallError, UnstorableError,
+    CrowdedError, ManyChildrenError, ModelError, SmallViewError, TooManyError, TooSmallError,
+    UnstorableError,
 )  # fmt: skip
 """Errors after which a job cannot be resumed, so that its files are removed."""
 
