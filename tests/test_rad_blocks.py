@@ -20,7 +20,9 @@ from nanogs.pipeline import stages
 from nanogs.pipeline.estimates.block_plan import plan_blocks
 from nanogs.pipeline.job.folder import MANIFEST
 from nanogs.pipeline.options.presets import PRESETS
+from nanogs.pipeline.tasks.budget import budget
 from nanogs.raster.rendering import render
+from nanogs.report import StopReason
 from nanogs.source import InMemory
 from nanogs.source import Layout as Columns
 from spark_page import render_in_spark
@@ -151,6 +153,23 @@ def test_levels_may_have_counts_that_blocks_cannot_be_cut_to(model, scene, tmp_p
         np.testing.assert_array_equal(
             rows_sorted(io.load(tmp_path / "a.rad").means), rows_sorted(model.means)
         )
+
+
+def test_a_block_that_has_more_splats_at_a_coarser_level_is_noted(scene, tmp_path, monkeypatch):
+    def uneven(scratch, forests, target, *given, **more):
+        first, second, *groups = budget(scratch, forests, target, *given, **more)
+        moved = 20 if target == 870 else 0
+        return [first + moved, second - moved, *groups]
+
+    monkeypatch.setattr(stages, "budget", uneven)
+    manifest, reports = write(scene, tmp_path / "a.rad", (1, 0.3, 0.29))
+    assert [report.achieved_count for report in reports[:2]] == [3000, 900]
+    assert reports[2].asked_count == 870 > reports[2].achieved_count
+    assert reports[2].stop is StopReason.TARGET
+    levels = io.open(tmp_path / "a.rad").levels
+    assert reports[2].achieved_count == manifest.levels[2].count == levels[2]
+    said = f"Level 2 of the tree has {levels[2]} splats, not 870"
+    assert sum(note.startswith(said) for note in manifest.notes) == 1
 
 
 def test_bytes_are_the_same_for_any_number_of_threads_and_workers(scene, tree_in_blocks, tmp_path):

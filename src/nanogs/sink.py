@@ -43,7 +43,7 @@ class Written(NamedTuple):
         sha256: Hexadecimal hash of the file, if there is a single one.
         judged: PSNR in dB and SSIM against the original model, and the number of views; None if not
             measured.
-        notes: Reasons for what was not measured, one sentence each.
+        notes: Reasons for what was not measured or is not as asked, one sentence each.
         costs: Costs of drawing the result and the original model: the numbers of `DrawCost` without
             the views; None if not measured.
         requests: Number of files that a viewer requests, for a result in chunks: the files above

@@ -79,7 +79,7 @@ class Linking:
         """Link the last level to the next coarser one.
 
         If that has more splats, as can happen for a block of a scene, the last level is repeated in
-        its place.
+        its place; the whole tree has fewer splats at that level then.
 
         Args:
             level: The next level, of one splat or more.

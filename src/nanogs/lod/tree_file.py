@@ -90,9 +90,15 @@ class TreeFilling(OpenSink):
         """Link a level to the previous one, unless the trees of blocks include it already."""
         on_progress(0, 1)
         number, source = len(self.written), source_of(model)
-        count = source.count
+        count, notes = source.count, list[str]()
         if number < self._linked:
             count = sum(tree.layers[number].count for tree in self._trees)
+            if count != source.count:
+                notes.append(
+                    f"Level {number} of the tree has {count:,} splats, not {source.count:,}: blocks"
+                    " that would have more than at the finer level repeat that; levels that are"
+                    " farther apart keep their counts."
+                )
         elif self._trees:
             self._further.append(InMemory(as_splats(source)))
         else:
@@ -100,7 +106,7 @@ class TreeFilling(OpenSink):
             self._leaves = self._leaves or level
             self._linking.add(level)
         left_out = losses(model, self._making)
-        self.written.append(Written(count, (self._name,), 0, left_out))
+        self.written.append(Written(count, (self._name,), 0, left_out, notes=notes))
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
         """Write the tree, and measure the quality of each level.

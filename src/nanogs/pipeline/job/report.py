@@ -43,8 +43,10 @@ def report_of(
     merged = work.merges(level)
     settled = work.of_blocks("settle", level) if merged and settings.parameters.rounds else []
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
-    count = written.splats
-    stop = StopReason.TARGET if count == target else StopReason.NO_PROGRESS
+    # Few splats are merged from blocks that have more; and a tree may have fewer than all blocks,
+    # because it repeats a block's finer level that has fewer splats.
+    made = sum(map(count_of, work.delivered(level)))
+    stop = StopReason.TARGET if target in (written.splats, made) else StopReason.NO_PROGRESS
     entries = {
         "stop": stop,
         **written.measured,
@@ -65,7 +67,7 @@ def report_of(
         pruned=0,
         prune_threshold=0.0,
         prune_limited=False,
-        achieved_count=count,
+        achieved_count=written.splats,
         seconds=clock.seconds,
         total_seconds=time.perf_counter() - start,
         threads=work.threads,
