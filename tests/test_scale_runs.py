@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import active_children, get_context
 
 import numpy as np
@@ -20,16 +20,18 @@ import launch
 import nanogs
 from builders import random_splats
 from nanogs.clock import StageClock
-from nanogs.errors import OptionError, OutputError, UnstorableError
+from nanogs.errors import ModelError, OptionError, OutputError, UnstorableError
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.estimates.block_plan import held_bytes
 from nanogs.pipeline.in_blocks import plan_job
+from nanogs.pipeline.job import workers
 from nanogs.pipeline.job.cluster import connected
 from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.run import InProcess, run_tasks
+from nanogs.pipeline.stages import do
 from nanogs.pipeline.tasks.units import find_units
 from nanogs.progress import Tracker
 from nanogs.source import Layout
@@ -293,6 +295,50 @@ def test_an_error_on_a_worker_is_raised_in_the_caller(scene, tmp_path, client):
         nanogs.simplify_blocks(
             scene_copy, tmp_path / "a.ply", ratio=0.1, executor=client, progress=progress, **BLOCK
         )
+
+
+def test_workers_still_busy_when_another_fails_leave_no_files(tmp_path, monkeypatch):
+    fsspec = pytest.importorskip("fsspec")
+    model, ended = random_splats(900, degree=0), []
+    model.means[5] = np.nan
+    nanogs.save(model, tmp_path / "a.ply")
+
+    def slow(work, task):
+        if task.number:
+            time.sleep(0.2)
+        do(work, task)
+        ended.append(task)
+
+    monkeypatch.setattr(workers, "do", slow)
+    options = {"ratio": 0.1, "preset": "fast", "block": 300, "threads": 1, "nan": "error"}
+    with ThreadPoolExecutor(2) as pool, pytest.raises(ModelError):
+        nanogs.simplify_blocks(
+            tmp_path / "a.ply",
+            tmp_path / "b.ply",
+            executor=pool,
+            scratch="memory://left",
+            **options,
+        )
+    assert ended
+    assert fsspec.filesystem("memory").find("/left") == []
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_cancelled_tasks_of_dask_are_waited_for_if_they_had_begun(tmp_path, client):
+    keys = set()
+    tasks = [workers._submit_to(client, keys, write_slowly, tmp_path / str(n)) for n in range(8)]
+    while not list(tmp_path.iterdir()):
+        time.sleep(0.05)
+    assert all(task.cancel() for task in tasks)
+    workers._settle(client, keys)
+    for path in tmp_path.iterdir():
+        assert path.read_text() == "begun, ended"
+
+
+def write_slowly(path):
+    path.write_text("begun")
+    time.sleep(0.5)
+    path.write_text("begun, ended")
 
 
 # ---- borders --------------------------------------------------------------------------------

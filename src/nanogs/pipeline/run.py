@@ -25,6 +25,9 @@ class Executor(Protocol):
     def run(self, work: Work, tasks: Sequence[Task]) -> Iterator[Task]:
         """Do tasks, in any order, and yield each when it is done."""
 
+    def finish(self) -> None:
+        """Wait for tasks that had begun when another failed: they still write to the scratch."""
+
 
 class InProcess:
     """Does tasks in this process, one at a time, each on all threads."""
@@ -34,6 +37,9 @@ class InProcess:
         for task in tasks:
             do(work, task)
             yield task
+
+    def finish(self) -> None:
+        """Wait for nothing: a task that failed was the only one; see `Executor`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -141,6 +141,7 @@ class BlockJob:
                     with clock.time("write"):
                         written = self.writer.finish(done, self.folder, progress)
                 except UNRECOVERABLE:
+                    runner.finish()
                     self._remove(scratch)
                     raise
             self._remove(scratch)

@@ -4,12 +4,13 @@ Workers read the inputs and read and write the scratch, which all of them must s
 name. The results of tasks are in the scratch: nothing that was done is lost with a worker.
 """
 
+import asyncio
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 KEPT = "the job is kept, and `resume=True` continues it"
 _LOOK = 1.0  # seconds between checks of the cluster
+_POLL = 0.1  # seconds between checks of a worker
 _ANSWER = 10  # seconds that a scheduler may take to list its workers
 _SILENT = 30.0  # seconds after which a scheduler that does not answer is lost
 _ONE = threading.Lock()  # a process has memory and Numba threads for one task at a time
@@ -43,11 +45,15 @@ class Workers:
         threads: For a task; None takes all of the worker's machine.
         watch: Called each second without a result, with the time of the last; it raises if no
             more can be expected.
+        settle: Called by `finish`, to wait for tasks whose futures cannot tell when they end.
+        begun: Futures of tasks that had begun when another failed.
     """
 
     submit: "Callable[..., futures.Future[None]]"
     threads: int | None
     watch: Callable[[float], None] = lambda _: None
+    settle: Callable[[], None] = lambda: None
+    begun: "list[futures.Future[None]]" = field(default_factory=list)
 
     def run(self, work: Work, tasks: Sequence[Task]) -> Iterator[Task]:
         """Do tasks on any workers, and yield each when it is done.
@@ -75,8 +81,13 @@ class Workers:
                 check(future, task)
                 yield task
         finally:
-            for future in left:
-                future.cancel()  # tasks that no worker has begun are not begun any more
+            # Tasks that no worker has begun are not begun any more.
+            self.begun[:] = [future for future in left if not future.cancel()]
+
+    def finish(self) -> None:
+        """Wait for tasks that had begun when another failed; see `run.Executor`."""
+        futures.wait(self.begun)
+        self.settle()
 
     def _begin(self, *given: Any) -> "futures.Future[None]":  # noqa: ANN401
         try:
@@ -88,12 +99,18 @@ class Workers:
             raise
 
 
-def _submit_to(client: "Client", *given: Any) -> "futures.Future[None]":  # noqa: ANN401
+def _submit_to(client: "Client", keys: set[str], *given: Any) -> "futures.Future[None]":  # noqa: ANN401
     """Submit a task to a Dask client, as an executor does, but fetch no result.
 
     The futures of `Client.get_executor` are never done if the result cannot be fetched.
+
+    Args:
+        client: The client.
+        keys: Gets Dask's name of the task.
+        given: The function and its arguments.
     """
     theirs, ours = client.submit(*given, pure=False), futures.Future[None]()
+    keys.add(theirs.key)
 
     def end(theirs: Any) -> None:  # noqa: ANN401 - Dask's future
         if not ours.set_running_or_notify_cancel():
@@ -107,6 +124,16 @@ def _submit_to(client: "Client", *given: Any) -> "futures.Future[None]":  # noqa
     theirs.add_done_callback(end)
     ours.add_done_callback(lambda _: theirs.release())
     return ours
+
+
+def _settle(client: "Client", keys: set[str]) -> None:
+    """Wait until no Dask worker does one of these tasks, even if it was cancelled meanwhile."""
+
+    async def settled(dask_worker: Any) -> None:  # noqa: ANN401 - Dask's worker
+        while any(task.key in keys for task in dask_worker.state.executing):
+            await asyncio.sleep(_POLL)
+
+    client.run(settled, on_error="ignore")
 
 
 @dataclass(slots=True, eq=False)
@@ -175,7 +202,9 @@ def workers_of(
             "`executor` is a Dask client or a concurrent.futures.Executor, not"
             f" {type(given).__name__}."
         )
-    return Workers(partial(_submit_to, given), threads, _Watch(given, patience, waiting))
+    keys = set[str]()
+    submit, settle = partial(_submit_to, given, keys), partial(_settle, given, keys)
+    return Workers(submit, threads, _Watch(given, patience, waiting), settle)
 
 
 def _count(client: "Client") -> int | None:
