@@ -15,7 +15,7 @@ from nanogs._types import F64, I32, I64, Array
 from nanogs.errors import OutputError
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Target, make_target
-from nanogs.kernels.blocks import FIELDS
+from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method.correct import Correction, Ordering
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
@@ -235,14 +235,22 @@ class Work(Scene):
         )
 
     def compared(self, block: int, own: Block) -> Iterator[Target]:
-        """Render the part of each view that shows a block, except for the deciding views."""
-        views, deciding = self.views, self.deciding
+        """Render the part of each view that shows a block, except for the deciding views.
+
+        As in memory, views that only the fit uses have half of their pixels if it uses half.
+        """
+        views, deciding, parameters = self.views, self.deciding, self.settings.parameters
         cameras = [camera for camera in views.kept if camera not in deciding]  # by identity
         cameras += [camera for camera, _ in looks_at(self, block)[len(views.kept) :]]
-        cameras += views.further if self.settings.parameters.pictured else ()
+        whole = len(cameras)
+        cameras += views.further if parameters.pictured else ()
         drawn, parts = self._crops(block, own, cameras)
-        for number, part in enumerate(part for part in parts if part):
-            yield make_target(drawn, part, depth=False, wanted=FIELDS[number % 2])
+        for number, part in enumerate(parts, -whole):
+            if part:
+                half = parameters.halves and number >= 0
+                yield make_target(
+                    drawn, part, depth=False, wanted=FIELDS[number % 2] if half else ALL_BLOCKS
+                )
 
     def _scores(self, block: int, level: int, number: int) -> tuple[Record, int]:
         """Return the table that holds the scores of a cut of a block, and their number in it."""
