@@ -14,6 +14,7 @@ from nanogs.kernels.assign import assign_nearest, best_moves, invert_covariances
 from nanogs.kernels.forest import log_determinants
 from nanogs.method.nodes import Nodes, gather
 from nanogs.neighbours import nearest_neighbours
+from nanogs.sorting import stable_order
 
 NEIGHBOURS = 12  # number of other groups that a splat may move to
 LAMBDA_APP = 0.2  # weight of the squared colour distance relative to the log likelihood
@@ -65,7 +66,8 @@ def _move(leaves: Nodes, labels: I32, groups: int) -> I32:
         )  # fmt: skip
         del merged  # frees memory for the next one
         rows = np.flatnonzero(gains > 0)
-        order = rows[np.argsort(-gains[rows], kind="stable")]
+        # Positive numbers are ordered like their bits.
+        order = rows[stable_order(~gains[rows].view(np.uint64))]
         if make_moves(order, targets, np.zeros(groups, np.bool_), labels) == 0:
             break
     return labels
