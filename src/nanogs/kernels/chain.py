@@ -93,7 +93,9 @@ def unoccluded_share(row: F64, weight: float) -> float:
 
     With nothing in front of it, T is 1 and no pixel's alpha A is less than the splat's own. Then
     the sum of T alpha A is at least that of alpha², half the area of the Gaussian times the squared
-    opacity, or half of this if every other block of pixels counts.
+    opacity, or half of this if every other block of pixels counts. The latter is always taken, so
+    that v is an upper estimate: twice as large if all pixels count, and too large for a faint splat
+    in front of others.
 
     Args:
         row: (8,) the projected splat.
