@@ -30,6 +30,16 @@ def _inverse(s: Symmetric3) -> tuple[Symmetric3, float]:
     return (a * r, b * r, c * r, d * r, e * r, f * r), math.log(determinant)
 
 
+@inline
+def _apart(features: F32, row: int, colours: F32, cluster: int) -> float:
+    """Return |f - f_c|² of a splat and a cluster."""
+    total = 0.0
+    for channel in range(features.shape[1]):
+        difference = features[row, channel] - colours[cluster, channel]
+        total += difference * difference
+    return total
+
+
 @parallel_kernel("covariances")
 def invert_covariances(
     start: int, stop: int, covariances: F64, inverses: F64, log_dets: F64
@@ -71,24 +81,11 @@ def assign_nearest(
             a, b, c, d, e, f = symmetric(inverses, g)
             spread = a * (xx + x * x) + d * (yy + y * y) + f * (zz + z * z)
             spread += 2.0 * (b * (xy + x * y) + c * (xz + x * z) + e * (yz + y * z))
-            distance = 0.0
-            for channel in range(features.shape[1]):
-                difference = features[rows[i], channel] - colours[g, channel]
-                distance += difference * difference
+            distance = _apart(features, rows[i], colours, g)
             total = 0.5 * (spread + log_dets[g]) + lambda_app * distance
             if total < best:
                 best, chosen = total, g
         out[i], distances[i] = chosen, best - 0.5 * (3.0 + log_determinant(sigma))
-
-
-@inline
-def _apart(features: F32, row: int, colours: F32, cluster: int) -> float:
-    """Return |f - f_c|² of a splat and a cluster."""
-    total = 0.0
-    for channel in range(features.shape[1]):
-        difference = features[row, channel] - colours[cluster, channel]
-        total += difference * difference
-    return total
 
 
 @parallel_kernel("labels", each=32)

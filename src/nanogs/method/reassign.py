@@ -12,7 +12,7 @@ import numpy as np
 from nanogs._types import F64, I32
 from nanogs.kernels.assign import assign_nearest, best_moves, invert_covariances, make_moves
 from nanogs.kernels.forest import log_determinants
-from nanogs.method.nodes import Nodes, gather
+from nanogs.method.nodes import Nodes, gather, gather_groups, member_lists
 from nanogs.neighbours import nearest_neighbours
 from nanogs.sorting import stable_order
 
@@ -55,16 +55,18 @@ def _move(leaves: Nodes, labels: I32, groups: int) -> I32:
     targets, gains, dets = np.empty_like(labels), np.empty(len(labels)), np.empty(groups)
     candidates = None
     for _ in range(MOVES):
-        merged = gather(leaves, labels, groups)
+        starts, members = member_lists(labels, groups)
+        merged = gather_groups(leaves, starts, members)
         if candidates is None:  # moves hardly change which groups are near
             candidates = nearest_neighbours(merged.means, NEIGHBOURS)
         log_determinants(merged.covariances, dets)
         best_moves(
-            labels, np.bincount(labels, minlength=groups), candidates, leaves.weights, leaves.means,
-            leaves.covariances, leaves.features, leaves.rows, merged.weights, merged.means,
-            merged.covariances, dets, merged.features, MOVES_APP, targets, gains,
+            labels, np.diff(starts), candidates,
+            leaves.weights, leaves.means, leaves.covariances, leaves.features, leaves.rows,
+            merged.weights, merged.means, merged.covariances, dets, merged.features, MOVES_APP,
+            targets, gains,
         )  # fmt: skip
-        del merged  # frees memory for the next one
+        del merged, starts, members  # frees memory for the next ones
         rows = np.flatnonzero(gains > 0)
         # Positive numbers are ordered like their bits.
         order = rows[stable_order(~gains[rows].view(np.uint64))]
