@@ -188,6 +188,9 @@ def as_rows(leaves: Source, layers: Sequence[Layer]) -> tuple[Source, Tree]:
     return Joined(made.layers[::-1]), Tree(np.concatenate(made.children[::-1]))
 
 
+COLUMNS = ("weights", "coverages", "means", "covariances")  # of nodes without features
+
+
 class Moments(NamedTuple):
     """The moments of all leaves below each of N inner splats.
 
@@ -207,8 +210,7 @@ class Moments(NamedTuple):
     def joined(parts: Sequence["Moments"]) -> "Moments":
         """Concatenate several of them."""
         columns = {
-            name: np.concatenate([getattr(part.nodes, name) for part in parts])
-            for name in ("weights", "coverages", "means", "covariances")
+            name: np.concatenate([getattr(part.nodes, name) for part in parts]) for name in COLUMNS
         }
         nodes = replace(parts[0].nodes, **columns)
         return Moments(nodes, np.concatenate([part.counts for part in parts]))

@@ -16,14 +16,14 @@ import numpy as np
 from nanogs._types import I64
 from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
-from nanogs.lod.tree import Moments, build, layers_of, refuse_many, units_of
+from nanogs.lod.tree import COLUMNS, Moments, build, layers_of, refuse_many, units_of
 from nanogs.method.nodes import Nodes
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.source import InMemory, Source
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats, concatenate
 
-_NODES, _COUNTS = ("weights", "coverages", "means", "covariances"), "counts"  # of `Moments`
+_COUNTS = "counts"  # of `Moments`, beside `COLUMNS` of its nodes
 _SEARCHED = 240  # bytes per splat of the finest level while it is linked to the next; measured
 _LAYER = 100  # bytes per splat of all layers: their order, links and moments; measured
 _WRITTEN = 6  # memory while a chunk is written, as a factor of its rows' size
@@ -45,7 +45,7 @@ class Linked:
         made = build(leaves, layers, units_of(InMemory(some)))
         children = [partial(_part, counts) for counts in made.children]
         nodes, counts = made.moments
-        roots = {_COUNTS: counts, **{name: getattr(nodes, name) for name in _NODES}}
+        roots = {_COUNTS: counts, **{name: getattr(nodes, name) for name in COLUMNS}}
         return BlockTree(made.layers, children, roots)
 
     def encoding(
@@ -161,7 +161,7 @@ def _moments_of(trees: Sequence[BlockTree]) -> Moments:
     """Return the moments of the roots of all trees, in order."""
     found = []
     for tree in trees:
-        columns = {name: tree.roots[name] for name in _NODES}
+        columns = {name: tree.roots[name] for name in COLUMNS}
         nodes = Nodes(**columns, features=np.empty((0, 0), np.float32), rows=np.empty(0, np.int32))
         found.append(Moments(nodes, tree.roots[_COUNTS]))
     return Moments.joined(found)
