@@ -1,7 +1,6 @@
 """A file size or a PSNR as the target: `simplify(size=...)`, `simplify(psnr=...)`."""
 
 import math
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -408,8 +407,7 @@ def test_a_psnr_never_takes_more_bytes_than_the_whole_model(asked, whole_psnr, e
         pack.packed = Packed(packing, count, (PackingReport(0, {}, count, 1, 30.0, 0.9),), 0)
         return CountedResults(), count
 
-    smaller = partial(pack.smaller, reaches=lambda whole: psnr_of(whole) >= asked)
-    result, found = reach_psnr(results, asked, psnr_of, Tracker(None, []), chosen, smaller)
+    result, found = reach_psnr(results, asked, psnr_of, Tracker(None, []), chosen, pack.smaller)
     assert result == found.count
     if expected:
         assert (result, found.stop, pack.options(result)) == (1000, StopReason.STEP, {})

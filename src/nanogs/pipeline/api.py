@@ -369,8 +369,7 @@ def _search_psnr(
     results = HeldResults(checked.build(threads, clock, progress), clock)
     request = SizeRequest(0, registry.writable(files.path), files.given, checked.sh_degree)
     pack = PackingForPsnr(results, request, partial(_sample, checked), files, progress)
-    smaller = partial(pack.smaller, reaches=lambda whole: psnr_of(whole) >= psnr)
-    outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack, smaller)
+    outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack, pack.smaller)
     if found.stop is StopReason.UNREACHED:  # then the whole model is written unchanged
         pack.packed = None
     with clock.time("measure"):

@@ -100,8 +100,7 @@ class Search:
         files = _Files(self, work, clock)
         request = self._request(work, 0)
         pack = PackingForPsnr(results, request, partial(_sample, work), files, progress)
-        smaller = partial(pack.smaller, reaches=lambda whole: psnr_of(whole) >= psnr)
-        result, found = reach_psnr(results, psnr, psnr_of, progress, pack, smaller)
+        result, found = reach_psnr(results, psnr, psnr_of, progress, pack, pack.smaller)
         if found.stop is StopReason.UNREACHED:  # the whole model is written, without the packing
             pack.packed = None
         results.verify(result, progress)

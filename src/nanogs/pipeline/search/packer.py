@@ -218,7 +218,7 @@ class PackingForPsnr(Generic[T]):
         self.packed = packed if packed.packings else None
         return packer.results_for(packed.packing), packed.count
 
-    def smaller(self, whole: T, result: T, reaches: Callable[[T], bool]) -> bool:
+    def smaller(self, whole: T, result: T, reaches: Callable[[], bool]) -> bool:
         """Whether the whole model, plainly packed, is better than a result; then nothing is chosen.
 
         A chosen packing may be finer than the defaults of the format, so that fewer splats can take
@@ -227,13 +227,13 @@ class PackingForPsnr(Generic[T]):
         Args:
             whole: The whole model.
             result: A result that reaches the PSNR.
-            reaches: Whether a result reaches the PSNR as it would be packed now.
+            reaches: Whether the whole model reaches the PSNR as it would be packed now.
         """
         before, bytes_of = self.packed, self.files.bytes_of
         if before is None or bytes_of(whole, {}) >= bytes_of(result, self.options(result)):
             return False
         self.packed = None
-        if not reaches(whole):
+        if not reaches():
             self.packed = before
         return self.packed is None
 

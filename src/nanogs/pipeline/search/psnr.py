@@ -184,7 +184,7 @@ def reach_psnr(
     psnr_of: Callable[[T], float],
     progress: Tracker,
     pack: Callable[[int], tuple[Results[T], int]],
-    smaller: Callable[[T, T], bool],
+    smaller: Callable[[T, T, Callable[[], bool]], bool],
 ) -> tuple[T, Found]:
     """Find the smallest result of a model that reaches a PSNR on held-out views.
 
@@ -197,9 +197,10 @@ def reach_psnr(
         progress: Notified of each stage.
         pack: Takes the count that quick results lead to, and chooses the packing of the delivered
             ones; returns a maker of these and a count to begin with.
-        smaller: Whether the whole model, packed by the defaults of its format, reaches the PSNR in
-            a smaller file than a result, which is asked if a packing was chosen and most splats are
-            left; if so, the whole model is returned.
+        smaller: Takes the whole model, a result, and a test whether the former reaches the PSNR as
+            it would be packed now. Returns whether it does so in a smaller file than the result, by
+            the defaults of its format; then it is returned. Asked if a packing was chosen and most
+            splats are left.
 
     Returns:
         The result, and what was tried.
@@ -227,7 +228,7 @@ def reach_psnr(
         return _whole(results, found, progress)
     if delivered is not results and found.count > FAR * results.available:
         whole = results.make(results.available, progress)
-        if smaller(whole, tried.best):
+        if smaller(whole, tried.best, lambda: psnr_of(whole) >= asked):
             return whole, replace(found, count=results.available, stop=StopReason.STEP)
     return tried.best, found
 
