@@ -127,6 +127,32 @@ def test_a_signal_while_python_exits_changes_nothing():
     assert subprocess.run([sys.executable, "-c", LATE]).returncode == 0
 
 
+CLEANED_UP = """
+import os, signal, threading, time
+from nanogs.cleanup import on_signal
+from nanogs.cli.cancel import listen
+listen()
+read, write = os.pipe()
+def use_pipe():
+    os.read(read, 1)
+    raise OSError("handle is closed")
+thread = threading.Thread(target=use_pipe)
+thread.start()
+def clean():
+    os.close(write)
+    thread.join()
+on_signal(clean)
+os.kill(os.getpid(), signal.SIGTERM)
+time.sleep(60)
+"""
+
+
+@posix
+def test_a_thread_that_fails_because_of_the_clean_up_says_nothing():
+    run = subprocess.run([sys.executable, "-c", CLEANED_UP], capture_output=True, text=True)
+    assert (run.returncode, run.stderr) == (128 + signal.SIGTERM, "cancelled\n")
+
+
 @lists_processes
 def test_workers_end_when_their_run_is_cancelled(tmp_path):
     nanogs.save(random_splats(60_000), tmp_path / "in.ply")

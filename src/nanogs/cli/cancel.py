@@ -7,6 +7,7 @@ Python would wait for threads to end.
 import atexit
 import os
 import signal
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -62,10 +63,16 @@ def _ignore() -> None:
 
 
 def _end(number: int) -> None:
+    # Threads may fail when the clean-up takes away what they use, such as the pipes of workers.
+    threading.excepthook = _ignore_failure
     clean_all()
     with suppress(OSError):
         os.write(2, (_CLEAR if os.isatty(2) else b"") + _kept() + b"cancelled\n")
     os._exit(128 + number)  # the shell's exit code for programs ended by a signal
+
+
+def _ignore_failure(_failure: threading.ExceptHookArgs) -> None:
+    pass
 
 
 def _kept() -> bytes:
