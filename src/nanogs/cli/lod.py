@@ -57,7 +57,8 @@ def lod(
         ),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", "-w", help="Replace the folder if nanogs lod made it.")
+        bool,
+        typer.Option("--overwrite", "-w", help="Replace a file, or a folder that nanogs lod made."),
     ] = False,
     chunk: Annotated[
         int | None,
@@ -106,7 +107,7 @@ def lod(
     ] = False,
     method: Method,
 ) -> None:
-    """Make levels of detail from one build: a file each, or chunks for a viewer that streams.
+    """Make levels of detail of a model: a file each, or chunks for a viewer that streams.
 
     OUT/level_0.ply, the finest, and so on are the files that `nanogs simplify --ratio` writes, and
     levels.json says what is in the folder. The finest is the original by default, and each of the
