@@ -94,7 +94,7 @@ class Method(options.Reporting):
             help="Print the PSNR that `nanogs compare` measures. If --measure is given, also the"
             " draw cost and, for levels, the quality at the distance where viewers begin to"
             " draw them.",
-            show_default="if the preset renders",
+            show_default="if the preset renders, but not in blocks",
         ),
     ] = None
     nan: Annotated[

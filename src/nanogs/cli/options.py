@@ -200,8 +200,8 @@ Palette = Annotated[
 Bits = Annotated[
     int | None,
     typer.Option(
-        help="Precision of all values of a .sog or .spz file, 4 (coarse) to 8; one less makes the"
-        " file a tenth smaller, and its errors up to twice as large.",
+        help="Precision of all values but the harmonics in a .sog or .spz file, 4 (coarse) to 8;"
+        " one less makes the file a tenth smaller, and its errors up to twice as large.",
         show_default=".sog: 7; .spz: 8",
         metavar="BITS",
     ),

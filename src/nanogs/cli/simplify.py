@@ -39,7 +39,7 @@ def simplify(
         int | None,
         typer.Option(
             parser=parse_bytes,
-            help="Largest size of OUT, e.g. 20MB or 20MiB; keeps as many splats as fit.",
+            help="Largest size of OUT, e.g. 20MB or 20MiB; makes the best file that fits.",
             metavar="SIZE",
         ),
     ] = None,

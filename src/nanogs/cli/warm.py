@@ -22,7 +22,7 @@ def warm(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Compile all that runs need, so that the first is as fast as the others."""
+    """Compile everything that runs need, so that the first is as fast as later ones."""
     from dataclasses import asdict
 
     from nanogs.cli.console import err, print_json
