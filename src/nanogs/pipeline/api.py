@@ -67,17 +67,17 @@ def simplify(
         model: The model, which is not changed, or a path.
         ratio: Compaction ratio in (0, 1]: ceil(ratio x finite splats) are delivered.
         count: Number of splats to deliver.
-        size: Largest allowed size of the saved file in bytes, a number or text like "20MB": as many
-            splats as fit are delivered. Where the size is only known by writing the file, results
-            are written until one fits and takes at least 98 % of it; presets that render also
-            choose the degree of the harmonics and the size of the palette by rendering. Save the
-            result with the options given here and with those chosen, `format_options` of the
-            report.
+        size: Largest allowed size of the saved file in bytes, a number or text like "20MB". Presets
+            that render choose the degree of the harmonics by rendering, and for .sog and .spz the
+            palette and the bits; as many splats as then fit are delivered. Where the size is only
+            known by writing the file, results are written until one fits and takes at least 98 %
+            of it. Save the result with the options given here and with those chosen,
+            `format_options` of the report.
         psnr: PSNR in dB that the result must reach as `nanogs compare` measures it at its defaults,
             on held-out views. The count is searched for; the result, as read back from a file of
             the format, reaches this PSNR and exceeds it by at most 0.3 dB. Where the size of a file
-            is only known by writing it, the degree of the harmonics and the size of the palette are
-            chosen as for `size`, for the smallest file.
+            is only known by writing it, the degree, the palette and the bits are chosen as for
+            `size`, for the smallest file.
         draw_cost: Highest allowed cost of drawing the result, as a share of the model's own splats
             per pixel (see `draw_cost`), on the views of `compare` at its defaults: the largest
             count that stays within it is searched for, until the cost is at most 2 % below it, or
