@@ -9,7 +9,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.activations import rotations
-from nanogs.slices import BLOCK_ROWS
+from nanogs.slices import BLOCK_ROWS, slices
 from nanogs.splats import Splats
 
 
@@ -21,8 +21,7 @@ def box_around(splats: Splats, deviations: float) -> F64:
         deviations: Semi-axes of the ellipsoids, in standard deviations.
     """
     boxes = []
-    for start in range(0, len(splats), BLOCK_ROWS):
-        rows = np.arange(start, min(start + BLOCK_ROWS, len(splats)))
+    for rows in slices(len(splats), BLOCK_ROWS):
         block = splats.take(rows)
         # The covariance's diagonal has the squared half-width of the ellipsoid along each axis.
         axes = rotations(block.unit_quats().astype(np.float64)) * block.scales()[:, None, :]

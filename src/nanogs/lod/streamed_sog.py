@@ -192,8 +192,7 @@ def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[list[An
     offset = 0
     for leaf in range(first, end):
         if count := int(counts[leaf]):
-            rows = np.arange(offset, offset + count)
-            box = box_around(part.take(rows), _DEVIATIONS)
+            box = box_around(part.span(offset, offset + count), _DEVIATIONS)
             yield [leaf, offset, count, box.tolist()]
             offset += count
 
