@@ -10,14 +10,14 @@ contiguous: a viewer that fetches chunks of rows gets the whole scene with the f
 needs few more for each region.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from nanogs._types import F64, I32, I64
+from nanogs._types import F64, I32, I64, Array
 from nanogs.errors import ManyChildrenError
 from nanogs.io.in_order import in_order
 from nanogs.lod.links import Shapes, parents_of, shapes_of
@@ -202,6 +202,12 @@ class Moments(NamedTuple):
     nodes: Nodes
     counts: F64
 
+    @staticmethod
+    def of(columns: Mapping[str, Array], counts: F64) -> "Moments":
+        """Make moments of the nodes' `COLUMNS`, by name."""
+        none, rows = np.empty((0, 0), np.float32), np.empty(0, np.int32)
+        return Moments(Nodes(**columns, features=none, rows=rows), counts)
+
     def take(self, rows: I64) -> "Moments":
         """Return those of some rows."""
         return Moments(without_features(self.nodes, rows), self.counts[rows])
@@ -212,8 +218,7 @@ class Moments(NamedTuple):
         columns = {
             name: np.concatenate([getattr(part.nodes, name) for part in parts]) for name in COLUMNS
         }
-        nodes = replace(parts[0].nodes, **columns)
-        return Moments(nodes, np.concatenate([part.counts for part in parts]))
+        return Moments.of(columns, np.concatenate([part.counts for part in parts]))
 
 
 class Built(NamedTuple):
@@ -275,7 +280,7 @@ class Units(NamedTuple):
     origin: F64
     added: Dilation
     thinnest: float
-    usual: float  # mean coverage, square scene units
+    usual: float  # coverage of a typical splat, square scene units; see `typical_weight`
 
 
 def units_of(leaves: Source) -> Units:
@@ -316,7 +321,8 @@ def _merged_layer(
         stored = store_groups(nodes, labels, splats, units.origin, units.added, counts=counts)
         # `store_groups` sorts groups by their heaviest members: here this keeps their order.
         made.append(replace(stored.grown(_GROWTH), notes=()))
-        merged = without_features(gather(nodes, labels, last - first), slice(None))
+        bare = without_features(nodes, slice(None))  # the splats have the mean colours already
+        merged = gather(bare, labels, last - first)
         like = effective_counts(nodes, labels, merged.coverages, counts)
         found.append(Moments(merged, like))
     return concatenate(made), Moments.joined(found)

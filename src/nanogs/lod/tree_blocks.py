@@ -17,7 +17,6 @@ from nanogs._types import I64
 from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
 from nanogs.lod.tree import COLUMNS, Moments, build, layers_of, refuse_many, units_of
-from nanogs.method.nodes import Nodes
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.source import InMemory, Source
 from nanogs.source.base import joined_rows
@@ -162,8 +161,7 @@ def _moments_of(trees: Sequence[BlockTree]) -> Moments:
     found = []
     for tree in trees:
         columns = {name: tree.roots[name] for name in COLUMNS}
-        nodes = Nodes(**columns, features=np.empty((0, 0), np.float32), rows=np.empty(0, np.int32))
-        found.append(Moments(nodes, tree.roots[_COUNTS]))
+        found.append(Moments.of(columns, tree.roots[_COUNTS]))
     return Moments.joined(found)
 
 
