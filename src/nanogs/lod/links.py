@@ -12,13 +12,13 @@ import numpy as np
 from nanogs._types import F32, F64, I64
 from nanogs.activations import SH_C0
 from nanogs.kernels.nodes import covariances_of
+from nanogs.method.nodes import FLATTEST
 from nanogs.method.order import code_box, codes_in
 from nanogs.neighbours import nearest_neighbours, nearest_to
 from nanogs.source import Source
 
 _NEAR = 8  # candidates besides the nearest coarser splat: that splat's nearest neighbours
 _COLOUR = 0.15  # standard deviation of the change of a base colour by merging
-_FLATTEST = 1e-3  # least ratio of the thinnest axis to the longest, so determinants stay finite
 _THINNEST = 1e-12  # scene units
 _ROWS = 1 << 15
 _ROUNDS = 8  # rounds in which each childless splat takes the nearest spare child
@@ -50,7 +50,7 @@ def shapes_of(level: Source) -> Shapes:
         rows = slice(at, at + len(block))
         found.means[rows] = block.means
         covariances = np.empty((len(block), 6))
-        covariances_of(block.scales(), block.unit_quats(), _FLATTEST, _THINNEST, covariances)
+        covariances_of(block.scales(), block.unit_quats(), FLATTEST, _THINNEST, covariances)
         found.covariances[rows] = covariances
         found.colours[rows] = block.sh[:, 0] * np.float32(SH_C0)
         at += len(block)
