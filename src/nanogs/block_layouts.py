@@ -14,6 +14,7 @@ from nanogs.source import Source
 from nanogs.splats import Splats
 
 PLACED = 24  # bytes for each splat of a level while it is divided: its cell and row
+TOGETHER = 4  # splats that become one in each step of merging above the coarsest level of a tree
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +159,8 @@ class Linked(Protocol):
         Args:
             levels: The block's part of each result, the finest first, of 1 splat or more each.
             some: A sample of the finest result, the same for all blocks.
-            steps: Number of times that splats of the coarsest level are merged again, so that there
-                are few roots.
+            steps: Number of times that splats of the coarsest level are merged again, `TOGETHER` at
+                a time, so that there are few roots.
 
         Raises:
             ManyChildrenError: A node would have too many children.

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import F64, I32, I64, Array
+from nanogs.block_layouts import TOGETHER
 from nanogs.errors import ManyChildrenError
 from nanogs.io.in_order import in_order
 from nanogs.lod.links import Shapes, parents_of, shapes_of
@@ -38,7 +39,6 @@ from nanogs.source import InMemory, Joined, Source
 from nanogs.splats import Splats, concatenate
 
 MOST_CHILDREN = (1 << 16) - 1
-_TOGETHER = 4  # number of splats merged into one above the coarsest level
 # Size in pixels of a splat's surroundings for `estimate_dilation`. Coarse splats are drawn far
 # away: the fewer pixels they are merged for, the rounder they become. With 128 to 256, and axes
 # that may grow by a factor of two, three scenes looked best.
@@ -154,7 +154,7 @@ def above(means: F64, steps: int | None = None) -> list[Layer]:
     found: list[Layer] = []
     while len(means) > 1 if steps is None else len(found) < steps:
         parents = np.empty(len(means), np.int64)
-        parents[morton_order(means)] = np.arange(len(means)) // _TOGETHER
+        parents[morton_order(means)] = np.arange(len(means)) // TOGETHER
         found.append(Layer(means, parents))
         sizes = np.bincount(parents)
         sums = [np.bincount(parents, means[:, axis]) for axis in range(3)]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs._types import I64, Array
-from nanogs.block_layouts import BlockTree
+from nanogs.block_layouts import TOGETHER, BlockTree
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks.parts import LevelSource
 from nanogs.source import Layout, Source, turned_source
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
 _ROOTS = 1 << 10  # approximate number of roots of all blocks; each costs one read per layer
-_TOGETHER = 4  # splats that are merged into one in each step up to the roots
 _STRETCHES, _LONG = 64, 1024  # a sample: number of runs of rows of the finest level, rows of each
 _ROWS = 1 << 14  # rows that are written at a time
 _SPLATS, _CHILDREN, _ROOT = "splats-", "children-", "root-"
@@ -45,7 +44,7 @@ def write_tree(work: "Work", task: Task) -> Record:
     if levels < work.settings.levels:
         levels += 1  # the coarsest that blocks can be cut to; coarser levels are merged from it
     else:
-        while _count(work, levels - 1) > _ROOTS * _TOGETHER**steps:
+        while _count(work, levels - 1) > _ROOTS * TOGETHER**steps:
             steps += 1
     some, linked = even_sample(work), work.settings.linked
     with ExitStack() as stack:
