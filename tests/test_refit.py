@@ -36,6 +36,7 @@ from nanogs.fit.targets import (
     squared_error,
     sum_gradients,
 )
+from nanogs.fit.views import view_targets
 from nanogs.io import load
 from nanogs.kernels import backward, damped
 from nanogs.kernels.advance import MOST_DETERMINED
@@ -714,6 +715,21 @@ def test_views_rendered_on_demand_give_the_same_steps_as_kept_ones():
     errors = [[descent.step(0.5, 0.0) for _ in range(8)] for descent in descents]
     assert errors[0] == errors[1]
     assert np.array_equal(descents[0].state.means, descents[1].state.means)
+
+
+def test_the_original_is_held_only_for_views_that_are_rendered_later(monkeypatch):
+    original, small = cloud_pair()
+    cameras = automatic_cameras(original, 5, width=32, height=32)
+
+    def views(**given):
+        parameters = RefitParameters(size=32, **given)
+        return view_targets(original, small, cameras, parameters, ignore_progress)[0]
+
+    assert views().original is None
+    monkeypatch.setattr("nanogs.fit.parameters.KEPT", 2)
+    some = views(views=4, validation=1)
+    assert len(some.further) == 2
+    assert some.original is not None
 
 
 def dolly(camera, distance):

@@ -57,7 +57,8 @@ def view_targets(
         f"The original is not visible in {blind} of {len(chosen)} views{looked}, so the fit leaves"
         f" them out; {cause}."
     )
-    return Fitting(fitting, prepared, further), deciding, (unseen,) if blind else ()
+    views = Fitting(fitting, prepared if further else None, further)
+    return views, deciding, (unseen,) if blind else ()
 
 
 def choose_cameras(
