@@ -66,17 +66,13 @@ def requested_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Re
 def plain_camera(camera: Camera) -> dict[str, Any]:
     """Convert a camera to plain data for JSON, without loss; see `camera_of` for the inverse."""
     names = ("width", "height", "fx", "fy", "cx", "cy", "name", "near")
-    plain = {name: _plain(getattr(camera, name)) for name in names}
+    plain = {name: getattr(camera, name) for name in names}
     plain["world_to_camera"] = camera.world_to_camera.tolist()
     if camera.lens is not None:
         plain["lens"] = asdict(camera.lens)
     if camera.whole is not None:
-        plain["whole"] = [_plain(value) for value in camera.whole]
+        plain["whole"] = list(camera.whole)
     return plain
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 - a number of NumPy's or Python's, or text
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def camera_of(data: Mapping[str, Any]) -> Camera:
