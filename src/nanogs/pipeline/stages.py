@@ -79,7 +79,7 @@ class JobStage:
         do: Does one task.
         seconds: Seconds on one machine: for a million splats of the scene, or computed from the
             load.
-        wanted: Whether a job has the stage, from its settings.
+        wanted: Whether a job has the stage, from its settings, or its load if it is held.
         levels: Number of levels that it is done for; None for each result.
         needed: Whether there is anything to do for a level, once the stages before it are done.
         held: Whether a model in memory has the stage, too.
@@ -141,9 +141,9 @@ def level_stages(settings: Settings, level: int) -> Iterator[tuple[JobStage, int
             yield stage, level
 
 
-def held_stages(settings: Settings, *, results: bool) -> list[JobStage]:
+def held_stages(job: Settings | Load, *, results: bool) -> list[JobStage]:
     """Return the stages of a model in memory: those of each result, or those done once before."""
-    stages = (stage for stage in STAGES.values() if stage.held and stage.wanted(settings))
+    stages = (stage for stage in STAGES.values() if stage.held and stage.wanted(job))
     return [stage for stage in stages if (stage.levels is None) == results]
 
 

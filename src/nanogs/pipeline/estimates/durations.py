@@ -19,7 +19,7 @@ from nanogs.pipeline.estimates.stage_weights import (
 from nanogs.pipeline.options.presets import Parameters, renders
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.options.target import Goal
-from nanogs.pipeline.stages import STAGES, level_stages, stages_of
+from nanogs.pipeline.stages import held_stages, level_stages, stages_of
 from nanogs.progress import Stage
 
 
@@ -58,6 +58,8 @@ def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
         parameters: Of the method; for `paper` there are none: everything runs for each count.
         splats: Number of splats of the model.
     """
+    if isinstance(parameters, PaperParameters):
+        return []
     return _weighed(parameters, splats, splats, results=False)
 
 
@@ -68,16 +70,11 @@ def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Sta
     return _weighed(parameters, splats, count, results=True)
 
 
-def _weighed(parameters: Parameters, splats: int, count: int, *, results: bool) -> list[Stage]:
-    if isinstance(parameters, PaperParameters):
-        return []
+def _weighed(
+    parameters: ForestParameters, splats: int, count: int, *, results: bool
+) -> list[Stage]:
     load = Load(parameters, splats / 1e6, count / 1e6)
-    wanted = (
-        stage
-        for stage in STAGES.values()
-        if stage.held and (stage.levels is None) == results and stage.wanted(load)
-    )
-    return [Stage(stage.name, stage.weight(load)) for stage in wanted]
+    return [Stage(stage.name, stage.weight(load)) for stage in held_stages(load, results=results)]
 
 
 def simplify_stages(
