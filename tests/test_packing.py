@@ -18,7 +18,6 @@ from nanogs.errors import ModelError, TooSmallError
 from nanogs.fit.shared import SharedHarmonics
 from nanogs.io import registry, round_trip_with_size
 from nanogs.pipeline.options.settings import Sharing
-from nanogs.pipeline.options.size import SizeRequest
 from nanogs.pipeline.search.held_files import HeldFiles
 from nanogs.pipeline.search.packing import (
     FIRST_SHARE,
@@ -32,6 +31,7 @@ from nanogs.pipeline.search.packing import (
     slope_of,
     unseen_packing,
 )
+from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
 from nanogs.views.automatic import automatic_cameras

@@ -337,7 +337,8 @@ def killed_at_the_end(scene, out, monkeypatch, **target):
 
 def test_a_resumed_search_packs_as_it_began(scene, tmp_path, monkeypatch):
     """Without `max_memory`, the free memory is a limit only when a job begins."""
-    monkeypatch.setattr("nanogs.pipeline.options.size.LEAST_BYTES", 0)  # no palette within a limit
+    # No palette within a limit.
+    monkeypatch.setattr("nanogs.pipeline.search.size_request.LEAST_BYTES", 0)
     out, options = tmp_path / "a.spz", {"size": 40_000, "block": None, "job": tmp_path / "job"}
     killed_at_the_end(scene, out, monkeypatch, **options)
     report = nanogs.simplify_blocks(scene, out, resume=True, **QUICK | options)

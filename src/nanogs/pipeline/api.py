@@ -32,8 +32,8 @@ from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
 if TYPE_CHECKING:
-    from nanogs.pipeline.options.size import SizeRequest
     from nanogs.pipeline.search.held_files import HeldFiles
+    from nanogs.pipeline.search.size_request import SizeRequest
     from nanogs.views.cameras import Cameras
 
 
@@ -314,10 +314,10 @@ def refuse_small(request: "SizeRequest", some: Splats, files: "HeldFiles") -> No
 def _search_size(
     checked: CheckedModel, size: int, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
-    from nanogs.pipeline.options.size import SizeRequest
     from nanogs.pipeline.search.filled import fill_size
     from nanogs.pipeline.search.packer import Packer
     from nanogs.pipeline.search.results import HeldResults
+    from nanogs.pipeline.search.size_request import SizeRequest
 
     some, clock = _sample(checked), files.clock
     known, looks = registry.writable(files.path), renders(checked.parameters)
@@ -348,10 +348,10 @@ def _sample(checked: CheckedModel) -> Splats:
 def _search_psnr(
     checked: CheckedModel, psnr: float, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
-    from nanogs.pipeline.options.size import SizeRequest
     from nanogs.pipeline.search.packer import PackingForPsnr
     from nanogs.pipeline.search.psnr import reach_psnr
     from nanogs.pipeline.search.results import HeldResults
+    from nanogs.pipeline.search.size_request import SizeRequest
     from nanogs.scoring.held_out import held_out
 
     clock = files.clock

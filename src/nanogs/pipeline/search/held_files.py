@@ -17,7 +17,7 @@ from nanogs.splats import Splats
 
 @dataclass(eq=False)
 class HeldFiles:
-    """Encodes and measures results of a model in memory; see `options.size.Files`.
+    """Encodes and measures results of a model in memory; see `size_request.Files`.
 
     Attributes:
         path: The output file; only its suffix counts.

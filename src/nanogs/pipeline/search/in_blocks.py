@@ -16,7 +16,6 @@ from nanogs.io.format import FormatOptions
 from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.job.rows import opened, sample
 from nanogs.pipeline.options.presets import renders
-from nanogs.pipeline.options.size import SizeRequest
 from nanogs.pipeline.run import Done, Run
 from nanogs.pipeline.search.draw_cost import search_draw_cost
 from nanogs.pipeline.search.file_size import SIZE_SAMPLE, WHOLE_FITS
@@ -24,6 +23,7 @@ from nanogs.pipeline.search.filled import fill_size
 from nanogs.pipeline.search.job_results import JobResults, Result
 from nanogs.pipeline.search.packer import Packer, PackingForPsnr
 from nanogs.pipeline.search.psnr import reach_psnr
+from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.pipeline.work import SHORT_RUN, Work
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport, StopReason
@@ -210,7 +210,7 @@ def turned_back(source: Source, result: Result) -> Source:
 
 @dataclass(eq=False)
 class _Files:
-    """Writes and measures results of a job; see `options.size.Files`."""
+    """Writes and measures results of a job; see `size_request.Files`."""
 
     search: Search
     work: Work

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 from nanogs.pipeline.estimates.stage_weights import PACKINGS
-from nanogs.pipeline.options.size import Files, SizeRequest
 from nanogs.pipeline.options.target import count_for_size
 from nanogs.pipeline.search.file_size import guess_count
 from nanogs.pipeline.search.packing import (
@@ -18,6 +17,7 @@ from nanogs.pipeline.search.packing import (
     unseen_packing,
 )
 from nanogs.pipeline.search.results import Results
+from nanogs.pipeline.search.size_request import Files, SizeRequest
 from nanogs.progress import Stage, Tracker
 from nanogs.report import PackingReport
 from nanogs.splats import Splats
