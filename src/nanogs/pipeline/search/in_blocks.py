@@ -230,7 +230,7 @@ class _Files:
 
     def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
         """Return the size of a file of some splats, bytes, in the frame that was asked for."""
-        given, frame = {**(self.search.options or {}), **options}, self.work.settings.frame
+        given, frame = self.search.with_given(options), self.work.settings.frame
         with self.clock.time("encode"):
             return encoded_bytes(turned(some, frame), self.search.output, given)
 
