@@ -115,8 +115,9 @@ def simplify(
             is too small for the fewest splats that the model can be merged to; or the device does
             not exist or has nothing to do.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
-        ModelError: No splat is usable; `nan="error"` and one is not; or a PSNR or a draw cost is
-            asked for and nothing is visible.
+        ModelError: No splat is usable; `nan="error"` and one is not; a PSNR or a draw cost is asked
+            for and nothing is visible; or other elements of the file have a row for each splat,
+            which would be lost.
     """
     start, clock = time.perf_counter(), StageClock()
     size = None if size is None else as_bytes(size)

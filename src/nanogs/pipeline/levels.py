@@ -66,7 +66,8 @@ def levels(
     Raises:
         FormatError: The path cannot be read as a model.
         OptionError: An option is out of range, or the device is not available or has nothing to do.
-        ModelError: No splat is usable, or `nan="error"` and one is not.
+        ModelError: No splat is usable; `nan="error"` and one is not; or other elements of the file
+            have a row for each splat, which would be lost.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     return judged_levels(

@@ -146,6 +146,9 @@ def prepare(splats: Splats) -> PreparedSplats:
 
     Returns:
         Arrays that `render` and `project` read; means and sh are shared, not copied.
+
+    Raises:
+        ModelError: It is no `Splats`.
     """
     refuse_other(splats)
     n = len(splats)
@@ -225,6 +228,7 @@ def render(
         The images; see `Rendering`.
 
     Raises:
+        ModelError: `splats` is no model.
         OptionError: The camera, the background or the degree is invalid.
     """
     prepared = splats if isinstance(splats, PreparedSplats) else prepare(splats)
