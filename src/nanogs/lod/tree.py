@@ -275,12 +275,19 @@ def _places(layers: Sequence[Layer]) -> tuple[list[I64], list[I64]]:
 
 
 class Units(NamedTuple):
-    """The values with which splats are converted to nodes; see `activate_nodes`."""
+    """The values with which splats are converted to nodes; see `activate_nodes`.
+
+    Attributes:
+        origin: (3,) float64, subtracted from the centres, scene units.
+        dilation: The rasteriser's dilation by position, relative to the origin.
+        thinnest: Shortest axis of any node, scene units.
+        usual: Coverage of a typical splat, square scene units; see `typical_weight`.
+    """
 
     origin: F64
-    added: Dilation
+    dilation: Dilation
     thinnest: float
-    usual: float  # coverage of a typical splat, square scene units; see `typical_weight`
+    usual: float
 
 
 def units_of(leaves: Source) -> Units:
@@ -288,11 +295,11 @@ def units_of(leaves: Source) -> Units:
     some = leaves.take(np.arange(0, leaves.count, leaves.count // _SAMPLE + 1))
     means = some.means.astype(np.float64)
     origin = means.mean(axis=0)
-    added = estimate_dilation(means - origin, some.opacities(), some.render_mode, _PIXELS)
-    thinnest = thinnest_axis(some.scales(), means, added.least)
+    dilation = estimate_dilation(means - origin, some.opacities(), some.render_mode, _PIXELS)
+    thinnest = thinnest_axis(some.scales(), means, dilation.least)
     rows: I32 = np.arange(len(some), dtype=np.int32)
-    nodes = activate_nodes(some, rows, origin, added, thinnest)
-    return Units(origin, added, thinnest, typical_weight(nodes.coverages) or 1.0)
+    nodes = activate_nodes(some, rows, origin, dilation, thinnest)
+    return Units(origin, dilation, thinnest, typical_weight(nodes.coverages) or 1.0)
 
 
 def _merged_layer(
@@ -318,7 +325,7 @@ def _merged_layer(
         nodes = _nodes(splats, moments, rows, units)
         counts = None if moments is None else moments.counts[rows]
         labels = np.repeat(np.arange(last - first, dtype=np.int32), children[first:last])
-        stored = store_groups(nodes, labels, splats, units.origin, units.added, counts=counts)
+        stored = store_groups(nodes, labels, splats, units.origin, units.dilation, counts=counts)
         # `store_groups` sorts groups by their heaviest members: here this keeps their order.
         made.append(replace(stored.grown(_GROWTH), notes=()))
         bare = without_features(nodes, slice(None))  # the splats have the mean colours already
@@ -335,7 +342,7 @@ def _nodes(splats: Splats, moments: Moments | None, rows: slice, units: Units) -
     """
     own: I32 = np.arange(len(splats), dtype=np.int32)
     if moments is None:
-        leaves = activate_nodes(splats, own, units.origin, units.added, units.thinnest)
+        leaves = activate_nodes(splats, own, units.origin, units.dilation, units.thinnest)
         return replace(leaves, weights=np.maximum(leaves.coverages / units.usual, LIGHTEST))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
     some = without_features(moments.nodes, rows)
