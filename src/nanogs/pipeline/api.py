@@ -260,7 +260,7 @@ def target_of(
     available: int,
     path: Path,
     chosen: Parameters,
-    sh_degree: int | None = None,
+    sh_degree: int | None,
 ) -> int | None:
     """Return the count that meets the goal, or None if it has to be searched for.
 

@@ -195,7 +195,7 @@ def check_model(
     cameras: "Cameras | None",
     up: Sequence[float] | None,
     nan: NanPolicy,
-    sh_degree: int | None = None,
+    sh_degree: int | None,
 ) -> CheckedModel:
     """Do all checks that are possible before anything is computed, and find the usable rows.
 

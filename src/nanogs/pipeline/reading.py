@@ -91,7 +91,7 @@ def inspect_parts(paths: Sequence[Path]) -> FileInfo:
     )
 
 
-def read_parts(paths: Sequence[Path], render_mode: str | None = None) -> Splats:
+def read_parts(paths: Sequence[Path], render_mode: str | None) -> Splats:
     """Read the model of one file, or of several that are its parts.
 
     Args:

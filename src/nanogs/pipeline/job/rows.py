@@ -22,7 +22,7 @@ from nanogs.source.base import PAGE_ROWS
 from nanogs.splats import RenderMode, Splats, concatenate
 
 RUN_ROWS, _MOST_RUNS, _LEAST_RUNS = 1024, 256, 16  # rows of a run; most and fewest runs
-_NEAR = 8  # runs are read together if this many times their rows, or fewer, are read with them
+_NEAR = 8  # runs are read together, gaps included, if that is at most this many times their rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +57,6 @@ class Changes:
             )
 
 
-NOTHING = Changes()
-
-
 def dropped_first(degree: int) -> str:
     """Return the note on a model of which only the harmonics up to a degree are simplified."""
     return (
@@ -79,7 +76,7 @@ def check_nan(nan: str) -> None:
 
 
 def describe_inputs(
-    paths: Sequence[Path], changes: Changes = NOTHING
+    paths: Sequence[Path], changes: Changes
 ) -> tuple[tuple[InputFile, ...], Layout]:
     """Describe the input files, and the columns of their splats; no row is read.
 
