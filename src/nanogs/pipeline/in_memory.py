@@ -18,7 +18,7 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.estimates.memory import plan_memory, plan_search
 from nanogs.pipeline.job.rows import check_nan
-from nanogs.pipeline.options.cameras import are_automatic, refuse_unused_views
+from nanogs.pipeline.options.cameras import are_asked, refuse_unused_views
 from nanogs.pipeline.options.presets import Parameters, parameters, renders
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.options.views import RequestedViews, requested_views
@@ -208,7 +208,7 @@ def check_model(
     """
     chosen = parameters(preset, overrides)
     check_nan(nan)
-    refuse_unused_views(preset, chosen, given=up is not None or not are_automatic(cameras))
+    refuse_unused_views(preset, chosen, given=are_asked(cameras, up))
     if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(sh_degree)
     rows, asked = usable_rows(splats, nan), requested_views(cameras, up)

@@ -29,7 +29,7 @@ from nanogs.pipeline.estimates.memory import (
 from nanogs.pipeline.in_memory import NanPolicy
 from nanogs.pipeline.job.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job.rows import Changes, check_nan, open_parts
-from nanogs.pipeline.options.cameras import are_automatic, refuse_unused_views
+from nanogs.pipeline.options.cameras import are_asked, refuse_unused_views
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.pipeline.options.target import Goal, is_searched, target_count
 from nanogs.pipeline.options.views import requested_views
@@ -189,7 +189,7 @@ class Request:
         Raises:
             OptionError: One of them is given.
         """
-        given = not are_automatic(self.cameras) or self.up is not None
+        given = are_asked(self.cameras, self.up)
         refuse_unused_views(self.preset, self.parameters, given=given)
 
     def refuse_small(self, some: Splats) -> None:

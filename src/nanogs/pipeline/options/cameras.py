@@ -36,9 +36,10 @@ def fit_cameras(
     return cameras_for(splats, source, count=count, width=size, height=size, up=up, split="fit")
 
 
-def are_automatic(cameras: "Cameras | None") -> bool:
-    """Return whether cameras are the preset's own: None, or "auto"."""
-    return cameras is None or (isinstance(cameras, str) and cameras == AUTO)
+def are_asked(cameras: "Cameras | None", up: Sequence[float] | None) -> bool:
+    """Return whether certain views are asked for: cameras other than "auto", or an up direction."""
+    automatic = cameras is None or (isinstance(cameras, str) and cameras == AUTO)
+    return not automatic or up is not None
 
 
 def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool) -> None:
