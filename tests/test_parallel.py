@@ -188,6 +188,17 @@ def test_a_thread_returns_from_compiled_code_after_a_turn():
     assert (values == 2).all()
 
 
+def test_a_clock_that_stands_still_fails_no_call(monkeypatch):
+    """The clock of threads on Windows advances every 16 ms: most calls seem to take no time."""
+    sums, calls, values = compiled_calls(100)
+    monkeypatch.setattr(time, "thread_time", lambda: 0.0)
+    monkeypatch.setattr(count_calls, "_pace", 1e-3)
+    for _ in range(1200):  # the pace, which each call halves, becomes 0
+        count_calls(sums, calls, values)
+    assert count_calls._pace == 0
+    assert (values == 1200).all()
+
+
 @pytest.mark.parametrize("threads", [1, numba.config.NUMBA_NUM_THREADS])
 def test_an_exception_in_compiled_code_reaches_the_caller(threads):
     sums, calls, values = compiled_calls(1000)

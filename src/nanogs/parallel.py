@@ -109,7 +109,10 @@ class ParallelKernel(Generic[P]):
 
     def _turn(self, count: int, parts: int) -> int:
         """Return the number of parts that a thread takes at a time; 1 if their time is unknown."""
-        return max(1, int(_TURN * parts / (count * self._pace))) if self._known(count) else 1
+        if not self._known(count):
+            return 1
+        # A coarse clock may make the pace so small that the quotient has no int64, or is infinite.
+        return max(1, int(min(_TURN * parts / (count * self._pace), parts)))
 
     def here(self, *args: P.args, **kwargs: P.kwargs) -> None:
         """Run the whole range on this thread only, for use within work that is parallel already."""
