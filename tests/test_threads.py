@@ -1,10 +1,13 @@
 """`--threads` limits the threads of every part of a command."""
 
+from contextlib import nullcontext
+
 import pytest
 
 import nanogs
 from builders import random_splats
 from launch import run_here
+from nanogs.errors import OptionError
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +78,23 @@ def test_one_thread_plans_and_makes_blocks(folder, tmp_path, monkeypatch, call):
 def test_a_path_is_read_with_one_thread_too(folder, monkeypatch, call):
     monkeypatch.setattr("nanogs.parallel._pool", no_pool)
     call(folder / "large.ply", folder / "small.ply")
+
+
+@pytest.mark.parametrize(("option", "threads"), [([], None), (["--job", "job"], 3)])
+def test_only_workers_share_the_threads_that_the_process_may_use(
+    folder, tmp_path, monkeypatch, option, threads
+):
+    seen = []
+
+    def stop(request, _progress):
+        seen.append(request.threads)
+        raise OptionError("enough.")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("os.cpu_count", lambda: 64)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "6")
+    monkeypatch.setattr("nanogs.cli.plan.executor_of", lambda *_: nullcontext())
+    monkeypatch.setattr("nanogs.cli.simplify_run.simplify_files", stop)
+    arguments = ["simplify", folder / "large.ply", "out.ply", "--count", "400", "--preset", "fast"]
+    assert run_here(*arguments, "--workers", "2", *option) == 2
+    assert seen == [threads]

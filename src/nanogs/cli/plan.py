@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
-from os import cpu_count
 from typing import Any, TypeVar
 
 from nanogs.ahead import compile_ahead, nothing_compiled
@@ -33,6 +32,7 @@ from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.reading import inspect_parts, prepare, read_parts
 from nanogs.pipeline.request import Request, is_measured, memory_of, plan_files
 from nanogs.pipeline.search.file_size import first_two
+from nanogs.threads import most_threads
 
 T = TypeVar("T")
 _LIBRARIES = f"{bytes_text(LIBRARIES)} for Python and its libraries"
@@ -81,6 +81,14 @@ class Plan:
     def found_free(self) -> bool:
         """Whether `process_memory` is what was found free, and nobody asked for it."""
         return self.method.blocks.max_memory is None
+
+    @property
+    def threads(self) -> int | None:
+        """Number of threads of each process in blocks: workers share them if none was given."""
+        asked, workers = self.request.threads, self.method.blocks.workers
+        if asked is not None or workers is None:
+            return asked
+        return max(most_threads() // workers, 1)
 
     def executor(self) -> AbstractContextManager[Any]:
         """Return the executor of the tasks of a model in blocks."""
@@ -192,7 +200,7 @@ class Plan:
 
 
 def request_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN401 - its fields
-    """Build the request to the library from the options; workers share the processors.
+    """Build the request to the library from the options.
 
     Args:
         method: Options of the method and of its execution.
@@ -202,17 +210,14 @@ def request_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: AN
     Raises:
         OptionError: An option is invalid.
     """
-    changes = parse_changes(method.edits)
-    threads, blocks = method.threads, method.blocks
-    if threads is None and blocks.workers is not None:
-        threads = max((cpu_count() or 1) // blocks.workers, 1)
+    changes, blocks = parse_changes(method.edits), method.blocks
     patience = PATIENCE if blocks.patience is None else blocks.patience
     return Request(
         goal=goal, preset=method.preset, overrides=method.overrides, measured=method.measure,
         max_memory=blocks.max_memory, job=blocks.job, scratch=blocks.scratch,
         resume=blocks.resume, nan=method.nan, filters=changes.filters,
         sh_degree=changes.sh_degree, render_mode=method.edits.render_mode, cameras=method.cameras,
-        up=method.up, threads=threads, patience=patience, **given,
+        up=method.up, threads=method.threads, patience=patience, **given,
     )  # fmt: skip
 
 
@@ -253,7 +258,7 @@ def execute(plan: Plan, do: Callable[[Request], T]) -> T:
         with plan.executor() as executor, resumable(request.folder / MANIFEST):
             request = replace(
                 request, executor=executor, max_memory=plan.process_memory,
-                found_free=plan.found_free,
+                found_free=plan.found_free, threads=plan.threads,
             )  # fmt: skip
             return do(request)
     return do(request)
