@@ -21,6 +21,7 @@ from nanogs.clock import StageClock
 from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.pipeline.files import _around
 from nanogs.raster.rendering import prepare
+from nanogs.scoring.scores import EXTRA_METRICS
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.cameras import cameras_for
 from strategies import assert_same
@@ -557,6 +558,18 @@ def test_one_format_or_one_metric_needs_no_list(pair):
     assert found == listed
     with pytest.raises(OptionError, match="no metric 'flop'; choose from flip"):
         nanogs.compare(pair[0], pair[1], metrics="flop", **SMALL)
+
+
+def test_metrics_that_cannot_be_computed_are_refused_before_anything_is_read(pair, monkeypatch):
+    def missing(_reference, _test):
+        raise OptionError("lpips needs a package.")
+
+    monkeypatch.setitem(EXTRA_METRICS, "lpips", missing)
+    steps = []
+    for metric, said in (("flop", "no metric 'flop'"), ("lpips", "needs a package")):
+        with pytest.raises(OptionError, match=said):
+            nanogs.compare(pair[0], pair[1], metrics=metric, progress=steps.append, **SMALL)
+    assert steps == []
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import launch
 import nanogs
 from builders import model_bytes, random_splats
 from dataset_files import write_capture
-from nanogs.bench import measuring, output, protocol
+from nanogs.bench import measuring, output
 from nanogs.bench.baselines import MethodContext
 from nanogs.bench.gsplat import gsplat_fps
 from nanogs.bench.methods import ABLATIONS, find_method
@@ -46,6 +46,7 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import render
 from nanogs.report import StopReason
 from nanogs.scoring.run import compare_files
+from nanogs.scoring.scores import EXTRA_METRICS
 from nanogs.views.automatic import automatic_cameras
 
 
@@ -573,7 +574,7 @@ def test_a_metric_whose_package_is_missing_is_refused_before_anything_runs(model
     def missing(_reference, _test):
         raise OptionError("lpips needs a package.")
 
-    monkeypatch.setitem(protocol.EXTRA_METRICS, "lpips", missing)
+    monkeypatch.setitem(EXTRA_METRICS, "lpips", missing)
     reported = []
     with pytest.raises(OptionError, match="needs a package"):
         run_bench([scene_of_file(model)], BenchSettings(metrics=("lpips",)), on_row=reported.append)

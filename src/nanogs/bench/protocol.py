@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-import numpy as np
-
 from nanogs.bench import measuring
 from nanogs.bench.bjontegaard import check_packages
 from nanogs.bench.rows import ORIGINAL, BenchRow, BenchTarget, RowKey
@@ -12,7 +10,7 @@ from nanogs.bench.settings import BenchSettings, refuse_duplicates
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import NanogsError, OptionError
 from nanogs.io import load
-from nanogs.scoring.scores import EXTRA_METRICS
+from nanogs.scoring.scores import check_metrics
 from nanogs.source import source_of
 from nanogs.threads import use_threads
 
@@ -49,7 +47,7 @@ def run_bench(
     refuse_duplicates("scene", [scene.name for scene in scenes])
     for pattern in settings.externals.values():
         measuring.external_path(pattern, scenes[0], settings.targets[0])
-    _try_metrics(settings.metrics)
+    check_metrics(settings.metrics)
     if settings.file_sizes:
         check_packages()
     rows = []
@@ -61,16 +59,6 @@ def run_bench(
                 if on_row:
                     on_row(row)
     return rows
-
-
-def _try_metrics(metrics: Sequence[str]) -> None:
-    """Compute each metric once, so that a missing package fails now and not after the first run."""
-    image = np.zeros((64, 64, 3), np.float32)
-    for metric in metrics:
-        if metric not in EXTRA_METRICS:
-            known = ", ".join(EXTRA_METRICS)
-            raise OptionError(f"There is no metric {metric!r}; choose from {known}.")
-        EXTRA_METRICS[metric](image, image)
 
 
 def row_count(scenes: Sequence[BenchScene], settings: BenchSettings) -> int:

@@ -27,6 +27,7 @@ from nanogs.scoring.packed_models import (
 from nanogs.scoring.packing import PackingFormats
 from nanogs.scoring.photo_views import PhotoViews
 from nanogs.scoring.photos import held_bytes, photographs, photographs_remedy
+from nanogs.scoring.scores import check_metrics
 from nanogs.scoring.view_sets import ComparedViews
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -98,6 +99,7 @@ def measure(
     Raises:
         NanogsError: As for `nanogs.compare`.
     """
+    check_metrics(how.extras)
     asked = how.views
     views = photographs(*asked, how.background) if isinstance(asked, Photographs) else asked
     room = _room([source for _name, source in models], views, how)

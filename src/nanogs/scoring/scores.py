@@ -101,6 +101,21 @@ class ModelScore:
         return asdict(self)
 
 
+def check_metrics(names: Sequence[str]) -> None:
+    """Compute each further metric once, so that it fails now and not after models were rendered.
+
+    Raises:
+        OptionError: There is no such metric, or its package is not installed.
+    """
+    image = np.zeros((64, 64, 3), np.float32)
+    for name in names:
+        if name not in EXTRA_METRICS:
+            raise OptionError(
+                f"There is no metric {name!r}; choose from {', '.join(EXTRA_METRICS)}."
+            )
+        EXTRA_METRICS[name](image, image)
+
+
 def reference_views(
     reference: PreparedSplats | Streamed,
     cameras: Iterable[Camera],
@@ -162,13 +177,8 @@ def score(
         on_view: Called with each view, its rendering and its score.
 
     Raises:
-        OptionError: A metric does not exist, or its package is not installed.
+        OptionError: The package of a metric is not installed.
     """
-    for extra in extras:
-        if extra not in EXTRA_METRICS:
-            raise OptionError(
-                f"There is no metric {extra!r}; choose from {', '.join(EXTRA_METRICS)}."
-            )
     scores = []
     notes: dict[str, None] = {}
     skipped = 0
