@@ -4,6 +4,7 @@ import json
 import os
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ import pytest
 import nanogs
 from builders import cloud_pair
 from launch import contents, run, run_here
+from nanogs.studio import server
 from studio import running
 
 FAST = {"preset": "fast"}
@@ -344,6 +346,21 @@ def test_a_port_in_use_gives_an_error(studio, folder):
     result = run("studio", "scene.ply", "--no-open", "--port", port, cwd=folder)
     assert result.returncode == 2
     assert f"Port {port} cannot be used" in result.stderr
+
+
+@pytest.mark.parametrize(("system", "shared"), [("win32", False), ("linux", True)])
+def test_an_address_is_reused_only_where_that_does_not_share_the_port(monkeypatch, system, shared):
+    """On Windows a second studio would open the same port, and either might get a request."""
+    options = []
+
+    class Recorded(socket.socket):
+        def setsockopt(self, *given):
+            options.append(given[1])
+
+    monkeypatch.setattr(socket, "socket", Recorded)
+    monkeypatch.setattr(sys, "platform", system)
+    server._listening(0).close()
+    assert (socket.SO_REUSEADDR in options) is shared
 
 
 def test_help_imports_neither_the_server_nor_numba():
