@@ -78,8 +78,7 @@ class Bench:
     def __init__(self, scenes: Path, peers: Path, folder: Path) -> None:
         self.scenes, self.peers, self.folder = scenes, peers, folder
         self.rows_file = folder / "measured.jsonl"
-        self.ours = f"nanogs {digest_of_sources(APART)}"
-        self.baselines = f"nanogs {digest_of_sources(BASELINES_APART)}"
+        self.digests = {apart: digest_of_sources(apart) for apart in (APART, BASELINES_APART)}
         self.scorer = digest_of_sources(SCORES_APART)
 
     def offers(self, key: Key) -> bool:
@@ -143,7 +142,7 @@ class Bench:
             return rival_version()
         if self._kept(method):
             return "kept"
-        return self.baselines if method in BASELINES else self.ours
+        return f"nanogs {self.digests[apart_of(method)]}"
 
     def _kept(self, method: str) -> bool:
         return any(self.peers.glob(f"*_{method}.ply"))
@@ -198,8 +197,8 @@ class Bench:
         outcome = run_job(Job(model, key.method, key.ratio, target, learnt))
         if outcome.error:
             raise SystemExit(f"{key}: {outcome.error}")
-        apart = BASELINES_APART if key.method in BASELINES else APART
-        if self.version(key.method) != f"nanogs {digest_of_sources(apart)}":
+        apart = apart_of(key.method)
+        if digest_of_sources(apart) != self.digests[apart]:
             target.unlink()
             raise SystemExit(
                 "The sources were changed meanwhile; start again: what is done is kept."
@@ -247,6 +246,11 @@ class Bench:
             return Views(list(photos), photos.background)
         found, _ = reference_views(prepare(splats), cameras, BLACK, depth=False)
         return Views(found, BLACK)
+
+
+def apart_of(method: str) -> tuple[str, ...]:
+    """Return the packages that do not affect the results of one of our methods."""
+    return BASELINES_APART if method in BASELINES else APART
 
 
 def result_file(folder: Path, scene: str, ratio: float, method: str, version: str) -> Path:

@@ -66,7 +66,7 @@ def test_packages_excluded_from_the_digest_exist(benchmarks):
 def test_changed_sources_are_run_again_and_kept_files_only_measured(benchmarks, bench, monkeypatch):
     measure(benchmarks, bench, ("a", 0.1, "fast", "32"), ("a", 0.2, "fast", "32"))
     monkeypatch.setattr(benchmarks.measurements, "digest_of_sources", lambda _apart: "other")
-    bench.found.ours = "nanogs other"
+    bench.found.digests[benchmarks.measurements.APART] = "other"
     measure(benchmarks, bench, ("a", 0.1, "fast", "32"))
     assert bench.made == ["fast"] * 3
     (bench.found.peers).mkdir()
@@ -128,7 +128,7 @@ def test_results_made_beforehand_are_left_out_where_there_are_none(benchmarks, b
 
 
 def test_sources_that_change_during_a_run_end_it(benchmarks, bench):
-    bench.found.ours = "nanogs before"
+    bench.found.digests[benchmarks.measurements.APART] = "before"
     with pytest.raises(SystemExit, match="changed meanwhile"):
         measure(benchmarks, bench, ("a", 0.1, "fast", "32"))
     assert not list((bench.found.folder / "results").iterdir())
