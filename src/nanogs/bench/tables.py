@@ -75,7 +75,7 @@ def scene_table(rows: Sequence[BenchRow]) -> str:
     listed = "".join(
         f"- {_escape(row.method)} at {row.target.text}: {_escape(text)}\n" for row, text in remarks
     )
-    return intro + _table(rows, rows) + (f"\n{listed}" if listed else "")
+    return intro + _table(rows) + (f"\n{listed}" if listed else "")
 
 
 def _views_text(rows: Sequence[BenchRow]) -> str:
@@ -95,7 +95,7 @@ def _remarks(row: BenchRow) -> list[str]:
 def mean_table(means: Sequence[TargetMean]) -> str:
     """Return the means of all requests, and the scenes and methods that are left out of them."""
     rows = [row for mean in means for row in mean.methods.values()]
-    text = _table(rows, rows) + "\n" if rows else ""
+    text = _table(rows) + "\n" if rows else ""
     return text + "".join(_coverage(mean) for mean in means)
 
 
@@ -145,8 +145,8 @@ def _difference(value: float | None, base: float | None, digits: int) -> str:
     return f"{value - base:+.{digits}f}"
 
 
-def _table(rows: Sequence[BenchRow], shown: Sequence[BenchRow]) -> str:
-    columns = _columns(shown)
+def _table(rows: Sequence[BenchRow]) -> str:
+    columns = _columns(rows)
     asked = "size" if any(row.format for row in rows) else "ratio"
     head = f"| method | {asked} | " + " | ".join(name for name, _ in columns) + " |\n"
     rule = "|---|--:|" + "--:|" * len(columns) + "\n"
