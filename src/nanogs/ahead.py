@@ -16,9 +16,18 @@ from functools import cache
 from pathlib import Path
 
 from nanogs.cleanup import defer_exit, on_signal
+from nanogs.kernels.compiling import when_compiling
 from nanogs.threads import processors
 
 _MOST = 3  # helper processes: more would only wait for the longest kernel
+
+
+def prepare_kernels(preset: str) -> None:
+    """Call `compile_ahead` now if no kernel is cached, or else when one has to be compiled."""
+    if nothing_compiled():
+        compile_ahead(preset)
+    else:
+        when_compiling(lambda: compile_ahead(preset))
 
 
 @cache

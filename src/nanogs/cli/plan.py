@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeVar
 
-from nanogs.ahead import compile_ahead, nothing_compiled
+from nanogs.ahead import prepare_kernels
 from nanogs.allocation import keep_freed_memory
 from nanogs.cli.cancel import resumable
 from nanogs.cli.console import err, key_value_table, show
@@ -16,7 +16,6 @@ from nanogs.defaults import PATIENCE
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
-from nanogs.kernels.compiling import when_compiling
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
@@ -251,7 +250,7 @@ def execute(plan: Plan, do: Callable[[Request], T]) -> T:
     request = plan.request
     if not plan.divided:
         keep_freed_memory()
-        _prepare_kernels(request)
+        prepare_kernels(_preset_of_kernels(request))
     with without_gc():
         import_stages(request.parameters)
     if plan.divided:
@@ -264,15 +263,11 @@ def execute(plan: Plan, do: Callable[[Request], T]) -> T:
     return do(request)
 
 
-def _prepare_kernels(request: Request) -> None:
-    """Compile kernels in other processes: now if none is cached, else when one is missing."""
-    preset = "paper" if isinstance(request.parameters, PaperParameters) else "fast"
+def _preset_of_kernels(request: Request) -> str:
+    """Return a preset that needs the kernels of a run."""
     if renders(request.parameters) or is_measured(request):
-        preset = DEFAULT_PRESET
-    if nothing_compiled():
-        compile_ahead(preset)
-    else:
-        when_compiling(lambda: compile_ahead(preset))
+        return DEFAULT_PRESET
+    return "paper" if isinstance(request.parameters, PaperParameters) else "fast"
 
 
 def show_plan(plan: Plan, text: str) -> None:

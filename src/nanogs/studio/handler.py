@@ -1,7 +1,6 @@
 """Dispatch of each kind of job in the worker."""
 
-from nanogs.ahead import compile_ahead, nothing_compiled
-from nanogs.kernels.compiling import when_compiling
+from nanogs.ahead import prepare_kernels
 from nanogs.pipeline.options.presets import DEFAULT_PRESET
 from nanogs.progress import Stage, Tracker
 from nanogs.studio import opening, saving
@@ -52,10 +51,7 @@ class JobHandler:
 
     def _open(self, channel: Channel) -> None:
         """Read the scene and send it to all pages."""
-        if nothing_compiled():
-            compile_ahead(DEFAULT_PRESET)
-        else:
-            when_compiling(lambda: compile_ahead(DEFAULT_PRESET))
+        prepare_kernels(DEFAULT_PRESET)
         cache = self._cache
         tracker = Tracker(channel.progress("open"), [Stage("read", 2.0), Stage("show", 1.0)])
         tracker.begin("read")
