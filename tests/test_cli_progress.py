@@ -97,7 +97,7 @@ def test_compiling_is_announced_once_a_run_and_left_out_of_the_estimate(capsys, 
         tracker.part(1, 2)
         total = watch._told - watch._start
         assert watch.left() == pytest.approx(7 * (total - 0.2), abs=0.5)
-    assert lines_of(capsys) == ["1/2 first", f"1/2 first, {progress.COMPILING}"]
+    assert lines_of(capsys) == ["1/2 first", f"1/2 first, {compiling.COMPILING}"]
 
 
 def test_a_wait_for_workers_is_announced_once_until_work_goes_on(capsys):

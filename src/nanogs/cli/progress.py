@@ -13,14 +13,13 @@ from rich.text import Text
 
 from nanogs.cli.console import err, warn
 from nanogs.formatting import time_text
-from nanogs.kernels.compiling import unsaved, watching
+from nanogs.kernels.compiling import COMPILING, unsaved, watching
 from nanogs.progress import WAITING, Step
 
 PATIENCE = 2.0  # seconds before anything is shown; shorter runs need no progress
 EVERY = 30.0  # seconds between lines within a stage, if there is no terminal
 _TICK = 0.25  # seconds between checks whether a line is due
 _SURE = 0.02  # fraction of the run from which the time left is estimated
-COMPILING = "compiling for this processor; later runs find it on the disk"
 
 
 @dataclass(slots=True)

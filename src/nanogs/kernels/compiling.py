@@ -5,6 +5,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Lock
 
+# What the displays of progress say meanwhile.
+COMPILING = "compiling for this processor; later runs find it on the disk"
+
 _log = logging.getLogger("nanogs")
 _lock = Lock()
 _waiting: list[Callable[[], None]] = []
