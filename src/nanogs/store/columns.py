@@ -28,31 +28,25 @@ def sorted_columns(splats: Splats, rows: I64) -> dict[str, Array | Sorted]:
 
 def row_bytes(layout: Layout) -> int:
     """Return the bytes of a splat in memory and in a table."""
-    return sum(np.dtype(kind).itemsize * size for kind, size in _kinds(layout).values())
+    return sum(np.dtype(kind).itemsize for kind in _kinds(layout).values())
 
 
-def _kinds(layout: Layout) -> dict[str, tuple[str, int]]:
-    coefficients = (layout.sh_degree + 1) ** 2
-    kinds = {
-        "means": ("<f8" if layout.double_means else "<f4", 3),
-        "log_scales": ("<f4", 3),
-        "quats": ("<f4", 4),
-        "opacity_logits": ("<f4", 1),
-        "sh": ("<f4", 3 * coefficients),
+def _kinds(layout: Layout) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Return type and shape of a splat's entry in each column, by name."""
+    kinds: dict[str, tuple[str, tuple[int, ...]]] = {
+        "means": ("<f8" if layout.double_means else "<f4", (3,)),
+        "log_scales": ("<f4", (3,)),
+        "quats": ("<f4", (4,)),
+        "opacity_logits": ("<f4", ()),
+        "sh": ("<f4", ((layout.sh_degree + 1) ** 2, 3)),
     }
-    return kinds | {_EXTRA + name: (kind, 1) for name, kind in layout.extras}
+    return kinds | {_EXTRA + name: (kind, ()) for name, kind in layout.extras}
 
 
 def empty_columns(layout: Layout, count: int) -> dict[str, Array]:
     """Allocate columns for `count` splats, uninitialised."""
-    coefficients = (layout.sh_degree + 1) ** 2
-    shapes: dict[str, tuple[int, ...]] = {
-        "means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3)
-    }  # fmt: skip
-    return {
-        name: np.empty((count, *shapes.get(name, ())), kind)
-        for name, (kind, _) in _kinds(layout).items()
-    }
+    kinds = _kinds(layout).items()
+    return {name: np.empty((count, *shape), kind) for name, (kind, shape) in kinds}
 
 
 def no_splats(layout: Layout) -> Splats:
