@@ -95,6 +95,22 @@ def test_empty_cameras_are_not_those_of_the_current_folder(folder, command):
     assert_refused(result, "--cameras is empty; name")
 
 
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("info a.ply --pixels", "--pixels must be like 512 or 1280x720"),
+        ("info a.ply --photos . --split", "The split must be test or train, not ''."),
+        ("compare a.ply b.ply --photos . --split", "The split must be test or train, not ''."),
+        ("render a.ply out --background", "The background must be black, white or #rrggbb"),
+        ("bench a.ply --sizes", "Sizes of views are like 512,1280x720"),
+        ("bench a.ply --cameras", "--cameras is empty; name a kind of views"),
+    ],
+)
+def test_an_empty_value_is_not_the_default(folder, command, message):
+    """As of a shell's variable that is not set."""
+    assert_refused(launch.run(*command.split(), "", cwd=folder), message)
+
+
 def test_a_result_is_fitted_with_the_sh_degree_of_its_format(tmp_path):
     nanogs.save(random_splats(500, degree=2), tmp_path / "a.ply")
     fast_fit = ("--views", "4", "--view-size", "64", "--steps", "4")

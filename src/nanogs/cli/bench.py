@@ -111,6 +111,7 @@ def bench(
         typer.Option(
             help="Automatic views for scenes without photographs: auto, orbit, inside, roam;"
             " several are separated by commas.",
+            parser=options.parse_cameras,
             metavar="KINDS",
             rich_help_panel=options.VIEWS,
             show_default="auto; with --sizes-of-files auto,roam",
@@ -157,7 +158,7 @@ def bench(
         methods=tuple(chosen),
         externals=_externals(external or []),
         views=views,
-        sizes=tuple(map(_square, options.parse_sizes(sizes or str(PIXELS)))),
+        sizes=tuple(map(_square, options.parse_sizes(str(PIXELS) if sizes is None else sizes))),
         kinds=tuple(_list(kinds)),
         background=None if background is None else options.parse_background(background),
         metrics=tuple(_list(metrics)),

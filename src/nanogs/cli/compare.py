@@ -164,10 +164,10 @@ def compare(
         comparison = compare_files(
             first, others,
             cameras=cameras, views=views, sizes=pixels, up=up,
-            background=color, extras=extras, photos=photos, images=images, split=split or "test",
-            report=report, interactive=interactive, overwrite=run.overwrite, progress=progress,
-            packed=formats, format_options=of_format, render_mode=render_mode,
-            max_memory=run.max_memory,
+            background=color, extras=extras, photos=photos, images=images,
+            split="test" if split is None else split, report=report, interactive=interactive,
+            overwrite=run.overwrite, progress=progress, packed=formats, format_options=of_format,
+            render_mode=render_mode, max_memory=run.max_memory,
         )  # fmt: skip
     comparison = replace(comparison, notes=(*comparison.notes, *device_notes(device, used)))
     run.report(comparison.to_dict(), partial(_show, comparison, report), comparison.all_notes)

@@ -137,9 +137,9 @@ class RenderOptions:
 
         behind = None if self.background is None else options.parse_background(self.background)
         given: dict[str, Any] = {"photos": self.photos, "images": self.images}
+        given["split"] = "test" if self.split is None else self.split
         return render_findings(
-            model, self.cameras or "auto", **given, split=self.split or "test",
-            background=behind, views=self.views or VIEWS,
-            pixels=options.parse_pixels(self.pixels or str(PIXELS)), up=self.up,
-            threads=self.threads, max_memory=self.max_memory, progress=progress,
+            model, self.cameras or "auto", **given, background=behind, views=self.views or VIEWS,
+            pixels=options.parse_pixels(str(PIXELS) if self.pixels is None else self.pixels),
+            up=self.up, threads=self.threads, max_memory=self.max_memory, progress=progress,
         )  # fmt: skip

@@ -66,7 +66,8 @@ def render(
             "--background cannot be combined with --transparent, which keeps alpha in place of a"
             " background; leave one of them out."
         )
-    color = options.parse_background(background or "black")  # straight alpha needs it black
+    # Straight alpha needs it black.
+    color = options.parse_background("black" if background is None else background)
     from nanogs.card.device import device_notes, use_device
     from nanogs.progress import Stage, Tracker
     from nanogs.threads import use_threads
