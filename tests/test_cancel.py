@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -406,3 +407,28 @@ def test_exit_is_deferred_until_the_outermost_context_ends(monkeypatch):
     monkeypatch.setattr(cleanup, "_postponed", None)
     cleanup.exit_when_allowed(lambda: exits.append(2))
     assert exits == [1, 2]
+
+
+def test_an_exit_is_not_lost_if_another_thread_ends_its_context_meanwhile():
+    begun, leaving, exits = threading.Event(), threading.Event(), []
+
+    def hold():
+        with cleanup.defer_exit():
+            begun.set()
+            leaving.wait()
+
+    class Looked(int):
+        """A count of contexts, one of which ends when somebody has looked."""
+
+        def __bool__(self):
+            leaving.set()
+            other.join(0.5)
+            return True
+
+    other = threading.Thread(target=hold)
+    other.start()
+    begun.wait()
+    cleanup._undisturbed = Looked(1)
+    cleanup.exit_when_allowed(lambda: exits.append(1))
+    other.join()
+    assert exits == [1]

@@ -20,8 +20,9 @@ NO_ROOM_REMEDY = "free some space, or name another place in TMPDIR"
 
 _pending: dict[object, Callable[[], None]] = {}
 _undisturbed = 0  # number of blocks, nested or in several threads, in which it must not end
-_counting = RLock()  # held by threads that change it; the handler of a signal only reads it
-_postponed: Callable[[], None] | None = None
+_postponed: Callable[[], None] | None = None  # ends the process as soon as it may
+# Held to read or change these two. A handler of a signal may hold it while its thread does.
+_counting = RLock()
 
 
 @contextmanager
@@ -90,8 +91,7 @@ def defer_exit() -> Iterator[None]:
     finally:
         with _counting:
             _undisturbed -= 1
-        if _postponed and not _undisturbed:
-            _postponed()
+        _end_if_allowed()
 
 
 @contextmanager
@@ -121,7 +121,17 @@ def exit_when_allowed(end: Callable[[], None]) -> None:
         end: Function that ends the process; does not return.
     """
     global _postponed  # noqa: PLW0603
-    if _undisturbed:
+    with _counting:
         _postponed = end
-    else:
+    _end_if_allowed()
+
+
+def _end_if_allowed() -> None:
+    """End the process if that was asked for, no block postpones it, and no thread does it yet."""
+    global _postponed
+    end = None
+    with _counting:
+        if not _undisturbed:
+            end, _postponed = _postponed, None
+    if end:
         end()
