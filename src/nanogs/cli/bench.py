@@ -150,7 +150,7 @@ def bench(
     from nanogs.formatting import plain
 
     targets = _targets(ratios, sizes_of_files, formats)
-    chosen = _usual_methods(targets) if methods is None else _list(methods)
+    chosen = _usual_methods(targets) if methods is None else options.parse_list(methods)
     chosen += [name for name in ABLATIONS if ablations and name not in chosen]
     kinds = cameras or ("auto,roam" if sizes_of_files is not None else "auto")
     settings = BenchSettings(
@@ -159,9 +159,9 @@ def bench(
         externals=_externals(external or []),
         views=views,
         sizes=tuple(map(_square, options.parse_sizes(str(PIXELS) if sizes is None else sizes))),
-        kinds=tuple(_list(kinds)),
+        kinds=tuple(options.parse_list(kinds)),
         background=None if background is None else options.parse_background(background),
-        metrics=tuple(_list(metrics)),
+        metrics=tuple(options.parse_list(metrics)),
         seed=seed,
         threads=threads,
         render_mode=render_mode,
@@ -246,15 +246,17 @@ def _targets(ratios: str | None, sizes: str | None, formats: str | None) -> dict
             )
         if ratios is None:
             return {"ratios": BENCH_RATIOS}
-        return {"ratios": tuple(options.parse_ratio(text) for text in _list(ratios))}
+        return {"ratios": tuple(options.parse_ratio(text) for text in options.parse_list(ratios))}
     if ratios is not None:
         raise OptionError("Give --ratios or --sizes-of-files, not both.")
-    if not _list(sizes):
+    if not options.parse_list(sizes):
         raise OptionError("--sizes-of-files needs at least one size, like 0.5MB,1MB.")
-    chosen = tuple(suffix_of(name) for name in _list("sog" if formats is None else formats))
+    chosen = tuple(
+        suffix_of(name) for name in options.parse_list("sog" if formats is None else formats)
+    )
     if not chosen:
         raise OptionError("--format needs at least one format, like sog,spz.")
-    return {"file_sizes": tuple(map(parse_bytes, _list(sizes))), "formats": chosen}
+    return {"file_sizes": tuple(map(parse_bytes, options.parse_list(sizes))), "formats": chosen}
 
 
 def _refuse_unused(
@@ -295,10 +297,6 @@ def _usual_methods(targets: dict[str, Any]) -> list[str]:
     from nanogs.bench.methods import all_methods, sized_methods
 
     return list(sized_methods(targets["formats"]) if "formats" in targets else all_methods())
-
-
-def _list(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def _square(size: tuple[int, int]) -> int:

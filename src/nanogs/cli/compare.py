@@ -117,7 +117,7 @@ def compare(
     formats = options.parse_packed(packed, of_format)
     pixels = options.parse_sizes(str(PIXELS) if sizes is None else sizes)
     color = None if background is None else options.parse_background(background)
-    extras = [name.strip() for name in metrics.split(",") if name.strip()]
+    extras = options.parse_list(metrics)
     if interactive is not None and not report:
         option = "--interactive" if interactive else "--no-interactive"
         raise OptionError(f"{option} works only with --report; give both, or leave it out.")

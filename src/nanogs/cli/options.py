@@ -368,13 +368,18 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
     return sizes
 
 
+def parse_list(text: str) -> list[str]:
+    """Split a text at commas; blanks around the parts, and empty parts, are left out."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
 def parse_packed(text: str, of_format: dict[str, Any]) -> list[str]:
     """Parse suffixes of formats separated by commas; [] if the option is not given.
 
     Raises:
         OptionError: The option names no format, or options of a format are given without it.
     """
-    formats = [part.strip() for part in text.split(",") if part.strip()]
+    formats = parse_list(text)
     if text and not formats:
         raise OptionError("--packed names no format; write it as in --packed .sog,.spz.")
     if not text and of_format:
