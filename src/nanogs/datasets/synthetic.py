@@ -8,7 +8,7 @@ built with +y up; the last step rotates it to the y-down convention of trained m
 import numpy as np
 
 from nanogs._types import F32, F64
-from nanogs.activations import SH_C0, quaternions
+from nanogs.activations import base_colour, quaternions
 from nanogs.datasets.still_life import PARTS, SKYLIGHT, SUN, SUNLIGHT, UP, Builder, Part, Rng
 from nanogs.errors import OptionError
 from nanogs.sh import lobe
@@ -76,7 +76,7 @@ def _harmonics(part: Part, normals: F64, degree: int, rng: Rng) -> F32:
     """Compute SH (n, (degree + 1)², 3) of diffuse colour, highlight, sky reflection and noise."""
     n = len(normals)
     sh = rng.normal(0, 0.012, (n, (degree + 1) ** 2, 3))
-    sh[:, 0] = (part.colours - 0.5) / SH_C0
+    sh[:, 0] = base_colour(part.colours)
     if part.gloss:
         for source, colour, width in (
             (SUN * TO_Y_DOWN, SUNLIGHT * part.gloss, 0.16),

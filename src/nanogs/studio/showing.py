@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import Bool
-from nanogs.activations import SH_C0
+from nanogs.activations import base_colour
 from nanogs.formatting import counted
 from nanogs.splats import Splats
 from nanogs.view.pack import pack
@@ -73,5 +73,5 @@ def marked(splats: Splats, stays: Bool) -> Splats:
     gone = ~stays[::every]
     sh = shown.sh.copy()
     sh[gone] = 0
-    sh[gone, 0] = (np.array(_MAGENTA) - 0.5) / SH_C0
+    sh[gone, 0] = base_colour(np.array(_MAGENTA))
     return replace(shown, sh=sh)
