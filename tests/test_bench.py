@@ -23,7 +23,7 @@ from nanogs.bench import measuring, output
 from nanogs.bench.baselines import MethodContext
 from nanogs.bench.gsplat import gsplat_fps
 from nanogs.bench.methods import ABLATIONS, find_method
-from nanogs.bench.output import ResultFolder, run_of
+from nanogs.bench.output import ResultFolder, only_run_in, run_of
 from nanogs.bench.protocol import row_count, row_keys, run_bench
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status
 from nanogs.bench.scenes import (
@@ -856,6 +856,20 @@ def test_nothing_is_written_if_nothing_was_measured(tmp_path, folder_exists):
         assert (out / "results.md").read_text() == "before"
     else:
         assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs locks of folders")
+def test_a_second_run_in_a_folder_is_refused(model, tmp_path):
+    options = ("--ratios", "0.1", "--methods", "opacity", "--pixels", "16", "--views", "1", "-q")
+    out = tmp_path / "made" / "out"
+    with only_run_in(out):
+        second = run("bench", model, *options, "--out", out)
+        assert (second.returncode, second.stdout) == (2, "")
+        assert f"Another run is at work in {out}; wait for it" in second.stderr
+        assert not list(out.iterdir())
+    assert not list(tmp_path.iterdir())
+    after = run("bench", model, *options, "--out", out)
+    assert after.returncode == 0, after.stderr
 
 
 @pytest.mark.slow

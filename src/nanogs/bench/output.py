@@ -2,8 +2,10 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +20,13 @@ from nanogs.bench.settings import BenchSettings
 from nanogs.bench.size_charts import SizeCharts
 from nanogs.bench.size_tables import size_page
 from nanogs.bench.tables import json_line, markdown
+from nanogs.cleanup import cleaned_up
 from nanogs.datasets.dataset import open_dataset
-from nanogs.errors import ExistsError, NanogsError
+from nanogs.errors import ExistsError, NanogsError, OutputError
 from nanogs.formatting import utf8
 from nanogs.io.atomic import atomic_write, writing
 from nanogs.io.folder import make_folders, remove_empty
+from nanogs.io.temporary import locked
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
 PAGE, PICTURE = "results.html", "plot.png"  # only with file sizes
@@ -79,6 +83,26 @@ def _photographs(scene: BenchScene) -> str:
     files = [*dataset.camera_files, *filter(None, photos)]
     stamps = json.dumps([[str(path), _stamp(path)] for path in files])
     return hashlib.sha1(stamps.encode(), usedforsecurity=False).hexdigest()
+
+
+@contextmanager
+def only_run_in(folder: Path) -> Iterator[None]:
+    """Make an output folder, keep other runs out of it during the block, and remove it if empty.
+
+    Two runs at once would add rows to one unfinished run, and the later one would replace the
+    results of the other. Where folders cannot be locked, as on Windows, nothing keeps them apart.
+
+    Raises:
+        OutputError: The folder cannot be made, or another run is at work in it.
+    """
+    with writing(folder):
+        made = make_folders(folder)
+    with cleaned_up(partial(remove_empty, made)), locked(folder) as alone:
+        if not alone:
+            raise OutputError(
+                f"Another run is at work in {folder}; wait for it, or name another folder."
+            )
+        yield
 
 
 class ResultFolder:

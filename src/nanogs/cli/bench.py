@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -143,6 +144,7 @@ def bench(
     from nanogs.bench import scenes as known
     from nanogs.bench.gains import mean_gains
     from nanogs.bench.methods import ABLATIONS
+    from nanogs.bench.output import only_run_in
     from nanogs.bench.preamble import preamble
     from nanogs.bench.settings import BenchSettings
     from nanogs.bench.tables import markdown
@@ -174,7 +176,8 @@ def bench(
     _refuse_unused(scenes, dataset, model_pattern, views, background)
     _refuse_unused_views(scenes, {"--sizes": sizes, "--cameras": cameras, "--up": up})
     above = preamble(settings, shlex.join(["nanogs", *sys.argv[1:]]))
-    rows = _run(scenes, settings, out, overwrite, above, reporting)
+    with only_run_in(out) if out else nullcontext():
+        rows = _run(scenes, settings, out, overwrite, above, reporting)
     data: dict[str, Any] = {"rows": [row.to_dict() for row in rows]}
     others = tuple(settings.externals)
     if settings.file_sizes:

@@ -113,15 +113,22 @@ def _prefix(target: Path) -> str:
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Lock a file or folder during the block, if the file system supports locks."""
-    held = None
+def locked(path: Path) -> Iterator[bool]:
+    """Lock a file or folder during the block, if it can be read and the file system supports locks.
+
+    Yields:
+        False if another process has locked it.
+    """
+    held, alone = None, True
     if fcntl:
-        held = os.open(path, os.O_RDONLY)
         with suppress(OSError):
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            held = os.open(path, os.O_RDONLY)
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                alone = False
     try:
-        yield
+        yield alone
     finally:
         if held is not None:
             os.close(held)
