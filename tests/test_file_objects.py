@@ -115,6 +115,24 @@ def test_unusable_files_and_formats_are_refused(model, call, error, message):
         call(model)
 
 
+def test_files_that_are_closed_or_opened_for_the_other_direction_are_refused(model, tmp_path):
+    path = tmp_path / "a.ply"
+    with path.open("wb") as file:
+        nanogs.save(model, file)
+        with pytest.raises(OptionError, match='not opened for reading; open it with "rb"'):
+            nanogs.load(file)
+    with pytest.raises(OptionError, match="is closed already; read the model before"):
+        nanogs.load(file)
+    with pytest.raises(OptionError, match="is closed already; write the model before"):
+        nanogs.save(model, file)
+    with (
+        path.open("rb") as file,
+        pytest.raises(OptionError, match='not opened for writing; open it with "wb"'),
+    ):
+        nanogs.save(model, file)
+    assert_same(nanogs.load(path), model)
+
+
 def test_a_format_that_is_a_folder_is_refused_for_an_open_file(model):
     with pytest.raises(OptionError, match="folder of files"):
         nanogs.save(model, io.BytesIO(), format="meta.json")

@@ -59,7 +59,8 @@ def read_file(
 
     Raises:
         FormatError: As for `load`.
-        OptionError: It is no file object, is opened as text, or its format is unknown.
+        OptionError: It is no file object, is closed, is not opened for reading bytes, or its format
+            is unknown.
         OutputError: It cannot be copied to a temporary file.
     """
     _check_open(file, "read")
@@ -68,6 +69,8 @@ def read_file(
         try:
             with copy.open("xb") as target:
                 shutil.copyfileobj(file, target)
+        except io.UnsupportedOperation:
+            raise OptionError('The file is not opened for reading; open it with "rb".') from None
         except OSError as error:
             reason = error.strerror or str(error)
             raise OutputError(
@@ -99,8 +102,8 @@ def write_file(
         options: Options of the format.
 
     Raises:
-        NanogsError: As for `save`; or it is no file object, is opened as text, or its format is
-            unknown.
+        NanogsError: As for `save`; or it is no file object, is closed, is not opened for writing
+            bytes, or its format is unknown.
     """
     _check_open(file, "write")
     suffix = _suffix(file, format)
@@ -115,6 +118,8 @@ def write_file(
         made.seek(0)
         try:
             shutil.copyfileobj(made, file)
+        except io.UnsupportedOperation:
+            raise OptionError('The file is not opened for writing; open it with "wb".') from None
         except OSError as error:
             reason = error.strerror or str(error)
             raise OutputError(f"The open file cannot be written ({reason}).") from error
@@ -141,3 +146,5 @@ def _check_open(file: object, method: str) -> None:
     if not hasattr(file, method):
         kind = type(file).__name__
         raise OptionError(f"A path or an open file is needed to {method} a model, not {kind}.")
+    if getattr(file, "closed", False) is True:
+        raise OptionError(f"The file is closed already; {method} the model before closing it.")
