@@ -107,6 +107,14 @@ def assert_source_equals(source, whole):
     assert_same(columns_only(source.load()), columns_only(whole))
 
 
+@pytest.mark.parametrize("rows", [0, -5, 2.0, "7"])
+def test_blocks_of_no_rows_are_refused(rows):
+    source = InMemory(random_splats(20))
+    assert [len(block) for block in source.blocks(np.int64(8))] == [8, 8, 4]
+    with pytest.raises(OptionError, match=f"1 or more, not {rows!r}"):
+        source.blocks(rows)
+
+
 def columns_only(splats):
     return replace(splats, elements=(), comments=(), notes=())
 

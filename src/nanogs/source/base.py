@@ -12,6 +12,7 @@ from nanogs._types import I64
 from nanogs.errors import OptionError
 from nanogs.findings import join_findings
 from nanogs.formatting import counted
+from nanogs.ranges import is_number
 from nanogs.slices import BLOCK_ROWS
 from nanogs.splats import ExtraElement, Splats, concatenate
 
@@ -137,10 +138,13 @@ class Source(ABC):
 
         Raises:
             FormatError: As for `read`, possibly after some blocks.
+            OptionError: `rows` is not a whole number of 1 or more.
         """
-        step = rows or BLOCK_ROWS
-        for start in range(0, self.count, step):
-            yield self.read(start, min(start + step, self.count))
+        step = BLOCK_ROWS if rows is None else rows
+        if not is_number(step, whole=True) or step < 1:
+            raise OptionError(f"Blocks have a whole number of rows, 1 or more, not {rows!r}.")
+        starts = range(0, self.count, step)
+        return (self.read(start, min(start + step, self.count)) for start in starts)
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
         """Read the further PLY elements with their rows.
