@@ -239,6 +239,7 @@ def test_tensors_of_pytorch_are_accepted():
         ),
         ({"comments": "by me"}, "comments must be a list, not one text"),
         ({"notes": "by me"}, "notes must be a list, not one text"),
+        ({"extras": [1, 2]}, "extras must be a dictionary of columns by name, not list"),
         ({"extras": {"label": [1, 2]}}, r"extra column 'label' must be \(4,\), not \(2,\)"),
     ],
 )

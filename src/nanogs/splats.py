@@ -127,7 +127,14 @@ class Splats:
         self._check()
 
     def _freeze(self) -> None:
-        extras = {name: as_array(f"extra column {name!r}", a) for name, a in self.extras.items()}
+        try:
+            columns = dict(self.extras)
+        except (TypeError, ValueError):
+            kind = type(self.extras).__name__
+            raise ModelError(
+                f"extras must be a dictionary of columns by name, not {kind}."
+            ) from None
+        extras = {name: as_array(f"extra column {name!r}", a) for name, a in columns.items()}
         object.__setattr__(self, "extras", MappingProxyType(extras))
         for name in ("comments", "elements", "notes"):
             given = getattr(self, name)
