@@ -420,6 +420,8 @@ def test_a_grown_model_shows_its_counts(pair):
         (lambda m: nanogs.simplify(m, count=9, preset="fast", growth="a"), "growth must be a num"),
         (lambda m: nanogs.save(m, "o.sog", format_options={"bits": 6.0}), "`bits` must be a whole"),
         (lambda m: nanogs.render(m, "orbit", background="white"), "three finite numbers, not 'whi"),
+        (lambda m: nanogs.render(m, background=(0, 128, 255)), r"to 1, not \(0, 128, 255\); divi"),
+        (lambda m: nanogs.compare(m, m, background=(-0.1, 0, 0)), "0 to 1, not .*; divide 8-bit"),
         (lambda m: nanogs.levels(m, 0.5), r"such as \[0.5, 0.1\], not 0.5"),
         (lambda m: nanogs.filters.crop_box(m, 1, 2), "three finite numbers x,y,z, not 1"),
         (lambda m: nanogs.filters.crop_box(m, "abc", "d"), "three finite numbers x,y,z, not 'abc'"),

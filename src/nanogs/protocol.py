@@ -24,7 +24,7 @@ def plain_background(colour: Iterable[float]) -> Background:
     """Convert a caller's background colour to a tuple of Python floats.
 
     Raises:
-        OptionError: It is not three finite numbers.
+        OptionError: It is not three numbers from 0 to 1.
     """
     try:
         red, green, blue = map(float, colour)
@@ -32,6 +32,11 @@ def plain_background(colour: Iterable[float]) -> Background:
         red = green = blue = math.nan  # refused below
     if not all(map(math.isfinite, (red, green, blue))):
         raise OptionError(f"background must be three finite numbers, not {colour!r}.")
+    if not all(0 <= value <= 1 for value in (red, green, blue)):
+        raise OptionError(
+            f"background must be red, green and blue from 0 to 1, not {colour!r}; divide 8-bit"
+            " values by 255."
+        )
     return red, green, blue
 
 

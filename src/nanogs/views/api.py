@@ -6,7 +6,7 @@ from nanogs._types import F32
 from nanogs.bar import show_progress
 from nanogs.io.models import Model, opened
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Background
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import as_switch
 from nanogs.source import source_of
@@ -74,7 +74,8 @@ def render(
         from nanogs.threads import use_threads
         from nanogs.views.streamed import drawable, renderings
 
-        behind = BLACK if transparent else background  # straight alpha needs a render over black
+        # Straight alpha needs a render over black.
+        behind = BLACK if transparent else plain_background(background)
         with use_device(device), use_threads(threads), show_progress(progress) as on_step:
             chosen, _ = chosen_cameras(some, wanted, views, pixels, up)
             tracker = Tracker(on_step, [Stage("render", 1.0)])
