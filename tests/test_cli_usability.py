@@ -140,6 +140,7 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
         (("simplify", "a", "b", "--nan", "x"), "'--nan': 'x' is not one of 'drop', 'error'"),
         (("simplify", "a", "b", "--preset"), "an argument; see `nanogs simplify --help`"),
         (("info",), "Missing argument 'IN'; see `nanogs info --help`"),
+        (("info", "my", "a.ply", "b.ply"), "arguments: a.ply b.ply (a name with spaces needs"),
     ],
 )
 def test_a_mistyped_command_line_is_refused_in_one_sentence(arguments, message):

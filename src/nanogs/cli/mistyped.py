@@ -41,6 +41,8 @@ def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
     message = " ".join(error.format_message().replace("Value error, ", "").split())
     if message.startswith("No such command"):
         return f"{_unknown_command(message, context)}; `{command}` lists them."
+    if extra := re.search(r"unexpected extra argument\S* \((.*)\)", message):
+        return f"Too many arguments: {extra[1]} (a name with spaces needs quotes); see `{command}`."
     return f"{message.rstrip('.')}; see `{command}`."
 
 
