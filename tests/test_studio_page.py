@@ -304,6 +304,24 @@ def test_numbers_with_a_decimal_comma_or_a_unit_are_refused(studio):
     assert len(studio.fake.requests) == 1
 
 
+def test_a_valid_entry_clears_the_error_of_the_one_before(studio):
+    page = studio.page
+    page.click("#sift summary")
+    page.check("#crop")
+    alert = page.get_by_role("alert")
+    for name, wrong, right, reason in (
+        ("splats", "0", "100", "is not a number above 0"),
+        ("opacity", "50%", "0.5", "is not an opacity"),
+        ("x-low", "left", "0.1", "is not a number"),
+    ):
+        for typed in (wrong, right):
+            page.fill(f"#{name}", typed)
+            page.press(f"#{name}", "Enter")
+            if typed == wrong:
+                assert f"“{wrong}” {reason}" in alert.inner_text()
+        assert not alert.is_visible()
+
+
 def test_numbers_may_have_commas_between_thousands(studio):
     studio.page.fill("#bytes", "1,234.5")
     studio.page.press("#bytes", "Enter")

@@ -62,8 +62,9 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
   });
   onCommit(opacity.field, () => {
     const value = numbers.parsed(opacity.field.value || "0");
-    if (value >= 0 && value <= 1) change({ min_opacity: value || null }, 0);
-    else complain(`“${opacity.field.value}” is not an opacity; type a number from 0 to 1.`);
+    const valid = value >= 0 && value <= 1;
+    complain(valid ? "" : `“${opacity.field.value}” is not an opacity; type a number from 0 to 1.`);
+    if (valid) change({ min_opacity: value || null }, 0);
     render();
   });
   floaters.addEventListener("change", () => change({ floaters: floaters.checked }, 0));
@@ -80,9 +81,9 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
       range.addEventListener("input", () => moveFace(axis, end, scale.at(range.value / STEPS)));
       onCommit(field, () => {
         const value = numbers.parsed(field.value);
-        if (Number.isFinite(value)) {
-          if (field.value !== scale.short(box[axis + 3 * end])) moveFace(axis, end, value, 0);
-        } else complain(`“${field.value}” is not a number; type one in units of the scene.`);
+        const valid = Number.isFinite(value);
+        complain(valid ? "" : `“${field.value}” is not a number; type one in units of the scene.`);
+        if (valid && field.value !== scale.short(box[axis + 3 * end])) moveFace(axis, end, value, 0);
         render();
       });
     });

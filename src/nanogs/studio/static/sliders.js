@@ -69,7 +69,7 @@ export function makeSliders(scene, state, curve, complain) {
   }
 
   function fault(key, kind, value, words) {
-    if (!(value > 0)) return `“${words}” is not a number; type one ${kind.sample}.`;
+    if (!(value > 0)) return `“${words}” is not a number above 0; type one ${kind.sample}.`;
     if (key !== "splats" || value <= limits.most) return "";
     return `The scene has ${numbers.splats(limits.most)}; choose that many or fewer.`;
   }
