@@ -159,6 +159,8 @@ def monkeypatch_module():
         ({"wish": {"splats": 5}, "filters": {"floaters": 1}}, "true or false"),
         ({"wish": {"splats": 5}, "levels": "1,2"}, "ratios"),
         ({"wish": {"splats": 5}, "levels": [1]}, "ratios"),
+        ({"wish": {"splats": 5}, "levels": "0.1,0.5"}, "from fine to coarse"),
+        ({"wish": {"splats": 5}, "levels": "0.5,0.5"}, "given twice"),
         ({"wish": {"splats": 5}, "format": 3}, "must be a text"),
     ],
 )

@@ -132,7 +132,9 @@ def _levels(data: object) -> tuple[float, ...] | None:
         raise OptionError(
             f"Levels must be ratios separated by commas, like 1,0.5,0.1, not {data!r}."
         )
-    return ratios
+    from nanogs.pipeline.levels import checked_ratios
+
+    return checked_ratios(ratios)
 
 
 def _degree(data: object) -> int | None:
