@@ -102,6 +102,26 @@ def test_blocks_give_the_same_bytes_for_any_number_of_threads(archive_folder, tm
     assert io.open(tmp_path / "1.ssog").levels == (3000, 1500, 750, 375)
 
 
+@pytest.mark.parametrize(
+    ("layout", "name", "message"),
+    [
+        ("streamed sog archive", "web", r'archive" is one \.ssog file; name that, .* web\.ssog\.$'),
+        ("spark tree", "web.ply", r"is one \.rad file; name that, .* web\.rad\.$"),
+        ("streamed sog", "web/lod-meta.json", r'"streamed sog" is a folder; .* as in web\.$'),
+        ("3d tiles", "web/tileset.json", r'"3d tiles" is a folder; name that, as in web\.$'),
+        ("files", "web.sog", r'one file, but the layout "files" is a folder; .* as in web\.$'),
+    ],
+)
+def test_in_python_the_name_of_the_output_fits_the_layout(
+    tmp_path, monkeypatch, layout, name, message
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "web").mkdir()
+    with pytest.raises(OptionError, match=message):
+        nanogs.write_levels(random_splats(50), name, [0.5], layout=layout, preset="fast")
+    assert [each.name for each in tmp_path.rglob("*")] == ["web"]
+
+
 def test_an_existing_file_is_replaced_only_with_w(archive_folder, tmp_path):
     (tmp_path / "a.ssog").write_bytes(b"mine")
     refused = run("lod", archive_folder / "a.ply", tmp_path / "a.ssog", *FAST)

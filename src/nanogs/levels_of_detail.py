@@ -26,7 +26,7 @@ from nanogs.io.urls import local_path, path_text, places
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder, level_name
-from nanogs.lod.layout import Layout, chunks_of
+from nanogs.lod.layout import Layout, chunks_of, refuse_misnamed
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.lod.usual import default_ratios
@@ -120,9 +120,10 @@ def write_levels(
         The contents of the manifest, and the report of each level.
 
     Raises:
-        OptionError: See `levels`; or there is no such layout, the layout does not have chunks,
-            contents, a place, an environment or format options to choose, the place is invalid, or
-            the format of the files cannot be written or has no such option.
+        OptionError: See `levels`; or there is no such layout, the name of the output does not fit
+            it, the layout does not have chunks, contents, a place, an environment or format options
+            to choose, the place is invalid, or the format of the files cannot be written or has no
+            such option.
         ModelError: See `levels`; or the environment has another render mode than the model.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
@@ -149,6 +150,7 @@ def write_levels(
     )  # fmt: skip
     request.refuse_unused_views()
     sink = sink_of(request, source=source, layout=layout)
+    refuse_misnamed(request.output, Layout(layout))
     sky = surroundings(environment, environment_ratio, layout)
     with show_progress(progress) as on_step:
         if not isinstance(model, Splats | Source):

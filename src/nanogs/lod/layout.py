@@ -114,6 +114,26 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     return Output(path, Layout.FILES, ending)
 
 
+def refuse_misnamed(path: Path, layout: Layout) -> None:
+    """Refuse a name that does not fit the layout: a file for a folder, or another suffix.
+
+    Raises:
+        OptionError: It does not fit.
+    """
+    ending, known = _FILES.get(layout), registry.find(path)
+    if ending and path.suffix.lower() != ending:
+        raise OptionError(
+            f'{path}: the layout "{layout}" is one {ending} file; name that, as in'
+            f" {path.with_suffix(ending)}."
+        )
+    if known and not ending:
+        folder = path.parent if path.name in NAMES.values() else path.with_suffix("")
+        raise OptionError(
+            f'{path} is the name of one file, but the layout "{layout}" is a folder; name that, as'
+            f" in {folder}."
+        )
+
+
 def chunks_of(
     layout: Layout | str,
     chunk: int | None,
