@@ -84,26 +84,30 @@ def place_left_out(quats: F64, rounding: Rounding) -> I64:
         quats: (R, 4) unit quaternions.
         rounding: How the file rounds components.
     """
-    size = np.abs(quats)
-    places: I64 = size.argmax(axis=1)
-    rivals = size >= size.max(axis=1, keepdims=True) - _RIVAL * rounding.error
-    rows = np.flatnonzero(rivals.sum(axis=1) > 1)
+    places: I64 = np.abs(quats).argmax(axis=1)
+    # Twice the usual difference: rounding may only just bring components within it.
+    rows = np.flatnonzero(_rivals(quats, 2 * _RIVAL * rounding.error).sum(axis=1) > 1)
 
-    def unchanged(some: F64) -> Bool:
-        out = np.zeros((len(rows), 4), bool)
+    def choose_unchanged(some: F64) -> None:
+        kept = _rivals(some, _RIVAL * rounding.error)
         for place in range(4):
-            found = rivals[rows, place]
-            left_out = np.full(found.sum(), place)
-            out[found, place] = rounding.keeps(split_quats(some[found], left_out)[1])
-        return out
+            found = np.flatnonzero(kept[:, place])
+            left_out = np.full(len(found), place)
+            kept[found, place] = rounding.keeps(split_quats(some[found], left_out)[1])
+        read = kept.any(axis=1)
+        places[rows[read]] = kept[read].argmax(axis=1)
 
-    kept = unchanged(quats[rows])
-    read = kept.any(axis=1)
-    places[rows[read]] = kept[read].argmax(axis=1)
+    choose_unchanged(quats[rows])
     # Rounding may give a quaternion that another choice would keep too: the first is always made.
     small = split_quats(quats[rows], places[rows])[1]
-    places[rows] = unchanged(whole_quats(rounding.of(small), places[rows])).argmax(axis=1)
+    choose_unchanged(whole_quats(rounding.of(small), places[rows]))
     return places
+
+
+def _rivals(quats: F64, apart: float) -> Bool:
+    """Return an (R, 4) mask of the components that are smaller than the largest by at most that."""
+    size = np.abs(quats)
+    return np.asarray(size >= size.max(axis=1, keepdims=True) - apart)
 
 
 def minimise_rotation(splats: Splats, rounding: Rounding | None = None) -> tuple[F64, F32]:
