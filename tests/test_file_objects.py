@@ -10,6 +10,7 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io import registry
+from nanogs.source import InMemory
 from strategies import assert_same
 
 WRITTEN = [known.suffix for known in registry.formats() if known.write]
@@ -181,3 +182,13 @@ def test_models_without_splats_are_refused_by_every_format(tmp_path, suffix):
     ):
         nanogs.save(nothing, tmp_path / f"a{suffix}")
     assert not (tmp_path / f"a{suffix}").exists()
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+def test_a_refusal_of_models_without_splats_is_told_beforehand(suffix):
+    nothing = random_splats(3)[:0]
+    told = (f"The model has no splats, {suffix} refuses it.",)
+    assert nanogs.io.losses(nothing, f"a{suffix}") == told
+    assert nanogs.io.losses(InMemory(nothing), f"a{suffix}") == told
+    with pytest.raises(OutputError, match="has no splats"):
+        nanogs.io.derived_options(nothing, f"a{suffix}", {})

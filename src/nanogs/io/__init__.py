@@ -14,7 +14,7 @@ from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
-from nanogs.io.limits import refused_splats
+from nanogs.io.limits import refuse_empty, refused_splats
 from nanogs.io.parts import FileSource
 from nanogs.io.retag import checked_mode, retagged
 from nanogs.io.url_files import check_sendable, local_copies
@@ -279,7 +279,9 @@ def derived_options(
     Raises:
         NanogsError: As for `save`.
     """
-    found = registry.writable(place(path)).derived_options(source_of(model), format_options)
+    known, source = registry.writable(place(path)), source_of(model)
+    refuse_empty(source, known.suffix)
+    found = known.derived_options(source, format_options)
     return {name: value for name, value in found.items() if format_options.get(name) is None}
 
 
@@ -294,6 +296,8 @@ def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...
         OptionError: As for `save`.
     """
     known = registry.writable(place(path))
+    if not len(splats):
+        return (f"The model has no splats, {known.suffix} refuses it.",)
     if known.losses is nothing_lost:
         return ()
 
