@@ -329,3 +329,10 @@ def test_rotations_whose_components_become_rivals_by_rounding_are_written_again_
     io.save(model, first)
     io.save(io.load(first), second)
     assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize("bits", [0x7F80_0001, 0x7F7F_FFFF], ids=["signalling NaN", "huge"])
+def test_damaged_bounds_of_a_chunk_give_no_warnings(load, bits):
+    damaged = np.full(1, bits, np.uint32).view(np.float32)
+    bounds = [(name, "float", damaged) for name in BOUNDS + COLOURS]
+    assert not load(("chunk", bounds), ("vertex", packed())).finite().any()

@@ -186,20 +186,21 @@ def decoded(rows: dict[str, Array], degree: int, skipped: int) -> dict[str, Any]
     """
     n = len(rows["vertex"])
     out = empty_arrays(n, degree)
-    for start in range(0, n, BLOCK_ROWS):
-        span = slice(start, min(start + BLOCK_ROWS, n))
-        vertex = rows["vertex"][span]
-        chunk = rows["chunk"][(skipped + np.arange(span.start, span.stop)) // CHUNK_ROWS]
-        out["means"][span] = _between(chunk, "{}_{}", "xyz", _unit_11_10_11(vertex[PACKED[0]]))
-        out["quats"][span] = _quats(vertex[PACKED[1]])
-        out["log_scales"][span] = _between(
-            chunk, "{}_scale_{}", "xyz", _unit_11_10_11(vertex[PACKED[2]])
-        )
-        rgba = _unit_8888(vertex[PACKED[3]])
-        out["opacity_logits"][span] = logit(rgba[:, 3])
-        out["sh"][span, 0] = base_colour(_colour(chunk, rgba[:, :3]))
-        if degree:
-            out["sh"][span, 1:] = _higher(rows["sh"][span], degree)
+    with np.errstate(invalid="ignore", over="ignore"):  # bounds may be NaN, infinite or huge
+        for start in range(0, n, BLOCK_ROWS):
+            span = slice(start, min(start + BLOCK_ROWS, n))
+            vertex = rows["vertex"][span]
+            chunk = rows["chunk"][(skipped + np.arange(span.start, span.stop)) // CHUNK_ROWS]
+            out["means"][span] = _between(chunk, "{}_{}", "xyz", _unit_11_10_11(vertex[PACKED[0]]))
+            out["quats"][span] = _quats(vertex[PACKED[1]])
+            out["log_scales"][span] = _between(
+                chunk, "{}_scale_{}", "xyz", _unit_11_10_11(vertex[PACKED[2]])
+            )
+            rgba = _unit_8888(vertex[PACKED[3]])
+            out["opacity_logits"][span] = logit(rgba[:, 3])
+            out["sh"][span, 0] = base_colour(_colour(chunk, rgba[:, :3]))
+            if degree:
+                out["sh"][span, 1:] = _higher(rows["sh"][span], degree)
     return out
 
 
@@ -217,8 +218,7 @@ def _between(chunk: Array, pattern: str, axes: str, t: F64) -> F64:
         np.stack([chunk[pattern.format(end, axis)].astype(np.float64) for axis in axes], axis=1)
         for end in ("min", "max")
     )
-    with np.errstate(invalid="ignore", over="ignore"):  # bounds may be infinite
-        result: F64 = low * (1 - t) + high * t
+    result: F64 = low * (1 - t) + high * t
     return result
 
 
