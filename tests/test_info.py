@@ -112,6 +112,17 @@ def test_formats_that_refuse_a_model_do_not_hold_it_whole(tmp_path, small_blocks
     assert re.search(r"fits whole into +\.ply, \.npz\n", shown), shown
 
 
+def test_extra_columns_that_a_format_refuses_are_told_beforehand(tmp_path):
+    model = random_splats(9, extras={"seen": np.arange(9) % 2 == 0})
+    refusal = "Column 'seen' is bool, which PLY cannot hold; convert it to one of "
+    found = described(tmp_path, model, "a.npz").losses
+    assert [each.partition("char")[0] for each in found[".ply"]] == [refusal]
+    assert io.losses(model, "a.ply") == found[".ply"]
+    assert found[".npz"] == io.losses(model, "a.npz") == ()
+    shown = run("info", str(tmp_path / "a.npz")).stdout
+    assert re.search(r"fits whole into +\.npz\n", shown), shown
+
+
 def test_values_beyond_the_float32_range_are_counted_over_all_blocks(tmp_path, small_blocks):
     names = [p for p, _ in io.inspect(_saved(tmp_path, 8)).properties]
     rows = np.zeros(8, [(name, "f8") for name in names])

@@ -299,7 +299,7 @@ def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...
     if not len(splats):
         return (f"The model has no splats, {known.suffix} refuses it.",)
     if known.losses is nothing_lost:
-        return ()
+        return registry.refused_columns(known, source_of(splats))
 
     def name(part: Splats) -> tuple[str, ...]:
         return registry.losses_of(known, part, refused_splats(part))

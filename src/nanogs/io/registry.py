@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
-from nanogs.errors import FormatError, OptionError, did_you_mean
+from nanogs.errors import FormatError, OptionError, OutputError, did_you_mean
 from nanogs.io.format import Format, FormatOptions, Sizer, Writer, given_options
 from nanogs.io.limits import refusal, refused_splats
 from nanogs.io.urls import Address
@@ -266,7 +266,17 @@ def losses_of(known: Format, splats: Splats, refused: int) -> tuple[str, ...]:
         refused: Number of its splats with values that only formats with `any_value` hold.
     """
     refusals = () if known.any_value else refusal(refused, known.suffix)
-    return (*refusals, *known.losses(splats))
+    columns = refused_columns(known, source_of(splats))
+    return (*refusals, *columns, *known.losses(splats))
+
+
+def refused_columns(known: Format, source: Source) -> tuple[str, ...]:
+    """Return the reason why a format cannot hold the extra columns of a model, if it cannot."""
+    try:
+        known.check_columns(source.columns)
+    except OutputError as error:
+        return (str(error),)
+    return ()
 
 
 def writable(path: Path) -> Format:
