@@ -123,6 +123,15 @@ def test_extension_records_are_noted(load, version):
         load(encode([row()], version, flags=2, records=records[:-1]))
 
 
+def test_of_extension_records_of_one_type_the_last_is_kept_and_the_others_are_noted(load):
+    records = struct.pack("<II3s", 0x12340001, 3, b"abc") + struct.pack(
+        "<II2s", 0x12340001, 2, b"de"
+    )
+    model = load(encode([row()], 4, flags=2, records=records))
+    assert [each.rows.tobytes() for each in model.elements] == [b"de"]
+    assert model.notes == ("Extension records of the .spz file were left out: 0x12340001.",)
+
+
 def stated_frame(path):
     """Return the frame that a file states."""
     with io.open(path) as source:
@@ -202,14 +211,15 @@ def records_in(path):
 
 def test_records_are_kept_if_no_splats_are_removed(tmp_path):
     """Also through a .ply file, in which they are elements."""
-    path = with_records(tmp_path, CAMERA + UNKNOWN + SHARES)
+    empty = struct.pack("<II", 0x12340003, 0)
+    path = with_records(tmp_path, CAMERA + UNKNOWN + SHARES + empty)
     assert ("spz_record_12340002", 4) in io.inspect(path).elements
     for first, second in (("a.spz", "a.spz"), ("b.ply", "b.spz")):
         for source, target in ((path, first), (tmp_path / first, second))[: 1 + (first != second)]:
             result = run("convert", source, tmp_path / target)
             assert result.returncode == 0, result.stderr
             assert "spz_record" not in result.stderr
-        assert records_in(tmp_path / second) == CAMERA + UNKNOWN + SHARES
+        assert records_in(tmp_path / second) == CAMERA + UNKNOWN + SHARES + empty
     converted = run("convert", path, tmp_path / "c.splat")
     assert "spz_record_ADBE0002" in converted.stderr
     refused = run("convert", path, tmp_path / "d.spz", "--spz-version", "3")

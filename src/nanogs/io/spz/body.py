@@ -4,6 +4,7 @@ The file layout is described in `header`. Never more is decompressed than the he
 splats allows.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import accumulate
 from typing import TYPE_CHECKING, BinaryIO
@@ -220,26 +221,34 @@ def frame_record(frame: str) -> bytes:
 
 def _records(header: Header, records: bytes) -> dict[int, bytes]:
     """Parse extension records into payloads by type; of two of the same type, the last counts."""
-    found, at = {}, 0
+    return dict(_each_record(header, records))
+
+
+def _each_record(header: Header, records: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the type and the payload of each extension record."""
+    at = 0
     while at + RECORD.size <= len(records):
         kind, length = RECORD.unpack_from(records, at)
         at += RECORD.size
-        found[kind] = records[at : at + length]
+        yield kind, records[at : at + length]
         at += length
     if at != len(records):
         raise damaged(header.path, "an extension record is cut short")
-    return found
 
 
 def _extension_notes(header: Header, records: bytes) -> list[str]:
     """Return a note that names the extension records that are dropped.
 
-    Versions 1 to 3 lose all of them except the frame; version 4 loses none.
+    Versions 1 to 3 lose all of them except the frame; version 4 loses those before another one of
+    the same type.
     """
-    found = _records(header, records)
-    _frame_in(header, found)  # raises if the record of the frame is invalid
-    kinds = [kind for kind in found if kind != FRAME_RECORD]
-    if not kinds or header.version > LAST_GZIP:
+    found = Counter(kind for kind, _ in _each_record(header, records))
+    _frame_in(header, _records(header, records))  # raises if the record of the frame is invalid
+    if header.version > LAST_GZIP:
+        kinds = [kind for kind, times in found.items() if times > 1]
+    else:
+        kinds = [kind for kind in found if kind != FRAME_RECORD]
+    if not kinds:
         return []
     names = ", ".join(_KNOWN_RECORDS.get(kind, f"0x{kind:08X}") for kind in kinds)
     return [f"Extension records of the .spz file were left out: {names}."]

@@ -27,7 +27,7 @@ def elements_of(records: Mapping[int, bytes], count: int) -> tuple[ExtraElement,
         records: Payloads by type number.
         count: Number of splats in the file.
     """
-    kinds = [kind for kind in records if kind != FRAME_RECORD and records[kind]]
+    kinds = [kind for kind in records if kind != FRAME_RECORD]
     return tuple(_element(kind, records[kind], count) for kind in kinds)
 
 
