@@ -472,6 +472,13 @@ def test_unsupported_content_is_noted(load):
     assert loaded.render_mode is RenderMode.DEFAULT
 
 
+def test_extensions_of_the_nodes_of_splats_are_noted_once(load):
+    """One of them repeats the mesh, so that copies of the splats are missing."""
+    nodes = [{"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}] * 2
+    loaded = load(document(columns(random_splats(4, seed=7)), nodes=nodes))
+    assert loaded.notes == ("The extension 'EXT_mesh_gpu_instancing' of a node was left out.",)
+
+
 def test_the_format_is_that_of_the_content_not_of_the_name(tmp_path):
     path = tmp_path / "scene.gltf"
     path.write_bytes(glb(*document(columns(random_splats(4, seed=7)))))

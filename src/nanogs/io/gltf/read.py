@@ -201,6 +201,9 @@ def _scene(path: Path, above: F64) -> _Scene:
         scene.primitives.append(primitive)
         _describe(scene, each.primitive, primitive.info)
         _check_memory(scene)
+    for node in {each.node.where: each.node for each in placed}.values():
+        names = node.part("extensions").data  # such as EXT_mesh_gpu_instancing, which repeats it
+        scene.notes += [f"The extension {name[:80]!a} of a node was left out." for name in names]
     if len(scene.modes) > 1:
         scene.notes.append(f"The primitives have several render modes; {scene.mode} was taken.")
     if others:

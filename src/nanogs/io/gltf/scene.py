@@ -106,9 +106,10 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class PlacedPrimitive:
-    """A primitive of splats and its transform to the frame of `.ply` files."""
+    """A primitive of splats, its node, and its transform to the frame of `.ply` files."""
 
     primitive: JsonObject
+    node: JsonObject
     pose: Pose
 
 
@@ -133,7 +134,7 @@ def placed_splats(document: Document, above: F64) -> tuple[list[PlacedPrimitive]
             if EXTENSION not in primitive.part("extensions").data:
                 others += 1
                 continue
-            found.append(PlacedPrimitive(primitive, pose_of(matrix, node.error)))
+            found.append(PlacedPrimitive(primitive, node, pose_of(matrix, node.error)))
             if len(found) > _MAX_PRIMITIVES:
                 raise node.error(f"is one of too many: nanogs reads {_MAX_PRIMITIVES} primitives")
     if not found:
