@@ -194,9 +194,10 @@ def test_cut(timed: Timed, scene: Scene) -> None:
 
 
 def test_reassign(timed: Timed, scene: Scene) -> None:
-    leaves = scene["leaves"]
+    leaves, dilation = scene["leaves"], scene["pixel"]
+    blurs = dilation.blurs(dilation.distances(leaves.means))
     timed(
-        lambda: reassign(leaves, scene["labels"], scene["target"], 1),
+        lambda: reassign(leaves, scene["labels"], scene["target"], 1, blurs),
         leaves.means, leaves.covariances, leaves.features,
     )  # fmt: skip
 

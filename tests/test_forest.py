@@ -123,6 +123,40 @@ def test_growing_needs_no_coverages():
     assert np.array_equal(forests[0].increments, forests[1].increments)
 
 
+def test_shapes_are_blurred_by_half_of_the_dilation():
+    splats = random_splats(40, seed=7)
+    plain, rows = nodes_of(splats, 0.3)
+    blurred = activate_nodes(splats, rows, np.zeros(3), same_pixel(0.3), blurred=True)
+    added = plain.covariances + 0.15**2 * np.array([1, 0, 0, 1, 0, 1])
+    assert blurred.covariances == pytest.approx(added, rel=1e-7)
+    for name in ("weights", "coverages", "means", "features", "rows"):
+        assert np.array_equal(getattr(blurred, name), getattr(plain, name))
+
+
+def crossed_and_apart(pairs):
+    """Return a model of two kinds of pairs: crossed needles within a pixel, and faint balls."""
+    rng = np.random.default_rng(3)
+    splats = random_splats(4 * pairs)
+    splats.means[:] = np.repeat(rng.uniform(-1, 1, (2 * pairs, 3)), 2, axis=0)
+    splats.quats[:] = [1, 0, 0, 0]
+    splats.sh[:] = 0.3
+    needles, balls = slice(None, 2 * pairs), slice(2 * pairs, None)
+    splats.log_scales[needles] = np.log(2e-6)
+    splats.log_scales[needles][::2, 0] = np.log(2e-4)
+    splats.log_scales[needles][1::2, 1] = np.log(2e-4)
+    splats.opacity_logits[needles] = 3.0
+    splats.log_scales[balls] = np.log(2e-3)
+    splats.means[balls][1::2, 0] += 2e-3
+    splats.opacity_logits[balls] = -2.0
+    return splats
+
+
+def test_what_differs_within_a_pixel_is_merged_first():
+    pairs = 60
+    small, _ = nanogs.simplify(crossed_and_apart(pairs), count=3 * pairs, preset="fast")
+    assert np.count_nonzero(small.opacity_logits == -2.0) == 2 * pairs
+
+
 def test_weights_are_one_on_average_and_never_zero():
     weights = normalised(np.array([0.0, 1.0, 3.0]))
     assert weights == pytest.approx([1e-9, 0.75, 2.25])
@@ -350,6 +384,17 @@ def test_a_forest_that_ends_early_gives_its_lowest_possible_count(monkeypatch):
 # Reassignment
 
 
+def reassigned(leaves, labels, groups, rounds):
+    """Reassign by shapes that are not blurred."""
+    return reassign.reassign(leaves, labels, groups, rounds, np.zeros(len(leaves), np.float32))
+
+
+def widened(leaves, blurs):
+    """Return the nodes with the squares of deviations added in all directions."""
+    covariances = leaves.covariances + np.outer(blurs.astype(float) ** 2, [1, 0, 0, 1, 0, 1])
+    return dataclasses.replace(leaves, covariances=covariances)
+
+
 def log_likelihood(leaves, labels, groups):
     """Return the weighted log likelihood of the leaves under their own groups, in nats.
 
@@ -364,7 +409,8 @@ def log_likelihood(leaves, labels, groups):
         np.empty(len(labels)),
     )
     assign_nearest(
-        labels, no_candidates, leaves.means, leaves.covariances, leaves.features, leaves.rows,
+        labels, no_candidates, leaves.means, leaves.covariances, np.zeros(len(labels), np.float32),
+        leaves.features, leaves.rows,
         merged.means, inverses, dets, merged.features, reassign.LAMBDA_APP, unused, misfits,
     )  # fmt: skip
     return -float(leaves.weights @ misfits)
@@ -388,7 +434,7 @@ def test_reassignment_keeps_every_group_and_does_not_lower_the_likelihood(n, see
 
         patch.setattr(reassign, "_refill", refill)
         patch.setattr(reassign, "MOVES", 0)  # they lower another error
-        moved, rounds = reassign.reassign(leaves, labels, n // 4, 3)
+        moved, rounds = reassigned(leaves, labels, n // 4, 3)
     assert rounds <= len(had_empty_groups) <= 3
     assert sorted(set(moved.tolist())) == list(range(n // 4))
     before, after = (log_likelihood(leaves, x, n // 4) for x in (labels, moved))
@@ -399,13 +445,13 @@ def test_reassignment_ends_after_the_given_rounds_or_when_nothing_moves(monkeypa
     monkeypatch.setattr(reassign, "MOVES", 0)
     leaves, _ = nodes_of(random_splats(60, seed=5))
     labels = cut(grow_forest(leaves, ForestParameters(k=8), ignore_progress), 12, 0.8)
-    unchanged, rounds_with_moves = reassign.reassign(leaves, labels, 12, 0)
+    unchanged, rounds_with_moves = reassigned(leaves, labels, 12, 0)
     assert unchanged is labels
     assert rounds_with_moves == 0
-    settled, rounds = reassign.reassign(leaves, labels, 12, 100)
+    settled, rounds = reassigned(leaves, labels, 12, 100)
     assert not np.array_equal(settled, labels)
     assert 0 < rounds < 100
-    settled_again, rounds_with_moves = reassign.reassign(leaves, settled, 12, 1)
+    settled_again, rounds_with_moves = reassigned(leaves, settled, 12, 1)
     assert np.array_equal(settled_again, settled)
     assert rounds_with_moves == 0
 
@@ -422,14 +468,17 @@ def error_of(leaves, labels, groups):
     return 0.5 * geometry + reassign.MOVES_APP * leaves.weights @ apart
 
 
+@pytest.mark.parametrize("blurred", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_moves_lower_the_error_by_what_is_predicted(seed, monkeypatch):
+def test_moves_lower_the_error_by_what_is_predicted(seed, blurred, monkeypatch):
     """Rounds that take a splat for infinitely light leave most groups of two as they are."""
     count, groups = 60, 25
     leaves, _ = nodes_of(random_splats(count, seed=seed), 0.01)
     labels = cut(grow_forest(leaves, ForestParameters(k=8), ignore_progress), groups, 0.8)
     monkeypatch.setattr(reassign, "MOVES", 0)
-    before, _ = reassign.reassign(leaves, labels, groups, 1)
+    blurs = np.random.default_rng(seed).uniform(0, 0.7, count) * blurred
+    blurs = blurs.astype(np.float32)
+    before, _ = reassign.reassign(leaves, labels, groups, 1, blurs)
     monkeypatch.setattr(reassign, "MOVES", 1)
     predicted = []
 
@@ -452,17 +501,31 @@ def test_moves_lower_the_error_by_what_is_predicted(seed, monkeypatch):
 
     monkeypatch.setattr(reassign, "make_moves", make_moves)
     monkeypatch.setattr(reassign, "best_moves", best_moves)
-    after, _ = reassign.reassign(leaves, labels, groups, 1)
+    after, _ = reassign.reassign(leaves, labels, groups, 1, blurs)
     assert np.bincount(after, minlength=groups).min() > 0
+    leaves = widened(leaves, blurs)
     fall = error_of(leaves, before, groups) - error_of(leaves, after, groups)
     assert fall == pytest.approx(gains[0][predicted[0]].sum(), rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_blurred_shapes_are_reassigned(seed):
+    count, groups = 300, 60
+    leaves, _ = nodes_of(random_splats(count, seed=seed), 0.01)
+    labels = cut(grow_forest(leaves, ForestParameters(k=8), ignore_progress), groups, 0.8)
+    blurs = np.random.default_rng(seed).uniform(0, 0.7, count).astype(np.float32)
+    found, rounds = reassign.reassign(leaves, labels, groups, 2, blurs)
+    expected, rounds_expected = reassigned(widened(leaves, blurs), labels, groups, 2)
+    assert np.array_equal(found, expected)
+    assert rounds == rounds_expected
+    assert not np.array_equal(found, reassigned(leaves, labels, groups, 2)[0])
 
 
 def test_a_splat_stays_with_one_that_weighs_nothing_beside_it():
     leaves, _ = nodes_of(random_splats(6, seed=1))
     leaves = dataclasses.replace(leaves, weights=np.array([1.0, 1e-9, 1, 1, 1, 1]))
     labels = np.array([0, 0, 1, 1, 2, 2], np.int32)
-    moved, _ = reassign.reassign(leaves, labels, 3, 1)
+    moved, _ = reassigned(leaves, labels, 3, 1)
     assert moved[0] == 0
     assert np.bincount(moved, minlength=3).min() > 0
 
@@ -480,7 +543,7 @@ def misfits_for_refilling(leaves, labels):
         patch.setattr(
             reassign, "_refill", lambda _new, misfits, _groups: given_misfits.append(misfits)
         )
-        reassign.reassign(leaves, labels, labels.max() + 1, 1)
+        reassigned(leaves, labels, labels.max() + 1, 1)
     return given_misfits[0]
 
 
@@ -519,7 +582,7 @@ def test_a_group_that_loses_all_its_splats_is_refilled():
     splats.means[:, 0] = np.r_[np.zeros(4), 1e-3 * np.ones(4), 2e-3 * np.ones(4)]
     leaves, _ = nodes_of(splats)
     for labels in (np.arange(12) % 3, np.arange(12) % 11):
-        moved, _ = reassign.reassign(leaves, labels.astype(np.int32), labels.max() + 1, 5)
+        moved, _ = reassigned(leaves, labels.astype(np.int32), labels.max() + 1, 5)
         assert len(np.unique(moved)) == labels.max() + 1
 
 

@@ -732,19 +732,20 @@ def test_assignment_equals_the_reference(lambda_app):
     inverses, dets = np.empty((8, 6)), np.empty(8)
     invert_covariances(covariances[clusters], inverses, dets)
     moved, least = np.empty(60, np.int32), np.empty(60)
+    blurs = rng.uniform(0, 1, 60).astype(np.float32)
     assign_nearest(
-        labels, candidates, means, covariances, *shuffled(features), means[clusters], inverses,
-        dets, features[clusters], lambda_app, moved, least,
+        labels, candidates, means, covariances, blurs, *shuffled(features), means[clusters],
+        inverses, dets, features[clusters], lambda_app, moved, least,
     )  # fmt: skip
     sigmas = np.array([reference.unpack(six) for six in covariances])
+    centre_sigmas = sigmas.copy()
+    sigmas += blurs[:, None, None].astype(float) ** 2 * np.eye(3)
     for i in range(60):
         allowed = [labels[i], *candidates[labels[i]]]
-        misfits = [
-            reference.misfit(
-                means[i], sigmas[i], features[i], means[c], sigmas[c], features[c], lambda_app
-            )
-            for c in clusters[allowed]
-        ]
+        misfits = []
+        for c in clusters[allowed]:
+            cluster = means[c], centre_sigmas[c], features[c]
+            misfits.append(reference.misfit(means[i], sigmas[i], features[i], *cluster, lambda_app))
         assert moved[i] == allowed[int(np.argmin(misfits))]
         assert least[i] == pytest.approx(min(misfits), rel=1e-6, abs=1e-6)
 
@@ -760,6 +761,7 @@ def test_splats_keep_their_cluster_if_others_fit_equally_well():
         others,
         origin,
         same,
+        np.zeros(3, np.float32),
         grey,
         own_clusters,
         origin,

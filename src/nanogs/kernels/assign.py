@@ -5,6 +5,8 @@ Source of the moves: Hartigan, "Clustering Algorithms", 1975, section 4.2, for k
 
 import math
 
+import numpy as np
+
 from nanogs._types import F32, F64, I32, I64, Bool
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
@@ -31,6 +33,14 @@ def _inverse(s: Symmetric3) -> tuple[Symmetric3, float]:
 
 
 @inline
+def _blurred(s: Symmetric3, deviation: float) -> Symmetric3:
+    """Add the square of a deviation in all directions."""
+    variance = np.float64(deviation) * np.float64(deviation)
+    xx, xy, xz, yy, yz, zz = s
+    return xx + variance, xy, xz, yy + variance, yz, zz + variance
+
+
+@inline
 def _apart(features: F32, row: int, colours: F32, cluster: int) -> float:
     """Return |f - f_c|² of a splat and a cluster."""
     total = 0.0
@@ -54,7 +64,8 @@ def invert_covariances(
 @parallel_kernel("labels", each=32)
 def assign_nearest(
     start: int, stop: int,
-    labels: I32, candidates: I32, means: F64, covariances: F64, features: F32, rows: I32,
+    labels: I32, candidates: I32,
+    means: F64, covariances: F64, blurs: F32, features: F32, rows: I32,
     centres: F64, inverses: F64, log_dets: F64, colours: F32, lambda_app: float,
     out: I32, distances: F64,
 ) -> None:  # fmt: skip
@@ -63,13 +74,14 @@ def assign_nearest(
     The best has the least ½ [(mu - mu_c)^T S (mu - mu_c) + tr(S Sigma) + log |Sigma_c|]
     + lambda |f - f_c|², with S = Sigma_c^-1: the splat's expected negative log likelihood under the
     cluster; ties go to the earlier candidate.
-    labels: (N,); candidates: (G, k) clusters; means: (N, 3); covariances: (N, 6); features:
-    (F, C); rows: (N,) of the features; centres: (G, 3); inverses: (G, 6); log_dets: (G,);
-    colours: (G, C); out: (N,) new labels; distances: (N,) out, the least values, less
-    ½ [3 + log |Sigma|]: the Kullback-Leibler divergence + lambda |f - f_c|², 0 or more in any unit.
+    labels: (N,); candidates: (G, k) clusters; means: (N, 3); covariances: (N, 6); blurs: (N,)
+    deviations that blur them; features: (F, C); rows: (N,) of the features; centres: (G, 3);
+    inverses: (G, 6); log_dets: (G,); colours: (G, C); out: (N,) new labels; distances: (N,) out,
+    the least values, less ½ [3 + log |Sigma|]: the Kullback-Leibler divergence + lambda
+    |f - f_c|², 0 or more in any unit.
     """
     for i in range(start, stop):
-        sigma = symmetric(covariances, i)
+        sigma = _blurred(symmetric(covariances, i), blurs[i])
         xx, xy, xz, yy, yz, zz = sigma
         own = labels[i]
         best, chosen = math.inf, own
@@ -92,7 +104,7 @@ def assign_nearest(
 def best_moves(
     start: int, stop: int,
     labels: I32, sizes: I64, candidates: I32,
-    weights: F64, means: F64, covariances: F64, features: F32, rows: I32,
+    weights: F64, means: F64, covariances: F64, blurs: F32, features: F32, rows: I32,
     totals: F64, centres: F64, spreads: F64, log_dets: F64, colours: F32, lambda_app: float,
     targets: I32, gains: F64,
 ) -> None:  # fmt: skip
@@ -102,10 +114,10 @@ def best_moves(
     |f - f_c|², as of the merge forest. Moments are those after the move: a splat of a small cluster
     has pulled them towards itself, which favours its own cluster.
     labels: (N,); sizes: (G,) number of members; candidates: (G, k) clusters; weights: (N,); means:
-    (N, 3); covariances: (N, 6); features: (F, C); rows: (N,) of the features; totals: (G,) weights
-    of the clusters; centres: (G, 3); spreads: (G, 6) covariances; log_dets: (G,); colours: (G, C);
-    targets: (N,) out, the cluster to move to, or the own one; gains: (N,) out, by how much the
-    error falls, 0 or more.
+    (N, 3); covariances: (N, 6); blurs: (N,) deviations that blur them; features: (F, C); rows: (N,)
+    of the features; totals: (G,) weights of the clusters; centres: (G, 3); spreads: (G, 6)
+    covariances, blurred; log_dets: (G,); colours: (G, C); targets: (N,) out, the cluster
+    to move to, or the own one; gains: (N,) out, by how much the error falls, 0 or more.
     """
     for i in range(start, stop):
         own = labels[i]
@@ -113,7 +125,7 @@ def best_moves(
         w, rest = weights[i], totals[own] - weights[i]
         if sizes[own] < 2 or not rest > _ALL * totals[own]:
             continue
-        sigma = symmetric(covariances, i)
+        sigma = _blurred(symmetric(covariances, i), blurs[i])
         x = means[i, 0] - centres[own, 0]
         y = means[i, 1] - centres[own, 1]
         z = means[i, 2] - centres[own, 2]

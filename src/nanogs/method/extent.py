@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs import parallel
-from nanogs._types import F64
+from nanogs._types import F32, F64
 from nanogs.kernels.project import DILATION
 from nanogs.kernels.viewer_distances import nearness, reach
 from nanogs.splats import RenderMode
@@ -19,6 +19,7 @@ USUAL = 0.1  # quantile of the anchors' radii that is used as a robust minimum
 ANCHORS = 64  # splats whose radius is measured; that of others follows from the nearest anchors
 NEAR = 2.5  # distance over the least radius, up to which viewers may stand beside any splat
 FARTHEST = 16.0  # largest distance over the median radius, so that no stray outweighs all splats
+BLUR = 0.5  # share of the dilation by which shapes are blurred before they are compared
 MOST_VIEWERS = 64  # of a user's cameras at most this number are used, evenly chosen
 # Softening distance of `Viewers` over the typical distance from the nearest viewer.
 APART = 0.3
@@ -42,6 +43,14 @@ class Dilation:
     def at(self, means: F64) -> F64:
         """Return the (N,) float64 standard deviation of the dilation at (N, 3) float64 centres."""
         return self.added(self.distances(means))
+
+    def blurs(self, distances: F64) -> F32:
+        """Return the (N,) float32 deviations by which shapes are blurred before they are compared.
+
+        What is smaller than a pixel cannot be told apart, but a viewer may come nearer: half of the
+        dilation is taken, that of a view from half the distance.
+        """
+        return (self.added(distances) * BLUR).astype(np.float32)
 
     def distances(self, means: F64) -> F64:
         """Return the (N,) float64 likely distance of viewers from (N, 3) float64 centres.

@@ -90,6 +90,8 @@ def activate_nodes(
     dilation: Dilation,
     thinnest: float | None = None,
     coverages: F64 | None = None,
+    *,
+    blurred: bool = False,
 ) -> Nodes:
     """Make one node for each splat, with full visibility.
 
@@ -100,6 +102,8 @@ def activate_nodes(
         dilation: The rasteriser's dilation by position, relative to the origin.
         thinnest: Shortest axis of any node, scene units, above 0; by default from `thinnest_axis`.
         coverages: (M,) float64 of the same nodes, if they are known from an earlier call.
+        blurred: Whether covariances are blurred (`Dilation.blurs`), as for growing a forest:
+            splats that differ only within a pixel then cost little to merge.
 
     Returns:
         The nodes; their rows are those of the input.
@@ -109,9 +113,27 @@ def activate_nodes(
     distances = dilation.distances(means)
     if coverages is None:
         coverages = _coverages(splats, rows, covariances, dilation.added(distances))
+    if blurred:
+        widen(covariances, squared(dilation.blurs(distances)))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
     weights = normalised(coverages * dilation.nearness_at(distances))
     return Nodes(weights, coverages, means, covariances, features, rows)
+
+
+def widen(covariances: F64, variances: F64) -> None:
+    """Add a variance in all directions to each covariance, in place.
+
+    Args:
+        covariances: (N, 6), square scene units.
+        variances: (N,), square scene units.
+    """
+    for entry in (0, 3, 5):
+        covariances[:, entry] += variances
+
+
+def squared(deviations: F32) -> F64:
+    """Return (N,) squares in double precision, whose range holds them."""
+    return np.square(deviations, dtype=np.float64)
 
 
 def prominence(coverages: F64, means: F64, viewers: Dilation | Viewers) -> F64:

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nanogs._types import F64, I32
+from nanogs._types import F32, F64, I32
 from nanogs.kernels.assign import assign_nearest, best_moves, invert_covariances, make_moves
 from nanogs.kernels.forest import log_determinants
-from nanogs.method.nodes import Nodes, gather, gather_groups, member_lists
+from nanogs.method.nodes import Nodes, gather, gather_groups, member_lists, squared, widen
 from nanogs.neighbours import nearest_neighbours
 from nanogs.sorting import stable_order
 
@@ -22,7 +22,7 @@ MOVES_APP = 1.0  # the same in moves of single splats, as while the forest grows
 MOVES = 2  # how often moves of single splats are made; each group takes part in one at a time
 
 
-def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int) -> tuple[I32, int]:
+def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int, blurs: F32) -> tuple[I32, int]:
     """Assign each splat to the group of highest likelihood, match moments again, and repeat.
 
     Then single splats are moved, if there are any rounds.
@@ -36,20 +36,28 @@ def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int) -> tuple[I32,
         labels: (N,) int32, the group of each in [0, groups), none empty.
         groups: Number of groups.
         rounds: Number of rounds; ends earlier when nothing moves.
+        blurs: (N,) deviations by which shapes are blurred before they are compared, as while the
+            forest grows (`Dilation.blurs`), scene units.
 
     Returns:
         (N,) int32, new labels, no group empty; and the number of rounds in which splats moved.
     """
     done = 0
     while done < rounds:
-        moved = _one_round(leaves, labels, groups)
+        moved = _one_round(leaves, labels, groups, blurs)
         if np.array_equal(moved, labels):
             break
         labels, done = moved, done + 1
-    return (_move(leaves, labels, groups) if rounds else labels), done
+    return (_move(leaves, labels, groups, blurs) if rounds else labels), done
 
 
-def _move(leaves: Nodes, labels: I32, groups: int) -> I32:
+def _blur_groups(merged: Nodes, leaves: Nodes, labels: I32, blurs: F32) -> None:
+    """Blur the covariances of groups, in place, as the mixtures of their blurred members."""
+    sums = np.bincount(labels, leaves.weights * squared(blurs), len(merged))
+    widen(merged.covariances, sums / merged.weights)
+
+
+def _move(leaves: Nodes, labels: I32, groups: int, blurs: F32) -> I32:
     """Move single splats to where the error of all groups falls the most; see `best_moves`."""
     labels = labels.copy()
     targets, gains, dets = np.empty_like(labels), np.empty(len(labels)), np.empty(groups)
@@ -57,12 +65,13 @@ def _move(leaves: Nodes, labels: I32, groups: int) -> I32:
     for _ in range(MOVES):
         starts, members = member_lists(labels, groups)
         merged = gather_groups(leaves, starts, members)
+        _blur_groups(merged, leaves, labels, blurs)
         if candidates is None:  # moves hardly change which groups are near
             candidates = nearest_neighbours(merged.means, NEIGHBOURS)
         log_determinants(merged.covariances, dets)
         best_moves(
             labels, np.diff(starts), candidates,
-            leaves.weights, leaves.means, leaves.covariances, leaves.features, leaves.rows,
+            leaves.weights, leaves.means, leaves.covariances, blurs, leaves.features, leaves.rows,
             merged.weights, merged.means, merged.covariances, dets, merged.features, MOVES_APP,
             targets, gains,
         )  # fmt: skip
@@ -75,8 +84,9 @@ def _move(leaves: Nodes, labels: I32, groups: int) -> I32:
     return labels
 
 
-def _one_round(leaves: Nodes, labels: I32, groups: int) -> I32:
+def _one_round(leaves: Nodes, labels: I32, groups: int, blurs: F32) -> I32:
     merged = gather(leaves, labels, groups)
+    _blur_groups(merged, leaves, labels, blurs)
     inverses, dets = np.empty((groups, 6)), np.empty(groups)
     invert_covariances(merged.covariances, inverses, dets)
     candidates = nearest_neighbours(merged.means, NEIGHBOURS)
@@ -86,6 +96,7 @@ def _one_round(leaves: Nodes, labels: I32, groups: int) -> I32:
         candidates,
         leaves.means,
         leaves.covariances,
+        blurs,
         leaves.features,
         leaves.rows,
         merged.means,

@@ -261,7 +261,7 @@ class OneBlock(Scene):
     def grow(self, name: str, block: int) -> Record:
         """Grow the merge forest, and keep it with its leaves."""
         start = time.perf_counter()
-        bare = [self._activated()]
+        bare = [self._activated(blurred=True)]
         coverages = bare[0].coverages
         bare[0] = without_coverages(bare[0])
         activating = time.perf_counter() - start
@@ -274,9 +274,11 @@ class OneBlock(Scene):
         seconds += [each.seconds for each in self._forest.passes]
         return self.write(name, {}, {"seconds": seconds})
 
-    def _activated(self, coverages: F64 | None = None) -> Nodes:
+    def _activated(self, coverages: F64 | None = None, *, blurred: bool = False) -> Nodes:
         rows, origin, dilation, viewers = self.placement
-        nodes = activate_nodes(self.splats, rows, origin, dilation, coverages=coverages)
+        nodes = activate_nodes(
+            self.splats, rows, origin, dilation, coverages=coverages, blurred=blurred
+        )
         visible = self.visible if self.guided else None
         if viewers is dilation and visible is None:
             return nodes
@@ -329,7 +331,9 @@ class OneBlock(Scene):
         self._labels, self._corrected = {f"cut {self.picked(level)}": labels}, {}
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
-        found, done = reassign(self._leaves, labels, groups, rounds)
+        dilation = self.placement.dilation
+        blurs = dilation.blurs(dilation.distances(self._leaves.means))
+        found, done = reassign(self._leaves, labels, groups, rounds, blurs)
         self._labels["settled"] = found
         return self.write(name, {}, {ROUNDS: done})
 

@@ -387,7 +387,7 @@ class Work(Scene):
         weighing = self.weighing(columns.get(VISIBLE))
         leaves = leaves_of(splats, stable_order(columns[CODES]), self.units, weighing)
         area = block_with_halo(leaves, labels, own, self.group_count(block, level), halo)
-        found = settled(area, settings.parameters.rounds)
+        found = settled(area, settings.parameters.rounds, self.units.dilation())
         # If the method is guided, growth does not depend on covers.
         cover = None if self.guided else settled_cover(area, found.labels, self.units.dilation())
         return write_settled(self.scratch, name, found, area, columns, cover)

@@ -150,7 +150,7 @@ def _growing(count: int, features: int, k: int) -> dict[str, int]:
 
 def _reassign(count: int, target: int, features: int) -> int:
     merged = target * (_NODE + features + 7 * F8 + _GROUPS * I4 + _TREE + I8)
-    return merged + count * (I4 + 2 * F8 + F8 // 2)
+    return merged + count * (I4 + F4 + 2 * F8 + F8 // 2)
 
 
 def _store(count: int, target: int) -> int:

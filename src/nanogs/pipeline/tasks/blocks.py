@@ -90,8 +90,13 @@ def leaves_of(
     *,
     bare: bool = False,
 ) -> Nodes:
-    """Make a merge node for each row, in the units shared by all blocks; bare: no coverages."""
-    nodes = activate_nodes(splats, rows, units.centre(), units.dilation(), units.thinnest)
+    """Make a merge node for each row, in the units shared by all blocks.
+
+    bare: as for growing a forest, without coverages and with blurred covariances.
+    """
+    nodes = activate_nodes(
+        splats, rows, units.centre(), units.dilation(), units.thinnest, blurred=bare
+    )
     prominences = prominence(nodes.coverages, nodes.means, units.viewers())
     if weighing is None:
         weights = prominences / units.prominence

@@ -63,12 +63,13 @@ class Settled(NamedTuple):
     rounds: int
 
 
-def settled(area: BlockWithHalo, rounds: int) -> Settled:
+def settled(area: BlockWithHalo, rounds: int, dilation: Dilation) -> Settled:
     """Reassign, and find the group in which each of the block's splats ends.
 
     Args:
         area: The block and its halo.
         rounds: Rounds of reassignment, at most.
+        dilation: As `activate_nodes` takes it.
     """
     own = area.leaves.rows < area.own
     rows = area.leaves.rows[own]
@@ -76,7 +77,8 @@ def settled(area: BlockWithHalo, rounds: int) -> Settled:
     weights = np.empty(area.own)
     before[rows], weights[rows] = area.labels[own], area.leaves.weights[own]
     total = area.groups + sum(len(each.groups) for each in area.halo)
-    moved, done = reassign(area.leaves, area.labels, total, rounds)
+    blurs = dilation.blurs(dilation.distances(area.leaves.means))
+    moved, done = reassign(area.leaves, area.labels, total, rounds, blurs)
     after[rows] = moved[own]
     keep_every_group(after, before, weights, area.groups)
     moved[own] = after[rows]
