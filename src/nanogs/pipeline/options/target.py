@@ -41,7 +41,9 @@ class Goal:
         if sum(wish is not None for wish in wishes) != 1:
             raise OptionError("Give exactly one of `ratio`, `count`, `size`, `psnr`, `draw_cost`.")
         if self.ratio is not None and not 0 < self.ratio <= 1:
-            raise OptionError(f"The ratio must be above 0 and at most 1, not {self.ratio:g}.")
+            raise OptionError(
+                f"The ratio must be above 0 and at most 1, not {self.ratio:g}{_share(self.ratio)}."
+            )
         if self.count is not None and self.count < 1:
             raise OptionError(f"The count must be at least 1, not {self.count}.")
         if self.size is not None and self.size < 1:
@@ -50,7 +52,8 @@ class Goal:
             raise OptionError(f"The PSNR must be above 0 dB and finite, not {self.psnr:g}.")
         if self.draw_cost is not None and not 0 < self.draw_cost <= 1:
             raise OptionError(
-                f"The draw cost is a share above 0 and at most 1, not {self.draw_cost:g}."
+                f"The draw cost is a share above 0 and at most 1, not {self.draw_cost:g}"
+                f"{_share(self.draw_cost)}."
             )
 
     def _make_plain(self) -> None:
@@ -85,6 +88,11 @@ class Goal:
         if self.is_measured or self.size is not None:
             return None
         return target_count(available, self.ratio, self.count)
+
+
+def _share(given: float) -> str:
+    """Return what a number above 1 is as a share if it was meant in percent, to be appended."""
+    return f" ({given:g} percent are {given / 100:g})" if 1 < given <= 100 else ""
 
 
 def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:
