@@ -6,7 +6,7 @@ alpha, unit quaternion).
 """
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -164,14 +164,10 @@ class Splats:
             if column.shape != (n,):
                 raise ModelError(f"extra column {name!r} must be ({n},), not {column.shape}.")
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __reduce__(self) -> tuple[Callable[[dict[str, Any]], "Splats"], tuple[dict[str, Any]]]:
+        # Not by `__getstate__`, which dataclasses of Python 3.11.2 and before replace.
         state = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return state | {"extras": dict(self.extras)}  # a MappingProxyType cannot be pickled
-
-    def __setstate__(self, state: Mapping[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-        self._freeze()
+        return _restored, (state | {"extras": dict(self.extras)},)  # a proxy cannot be pickled
 
     def __repr__(self) -> str:
         from nanogs.summary import one_line
@@ -311,6 +307,15 @@ class Splats:
         if degree >= self.sh_degree:
             return self
         return replace(self, sh=np.ascontiguousarray(self.sh[:, : (degree + 1) ** 2]))
+
+
+def _restored(state: Mapping[str, Any]) -> Splats:
+    """Return the model whose fields were pickled or copied."""
+    splats = object.__new__(Splats)
+    for name, value in state.items():
+        object.__setattr__(splats, name, value)
+    splats._freeze()
+    return splats
 
 
 def check_degree(sh_degree: int | None) -> None:
