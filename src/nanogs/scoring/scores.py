@@ -107,13 +107,18 @@ def check_metrics(names: Sequence[str]) -> None:
     Raises:
         OptionError: There is no such metric, or its package is not installed.
     """
+    _refuse_unknown(names)
     image = np.zeros((64, 64, 3), np.float32)
     for name in names:
+        EXTRA_METRICS[name](image, image)
+
+
+def _refuse_unknown(metrics: Iterable[str]) -> None:
+    for name in metrics:
         if name not in EXTRA_METRICS:
             raise OptionError(
                 f"There is no metric {name!r}; choose from {', '.join(EXTRA_METRICS)}."
             )
-        EXTRA_METRICS[name](image, image)
 
 
 def reference_views(
@@ -177,8 +182,9 @@ def score(
         on_view: Called with each view, its rendering and its score.
 
     Raises:
-        OptionError: The package of a metric is not installed.
+        OptionError: A metric does not exist, or its package is not installed.
     """
+    _refuse_unknown(extras)
     scores = []
     notes: dict[str, None] = {}
     skipped = 0
