@@ -476,6 +476,15 @@ def test_the_error_map_is_bright_where_the_sides_differ(studio):
     assert not page.is_visible("#legend")
 
 
+def test_opening_the_filters_leaves_what_is_typed_into_them(studio):
+    page = studio.page
+    page.click("#sift summary")
+    page.fill("#opacity", "0.1")
+    # Browsers send this event late: a quick user has typed by then.
+    page.evaluate("document.getElementById('sift').dispatchEvent(new Event('toggle'))")
+    assert page.input_value("#opacity") == "0.1"
+
+
 def test_a_reduced_model_is_said_to_be_one_beside_the_picture_and_the_error_map(studio):
     page, fake = studio.page, studio.fake
     page.keyboard.press("e")

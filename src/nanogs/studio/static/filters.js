@@ -103,7 +103,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
     forget();
     render();
   });
-  panel.addEventListener("toggle", () => render());
+  panel.addEventListener("toggle", outline); // not all: a field that is typed into stays as it is
 
   const say = (words) => (byId("takes").textContent = words);
 
@@ -131,6 +131,11 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
     });
     byId("take").disabled = byId("untake").disabled = !isNew();
     byId("take").textContent = same(pending, NONE) && isNew() ? "Put all back" : "Remove";
+    outline();
+  }
+
+  // Draws the box in the picture while the panel is open.
+  function outline() {
     const seen = pending.box && panel.open;
     draw(seen ? pending.box.slice(0, 3) : null, seen ? pending.box.slice(3) : null);
   }
