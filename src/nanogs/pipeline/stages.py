@@ -168,7 +168,7 @@ def _rough(work: Work, task: Task) -> Record:
     splats, rows = work.block(task.number)
     units, parameters = work.units, work.settings.parameters
     return grow(
-        work.scratch, task.name, lambda: leaves_of(splats, rows, units, bare=True), parameters,
+        work.scratch, task.name, lambda: leaves_of(splats, rows, units, growing=True), parameters,
         [parameters.balance],
     )  # fmt: skip
 

@@ -223,10 +223,10 @@ class Work(Scene):
     def ordering(self, own: Block, block: int, level: int, number: int) -> Ordering:
         """Read the merges of a block's forest and their errors; see `Scene.ordering`."""
         weighing = self.weighing(own.visible)
-        leaves = leaves_of(own.splats, own.rows, self.units, weighing, bare=True)
+        weights = leaves_of(own.splats, own.rows, self.units, weighing).weights
         record, place = self._scores(block, level, number)
         children, scores = read_merges(self.scratch, self.of_block("grow", block), record, place)
-        return Ordering(children, scores, leaves.weights)
+        return Ordering(children, scores, weights)
 
     def keep_correction(self, task: Task, number: int, correction: Correction) -> Record:
         """Write the corrected errors for a further cut; see `Scene.keep_correction`."""
@@ -364,7 +364,8 @@ class Work(Scene):
         own = self.open(block)
         units, weighing = self.units, self.weighing(own.visible)
         return grow(
-            self.scratch, name, lambda: leaves_of(own.splats, own.rows, units, weighing, bare=True),
+            self.scratch, name,
+            lambda: leaves_of(own.splats, own.rows, units, weighing, growing=True),
             parameters, balances,
         )  # fmt: skip
 

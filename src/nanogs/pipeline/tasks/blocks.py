@@ -88,14 +88,14 @@ def leaves_of(
     units: Units,
     weighing: Visibility | None = None,
     *,
-    bare: bool = False,
+    growing: bool = False,
 ) -> Nodes:
     """Make a merge node for each row, in the units shared by all blocks.
 
-    bare: as for growing a forest, without coverages and with blurred covariances.
+    growing: as a forest needs them, without coverages and with blurred covariances.
     """
     nodes = activate_nodes(
-        splats, rows, units.centre(), units.dilation(), units.thinnest, blurred=bare
+        splats, rows, units.centre(), units.dilation(), units.thinnest, blurred=growing
     )
     prominences = prominence(nodes.coverages, nodes.means, units.viewers())
     if weighing is None:
@@ -104,7 +104,7 @@ def leaves_of(
         weights = visible_weights(prominences, weighing.visible[rows], weighing.hidden)
         weights /= weighing.typical
     np.maximum(weights, LIGHTEST, out=nodes.weights)
-    return without_coverages(nodes) if bare else nodes
+    return without_coverages(nodes) if growing else nodes
 
 
 def with_codes(columns: dict[str, Array], count: int) -> dict[str, Array]:
