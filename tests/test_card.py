@@ -22,15 +22,16 @@ from nanogs.kernels.gradients import SCALES
 from nanogs.kernels.project import MIN_ALPHA
 from nanogs.metrics import psnr
 from nanogs.raster.depths import light_by_depth
+from nanogs.raster.light import LightSums, light_in_view, render_with_light
 from nanogs.raster.rendering import prepare, render, view_on
 from nanogs.splats import RenderMode
 from nanogs.views.automatic import automatic_cameras
 from test_raster import make_camera, make_splats, one_splat
 
 wp = pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
-advancing, blending, listing, projecting, gradients, shading = (
-    importlib.import_module(f"nanogs.card.{name}")
-    for name in ("advancing", "blending", "listing", "projecting", "gradients", "shading")
+NAMES = "advancing blending gradients lighting listing projecting shading".split()
+advancing, blending, gradients, lighting, listing, projecting, shading = (
+    importlib.import_module(f"nanogs.card.{name}") for name in NAMES
 )
 
 CLOSE = 100  # dB between both renderings if no splat is at a threshold
@@ -177,11 +178,42 @@ def test_light_by_depth_agrees():
         on_cpu = light_by_depth(prepared, camera, ranges, contributions=True)
     np.testing.assert_allclose(on_card.shares, on_cpu.shares, atol=1e-5)
     np.testing.assert_allclose(on_card.alpha, on_cpu.alpha, atol=1e-5)
-    np.testing.assert_allclose(on_card.contributions(), on_cpu.contributions(), atol=1e-3)
+    np.testing.assert_allclose(
+        on_card.light.contributions(), on_cpu.light.contributions(), atol=1e-3
+    )
     assert (on_cpu.shares.max(axis=(0, 1)) > 0.1).all()
     np.testing.assert_allclose(
         on_cpu.shares[..., 0] + on_cpu.shares[..., 2], on_cpu.alpha, atol=1e-5
     )
+
+
+@pytest.mark.parametrize("count", [200, 0])
+def test_sums_of_light_agree(count):
+    prepared = prepare(make_splats(count, degree=1))
+    cameras = [make_camera(*sides, 40.0) for sides in ((50, 33), (20, 40), (33, 33))]
+
+    def summed():
+        sums, shares = LightSums(count), LightSums(count)
+        for camera in cameras:
+            light = light_in_view(prepared, camera)
+            sums.add(light, 0.5)
+            assert shares.add_share(light) == (count > 0)
+        picture, light = render_with_light(prepared, cameras[0], depth=True)
+        assert light.total(count // 2) == pytest.approx(light.contributions()[: count // 2].sum())
+        return sums.seen(), sums.whole(), sums.times(), shares.seen(), picture.color, picture.depth
+
+    on_card = summed()
+    with use_device("cpu"):
+        on_cpu = summed()
+    seen, whole, times, shares, *pictures = zip(on_card, on_cpu, strict=True)
+    np.testing.assert_allclose(*seen, rtol=1e-4, atol=3 * MIN_ALPHA)
+    np.testing.assert_allclose(*whole, rtol=1e-9)
+    assert count == 0 or 0.3 < np.mean(times[1] > 0) < 0.95
+    assert count == 0 or set(times[1]) == {0, 1, 2}
+    assert np.count_nonzero(times[0] != times[1]) <= 0.01 * count
+    np.testing.assert_allclose(*shares, rtol=1e-3, atol=1e-5)
+    for made in pictures:
+        np.testing.assert_allclose(*made, rtol=1e-4, atol=1e-4)
 
 
 def test_the_picture_of_a_target_stays_on_the_device_until_the_target_is_deleted():
@@ -219,7 +251,7 @@ def test_a_full_card_memory_raises_an_error_that_suggests_the_cpu():
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp has no compiler for cards there")
 def test_kernels_compile_for_a_card_on_a_machine_without_one(tmp_path):
     """All that can be tested without a card: compiling in blocks as on a card, for old ones."""
-    modules = [shading, projecting, listing, blending, gradients, advancing]
+    modules = [shading, projecting, listing, blending, lighting, gradients, advancing]
     blocks = {wp.get_module(module.__name__): 256 for module in modules}
     blocks |= {
         kernel_of(shading.WARP).module: shading.WARP

@@ -1,7 +1,6 @@
 """Visibility of splats in views of the original, and its effect on a result."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from nanogs.method.parameters import PICTURES, ForestParameters
 from nanogs.pipeline import run
 from nanogs.pipeline.tasks.fitting import HIDDEN, weights_of_colours
 from nanogs.raster.camera import Camera
+from nanogs.raster.light import HostLight, LightSums
 from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason
 from nanogs.splats import Splats, concatenate
@@ -51,16 +51,14 @@ def box_with_something_inside():
 
 @pytest.mark.parametrize("rows", [7, 1 << 15])
 def test_light_is_added_in_all_slices(monkeypatch, rows):
-    monkeypatch.setattr(visibility, "SLICE_STEPS", rows)
+    monkeypatch.setattr("nanogs.raster.light.SLICE_STEPS", rows)
     seen, whole = np.arange(20.0), np.full(20, 30.0)
-    view = SimpleNamespace(contributions=seen, unoccluded=whole, alpha=np.zeros((2, 3)))
-    light = visibility.SplatContributions(20)
+    light = LightSums(20)
     for _ in range(3):
-        light.add(view)
-    assert np.array_equal(light.seen, 3 * seen)
-    assert np.array_equal(light.whole, 3 * whole)
-    assert light.times.tolist() == [0] + [2] * 19
-    assert (light.views, light.pixels) == (3, 18)
+        light.add(HostLight(seen, whole), 0.01)
+    assert np.array_equal(light.seen(), 3 * seen)
+    assert np.array_equal(light.whole(), 3 * whole)
+    assert light.times().tolist() == [0] + [2] * 19
 
 
 def test_hidden_splats_get_a_low_weight_and_unseen_ones_a_full_weight():
@@ -413,19 +411,20 @@ def test_unseen_splats_do_not_count_as_hidden_if_views_overlap_little(
 
 
 def test_missed_light_is_estimated_from_splats_in_a_single_view():
-    def view(contributions, unoccluded, pixels):
-        return SimpleNamespace(
-            contributions=np.array(contributions, float), unoccluded=np.array(unoccluded, float),
-            alpha=np.zeros(pixels),
-        )  # fmt: skip
+    def summed(views, pixels):
+        light = LightSums(5)
+        for contributions, unoccluded in views:
+            light.add(HostLight(np.array(contributions, float), np.array(unoccluded)), 0.01)
+        cameras = [Camera(pixels, 1, 1.0, 1.0, 0.0, 0.0, np.eye(4))] * len(views)
+        return visibility.contributions_of(light, cameras)
 
     # Splats: in two views; in one; in none; almost hidden (below 0.01); of another block.
-    from_views, from_anywhere = visibility.SplatContributions(5), visibility.SplatContributions(5)
-    from_views.add(view([40, 0, 0, 0.1, 9], [50, 20, 30, 40, 9], 100))
-    from_views.add(view([10, 0, 0, 0, 0], [50, 20, 30, 40, 9], 100))
+    unoccluded = [50, 20, 30, 40, 9]
+    views = [([40, 0, 0, 0.1, 9], unoccluded), ([10, 0, 0, 0, 0], unoccluded)]
+    from_views = summed(views, pixels=100)
     alone = visibility.missed_light_of(from_views, None, 4)
     assert dataclasses.astuple(alone) == pytest.approx((0.0, 0.501, 1.8))
-    from_anywhere.add(view([0, 4, 0, 0, 0], [1, 4, 5, 0, 0], 10))
+    from_anywhere = summed([([0, 4, 0, 0, 0], [1, 4, 5, 0, 0])], pixels=10)
     both = visibility.missed_light_of(from_views, from_anywhere, 4)
     assert dataclasses.astuple(both) == pytest.approx((0.4, 0.901, 1.9))
     assert both.hidden(0.03) == pytest.approx(0.4 / 1.9)

@@ -18,6 +18,7 @@ from nanogs.card.gradients import (
     tint,
     weigh_pixels,
 )
+from nanogs.card.lighting import CardSums
 from nanogs.card.listing import count_tiles, find_starts, write_tiles
 from nanogs.card.projecting import Intrinsics, add_unoccluded, project_splats
 from nanogs.card.shading import EDGE, PIXELS, WARP, Shape, shape_entries
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_KEPT = 0.5  # share of a card's memory that is not returned to the system between views
 _MOST = 2**30  # largest number of entries of a view: 32-bit indices, and sorting doubles the arrays
 
 
@@ -54,6 +56,10 @@ class Engine:
         self.device = device
         self.name = f"cuda, {device.name}" if device.is_cuda else "warp-cpu"
         self._lanes = WARP if device.is_cuda else 1
+        if device.is_cuda and device.is_mempool_enabled:
+            # By default each wait for the card returns all free memory to the system, which takes
+            # longer than most kernels.
+            wp.set_mempool_release_threshold(device, _KEPT)
         self._held: WeakKeyDictionary[object, Any] = WeakKeyDictionary()
 
     def held(self, owner: object, upload: "Callable[[], T]") -> "T":
@@ -71,6 +77,10 @@ class Engine:
     def empty(self, shape: tuple[int, ...], kind: type) -> wp.array:
         """Allocate an uninitialised array on the device."""
         return wp.empty(shape, dtype=kind, device=self.device)
+
+    def sums(self, count: int) -> CardSums:
+        """Begin sums of the light of N splats."""
+        return CardSums(self, count)
 
     def launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], *args: object) -> None:
         """Run a kernel with one thread for each index."""
@@ -137,6 +147,7 @@ class View:
         self.ends = engine.empty((0,), wp.int64)
         self.shapes = engine.empty((0,), Shape)
         self._drawn = drawn
+        self._summed: dict[int, wp.array] = {}  # by the blocks that are wanted
         if n == 0:
             return
         engine.launch(
@@ -235,9 +246,20 @@ class View:
 
     def contributions(self, wanted: int = ALL_BLOCKS) -> F64:
         """(N,) float64, sums of each splat's weight T alpha over the pixels."""
-        width, height = self.size
-        ones = wp.full((height, width), 1.0, dtype=wp.float32, device=self.engine.device)
-        return self._sums(ones, wanted)
+        totals: F64 = self.sums_of_weights(wanted).numpy().astype(np.float64)
+        return totals
+
+    def sums_of_weights(self, wanted: int = ALL_BLOCKS) -> wp.array:
+        """(N,) float32 on the device, the same as `contributions`."""
+        if wanted not in self._summed:
+            width, height = self.size
+            ones = wp.full((height, width), 1.0, dtype=wp.float32, device=self.engine.device)
+            self._summed[wanted] = self._sums(ones, wanted)
+        return self._summed[wanted]
+
+    def total(self, count: int) -> float:
+        """Return the sum of the contributions of the first `count` splats."""
+        return float(wp.utils.array_sum(self.sums_of_weights()[:count])) if count else 0.0
 
     def errors(self, target: U8, white: float, alpha: float, counted: F32, wanted: int) -> F64:
         """(N, 2) float64, sums of T alpha times the squared residual, and of T alpha.
@@ -254,19 +276,19 @@ class View:
         residual, _, _ = self.weigh(image, engine.put(target), white, alpha, wanted)
         mask, squares = engine.put(counted), engine.empty((height, width), wp.float32)
         engine.launch(square_pixels, (height, width), residual, mask, squares)
-        return np.stack([self._sums(squares, wanted), self._sums(mask, wanted)], axis=1)
+        sums = [self._sums(probe, wanted).numpy() for probe in (squares, mask)]
+        return np.stack(sums, axis=1).astype(np.float64)
 
-    def _sums(self, probe: wp.array, wanted: int) -> F64:
-        """(N,) float64, sums of each splat's weight T alpha times a probe (H, W)."""
+    def _sums(self, probe: wp.array, wanted: int) -> wp.array:
+        """(N,) float32 on the device, sums of each splat's weight T alpha times a probe (H, W)."""
         if not len(self.entries):
-            return np.zeros(self.count)
+            return wp.zeros(self.count, dtype=wp.float32, device=self.engine.device)
         partial = wp.zeros(len(self.entries), dtype=wp.float32, device=self.engine.device)
         self.engine.launch_tiles(
             share_kernel, self.tiles, self.shapes, self.starts, self.slots, wanted, self.size,
             probe, partial,
         )  # fmt: skip
-        totals: F64 = self._gathered(partial, 1).numpy()[:, 0].astype(np.float64)
-        return totals
+        return self._gathered(partial, 1).flatten()
 
     def _gathered(self, partial: wp.array, columns: int) -> wp.array:
         """Sum the slots of each splat: (N, K); partial: (E,) numbers, or vectors of K."""
@@ -282,12 +304,16 @@ class View:
 
         This is 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image, or else 0.
         """
+        found: F64 = self.sums_unoccluded().numpy()
+        return found
+
+    def sums_unoccluded(self) -> wp.array:
+        """(N,) float64 on the device, the same as `unoccluded`."""
         totals = self.engine.empty((self.count,), wp.float64)
         self.engine.launch(
             add_unoccluded, self.count, self.geometry, self.depths, self.size, totals
         )
-        found: F64 = totals.numpy()
-        return found
+        return totals
 
     def tinted(self, white: float, alpha: float) -> wp.array:
         """(N,) features that a fit blends: colours less `white`, and `alpha` for the depth."""

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs import parallel
-from nanogs._types import F64, Bool
+from nanogs._types import F64, U8, Bool
 from nanogs.errors import ModelError
 from nanogs.formatting import counted
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, Rendering, render
-from nanogs.slices import SLICE_STEPS, slices
+from nanogs.raster.light import LightSums, light_in_view
+from nanogs.raster.rendering import PreparedSplats
 from nanogs.splats import Splats
 from nanogs.views.roam import roaming_cameras
 
@@ -23,6 +22,7 @@ NEW = 0.01  # share of light seen by only one view, above which the views are ta
 DECIDING = 6  # one view in six is held out, to choose a candidate and to accept a fit
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class SplatContributions:
     """The light of N splats, summed over views: contributions, with and without occlusion.
 
@@ -34,26 +34,11 @@ class SplatContributions:
         pixels: Number of pixels of all views.
     """
 
-    def __init__(self, count: int) -> None:
-        self.seen, self.whole = np.zeros(count), np.zeros(count)
-        self.times = np.zeros(count, np.uint8)
-        self.views = self.pixels = 0
-
-    def add(self, view: Rendering) -> None:
-        """Add a view, which was rendered with contributions."""
-        assert view.contributions is not None  # noqa: S101 - asked for
-        assert view.unoccluded is not None  # noqa: S101 - asked for
-        seen, whole = view.contributions, view.unoccluded
-
-        def include(rows: slice) -> None:
-            self.seen[rows] += seen[rows]
-            self.whole[rows] += whole[rows]
-            self.times[rows] += seen[rows] > SHOWN * whole[rows]
-            np.minimum(self.times[rows], 2, out=self.times[rows])
-
-        parallel.for_each(slices(len(seen), SLICE_STEPS), include)
-        self.views += 1
-        self.pixels += view.alpha.size
+    seen: F64
+    whole: F64
+    times: U8
+    views: int
+    pixels: int
 
     def shares(self) -> F64:
         """Return (N,) float64 visibilities in [0, 1]: `seen` over `whole`; 0 outside all views."""
@@ -124,11 +109,17 @@ def missed_light_of(
 
 
 def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> SplatContributions:
-    """Render views without keeping the images, and sum up the light of each splat."""
-    light = SplatContributions(len(prepared))
+    """Sum up the light of each splat in some views, whose pictures are not needed."""
+    light = LightSums(len(prepared))
     for camera in cameras:
-        light.add(render(prepared, camera, contributions=True, sh_degree=0))
-    return light
+        light.add(light_in_view(prepared, camera), SHOWN)
+    return contributions_of(light, cameras)
+
+
+def contributions_of(light: LightSums, cameras: Sequence[Camera]) -> SplatContributions:
+    """Return the sums of the light in the views of some cameras."""
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    return SplatContributions(light.seen(), light.whole(), light.times(), len(cameras), pixels)
 
 
 def visibility_of(

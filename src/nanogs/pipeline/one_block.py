@@ -43,7 +43,8 @@ from nanogs.pipeline.tasks.units import viewers_of
 from nanogs.pipeline.tasks.views import Views, deciding_count
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
+from nanogs.raster.light import SplatLight, render_with_light
+from nanogs.raster.rendering import PreparedSplats, prepare
 from nanogs.report import PassReport
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.source import InMemory
@@ -225,14 +226,14 @@ class OneBlock(Scene):
         """Return no views: the block is the whole scene."""
         return ()
 
-    def draw(self, drawn: PreparedSplats, camera: Camera) -> Rendering:
+    def draw(self, drawn: PreparedSplats, camera: Camera) -> SplatLight:
         """Render a view, and keep it for choosing results and for the fit."""
         # With depth, the user's views can be divided into near and far ones; automatic views differ
         # little in their distances.
         depth = self.settings.asked != AUTOMATIC
-        view = render(drawn, camera, contributions=True, depth=depth)
-        self._shots.append(as_target(view, camera))
-        return view
+        picture, light = render_with_light(drawn, camera, depth=depth)
+        self._shots.append(as_target(picture, camera))
+        return light
 
     @property
     def pictured(self) -> Sequence[Camera]:

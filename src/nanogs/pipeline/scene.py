@@ -23,7 +23,8 @@ from nanogs.pipeline.tasks.partition import Partition
 from nanogs.pipeline.tasks.views import Views
 from nanogs.progress import PartProgress
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, Rendering
+from nanogs.raster.light import SplatLight
+from nanogs.raster.rendering import PreparedSplats
 from nanogs.report import PassReport
 from nanogs.splats import Splats
 from nanogs.store.tables import Record
@@ -196,8 +197,8 @@ class Scene(ABC):
         """Return additional views of a block that is small in every view of the scene."""
 
     @abstractmethod
-    def draw(self, drawn: PreparedSplats, camera: Camera) -> Rendering:
-        """Render one of the views that visibility is measured on, with splat contributions."""
+    def draw(self, drawn: PreparedSplats, camera: Camera) -> SplatLight:
+        """Render one of the views that visibility is measured on; return the light of splats."""
 
     @property
     def pictured(self) -> Sequence[Camera]:

@@ -63,7 +63,8 @@ from nanogs.pipeline.tasks.unpack import Unpacked
 from nanogs.pipeline.tasks.views import Views, parts_of, views_of
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, Rendering, concatenated, prepare, render
+from nanogs.raster.light import SplatLight, light_in_view
+from nanogs.raster.rendering import PreparedSplats, concatenated, prepare
 from nanogs.report import PassReport
 from nanogs.sorting import stable_order
 from nanogs.source import Layout
@@ -348,9 +349,9 @@ class Work(Scene):
         """Return additional views of a block that is small in every view of the scene."""
         return closer_views(self, own.splats)
 
-    def draw(self, drawn: PreparedSplats, camera: Camera) -> Rendering:
-        """Render a view without its colours; images to compare results with are rendered later."""
-        return render(drawn, camera, contributions=True, sh_degree=0)
+    def draw(self, drawn: PreparedSplats, camera: Camera) -> SplatLight:
+        """Compute the light in a view; images to compare results with are rendered later."""
+        return light_in_view(drawn, camera)
 
     def keep_look(self, name: str, look: Look) -> Record:
         """Write a block's visibility, how much of it each view shows, and what the views miss."""

@@ -1,14 +1,15 @@
 """Render from which depths the light of a picture comes, on the device in use."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from nanogs import parallel
-from nanogs._types import F32, F64
+from nanogs._types import F32
 from nanogs.card.device import engine_in_use
 from nanogs.raster.camera import Camera
+from nanogs.raster.light import HostLight, SplatLight
 from nanogs.raster.rendering import PreparedSplats, blend, project, view_on
 from nanogs.slices import SLICE_STEPS, slices
 
@@ -22,13 +23,12 @@ class LightByDepth:
     Attributes:
         shares: (H, W, R) float32 in [0, 1], light of the splats in each range, by their centres.
         alpha: (H, W) float32, light of all splats, 1 - transmittance.
-        contributions: Computes (N,) float64, sum of transmittance x alpha over the pixels; only if
-            asked for.
+        light: The light of each splat; None unless asked for. On the CPU it has no `whole`.
     """
 
     shares: F32
     alpha: F32
-    contributions: Callable[[], F64]
+    light: "SplatLight | None"
 
 
 def light_by_depth(
@@ -44,7 +44,7 @@ def light_by_depth(
         prepared: The model, N splats.
         camera: The camera.
         ranges: Up to three ranges [near, far) of depth along the viewing axis, scene units.
-        contributions: Whether `contributions` of the result will be called.
+        contributions: Whether the light of each splat is asked for.
 
     Raises:
         OptionError: The camera is invalid.
@@ -57,7 +57,7 @@ def light_by_depth(
         view = view_on(engine, prepared, camera, sh_degree=0)
         drawn, left = view.blend(view.within(limits), np.zeros(_MOST, np.float32))
         shares, transmittance = view.to_host(drawn, len(ranges)), left.numpy()
-        return LightByDepth(shares, 1 - transmittance, view.contributions)
+        return LightByDepth(shares, 1 - transmittance, view if contributions else None)
     projected = project(prepared, camera, sh_degree=0)
     depths = projected.features[:, 3]
     features = np.zeros((len(depths), _MOST), np.float32)
@@ -72,4 +72,5 @@ def light_by_depth(
     image, transmittance, sums = blend(
         projected, camera, features, np.zeros(_MOST, np.float32), probes
     )
-    return LightByDepth(image[..., : len(ranges)], 1 - transmittance, lambda: sums[:, 0])
+    light = HostLight(sums[:, 0]) if contributions else None
+    return LightByDepth(image[..., : len(ranges)], 1 - transmittance, light)

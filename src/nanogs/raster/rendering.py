@@ -28,6 +28,7 @@ from nanogs.splats import RenderMode, Splats, padded, refuse_other
 if TYPE_CHECKING:
     from nanogs.card.engine import Engine, Model, View
 
+BLACK = (0.0, 0.0, 0.0)
 _ROUNDING = 0.01  # largest entry of |RRᵀ - I| of a camera; those of files are nearer
 _RUNS = 2  # runs of entries that are summed separately; fixed, so that threads do not matter
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
@@ -204,7 +205,7 @@ def render(
     splats: Splats | PreparedSplats,
     camera: Camera,
     *,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    background: tuple[float, float, float] = BLACK,
     depth: bool = False,
     contributions: bool = False,
     sh_degree: int | None = None,
@@ -262,14 +263,28 @@ def _render_on(
 ) -> Rendering:
     """Render on a device; `background` has four channels if depth is asked for, or else three."""
     view = view_on(engine, prepared, camera, sh_degree=sh_degree)
-    image, transmittance = view.blend(view.features, background, wanted)
-    colours, left = view.to_host(image, len(background)), transmittance.numpy()
-    rendering = rendering_of(colours, left, view.drawn, prepared.skipped, prepared.render_mode)
+    rendering = picture_of(view, prepared, background, wanted)
     if not contributions:
         return rendering
     return replace(
         rendering, contributions=view.contributions(wanted), unoccluded=view.unoccluded()
     )
+
+
+def picture_of(
+    view: "View", prepared: PreparedSplats, background: F32, wanted: int = ALL_BLOCKS
+) -> Rendering:
+    """Make the picture of a view that was projected on a device.
+
+    Args:
+        view: The view.
+        prepared: Its model.
+        background: (C,) float32, with four channels if depth is asked for, or else three.
+        wanted: Bit mask of the blocks of each tile to draw.
+    """
+    image, transmittance = view.blend(view.features, background, wanted)
+    colours, left = view.to_host(image, len(background)), transmittance.numpy()
+    return rendering_of(colours, left, view.drawn, prepared.skipped, prepared.render_mode)
 
 
 def view_on(

@@ -25,7 +25,8 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.depths import light_by_depth
-from nanogs.raster.rendering import PreparedSplats, prepare, render
+from nanogs.raster.light import LightSums, SplatLight, light_in_view
+from nanogs.raster.rendering import PreparedSplats, prepare
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras, check_views, survey
 from nanogs.views.free_space import FreeSpace, middle
@@ -70,13 +71,13 @@ class SearchState:
     """The state of the search.
 
     Attributes:
-        weights: (N,) float64, light of each splat, summed over the images so far; that of each
-            image is normalised to a sum of 1.
+        weights: Light of each splat, summed over the images so far; that of each image is
+            normalised to a sum of 1.
         free: The known free space.
         cameras: The cameras found.
     """
 
-    weights: F64
+    weights: LightSums
     free: FreeSpace
     cameras: list[Camera]
 
@@ -185,23 +186,19 @@ def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
 
 def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str) -> SearchState:
     """Start the search with automatic views, whose positions are known to be free."""
-    known = SearchState(np.zeros(len(splats)), FreeSpace(scene.splats), [])
+    known = SearchState(LightSums(len(splats)), FreeSpace(scene.splats), [])
     automatic = automatic_cameras(
         splats, SEEDS, width=SIZE, height=SIZE, up=up, habit=False,
         split="test" if split == "test" else "fit",
     )  # fmt: skip
     for camera in automatic:
-        view = render(scene.splats, camera, contributions=True, sh_degree=0)
-        assert view.contributions is not None  # noqa: S101 - asked for
-        _add(known, camera.position, view.contributions)
+        _add(known, camera.position, light_in_view(scene.splats, camera))
     return known
 
 
-def _add(known: SearchState, place: F64, contributions: F64) -> None:
+def _add(known: SearchState, place: F64, light: SplatLight) -> None:
     """Add a free position, and the light of the splats in the image from there."""
-    total = contributions.sum()
-    if total > 0:
-        known.weights += contributions / total
+    if known.weights.add_share(light):
         known.free.add(place)
 
 
@@ -210,10 +207,10 @@ def _candidates(
 ) -> Iterator[Candidate]:
     """Draw candidates: targets, directions and distances; `known` may grow during the iteration."""
     random = np.random.default_rng(zlib.crc32(split.encode()))
-    found, summed = -1, known.weights
+    found, summed = -1, np.zeros(1)
     for draw in random.random((tries, 4)):
         if len(known.cameras) != found:
-            found, summed = len(known.cameras), np.cumsum(known.weights * scene.reachable)
+            found, summed = len(known.cameras), np.cumsum(known.weights.seen() * scene.reachable)
         if not summed[-1] > 0:
             return
         row = int(np.searchsorted(summed, draw[0] * summed[-1], side="right"))
@@ -235,20 +232,20 @@ def _direction(height: float, turn: float) -> F64:
 
 def _accepts(scene: Scene, known: SearchState, candidate: Candidate) -> bool:
     """Test a candidate, and add its camera to the state if it passes; return whether it does."""
-    contributions = _shown(scene.splats, candidate)
+    light = _shown(scene.splats, candidate)
     camera = candidate.camera
-    if contributions is None or not known.free.has(camera, candidate.target):
+    if light is None or not known.free.has(camera, candidate.target):
         return False
     known.cameras.append(camera)
-    _add(known, camera.position, contributions)
+    _add(known, camera.position, light)
     return True
 
 
-def _shown(splats: PreparedSplats, candidate: Candidate) -> F64 | None:
-    """Render a candidate; return the (N,) light of each splat, or None if the image is rejected."""
+def _shown(splats: PreparedSplats, candidate: Candidate) -> "SplatLight | None":
+    """Render a candidate; return the light of each splat, or None if the image is rejected."""
     distance = candidate.distance
     ranges = [((1 - ABOUT) * distance, (1 + ABOUT) * distance), (0.0, LENS * distance)]
-    light = light_by_depth(splats, candidate.camera, ranges, contributions=True)
-    hit = middle(light.shares)[0] >= HIT
-    free = light.shares[..., 1].mean() <= HUGGED and light.alpha.mean() >= COVERED
-    return light.contributions() if hit and free else None
+    image = light_by_depth(splats, candidate.camera, ranges, contributions=True)
+    hit = middle(image.shares)[0] >= HIT
+    free = image.shares[..., 1].mean() <= HUGGED and image.alpha.mean() >= COVERED
+    return image.light if hit and free else None

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from nanogs.errors import ModelError, SmallViewError
 from nanogs.fit.views import choose_cameras
 from nanogs.method.visibility import (
-    SplatContributions,
+    SHOWN,
+    contributions_of,
     lacking_views,
     light_in,
     missed_light_of,
@@ -22,6 +23,7 @@ from nanogs.pipeline.options.cameras import fit_cameras
 from nanogs.pipeline.scene import Look, Scene, Task, ViewLight
 from nanogs.pipeline.tasks.views import Views
 from nanogs.raster.lens import lens_notes
+from nanogs.raster.light import LightSums
 from nanogs.raster.rendering import concatenated, prepare
 from nanogs.store.tables import Record
 
@@ -66,16 +68,17 @@ def look_at_block(scene: Scene, task: Task) -> Record:
     count = len(own.splats)
     cameras = [*views.kept, *scene.closer_views(own)]
     drawn = concatenated(prepare(own.splats), scene.occluders(task.number)).with_buffers()
-    looked, lights = SplatContributions(len(drawn)), []
+    sums, lights = LightSums(len(drawn)), []
     pictured = scene.pictured
     total = len(cameras) + len(pictured) + len(views.roaming)
     for done, camera in enumerate(cameras):
         scene.on_progress(done, total)
-        view = scene.draw(drawn, camera)
-        looked.add(view)
-        assert view.contributions is not None  # noqa: S101 - asked for
-        lights.append(ViewLight(camera, float(view.contributions[:count].sum())))
-        del view
+        light = scene.draw(drawn, camera)
+        sums.add(light, SHOWN)
+        lights.append(ViewLight(camera, light.total(count)))
+        del light
+    looked = contributions_of(sums, cameras)
+    del sums
     for done, camera in enumerate(pictured, len(cameras)):
         scene.on_progress(done, total)
         scene.picture(drawn, camera)

@@ -1,0 +1,73 @@
+"""Sums of the light of splats over views, on a device."""
+
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+if TYPE_CHECKING:
+    from nanogs.card.engine import Engine, View
+
+
+class CardSums:
+    """The light of N splats summed over views; see `nanogs.raster.light.LightSums`.
+
+    Attributes:
+        seen: (N,) float64 on the device, sum of what was added of the contributions.
+        whole: (N,) float64 on the device, sum of the unoccluded light.
+        times: (N,) uint8 on the device, number of views that show each, more than one as 2.
+    """
+
+    def __init__(self, engine: "Engine", count: int) -> None:
+        self._engine = engine
+        self.seen, self.whole, self.times = (
+            wp.zeros(count, dtype=kind, device=engine.device)
+            for kind in (wp.float64, wp.float64, wp.uint8)
+        )
+
+    def add(self, view: "View", shown: float) -> None:
+        """Add a view, which counts as showing a splat from a share `shown` of its light."""
+        self._engine.launch(
+            add_light, view.count, view.sums_of_weights(), view.sums_unoccluded(), shown,
+            self.seen, self.whole, self.times,
+        )  # fmt: skip
+
+    def add_share(self, view: "View") -> bool:
+        """Add a view's contributions divided by their sum; return False if there is no light."""
+        total = view.total(view.count)
+        if total > 0:
+            self._engine.launch(add_share, view.count, view.sums_of_weights(), total, self.seen)
+        return total > 0
+
+
+@wp.kernel(enable_backward=False)
+def add_light(
+    contributions: wp.array[wp.float32],
+    unoccluded: wp.array[wp.float64],
+    shown: wp.float64,
+    seen: wp.array[wp.float64],
+    whole: wp.array[wp.float64],
+    times: wp.array[wp.uint8],
+) -> None:
+    """Add the light of a view to each splat's sums.
+
+    contributions, unoccluded: (N,) of the view; shown: share from which a view counts as showing a
+    splat; seen, whole, times: (N,) sums, changed in place.
+    """
+    i = wp.tid()
+    light = wp.float64(contributions[i])
+    seen[i] += light
+    whole[i] += unoccluded[i]
+    if light > shown * unoccluded[i] and times[i] < wp.uint8(2):
+        times[i] += wp.uint8(1)
+
+
+@wp.kernel(enable_backward=False)
+def add_share(
+    contributions: wp.array[wp.float32], total: wp.float64, seen: wp.array[wp.float64]
+) -> None:
+    """Add each splat's share of the light of a view.
+
+    contributions: (N,) of the view; total: their sum; seen: (N,) sums, changed in place.
+    """
+    i = wp.tid()
+    seen[i] += wp.float64(contributions[i]) / total
