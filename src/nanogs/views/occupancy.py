@@ -20,6 +20,8 @@ MEDIAN_SAMPLE = 10_000  # most of these used to find the core's centre and radiu
 CELLS = 64  # number of cells of the grid along each axis
 TRIM_ROUNDS = 4  # iterations for centre and radius of the core
 TRIM = 4.0  # radius of the core in median distances; beyond are surroundings, skies and strays
+# Cells around one, up to two away.
+_AROUND = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3)
 OPAQUE_DEPTH = 1.0  # optical depth at which a ray is stopped
 
 
@@ -179,8 +181,7 @@ class Grid:
 
     def free(self, position: F64) -> bool:
         """Return whether nothing opaque is within two cells of a point (3,)."""
-        around = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3)
-        return bool((self.at(position + around * self.cell) <= OPAQUE_DEPTH / 2).all())
+        return bool((self.at(position + _AROUND * self.cell) <= OPAQUE_DEPTH / 2).all())
 
     def at(self, points: F64) -> F64:
         """Return the (...) optical depths of the cells that hold points (..., 3); 0 outside."""

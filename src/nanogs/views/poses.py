@@ -8,6 +8,9 @@ from nanogs._types import F64, F
 from nanogs.views.occupancy import Grid
 
 RAYS = 9  # rays along each side of a candidate view
+_SIDE = (np.arange(RAYS) + 0.5) / RAYS * 2 - 1
+# (RAYS², 3) directions of a regular grid over an image with tangents of 1, in camera space.
+_RAYS_OVER = np.stack([np.tile(_SIDE, RAYS), np.repeat(_SIDE, RAYS), np.ones(RAYS * RAYS)], axis=1)
 
 
 def level_frame(up: F64) -> F64:
@@ -57,13 +60,6 @@ def _cross(a: F64, b: F64) -> F64:
     )
 
 
-def _grid_rays(tangents: F64) -> F64:
-    """Return the (RAYS², 3) directions of a regular grid over an image, in camera space."""
-    side = (np.arange(RAYS) + 0.5) / RAYS * 2 - 1
-    x, y = np.meshgrid(side * tangents[0], side * tangents[1])
-    return np.stack([x.ravel(), y.ravel(), np.ones(RAYS * RAYS)], axis=1)
-
-
 def view_hits(grid: Grid, poses: Sequence[F64], tangents: F64, reach: float) -> F64:
     """Return (P, RAYS²), the distances at which the rays of P views are stopped, scene units.
 
@@ -75,7 +71,7 @@ def view_hits(grid: Grid, poses: Sequence[F64], tangents: F64, reach: float) -> 
         tangents: (2,) float64, tangents of half the fields of view.
         reach: Length of the rays, scene units.
     """
-    over = _grid_rays(tangents)
+    over = _RAYS_OVER * np.append(tangents, 1.0)
     rays = np.concatenate([over @ pose[:3, :3] for pose in poses])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     origins = np.repeat([-pose[:3, :3].T @ pose[:3, 3] for pose in poses], RAYS * RAYS, axis=0)
