@@ -134,6 +134,8 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
     ("arguments", "message"),
     [
         (("simplify", "a", "b", "--raito", "1"), "no option --raito (did you mean '--ratio'?)"),
+        (("lod", "a", "b", "--ratio", "1"), "no option --ratio (did you mean '--levels'?)"),
+        (("simplify", "a", "b", "--max-memory", "lots"), "--max-memory lots: The size must be"),
         (("simplify", "a", "b", "--zzz"), "no option --zzz; `nanogs simplify --help` lists them"),
         (("simplfy", "a"), "no command simplfy (did you mean 'simplify'?); `nanogs --help`"),
         (("convert", "a", "b", "--sh-degree", "x"), "--sh-degree takes a whole number, not 'x'"),

@@ -16,6 +16,8 @@ _TAKES = (
     ("greater than or equal|not in the range", "a larger number"),
     ("less than or equal", "a smaller number"),
 )
+# Options of other commands, and the one to use in a command that has it.
+_INSTEAD = {"--ratio": "--levels", "--count": "--levels"}
 
 
 def is_usage(error: Exception) -> bool:
@@ -54,6 +56,8 @@ def _meant(option: str, context: Any) -> str:  # noqa: ANN401
     if context is None:
         return ""
     known = {name for param in context.command.params for name in param.opts}
+    if (instead := _INSTEAD.get(option)) in known:
+        return f" (did you mean {instead!r}?)"
     return did_you_mean(option, known | {"--help"})
 
 

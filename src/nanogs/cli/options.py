@@ -50,7 +50,10 @@ def parse_memory(text: str) -> int:
     Raises:
         OptionError: It is not an amount of memory, or below a megabyte.
     """
-    size = parse_bytes(text)
+    try:
+        size = parse_bytes(text)
+    except OptionError as error:
+        raise OptionError(f"--max-memory {text}: {error}") from None
     if size < _LEAST_MEMORY:
         remedy = "name the unit too" if text.strip().isdigit() else "allow more"
         raise OptionError(
