@@ -59,6 +59,9 @@ def test_light_is_added_in_all_slices(monkeypatch, rows):
     assert np.array_equal(light.seen(), 3 * seen)
     assert np.array_equal(light.whole(), 3 * whole)
     assert light.times().tolist() == [0] + [2] * 19
+    views = [Camera(3, 2, 1.0, 1.0, 0.0, 0.0, np.eye(4))] * 3
+    summed = visibility.contributions_of(light, views)
+    assert (summed.views, summed.pixels) == (3, 18)
 
 
 def test_hidden_splats_get_a_low_weight_and_unseen_ones_a_full_weight():
