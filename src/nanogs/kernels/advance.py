@@ -122,7 +122,7 @@ def _recolour(
     sh: F32,
 ) -> None:
     """Apply a step to a splat's coefficients (K, 3); a channel clipped at black only brightens."""
-    distance = math.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
+    distance = math.sqrt(point[0] * point[0] + point[1] * point[1] + point[2] * point[2])
     sh_basis(point[0] / distance, point[1] / distance, point[2] / distance, degree, basis)
     for k in range(len(sh)):
         held = bands[k, 1] * curvature

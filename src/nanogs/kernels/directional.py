@@ -83,10 +83,15 @@ def fit_directional_colours(
                     light[0, d] += area * max(shown[0, d], _BLACK)
                     light[1, d] += area * max(shown[1, d], _BLACK)
                     light[2, d] += area * max(shown[2, d], _BLACK)
-            wholes += whole
-            lights += light
-        whole[:] = wholes
-        light[:] = lights
+            # Loops, because copying whole arrays would take four seconds to compile.
+            for d in range(DIRECTIONS):
+                wholes[d] += whole[d]
+                for channel in range(3):
+                    lights[channel, d] += light[channel, d]
+        for d in range(DIRECTIONS):
+            whole[d] = wholes[d]
+            for channel in range(3):
+                light[channel, d] = lights[channel, d]
         for _ in range(steps):
             descend(colours[group], light, whole, basis, transposed, factor, shown, changes)
 

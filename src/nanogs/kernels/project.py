@@ -228,7 +228,7 @@ def project_splats(
             `unpack_box`; HIDDEN for one that can reach none, whose rows of the other outputs are
             undefined.
     """
-    coefficients = (degree + 1) ** 2
+    coefficients = (degree + 1) * (degree + 1)
     basis = np.empty(25, np.float32)
     bounds = guard_bounds(intrinsics)
     px, py, pz = position[0], position[1], position[2]

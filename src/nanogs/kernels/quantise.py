@@ -19,6 +19,13 @@ def _cost(w: F64, wx: F64, wxx: F64, first: int, stop: int) -> float:
     return error
 
 
+@inline
+def _push(stack: I64, depth: int, low: int, high: int, least: int, most: int) -> int:
+    # One number at a time: assigning a tuple to a row takes two seconds to compile.
+    stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3] = low, high, least, most
+    return depth + 1
+
+
 @kernel
 def optimal_cuts(centres: F64, weights: F64, cuts: I64) -> None:
     """Cut sorted bins into runs of least squared error, by dynamic programming.
@@ -52,11 +59,11 @@ def optimal_cuts(centres: F64, weights: F64, cuts: I64) -> None:
     stack = np.empty((64, 4), dtype=np.int64)
     for run in range(2, runs + 1):
         after[:] = math.inf
-        stack[0] = (run, bins, run - 1, bins - 1)
-        depth = 1
+        depth = _push(stack, 0, run, bins, run - 1, bins - 1)
         while depth:
             depth -= 1
-            low, high, least, most = stack[depth]
+            low, high = stack[depth, 0], stack[depth, 1]
+            least, most = stack[depth, 2], stack[depth, 3]
             middle = (low + high) // 2
             best, chosen = math.inf, least
             for cut in range(least, min(most, middle - 1) + 1):
@@ -65,11 +72,9 @@ def optimal_cuts(centres: F64, weights: F64, cuts: I64) -> None:
                     best, chosen = cost, cut
             after[middle], last[run, middle] = best, chosen
             if low < middle:
-                stack[depth] = (low, middle - 1, least, chosen)
-                depth += 1
+                depth = _push(stack, depth, low, middle - 1, least, chosen)
             if middle < high:
-                stack[depth] = (middle + 1, high, chosen, most)
-                depth += 1
+                depth = _push(stack, depth, middle + 1, high, chosen, most)
         before, after = after, before
     cuts[runs] = bins
     for run in range(runs, 0, -1):
