@@ -116,7 +116,7 @@ def small_views():
             preset,
             views=2,
             further=2,
-            roaming=min(preset.roaming, 1),
+            around=min(preset.around, 1),
             view_size=32,
             steps=min(preset.steps, 2),
         )

@@ -26,7 +26,7 @@ SUFFIXES = (".sog", ".spz") * 3 + (
 )  # fmt: skip
 FRAMES = (("rdf", "rub"), ("rub", "luf"))
 NAMED_SIZE = re.compile(r"([\d,]+) B[.;]")
-FEW_VIEWS = {"views": 2, "view_size": 48, "roaming": 0, "steps": 2}
+FEW_VIEWS = {"views": 2, "view_size": 48, "around": 0, "steps": 2}
 # Notes that say why a file is small.
 SMALL_FILE_NOTES = ("whole model fits", "of the requested size, because a file of")
 
@@ -299,7 +299,7 @@ def _as_json(report: SimplifyReport) -> dict[str, Any]:
 def _run_command(request: Request, source: Path, out: Path) -> dict[str, Any]:
     arguments = {**request.goal, **request.arguments, **request.options, "preset": request.preset}
     arguments = {
-        name: value for name, value in arguments.items() if name not in ("view_size", "roaming")
+        name: value for name, value in arguments.items() if name not in ("view_size", "around")
     }
     words = [
         word for name, v in arguments.items() for word in (f"--{name.replace('_', '-')}", str(v))

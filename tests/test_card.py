@@ -21,7 +21,6 @@ from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.gradients import SCALES
 from nanogs.kernels.project import MIN_ALPHA
 from nanogs.metrics import psnr
-from nanogs.raster.depths import light_by_depth
 from nanogs.raster.light import LightSums, light_in_view, render_with_light
 from nanogs.raster.rendering import prepare, render, view_on
 from nanogs.splats import RenderMode
@@ -170,48 +169,29 @@ def test_a_model_stays_on_the_device_until_it_is_deleted():
     assert len(models) == before
 
 
-def test_light_by_depth_agrees():
-    prepared, camera = prepare(make_splats(200)), make_camera(50, 33)
-    ranges = [(0.0, 3.0), (2.0, 3.5), (3.0, np.inf)]
-    on_card = light_by_depth(prepared, camera, ranges, contributions=True)
-    with use_device("cpu"):
-        on_cpu = light_by_depth(prepared, camera, ranges, contributions=True)
-    np.testing.assert_allclose(on_card.shares, on_cpu.shares, atol=1e-5)
-    np.testing.assert_allclose(on_card.alpha, on_cpu.alpha, atol=1e-5)
-    np.testing.assert_allclose(
-        on_card.light.contributions(), on_cpu.light.contributions(), atol=1e-3
-    )
-    assert (on_cpu.shares.max(axis=(0, 1)) > 0.1).all()
-    np.testing.assert_allclose(
-        on_cpu.shares[..., 0] + on_cpu.shares[..., 2], on_cpu.alpha, atol=1e-5
-    )
-
-
 @pytest.mark.parametrize("count", [200, 0])
 def test_sums_of_light_agree(count):
     prepared = prepare(make_splats(count, degree=1))
     cameras = [make_camera(*sides, 40.0) for sides in ((50, 33), (20, 40), (33, 33))]
 
     def summed():
-        sums, shares = LightSums(count), LightSums(count)
+        sums = LightSums(count)
         for camera in cameras:
             light = light_in_view(prepared, camera)
             sums.add(light, 0.5)
-            assert shares.add_share(light) == (count > 0)
         picture, light = render_with_light(prepared, cameras[0], depth=True)
         assert light.total(count // 2) == pytest.approx(light.contributions()[: count // 2].sum())
-        return sums.seen(), sums.whole(), sums.times(), shares.seen(), picture.color, picture.depth
+        return sums.seen(), sums.whole(), sums.times(), picture.color, picture.depth
 
     on_card = summed()
     with use_device("cpu"):
         on_cpu = summed()
-    seen, whole, times, shares, *pictures = zip(on_card, on_cpu, strict=True)
+    seen, whole, times, *pictures = zip(on_card, on_cpu, strict=True)
     np.testing.assert_allclose(*seen, rtol=1e-4, atol=3 * MIN_ALPHA)
     np.testing.assert_allclose(*whole, rtol=1e-9)
     assert count == 0 or 0.3 < np.mean(times[1] > 0) < 0.95
     assert count == 0 or set(times[1]) == {0, 1, 2}
     assert np.count_nonzero(times[0] != times[1]) <= 0.01 * count
-    np.testing.assert_allclose(*shares, rtol=1e-3, atol=1e-5)
     for made in pictures:
         np.testing.assert_allclose(*made, rtol=1e-4, atol=1e-4)
 

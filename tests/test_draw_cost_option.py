@@ -18,7 +18,7 @@ from nanogs.scoring.draw_views import DrawViews
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
 QUICK = {"preset": "fast"}
-RENDERS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "steps": 2}
+RENDERS = {"preset": "default", "views": 2, "view_size": 48, "around": 0, "steps": 2}
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,7 @@ from nanogs.views.roam import roaming_cameras
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
 SIZE = 100_000
-FEW = {"views": 3, "further": 2, "view_size": 48, "roaming": 0, "steps": 2}
+FEW = {"views": 3, "further": 2, "view_size": 48, "around": 0, "steps": 2}
 BITS = {"bits": Bits(6, range(4, 9), 6)}
 SHARES = (*LARGER, FIRST_SHARE, *SMALLER)
 
@@ -450,7 +450,7 @@ def test_a_size_is_judged_by_roaming_views_too_and_a_psnr_is_not(splats):
 
 
 def test_results_of_a_lower_sh_degree_are_fitted_at_that_degree(splats):
-    views = {"steps": 48, "views": 12, "view_size": 96, "roaming": 0}
+    views = {"steps": 48, "views": 12, "view_size": 96, "around": 0}
     small, _ = nanogs.simplify(splats, ratio=0.2, sh_degree=0, **views)
     cut_after_fit = nanogs.simplify(splats, ratio=0.2, **views)[0].with_sh_degree(0)
     assert small.sh_degree == 0

@@ -139,7 +139,7 @@ def test_held_out_views_are_not_used_for_fitting():
     held_out_cameras = automatic_cameras(scene, split="test")
     fit_cameras = automatic_cameras(scene, 40, split="fit", habit=False)
     views = scene_with_views(
-        scene, None, ForestParameters(views=14, view_size=768, further=20, roaming=4)
+        scene, None, ForestParameters(views=14, view_size=768, further=20, around=4)
     )
     fit_cameras += [view.camera for view in views.fitting] + list(views.views.further)
     fit_cameras += [view.camera for group in views.view_groups for view in group.targets]

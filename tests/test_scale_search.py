@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("small_pictures")
 
 SPLATS, BLOCK = 3000, 1100
 QUICK = {"preset": "fast", "block": BLOCK}
-LOOKS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "block": BLOCK}
+LOOKS = {"preset": "default", "views": 2, "view_size": 48, "around": 0, "block": BLOCK}
 LOOKS |= {"further": 2, "steps": 4}
 
 

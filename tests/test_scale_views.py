@@ -16,7 +16,7 @@ from nanogs.fit.report import RefitStop
 from nanogs.fit.rounds import fit
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.method.nodes import LIGHTEST
-from nanogs.pipeline import run, stages, work
+from nanogs.pipeline import run, stages
 from nanogs.pipeline.estimates.block_plan import plan_blocks
 from nanogs.pipeline.estimates.memory_blocks import FINE, ROUGH, block_stages, most_coarse
 from nanogs.pipeline.in_blocks import plan_job
@@ -26,7 +26,7 @@ from nanogs.pipeline.options.settings import differences
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.options.views import RequestedViews
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.tasks import fitting, look
+from nanogs.pipeline.tasks import fitting
 from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.pipeline.work import Work
@@ -248,7 +248,7 @@ def test_views_survive_json(splats):
     views = Views(cameras[:3], cameras[3:4], cameras[4:], ("note",))
     again = views_of(json.loads(json.dumps(views.to_dict())))
     assert again.notes == views.notes
-    for one, other in zip((*again.kept, *again.further, *again.roaming), cameras, strict=True):
+    for one, other in zip((*again.kept, *again.further, *again.around), cameras, strict=True):
         np.testing.assert_array_equal(one.intrinsics, other.intrinsics)
         np.testing.assert_array_equal(one.world_to_camera, other.world_to_camera)
         assert one.name == other.name
@@ -339,22 +339,6 @@ def test_block_memory_grows_with_its_size_and_coarse_levels_are_bounded():
     assert most_coarse(FINE, 10**3, 10**8) == 1 << 18
     assert most_coarse(ROUGH, 10**6, 10**8) == 10**6 // 2
     assert most_coarse(FINE, 10**6, 1000) == 900
-
-
-def test_roaming_views_of_a_large_block_are_searched_for_on_some_of_its_splats(
-    scene, tmp_path, monkeypatch
-):
-    searched = []
-
-    def noted(splats, count):
-        searched.append(len(splats))
-        return [], ()
-
-    monkeypatch.setattr(look, "roaming_views", noted)
-    monkeypatch.setattr(work, "AFAR", 500)
-    options = {**WITH_VIEWS, "roaming": 2, "steps": 0, "ratio": 0.2, "block": 10**6}
-    nanogs.simplify_blocks(scene, tmp_path / "a.ply", **options)
-    assert searched == [500]
 
 
 def test_an_invisible_scene_is_simplified_all_the_same(splats, tmp_path):

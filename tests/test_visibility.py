@@ -7,7 +7,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
-from nanogs.errors import ModelError, OptionError
+from nanogs.errors import OptionError
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.io import precision
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
@@ -221,9 +221,9 @@ def test_further_views_differ_from_the_other_views():
 @pytest.mark.parametrize("asked", [("auto", (0, 0, 1)), ("orbit", None), ("roam", None)])
 def test_views_of_a_kind_are_as_many_as_automatic_ones(asked):
     splats = box_with_something_inside()
-    parameters = view_parameters(views=4, view_size=48, further=3, roaming=2)
+    parameters = view_parameters(views=4, view_size=48, further=3, around=2)
     found = scene_with_views(splats, asked[0], parameters, up=asked[1]).views
-    assert (len(found.kept), len(found.further), len(found.roaming)) == (4, 3, 2)
+    assert (len(found.kept), len(found.further), len(found.around)) == (4, 3, 2)
     assert len({camera.name for camera in (*found.kept, *found.further)}) == 7
     still = dataclasses.replace(parameters, steps=0)
     assert len(scene_with_views(splats, asked[0], still, up=asked[1]).views.further) == 0
@@ -310,36 +310,31 @@ def test_a_model_without_views_of_the_kind_is_still_reduced_to_the_count(asked, 
         assert "Nothing was rendered or measured" in said
 
 
-def test_splats_seen_from_free_space_are_not_hidden():
-    """Cameras around the box see only the box; a roaming camera inside it sees its content."""
+def test_splats_seen_from_anywhere_around_are_not_hidden():
+    """One view shows one side of the box; small views from all around show the others too."""
     splats = box_with_something_inside()
-    around = automatic_cameras(splats, 5, width=48, height=48, habit=False)
-    assert scene_with_views(splats, around, view_parameters(roaming=8)).views.notes == ()
-    alone = scene_with_views(splats, None, view_parameters(views=5, view_size=48))
-    wandered = scene_with_views(splats, None, view_parameters(views=5, view_size=48, roaming=8))
-    assert (wandered.visible >= alone.visible).all()
-    assert (wandered.visible > alone.visible).any()
-    assert (alone.missed | ~wandered.missed).all()
-    for name in ("view_groups", "fitting"):
-        assert len(getattr(wandered, name)) == len(getattr(alone, name))
-
-
-def test_too_few_roaming_views_are_noted(monkeypatch):
-    def none(*_, **__):
-        raise ModelError("none")
-
-    monkeypatch.setattr(visibility, "roaming_cameras", none)
-    views = scene_with_views(
-        box_with_something_inside(), None, view_parameters(views=3, view_size=32, roaming=2)
+    given = automatic_cameras(splats, 5, width=48, height=48, habit=False)
+    assert scene_with_views(splats, given, view_parameters(around=8)).views.around == ()
+    alone, more = (
+        scene_with_views(splats, None, view_parameters(views=1, view_size=48, around=count))
+        for count in (0, 8)
     )
-    note = "None of 2 roaming views could be found; the other views were used alone."
-    assert views.views.notes == (note,)
-    model = random_splats(3)
-    camera = automatic_cameras(model, 1, width=32, height=32)[0]
-    monkeypatch.setattr(visibility, "roaming_cameras", lambda *_, **__: [camera, camera])
-    assert visibility.roaming_views(model, 2) == ([camera, camera], ())
-    note = "Only 2 of 3 roaming views could be found."
-    assert visibility.roaming_views(model, 3) == ([camera, camera], (note,))
+    assert (len(alone.views.around), len(more.views.around)) == (0, 8)
+    assert (more.visible >= alone.visible).all()
+    assert (more.visible > alone.visible).mean() > 0.1
+    assert max(more.visible[-1], alone.visible[-1]) < 0.01, "inside the box"
+    assert (alone.missed | ~more.missed).all()
+    for name in ("view_groups", "fitting"):
+        assert len(getattr(more, name)) == len(getattr(alone, name))
+
+
+def test_views_from_all_around_look_in_other_directions_than_automatic_ones():
+    splats = box_with_something_inside()
+    views = scene_with_views(splats, None, view_parameters(views=4, further=3, around=5)).views
+    cameras = [*views.kept, *views.further, *views.around]
+    assert len({camera.name for camera in cameras}) == len(cameras) == 12
+    directions = np.array([camera.world_to_camera[2, :3] for camera in cameras])
+    assert (directions @ directions.T - 2 * np.eye(12)).max() < 0.999
 
 
 def test_too_few_views_of_the_kind_asked_for_are_noted(monkeypatch):

@@ -68,19 +68,3 @@ def write_bytes(
     for c in range(3):
         written[y, x, c] = in_byte(colour[c])
     written[y, x, 3] = in_byte(1.0 - transmittance[y, x])
-
-
-@wp.kernel(enable_backward=False)
-def select_depths(
-    depths: wp.array[wp.float32], near: wp.vec4f, far: wp.vec4f, selected: wp.array[wp.vec4f]
-) -> None:
-    """Write 1 for each of four ranges [near, far) that a splat's depth is in, or else 0.
-
-    depths: (N,) infinite for splats that are not drawn; selected: (N,) out.
-    """
-    i = wp.tid()
-    chosen = wp.vec4f()
-    for c in range(4):
-        if depths[i] >= near[c] and depths[i] < far[c]:
-            chosen[c] = 1.0
-    selected[i] = chosen

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from nanogs._types import F32, F64, U8, Array, Bool, F
-from nanogs.card.blending import blend_tiles, select_depths, write_bytes
+from nanogs.card.blending import blend_tiles, write_bytes
 from nanogs.card.gradients import (
     Sums,
     gather_slots,
@@ -27,7 +27,7 @@ from nanogs.kernels.blocks import ALL_BLOCKS, SIDE, TILE
 from nanogs.kernels.gradients import CHANNELS, SUMS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
 T = TypeVar("T")
 
@@ -223,18 +223,6 @@ class View:
         some = image.view(wp.float32)[:, :, :channels]
         copied: F32 = some.contiguous().numpy()
         return copied
-
-    def within(self, ranges: "Sequence[tuple[np.float32, np.float32]]") -> wp.array:
-        """(N,) features that are 1 for each of up to four ranges [near, far) of depth, or else 0.
-
-        See `nanogs.raster.depths.light_by_depth`.
-        """
-        features = self.engine.empty((self.count,), wp.vec4f)
-        near, far = zip(*ranges, *[(np.inf, np.inf)] * (CHANNELS - len(ranges)), strict=True)
-        self.engine.launch(
-            select_depths, self.count, self.depths, wp.vec4f(*near), wp.vec4f(*far), features
-        )
-        return features
 
     def in_bytes(self, wanted: int = ALL_BLOCKS) -> wp.array:
         """(H, W, 4) uint8 on the device: the image of a `fit.targets.Target` of this view."""

@@ -31,13 +31,6 @@ class CardSums:
             self.seen, self.whole, self.times,
         )  # fmt: skip
 
-    def add_share(self, view: "View") -> bool:
-        """Add a view's contributions divided by their sum; return False if there is no light."""
-        total = view.total(view.count)
-        if total > 0:
-            self._engine.launch(add_share, view.count, view.sums_of_weights(), total, self.seen)
-        return total > 0
-
 
 @wp.kernel(enable_backward=False)
 def add_light(
@@ -59,15 +52,3 @@ def add_light(
     whole[i] += unoccluded[i]
     if light > shown * unoccluded[i] and times[i] < wp.uint8(2):
         times[i] += wp.uint8(1)
-
-
-@wp.kernel(enable_backward=False)
-def add_share(
-    contributions: wp.array[wp.float32], total: wp.float64, seen: wp.array[wp.float64]
-) -> None:
-    """Add each splat's share of the light of a view.
-
-    contributions: (N,) of the view; total: their sum; seen: (N,) sums, changed in place.
-    """
-    i = wp.tid()
-    seen[i] += wp.float64(contributions[i]) / total

@@ -13,7 +13,7 @@ from nanogs.progress import PartProgress, each
 from nanogs.raster.camera import Camera, pick_evenly, split_evenly
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
-from nanogs.views.automatic import automatic_cameras
+from nanogs.views.automatic import Survey, cameras_of, survey
 
 OVERLAP = 0.02  # smallest share of the original's alpha that the small model must cover
 
@@ -38,7 +38,9 @@ def view_targets(
             f"A refit needs at least two cameras, one of them for validation, not {len(cameras)}."
         )
     kept, more = parameters.kept + parameters.held, parameters.views - parameters.kept
-    chosen, further = choose_cameras(original, cameras, kept, more, parameters.size)
+    chosen, further = choose_cameras(
+        cameras or survey(original, habit=False), kept, more, parameters.size
+    )
     prepared = prepare(original).with_buffers()
     targets = [make_target(prepared, camera) for camera in each(chosen, on_progress)]
     targets = [target for target in targets if target.shows]
@@ -62,25 +64,24 @@ def view_targets(
 
 
 def choose_cameras(
-    splats: Splats, cameras: Sequence[Camera] | None, kept: int, further: int, size: int
+    cameras: Sequence[Camera] | Survey, kept: int, further: int, size: int
 ) -> tuple[list[Camera], list[Camera]]:
     """Choose the cameras whose views are kept in memory, and further ones to fit to.
 
     Both are spread evenly over the user's cameras, or are automatic ones.
 
     Args:
-        splats: The original.
-        cameras: The user's cameras; if there are none, automatic ones are found.
+        cameras: The user's cameras, or the analysis of the original that automatic ones need.
         kept: Number of cameras whose views are kept, at most.
         further: Number of further cameras, at most.
         size: Pixels along the longer side of a view, at most.
     """
-    if cameras:
-        return split_evenly(
-            [camera.reduced(size) for camera in pick_evenly(cameras, kept + further)], kept
-        )
-    found = automatic_cameras(splats, kept + further, width=size, height=size, habit=False)
-    return found[:kept], found[kept:]
+    if isinstance(cameras, Survey):
+        found = cameras_of(cameras, kept + further, size, size)
+        return found[:kept], found[kept:]
+    return split_evenly(
+        [camera.reduced(size) for camera in pick_evenly(cameras, kept + further)], kept
+    )
 
 
 def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:

@@ -42,7 +42,8 @@ class ForestParameters:
             rendered when their turn comes.
         halves: Whether a step of the fit uses half of its view's pixels, every other block of
             4 x 4: half the work, and a loss of less than 0.1 dB if there are few steps.
-        roaming: Number of small views from anywhere in free space, used only to find hidden splats.
+        around: Number of small views from all around the model, from above and below too, that are
+            only used to find hidden splats.
         view_size: Pixels along the longer side of a view.
     """
 
@@ -53,7 +54,7 @@ class ForestParameters:
     )
     rounds: int = parameter(2, help="Rounds of reassignment after the cut.")
     pixels: float = parameter(512.0, above=True)
-    hidden: float = parameter(0.03, 0, 1, above=True)
+    hidden: float = parameter(0.02, 0, 1, above=True)
     growth: float = parameter(1.25, 1)
     corrections: int = parameter(1, 0, MOST_CORRECTIONS)
     guided: bool = True
@@ -63,7 +64,7 @@ class ForestParameters:
     views: int = parameter(14, 1, views=True, help="Views of the original to look at.")
     further: int = parameter(16, views=True)
     halves: bool = True
-    roaming: int = parameter(0, views=True)
+    around: int = parameter(12, views=True)
     view_size: int = parameter(
         896, 16, 8192, unit=" pixels", views=True,
         help="Pixels along the longer side of these views; fewer for results that are seen small.",

@@ -1,23 +1,17 @@
 """Visibility of splats in views of the original, and weights that depend on it."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from nanogs._types import F64, U8, Bool
-from nanogs.errors import ModelError
-from nanogs.formatting import counted
 from nanogs.raster.camera import Camera
 from nanogs.raster.light import LightSums, light_in_view
 from nanogs.raster.rendering import PreparedSplats
-from nanogs.splats import Splats
-from nanogs.views.roam import roaming_cameras
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; grey takes a third of the work
 SHOWN = 0.01  # visibility from which a splat counts as shown
-SMALL = 128  # width and height of a roaming view, pixels
 NEW = 0.01  # share of light seen by only one view, above which the views are taken as incomplete
 DECIDING = 6  # one view in six is held out, to choose a candidate and to accept a fit
 
@@ -87,16 +81,16 @@ class MissedLight:
 
 
 def missed_light_of(
-    looked: SplatContributions, anywhere: SplatContributions | None, count: int
+    looked: SplatContributions, around: SplatContributions | None, count: int
 ) -> MissedLight:
     """Compute the statistics of missed light for the first `count` splats.
 
     Args:
         looked: Light in the views of the model; see `visibility_of`.
-        anywhere: Light in roaming views, or None.
+        around: Light in views from all around it, or None.
         count: Number of splats.
     """
-    lights = [looked] if anywhere is None else [looked, anywhere]
+    lights = [looked] if around is None else [looked, around]
     seen, whole, times = np.zeros(count), np.zeros(count), np.zeros(count, np.uint8)
     for light in lights:
         picture = light.pixels / max(light.views, 1) or 1.0
@@ -123,39 +117,23 @@ def contributions_of(light: LightSums, cameras: Sequence[Camera]) -> SplatContri
 
 
 def visibility_of(
-    looked: SplatContributions, anywhere: SplatContributions | None
+    looked: SplatContributions, around: SplatContributions | None
 ) -> tuple[F64, Bool]:
     """Compute the visibility of splats, and which are outside all views.
 
     Args:
         looked: Light in the views of the model; a splat outside all of them counts as visible.
-        anywhere: Light in roaming views, which can only increase visibilities; or None.
+        around: Light in views from all around, which can only increase visibilities; or None.
 
     Returns:
         (N,) float64 visibilities in [0, 1], and (N,) bool, True outside all views.
     """
     visible, missed = looked.shares(), looked.whole == 0
     visible[missed] = 1.0
-    if anywhere is not None:
-        np.maximum(visible, anywhere.shares(), out=visible)
-        missed &= anywhere.whole == 0
+    if around is not None:
+        np.maximum(visible, around.shares(), out=visible)
+        missed &= around.whole == 0
     return visible, missed
-
-
-def roaming_views(splats: Splats, count: int) -> tuple[list[Camera], tuple[str, ...]]:
-    """Find small roaming cameras; return them, and a note if fewer than `count` were found."""
-    found: list[Camera] = []
-    with suppress(ModelError):  # none was found; the note says so
-        found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", device=None)
-    return found, (lacking_views(len(found), count),) if len(found) < count else ()
-
-
-def lacking_views(found: int, wanted: int) -> str:
-    """Return a note that fewer roaming views were found than wanted."""
-    views = counted(wanted, "roaming view")
-    if not found:
-        return f"None of {views} could be found; the other views were used alone."
-    return f"Only {found} of {views} could be found."
 
 
 def visible_weights(prominences: F64, visible: F64, hidden: float) -> F64:

@@ -50,7 +50,6 @@ from nanogs.slices import SLICE_STEPS, slices
 from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
-from nanogs.views.decimated import AFAR, decimated
 
 
 class _Placement(NamedTuple):
@@ -202,10 +201,6 @@ class OneBlock(Scene):
     def sample(self) -> Splats:
         """Return the whole model."""
         return self.splats
-
-    def from_afar(self) -> Splats:
-        """Return the model, or evenly spread splats of it if it is large."""
-        return decimated(self.splats, AFAR)
 
     def keep_views(self, name: str, views: Views) -> Record:
         """Keep the views that were chosen."""

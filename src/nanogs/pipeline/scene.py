@@ -177,10 +177,6 @@ class Scene(ABC):
         """Return splats spread over the scene, for placing cameras."""
 
     @abstractmethod
-    def from_afar(self) -> Splats:
-        """Return the scene, or some splats or a coarse level of it, for finding roaming views."""
-
-    @abstractmethod
     def keep_views(self, name: str, views: Views) -> Record:
         """Keep the views that were chosen."""
 

@@ -21,7 +21,6 @@ from nanogs.pipeline.estimates.stage_weights import (
     Load,
     fitting_seconds,
     looking_seconds,
-    roaming_seconds,
 )
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.options.settings import Settings
@@ -365,7 +364,7 @@ STAGES = {
         JobStage("rough", "block", _rough, 3.0, _looks, needed=_divided),
         JobStage("outline", "job", _outline, 0.02, _looks),
         JobStage("coarse", "block", write_coarse, 0.5, _looks, len(COARSE_SHARES), _divided),
-        JobStage("views", "job", _views, roaming_seconds, _looks, held=True),
+        JobStage("views", "job", _views, 0.2, _looks, held=True),
         JobStage("look", "block", look_at_block, looking_seconds, _looks, needed=_shows, held=True),
         JobStage("grow", "block", _grow, 3.3, held=True),
         JobStage("budget", "job", _budget, 0.02, levels=None),

@@ -35,7 +35,7 @@ from nanogs.pipeline.tasks.block_visibility import (
     write_look,
 )
 from nanogs.pipeline.tasks.blocks import Visibility, leaves_of, read_block, with_codes
-from nanogs.pipeline.tasks.coarse import coarse_scene, surroundings
+from nanogs.pipeline.tasks.coarse import surroundings
 from nanogs.pipeline.tasks.cuts import LABELS, cut_block, read_merges
 from nanogs.pipeline.tasks.fitting import (
     FITTED,
@@ -79,7 +79,6 @@ from nanogs.store.columns import (
 )
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table, read_record, write_table
-from nanogs.views.decimated import AFAR, decimated
 
 UNPACK = "unpack"
 BEGUN = Task("job")  # written by the caller: a worker that cannot read it sees another folder
@@ -327,11 +326,6 @@ class Work(Scene):
     def sample(self) -> Splats:
         """Read evenly spread splats of the inputs, for placing cameras."""
         return sample(self.settings, self.unpacked(), rows=VIEW_SAMPLE, span=SHORT_RUN)
-
-    def from_afar(self) -> Splats:
-        """Read the coarse level `FINE` of the scene, or evenly spread splats of a single block."""
-        coarse = coarse_scene(self, FINE)
-        return decimated(self.block(0)[0], AFAR) if coarse is None else coarse
 
     def keep_views(self, name: str, views: Views) -> Record:
         """Write the views that were chosen."""

@@ -31,11 +31,11 @@ class HostLight:
 
     Attributes:
         seen: The contributions.
-        whole: The unoccluded light; None if only the contributions are known.
+        whole: The unoccluded light.
     """
 
     seen: F64
-    whole: F64 | None = None
+    whole: F64
 
     def contributions(self) -> F64:
         """Return (N,) float64, sum of transmittance x alpha over all pixels."""
@@ -43,7 +43,6 @@ class HostLight:
 
     def unoccluded(self) -> F64:
         """Return (N,) float64, about the same without other splats in front."""
-        assert self.whole is not None  # noqa: S101 - asked for
         return self.whole
 
     def total(self, count: int) -> float:
@@ -79,6 +78,7 @@ def light_in_view(prepared: PreparedSplats, camera: Camera) -> SplatLight:
 
 def _light_of(picture: Rendering) -> HostLight:
     assert picture.contributions is not None  # noqa: S101 - asked for
+    assert picture.unoccluded is not None  # noqa: S101 - comes with them
     return HostLight(picture.contributions, picture.unoccluded)
 
 
@@ -109,16 +109,6 @@ class LightSums:
             np.minimum(self._times[rows], 2, out=self._times[rows])
 
         parallel.for_each(slices(len(seen), SLICE_STEPS), include)
-
-    def add_share(self, view: SplatLight) -> bool:
-        """Add a view's contributions divided by their sum; return False if there is no light."""
-        if not isinstance(view, HostLight):
-            return self._sums_on_card().add_share(view)
-        contributions = view.contributions()
-        total = contributions.sum()
-        if total > 0:
-            self._seen += contributions / total
-        return bool(total > 0)
 
     def _sums_on_card(self) -> "CardSums":
         assert self._on_card is not None  # noqa: S101 - the device has not changed

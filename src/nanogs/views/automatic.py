@@ -8,7 +8,7 @@ a larger set are the smaller set.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -23,7 +23,7 @@ from nanogs.views import inside, orbit
 from nanogs.views.heading import seen_from, without_surroundings
 from nanogs.views.occupancy import Core, SplatSample, find_core, sample
 from nanogs.views.up import detect_up
-from nanogs.views.up_frame import UPRIGHT, frame_from_model, frame_from_up
+from nanogs.views.up_frame import ALL_AROUND, UPRIGHT, frame_from_model, frame_from_up
 
 Kind = Literal["auto", "orbit", "inside"]
 Split = Literal["fit", "test"]
@@ -100,17 +100,44 @@ def automatic_cameras(
     check_views(count, width, height, fov)
     if split not in ("fit", "test"):
         raise OptionError(f"The split of views must be fit or test, not {split!r}.")
-    scene = survey(model, kind, up, habit=habit)
+    return cameras_of(
+        survey(model, kind, up, habit=habit), count, width, height, fov=fov, split=split
+    )
+
+
+def cameras_of(
+    scene: Survey,
+    count: int,
+    width: int,
+    height: int,
+    *,
+    fov: float | None = None,
+    split: Split = "fit",
+    first: int = 0,
+) -> list[Camera]:
+    """Return the cameras of `automatic_cameras` for a model that is analysed already.
+
+    Args:
+        scene: The analysis.
+        count: Number of cameras.
+        width: Width of the images, in pixels.
+        height: Height of the images, in pixels.
+        fov: Field of view along the longer side, degrees; by default that of the kind.
+        split: Half of the sequence that they are taken from.
+        first: Number of cameras of the sequence that are left out.
+    """
     angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
     focal = max(width, height) / 2 / np.tan(angle / 2)
     tangents = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
-    numbers = 2 * np.arange(count) + (split == "test")
+    numbers = 2 * np.arange(first, first + count) + (split == "test")
+    poses = _poses(scene, tangents, numbers)
     return [
-        Camera(width, height, focal, focal, width / 2, height / 2, pose @ scene.turn, name, near)
-        for name, (pose, near) in zip(
-            (f"{split}_{i:03}" for i in range(count)), _poses(scene, tangents, numbers), strict=True
+        Camera(
+            width, height, focal, focal, width / 2, height / 2, pose @ scene.turn,
+            f"{split}_{number:03}", near,
         )
-    ]
+        for number, (pose, near) in enumerate(poses, start=first)
+    ]  # fmt: skip
 
 
 def _poses(scene: Survey, tangents: F64, numbers: I64) -> list[tuple[F64, float]]:
@@ -155,6 +182,14 @@ def survey(
         room = camera_frame.band == UPRIGHT and inside.is_room(sampled, core, np.array(UP))
         kind = "inside" if room else "orbit"
     return Survey(sampled, core, turn, kind, camera_frame.band)
+
+
+def all_around(scene: Survey) -> Survey:
+    """Return an analysis that places cameras around the model at all elevations.
+
+    So they see a ground from below, and a room from outside.
+    """
+    return replace(scene, kind="orbit", band=ALL_AROUND)
 
 
 def check_views(count: int, width: int, height: int, fov: float | None) -> None:

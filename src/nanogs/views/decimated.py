@@ -9,7 +9,6 @@ from nanogs.source import Source, joined_rows
 from nanogs.splats import Splats
 
 LIMIT = 600_000  # most splats of a stand-in
-AFAR = 200_000  # the same for roaming views that only find hidden splats, and measure nothing
 
 
 def decimated(model: Splats | Source, limit: int | None = None, *, sh_degree: int = 0) -> Splats:

@@ -25,7 +25,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.depths import light_by_depth
-from nanogs.raster.light import LightSums, SplatLight, light_in_view
+from nanogs.raster.light import light_in_view
 from nanogs.raster.rendering import PreparedSplats, prepare
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras, check_views, survey
@@ -71,13 +71,13 @@ class SearchState:
     """The state of the search.
 
     Attributes:
-        weights: Light of each splat, summed over the images so far; that of each image is
+        weights: (N,) light of each splat, summed over the images so far; that of each image is
             normalised to a sum of 1.
         free: The known free space.
         cameras: The cameras found.
     """
 
-    weights: LightSums
+    weights: F64
     free: FreeSpace
     cameras: list[Camera]
 
@@ -106,7 +106,6 @@ def roaming_cameras(
     fov: float | None = None,
     up: Sequence[float] | None = None,
     split: str = "fit",
-    device: str | None = CPU,
     on_progress: PartProgress = ignore_progress,
 ) -> list[Camera]:
     """Draw random cameras from the free space in which the model is visible, near and far.
@@ -124,8 +123,6 @@ def roaming_cameras(
             `up_frame.frame_from_model`).
         split: Name that seeds the random numbers: other names give other cameras. "test" is
             reserved for measuring results, so nothing may be fitted to it.
-        device: Device to search on, as in `use_device`; None for the one in use, which in rare
-            cases finds other cameras.
         on_progress: Progress callback for the cameras found.
 
     Returns:
@@ -140,7 +137,7 @@ def roaming_cameras(
         raise OptionError(f"The split of views must be a name, not {split!r}.")
     test_camera = _test_camera(count, width, height, FOV if fov is None else fov)
     scene = _scene(splats, up)
-    with use_device(device):
+    with use_device(CPU):  # the rounding of another device can find other cameras
         known = _begin(scene, splats, up, split)
         for candidate in _candidates(scene, known, test_camera, split, TRIES * count):
             if _accepts(scene, known, candidate):
@@ -186,19 +183,21 @@ def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
 
 def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str) -> SearchState:
     """Start the search with automatic views, whose positions are known to be free."""
-    known = SearchState(LightSums(len(splats)), FreeSpace(scene.splats), [])
+    known = SearchState(np.zeros(len(splats)), FreeSpace(scene.splats), [])
     automatic = automatic_cameras(
         splats, SEEDS, width=SIZE, height=SIZE, up=up, habit=False,
         split="test" if split == "test" else "fit",
     )  # fmt: skip
     for camera in automatic:
-        _add(known, camera.position, light_in_view(scene.splats, camera))
+        _add(known, camera.position, light_in_view(scene.splats, camera).contributions())
     return known
 
 
-def _add(known: SearchState, place: F64, light: SplatLight) -> None:
-    """Add a free position, and the light of the splats in the image from there."""
-    if known.weights.add_share(light):
+def _add(known: SearchState, place: F64, contributions: F64) -> None:
+    """Add a free position, and the contributions (N,) of the splats to the image from there."""
+    total = contributions.sum()
+    if total > 0:
+        known.weights += contributions / total
         known.free.add(place)
 
 
@@ -210,7 +209,7 @@ def _candidates(
     found, summed = -1, np.zeros(1)
     for draw in random.random((tries, 4)):
         if len(known.cameras) != found:
-            found, summed = len(known.cameras), np.cumsum(known.weights.seen() * scene.reachable)
+            found, summed = len(known.cameras), np.cumsum(known.weights * scene.reachable)
         if not summed[-1] > 0:
             return
         row = int(np.searchsorted(summed, draw[0] * summed[-1], side="right"))
@@ -232,20 +231,20 @@ def _direction(height: float, turn: float) -> F64:
 
 def _accepts(scene: Scene, known: SearchState, candidate: Candidate) -> bool:
     """Test a candidate, and add its camera to the state if it passes; return whether it does."""
-    light = _shown(scene.splats, candidate)
+    contributions = _shown(scene.splats, candidate)
     camera = candidate.camera
-    if light is None or not known.free.has(camera, candidate.target):
+    if contributions is None or not known.free.has(camera, candidate.target):
         return False
     known.cameras.append(camera)
-    _add(known, camera.position, light)
+    _add(known, camera.position, contributions)
     return True
 
 
-def _shown(splats: PreparedSplats, candidate: Candidate) -> "SplatLight | None":
-    """Render a candidate; return the light of each splat, or None if the image is rejected."""
+def _shown(splats: PreparedSplats, candidate: Candidate) -> F64 | None:
+    """Render a candidate; return the contributions (N,), or None if the image is rejected."""
     distance = candidate.distance
     ranges = [((1 - ABOUT) * distance, (1 + ABOUT) * distance), (0.0, LENS * distance)]
     image = light_by_depth(splats, candidate.camera, ranges, contributions=True)
     hit = middle(image.shares)[0] >= HIT
     free = image.shares[..., 1].mean() <= HUGGED and image.alpha.mean() >= COVERED
-    return image.light if hit and free else None
+    return image.contributions if hit and free else None

@@ -12,7 +12,6 @@ from nanogs.fit.stages import refit_stages
 from nanogs.method.parameters import ForestParameters
 from nanogs.progress import Stage
 from nanogs.protocol import VIEWS
-from nanogs.views.decimated import AFAR
 
 ROUND = 32  # steps in each round of the fit, about
 SIZES, RESULTS = 4, 2  # expected files of a search for a size: of plain cuts, and of results
@@ -36,14 +35,10 @@ class Load:
     left: float
 
 
-def roaming_seconds(load: Load) -> float:
-    """Estimate the seconds of choosing views: roaming ones are found by trying."""
-    return 0.05 + load.parameters.roaming * (0.01 + 0.3 * min(load.splats, AFAR / _MILLION))
-
-
 def looking_seconds(load: Load) -> float:
     """Estimate the seconds of rendering the original from the views that are kept."""
-    return (2 * load.parameters.views + load.parameters.pictured) * _render(load)
+    large = 2 * load.parameters.views + load.parameters.pictured
+    return large * _render(load) + load.parameters.around * 0.06 * load.splats
 
 
 def fitting_seconds(load: Load) -> float:

@@ -17,7 +17,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
         "fast": ForestParameters(rounds=1, guided=False, steps=0),
-        # Roaming views find hidden splats more reliably, so that these may weigh less.
+        # More views find hidden splats more reliably, so that these may weigh less.
         "best": ForestParameters(
             hidden=0.01,
             corrections=2,
@@ -25,7 +25,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
             views=24,
             further=204,
             halves=False,
-            roaming=24,
+            around=24,
             view_size=768,
         ),
         "paper": PaperParameters(),

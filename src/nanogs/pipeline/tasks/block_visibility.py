@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs._types import F64
-from nanogs.fit.views import choose_cameras
 from nanogs.method.nodes import prominence
 from nanogs.method.visibility import MissedLight, shown_prominence
 from nanogs.pipeline.options.views import camera_of, plain_camera
@@ -17,6 +16,7 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
 from nanogs.splats import Splats
 from nanogs.store.tables import Record, write_table
+from nanogs.views.automatic import automatic_cameras
 
 if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
@@ -67,7 +67,8 @@ def closer_views(work: "Work", own: Splats) -> list[Camera]:
     if not drawn.keep.any() or any(part.width * part.height > least for part in parts):
         return []
     size = max(parameters.view_size // 2, 16)
-    return choose_cameras(own, None, -(-parameters.views // 2), 0, size)[0]
+    count = -(-parameters.views // 2)
+    return automatic_cameras(own, count, width=size, height=size, habit=False)
 
 
 def typical_weight(work: "Work", hidden: float) -> float:

@@ -5,30 +5,29 @@ All other blocks are rendered with a block, so that they hide it where they shou
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from nanogs.errors import ModelError, SmallViewError
 from nanogs.fit.views import choose_cameras
+from nanogs.formatting import counted
 from nanogs.method.visibility import (
     SHOWN,
     contributions_of,
-    lacking_views,
     light_in,
     missed_light_of,
-    roaming_views,
     visibility_of,
 )
 from nanogs.metrics._ssim import LEAST
 from nanogs.pipeline.options.cameras import fit_cameras
 from nanogs.pipeline.scene import Look, Scene, Task, ViewLight
 from nanogs.pipeline.tasks.views import Views
+from nanogs.raster.camera import Camera
 from nanogs.raster.lens import lens_notes
 from nanogs.raster.light import LightSums
 from nanogs.raster.rendering import concatenated, prepare
 from nanogs.store.tables import Record
+from nanogs.views.automatic import all_around, cameras_of, survey
 
-if TYPE_CHECKING:
-    from nanogs.raster.camera import Camera
+SMALL = 128  # width and height, pixels, of views that only find hidden splats
 
 
 def choose_views(scene: Scene) -> Views:
@@ -43,19 +42,22 @@ def choose_views(scene: Scene) -> Views:
     given, size = asked.given(), parameters.view_size
     more = parameters.further if parameters.steps else 0
     wanted = parameters.views + more
+    found, around = None, list[Camera]()
     try:
-        found = None if given else fit_cameras(some, asked.source, asked.up, wanted, size)
-        kept, further = choose_cameras(some, given or found, parameters.views, more, size)
+        if given:
+            kept, further = choose_cameras(given, parameters.views, more, size)
+        else:
+            analysed = survey(some, habit=False)
+            found = fit_cameras(some, asked.source, asked.up, wanted, size)
+            kept, further = choose_cameras(found or analysed, parameters.views, more, size)
+            # Of the same sequence as automatic ones, but none of the same directions.
+            around = cameras_of(all_around(analysed), parameters.around, SMALL, SMALL, first=wanted)
     except ModelError as error:
         return Views((), (), (), (f"Nothing was rendered or measured: {error}",))
-    roaming: list[Camera] = []
-    notes: tuple[str, ...] = tuple(lens_notes(given))
+    notes = tuple(lens_notes(given))
     if found is not None and len(found) < wanted:
-        notes = (lacking_views(len(found), wanted),)
-    if parameters.roaming and not given:
-        roaming, lacking = roaming_views(scene.from_afar(), parameters.roaming)
-        notes += lacking
-    return Views(tuple(kept), tuple(further), tuple(roaming), notes)
+        notes = (f"Only {len(found)} of {counted(wanted, 'roaming view')} could be found.",)
+    return Views(tuple(kept), tuple(further), tuple(around), notes)
 
 
 def look_at_block(scene: Scene, task: Task) -> Record:
@@ -70,7 +72,7 @@ def look_at_block(scene: Scene, task: Task) -> Record:
     drawn = concatenated(prepare(own.splats), scene.occluders(task.number)).with_buffers()
     sums, lights = LightSums(len(drawn)), []
     pictured = scene.pictured
-    total = len(cameras) + len(pictured) + len(views.roaming)
+    total = len(cameras) + len(pictured) + len(views.around)
     for done, camera in enumerate(cameras):
         scene.on_progress(done, total)
         light = scene.draw(drawn, camera)
@@ -83,19 +85,19 @@ def look_at_block(scene: Scene, task: Task) -> Record:
         scene.on_progress(done, total)
         scene.picture(drawn, camera)
     scene.on_progress(len(cameras) + len(pictured), total)
-    anywhere = light_in(drawn, views.roaming) if views.roaming else None
+    around = light_in(drawn, views.around) if views.around else None
     del drawn
-    visible, missed = visibility_of(looked, anywhere)
+    visible, missed = visibility_of(looked, around)
     # Values of the block alone: the rows after `count` belong to its surroundings.
     own = replace(own, visible=visible[:count])
-    missed_light = missed_light_of(looked, anywhere, count)
+    missed_light = missed_light_of(looked, around, count)
     record = scene.keep_look(task.name, Look(own, missed[:count], lights, missed_light))
     if scene.guided:
         _refuse_small(scene.deciding)
     return record
 
 
-def _refuse_small(deciding: Sequence["Camera"]) -> None:
+def _refuse_small(deciding: Sequence[Camera]) -> None:
     """Raise, before the forest is grown, if a view is too small for scoring candidates."""
     for camera in deciding:
         if min(camera.width, camera.height) < LEAST:

@@ -25,13 +25,13 @@ class Views:
     Attributes:
         kept: Those that visibility is measured on; some of them decide, the others are fitted to.
         further: More to fit to.
-        roaming: Small ones, which only show what is hidden.
+        around: Small ones from all around, which only show what is hidden.
         notes: Notes for the user, one sentence each.
     """
 
     kept: tuple[Camera, ...]
     further: tuple[Camera, ...]
-    roaming: tuple[Camera, ...]
+    around: tuple[Camera, ...]
     notes: tuple[str, ...]
 
     @property
@@ -44,7 +44,7 @@ class Views:
         return {
             "kept": [plain_camera(camera) for camera in self.kept],
             "further": [plain_camera(camera) for camera in self.further],
-            "roaming": [plain_camera(camera) for camera in self.roaming],
+            "around": [plain_camera(camera) for camera in self.around],
             "notes": list(self.notes),
         }
 
@@ -56,10 +56,10 @@ def deciding_count(views: int) -> int:
 
 def views_of(data: Mapping[str, Any]) -> Views:
     """Rebuild views from the data of `to_dict` after a round trip through JSON."""
-    kept, further, roaming = (
-        tuple(camera_of(each) for each in data[kind]) for kind in ("kept", "further", "roaming")
+    kept, further, around = (
+        tuple(camera_of(each) for each in data[kind]) for kind in ("kept", "further", "around")
     )
-    return Views(kept, further, roaming, tuple(data["notes"]))
+    return Views(kept, further, around, tuple(data["notes"]))
 
 
 def parts_of(own: PreparedSplats, shown: Bool, cameras: Sequence[Camera]) -> list[Camera | None]:
