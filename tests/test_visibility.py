@@ -9,6 +9,7 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.fit.targets import Fitting, make_target
+from nanogs.fit.views import choose_cameras
 from nanogs.io import precision
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method import visibility
@@ -20,7 +21,8 @@ from nanogs.raster.light import HostLight, LightSums
 from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason
 from nanogs.splats import Splats, concatenate
-from nanogs.views.automatic import automatic_cameras
+from nanogs.views.automatic import all_around, automatic_cameras, cameras_of, survey
+from nanogs.views.up_frame import UPRIGHT
 from views_and_scores import mean_scores, scene_with_views
 
 
@@ -335,6 +337,25 @@ def test_views_from_all_around_look_in_other_directions_than_automatic_ones():
     assert len({camera.name for camera in cameras}) == len(cameras) == 12
     directions = np.array([camera.world_to_camera[2, :3] for camera in cameras])
     assert (directions @ directions.T - 2 * np.eye(12)).max() < 0.999
+
+
+def test_a_third_of_the_further_views_are_from_all_around():
+    splats = box_with_something_inside()
+    upright = dataclasses.replace(survey(splats), kind="orbit", band=UPRIGHT)
+    kept, further = choose_cameras(upright, 4, 8, 32)
+    automatic = cameras_of(upright, 12, 32, 32)
+    around = cameras_of(all_around(upright), 12, 32, 32)
+
+    def positions(cameras):
+        return [camera.position.tolist() for camera in cameras]
+
+    assert positions(kept) == positions(automatic[:4])
+    expected = [(around if i % 3 == 0 else automatic)[4 + i] for i in range(8)]
+    assert positions(further) == positions(expected)
+    assert [camera.name for camera in further] == [f"fit_{4 + i:03}" for i in range(8)]
+    up = upright.turn[2, :3]
+    steepest = [max(abs(c.world_to_camera[2, :3] @ up) for c in s) for s in (automatic, around)]
+    assert steepest[0] < 0.51 < 0.75 < steepest[1]
 
 
 def test_too_few_views_of_the_kind_asked_for_are_noted(monkeypatch):

@@ -13,9 +13,10 @@ from nanogs.progress import PartProgress, each
 from nanogs.raster.camera import Camera, pick_evenly, split_evenly
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
-from nanogs.views.automatic import Survey, cameras_of, survey
+from nanogs.views.automatic import Survey, all_around, cameras_of, survey
 
 OVERLAP = 0.02  # smallest share of the original's alpha that the small model must cover
+ANYWHERE = 3  # one in so many of the further automatic views is from all around the model
 
 
 def view_targets(
@@ -68,7 +69,8 @@ def choose_cameras(
 ) -> tuple[list[Camera], list[Camera]]:
     """Choose the cameras whose views are kept in memory, and further ones to fit to.
 
-    Both are spread evenly over the user's cameras, or are automatic ones.
+    Both are spread evenly over the user's cameras, or are automatic ones, with one in `ANYWHERE`
+    of the further ones from all around the model, even if it is a room or stands on a ground.
 
     Args:
         cameras: The user's cameras, or the analysis of the original that automatic ones need.
@@ -78,6 +80,9 @@ def choose_cameras(
     """
     if isinstance(cameras, Survey):
         found = cameras_of(cameras, kept + further, size, size)
+        found[kept::ANYWHERE] = cameras_of(
+            all_around(cameras), -(-further // ANYWHERE), size, size, first=kept, every=ANYWHERE
+        )
         return found[:kept], found[kept:]
     return split_evenly(
         [camera.reduced(size) for camera in pick_evenly(cameras, kept + further)], kept

@@ -114,8 +114,9 @@ def cameras_of(
     fov: float | None = None,
     split: Split = "fit",
     first: int = 0,
+    every: int = 1,
 ) -> list[Camera]:
-    """Return the cameras of `automatic_cameras` for a model that is analysed already.
+    """Return cameras of the sequence of `automatic_cameras` for a model that is analysed already.
 
     Args:
         scene: The analysis.
@@ -124,19 +125,20 @@ def cameras_of(
         height: Height of the images, in pixels.
         fov: Field of view along the longer side, degrees; by default that of the kind.
         split: Half of the sequence that they are taken from.
-        first: Number of cameras of the sequence that are left out.
+        first: Number of the first camera in the sequence.
+        every: Difference of the numbers of one camera and the next.
     """
     angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
     focal = max(width, height) / 2 / np.tan(angle / 2)
     tangents = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
-    numbers = 2 * np.arange(first, first + count) + (split == "test")
-    poses = _poses(scene, tangents, numbers)
+    numbers = first + every * np.arange(count)
+    poses = _poses(scene, tangents, 2 * numbers + (split == "test"))
     return [
         Camera(
             width, height, focal, focal, width / 2, height / 2, pose @ scene.turn,
             f"{split}_{number:03}", near,
         )
-        for number, (pose, near) in enumerate(poses, start=first)
+        for number, (pose, near) in zip(numbers, poses, strict=True)
     ]  # fmt: skip
 
 
