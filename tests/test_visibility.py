@@ -326,6 +326,7 @@ def test_splats_seen_from_anywhere_around_are_not_hidden():
     assert (more.visible > alone.visible).mean() > 0.1
     assert max(more.visible[-1], alone.visible[-1]) < 0.01, "inside the box"
     assert (alone.missed | ~more.missed).all()
+    assert more.missed_light == alone.missed_light
     for name in ("view_groups", "fitting"):
         assert len(getattr(more, name)) == len(getattr(alone, name))
 
@@ -441,14 +442,14 @@ def test_missed_light_is_estimated_from_splats_in_a_single_view():
     unoccluded = [50, 20, 30, 40, 9]
     views = [([40, 0, 0, 0.1, 9], unoccluded), ([10, 0, 0, 0, 0], unoccluded)]
     from_views = summed(views, pixels=100)
-    alone = visibility.missed_light_of(from_views, None, 4)
+    alone = visibility.missed_light_of(from_views, 4)
     assert dataclasses.astuple(alone) == pytest.approx((0.0, 0.501, 1.8))
-    from_anywhere = summed([([0, 4, 0, 0, 0], [1, 4, 5, 0, 0])], pixels=10)
-    both = visibility.missed_light_of(from_views, from_anywhere, 4)
-    assert dataclasses.astuple(both) == pytest.approx((0.4, 0.901, 1.9))
-    assert both.hidden(0.03) == pytest.approx(0.4 / 1.9)
+    small = summed([([0, 4, 0, 0, 0], [1, 4, 5, 0, 0])], pixels=10)
+    both = alone + visibility.missed_light_of(small, 4)
+    assert dataclasses.astuple(both) == pytest.approx((0.4, 0.901, 2.4))
+    assert both.hidden(0.03) == pytest.approx(0.4 / 2.4)
     assert both.hidden(0.5) == 0.5
-    assert (both + visibility.MissedLight(0.0, 0.099, 0.1)).hidden(0.03) == pytest.approx(0.2)
+    assert (both + visibility.MissedLight(0.0, 0.099, 1.6)).hidden(0.03) == pytest.approx(0.1)
     assert visibility.MissedLight(0.009, 1.0, 0.1).hidden(0.03) == 0.03  # everything has been seen
     assert visibility.MissedLight(0.011, 1.0, 0.1).hidden(0.03) == pytest.approx(0.11)
     assert visibility.MissedLight(3.0, 4.0, 0.1).hidden(0.03) == 1.0

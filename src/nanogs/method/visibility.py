@@ -80,23 +80,17 @@ class MissedLight:
         return max(least, min(self.once / self.unseen, 1.0))
 
 
-def missed_light_of(
-    looked: SplatContributions, around: SplatContributions | None, count: int
-) -> MissedLight:
+def missed_light_of(looked: SplatContributions, count: int) -> MissedLight:
     """Compute the statistics of missed light for the first `count` splats.
 
     Args:
-        looked: Light in the views of the model; see `visibility_of`.
-        around: Light in views from all around it, or None.
+        looked: Light in the views of the model. Views from all around it are not counted: from
+            afar they show something of everything, but little of what is seen inside it.
         count: Number of splats.
     """
-    lights = [looked] if around is None else [looked, around]
-    seen, whole, times = np.zeros(count), np.zeros(count), np.zeros(count, np.uint8)
-    for light in lights:
-        picture = light.pixels / max(light.views, 1) or 1.0
-        seen += light.seen[:count] / picture
-        whole += light.whole[:count] / picture
-        times += light.times[:count]
+    picture = looked.pixels / max(looked.views, 1) or 1.0
+    times = looked.times[:count]
+    seen, whole = looked.seen[:count] / picture, looked.whole[:count] / picture
     return MissedLight(
         float(seen[times == 1].sum()), float(seen.sum()), float(whole[times == 0].sum())
     )

@@ -90,7 +90,7 @@ def look_at_block(scene: Scene, task: Task) -> Record:
     visible, missed = visibility_of(looked, around)
     # Values of the block alone: the rows after `count` belong to its surroundings.
     own = replace(own, visible=visible[:count])
-    missed_light = missed_light_of(looked, around, count)
+    missed_light = missed_light_of(looked, count)
     record = scene.keep_look(task.name, Look(own, missed[:count], lights, missed_light))
     if scene.guided:
         _refuse_small(scene.deciding)
