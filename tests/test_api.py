@@ -234,7 +234,7 @@ def test_a_report_with_a_numpy_target_can_be_written_as_json(pair, goal):
 
 
 def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, tmp_path):
-    quick = {"view_size": 64, "views": 4, "further": 0, "steps": 1}
+    quick = {"view_size": 64, "views": 4, "further": 0, "around": 0, "steps": 1}
     _, named = nanogs.simplify(pair[0], count=9, cameras="orbit", **quick)
     cameras = cameras_for(pair[0], "orbit", count=4, width=64, height=64, split="fit")
     _, with_cameras = nanogs.simplify(pair[0], count=9, cameras=cameras, **quick)

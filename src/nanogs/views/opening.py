@@ -47,7 +47,7 @@ def opening_for(
 
     Args:
         splats: The model.
-        view: A camera to start from, or the kind of view, as for `views.automatic_cameras`.
+        view: A camera to start from, or the kind of view, as for `automatic.automatic_cameras`.
         up: (3,) direction in scene coordinates; found from the model by default.
 
     Raises:

@@ -51,7 +51,8 @@ def choose_views(scene: Scene) -> Views:
             found = fit_cameras(some, asked.source, asked.up, wanted, size)
             kept, further = choose_cameras(found or analysed, parameters.views, more, size)
             # Of the same sequence as automatic ones, but none of the same directions.
-            around = cameras_of(all_around(analysed), parameters.around, SMALL, SMALL, first=wanted)
+            first = parameters.views + parameters.further
+            around = cameras_of(all_around(analysed), parameters.around, SMALL, SMALL, first=first)
     except ModelError as error:
         return Views((), (), (), (f"Nothing was rendered or measured: {error}",))
     notes = tuple(lens_notes(given))
