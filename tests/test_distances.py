@@ -425,16 +425,21 @@ def quality(original, small, cameras):
 
 @pytest.mark.parametrize("options", [{"preset": "fast"}, {"steps": 0}])
 def test_a_far_copy_of_a_scene_hardly_changes_its_result(options):
-    """Only merging is compared: views of both show neither, and a fit to them gains nothing."""
-    splats = make_scene(6000, sh_degree=0)
-    copy = splats.take(np.arange(6000))
-    copy.means[:, 0] += 1e5
-    cameras = automatic_cameras(splats, 4, width=256, height=256, split="test")
-    scene_and_copy = concatenate([splats, copy])
-    small, _ = nanogs.simplify(splats, ratio=0.1, **options)
-    small_with_copy, _ = nanogs.simplify(scene_and_copy, ratio=0.1, **options)
-    psnr_loss = quality(splats, small, cameras) - quality(splats, small_with_copy, cameras)
-    assert psnr_loss < 1
+    """Only merging is compared: views of both show neither, and a fit to them gains nothing.
+
+    Which of the two such views favour is chance, so it is the mean over several scenes that counts.
+    """
+    losses = []
+    for seed in range(5):
+        splats = make_scene(6000, sh_degree=0, seed=seed)
+        copy = splats.take(np.arange(6000))
+        copy.means[:, 0] += 1e5
+        cameras = automatic_cameras(splats, 4, width=256, height=256, split="test")
+        scene_and_copy = concatenate([splats, copy])
+        small, _ = nanogs.simplify(splats, ratio=0.1, **options)
+        small_with_copy, _ = nanogs.simplify(scene_and_copy, ratio=0.1, **options)
+        losses.append(quality(splats, small, cameras) - quality(splats, small_with_copy, cameras))
+    assert np.mean(losses) < 1
 
 
 def needles(seed, count=3000):
