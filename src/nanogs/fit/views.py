@@ -16,7 +16,7 @@ from nanogs.splats import Splats
 from nanogs.views.automatic import Survey, all_around, cameras_of, survey
 
 OVERLAP = 0.02  # smallest share of the original's alpha that the small model must cover
-ANYWHERE = 3  # one in so many of the further automatic views is from all around the model
+AROUND = 3  # one in so many of the further automatic views is from all around the model
 
 
 def view_targets(
@@ -69,7 +69,7 @@ def choose_cameras(
 ) -> tuple[list[Camera], list[Camera]]:
     """Choose the cameras whose views are kept in memory, and further ones to fit to.
 
-    Both are spread evenly over the user's cameras, or are automatic ones, with one in `ANYWHERE`
+    Both are spread evenly over the user's cameras, or are automatic ones, with one in `AROUND`
     of the further ones from all around the model, even if it is a room or stands on a ground.
 
     Args:
@@ -80,8 +80,8 @@ def choose_cameras(
     """
     if isinstance(cameras, Survey):
         found = cameras_of(cameras, kept + further, size, size)
-        found[kept::ANYWHERE] = cameras_of(
-            all_around(cameras), -(-further // ANYWHERE), size, size, first=kept, every=ANYWHERE
+        found[kept::AROUND] = cameras_of(
+            all_around(cameras), -(-further // AROUND), size, size, first=kept, every=AROUND
         )
         return found[:kept], found[kept:]
     return split_evenly(
