@@ -13,6 +13,7 @@ from nanogs.raster.depths import light_by_depth
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import concatenate
 from nanogs.views import roam
+from nanogs.views.automatic import automatic_cameras
 from nanogs.views.free_space import FreeSpace
 from nanogs.views.roam import roaming_cameras
 from test_views import SCENE, ball, cloud, product, room
@@ -134,6 +135,19 @@ def test_a_view_is_accepted_if_its_target_is_visible_and_large_enough():
     assert not view_is_accepted(wall(1), wall(0.5, 0.1)), "hidden"
     assert view_is_accepted(wall(1), wall(0.5, 0.03, 0.2)), "something stands beside it"
     assert not view_is_accepted(wall(1), wall(0.15, 0.03, 0.06)), "at the lens"
+
+
+def test_light_by_depth_is_that_of_the_splats_in_each_range():
+    prepared, [camera] = prepare(SCENE), automatic_cameras(SCENE, 1, width=50, height=33)
+    middle = float(np.median((SCENE.means - camera.position) @ camera.world_to_camera[2, :3]))
+    ranges = [(0.0, middle), (0.8 * middle, 1.2 * middle), (middle, np.inf)]
+    light = light_by_depth(prepared, camera, ranges, contributions=True)
+    assert (light.shares.max(axis=(0, 1)) > 0.1).all()
+    np.testing.assert_allclose(light.shares[..., 0] + light.shares[..., 2], light.alpha, atol=1e-5)
+    picture = render(prepared, camera, contributions=True)
+    np.testing.assert_allclose(light.alpha, picture.alpha, atol=1e-5)
+    np.testing.assert_allclose(light.contributions, picture.contributions, atol=1e-3)
+    assert light_by_depth(prepared, camera, ranges).contributions is None
 
 
 def test_targets_are_drawn_from_the_light_of_all_cameras_found_so_far():

@@ -344,8 +344,8 @@ def test_a_third_of_the_further_views_are_from_all_around():
     splats = box_with_something_inside()
     upright = dataclasses.replace(survey(splats), kind="orbit", band=UPRIGHT)
     kept, further = choose_cameras(upright, 4, 8, 32)
-    automatic = cameras_of(upright, 12, 32, 32)
-    around = cameras_of(all_around(upright), 12, 32, 32)
+    automatic = cameras_of(upright, range(12), 32, 32)
+    around = cameras_of(all_around(upright), range(12), 32, 32)
 
     def positions(cameras):
         return [camera.position.tolist() for camera in cameras]

@@ -79,10 +79,13 @@ def choose_cameras(
         size: Pixels along the longer side of a view, at most.
     """
     if isinstance(cameras, Survey):
-        found = cameras_of(cameras, kept + further, size, size)
-        found[kept::AROUND] = cameras_of(
-            all_around(cameras), -(-further // AROUND), size, size, first=kept, every=AROUND
-        )
+        around = range(kept, kept + further, AROUND)
+        others = [number for number in range(kept + further) if number not in around]
+        found = cameras_of(cameras, others, size, size)
+        for number, camera in zip(
+            around, cameras_of(all_around(cameras), around, size, size), strict=True
+        ):
+            found.insert(number, camera)
         return found[:kept], found[kept:]
     return split_evenly(
         [camera.reduced(size) for camera in pick_evenly(cameras, kept + further)], kept

@@ -100,45 +100,39 @@ def automatic_cameras(
     check_views(count, width, height, fov)
     if split not in ("fit", "test"):
         raise OptionError(f"The split of views must be fit or test, not {split!r}.")
-    return cameras_of(
-        survey(model, kind, up, habit=habit), count, width, height, fov=fov, split=split
-    )
+    scene = survey(model, kind, up, habit=habit)
+    return cameras_of(scene, range(count), width, height, fov=fov, split=split)
 
 
 def cameras_of(
     scene: Survey,
-    count: int,
+    numbers: Sequence[int],
     width: int,
     height: int,
     *,
     fov: float | None = None,
     split: Split = "fit",
-    first: int = 0,
-    every: int = 1,
 ) -> list[Camera]:
     """Return cameras of the sequence of `automatic_cameras` for a model that is analysed already.
 
     Args:
         scene: The analysis.
-        count: Number of cameras.
+        numbers: Their numbers in the sequence, 0 or more.
         width: Width of the images, in pixels.
         height: Height of the images, in pixels.
         fov: Field of view along the longer side, degrees; by default that of the kind.
         split: Half of the sequence that they are taken from.
-        first: Number of the first camera in the sequence.
-        every: Difference of the numbers of one camera and the next.
     """
     angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
     focal = max(width, height) / 2 / np.tan(angle / 2)
     tangents = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
-    numbers = first + every * np.arange(count)
-    poses = _poses(scene, tangents, 2 * numbers + (split == "test"))
+    members = 2 * np.array(numbers, np.int64) + (split == "test")
     return [
         Camera(
             width, height, focal, focal, width / 2, height / 2, pose @ scene.turn,
             f"{split}_{number:03}", near,
         )
-        for number, (pose, near) in zip(numbers, poses, strict=True)
+        for number, (pose, near) in zip(numbers, _poses(scene, tangents, members), strict=True)
     ]  # fmt: skip
 
 

@@ -52,7 +52,8 @@ def choose_views(scene: Scene) -> Views:
             kept, further = choose_cameras(found or analysed, parameters.views, more, size)
             # Of the same sequence as automatic ones, but none of the same directions.
             first = parameters.views + parameters.further
-            around = cameras_of(all_around(analysed), parameters.around, SMALL, SMALL, first=first)
+            numbers = range(first, first + parameters.around)
+            around = cameras_of(all_around(analysed), numbers, SMALL, SMALL)
     except ModelError as error:
         return Views((), (), (), (f"Nothing was rendered or measured: {error}",))
     notes = tuple(lens_notes(given))
