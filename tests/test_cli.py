@@ -185,6 +185,12 @@ def test_a_plan_lists_the_balances_that_are_tried(scene, tmp_path, options, bala
     assert f", balance {balances}, rounds" in line
 
 
+def test_a_plan_lists_the_longer_fit_of_a_packing_that_is_searched_for(scene, tmp_path):
+    given = "simplify", scene, tmp_path / "small.sog", "--dry-run", "--json"
+    planned = [json.loads(run(*given, *goal).stdout) for goal in (("--size", "9kB"), ("-r", "0.1"))]
+    assert [plan["parameters"]["steps"] for plan in planned] == [84, 28]
+
+
 def test_an_existing_file_is_overwritten_only_with_its_flag(scene, tmp_path):
     small = tmp_path / "small.ply"
     small.write_text("mine")

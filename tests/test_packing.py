@@ -17,7 +17,12 @@ from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError, TooSmallError
 from nanogs.fit.shared import SharedHarmonics
 from nanogs.io import registry, round_trip_with_size
+from nanogs.pipeline.one_block import whole_settings
+from nanogs.pipeline.options.presets import PRESETS, SIZED_STEPS, parameters, sized
 from nanogs.pipeline.options.settings import Sharing
+from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.request import Request as FileRequest
+from nanogs.pipeline.run import brief
 from nanogs.pipeline.search.held_files import HeldFiles
 from nanogs.pipeline.search.packing import (
     FIRST_SHARE,
@@ -297,6 +302,59 @@ def test_the_packing_is_chosen_for_a_requested_size(splats):
     assert report.format_options["spare_bits"] in range(7)
     if small.sh_degree:
         assert distinct_sets(small) <= report.format_options["palette"]
+
+
+@pytest.mark.parametrize(
+    ("preset", "overrides", "more"),
+    [
+        ("default", {}, {"steps": 84, "further": 72}),
+        ("default", {"k": 8, "steps": None}, {"steps": 84, "further": 72}),
+        ("default", {"steps": 5}, {}),
+        ("default", {"steps": 0}, {}),
+        ("default", {"further": 3}, {}),
+        ("default", {"guided": False}, {}),
+        ("best", {}, {}),
+        ("fast", {}, {}),
+        ("paper", {}, {}),
+        ("no such preset", {}, {}),
+    ],
+)
+def test_a_packing_that_is_searched_for_gets_a_longer_fit_with_a_view_for_each_step(
+    preset, overrides, more
+):
+    found = sized(preset, overrides)
+    assert found == overrides | more
+    if preset in PRESETS:
+        before, after = parameters(preset, overrides), parameters(preset, found)
+        assert replace(before, **more) == after
+
+
+def test_only_a_packing_that_is_searched_for_gets_a_longer_fit(tmp_path):
+    def steps(output, **goal):
+        request = FileRequest(goal=Goal(**goal), output=tmp_path / output)
+        return request.parameters.steps
+
+    usual = PRESETS["default"].steps
+    assert steps("a.sog", size=30_000) == steps("a.spz", size=30_000) == SIZED_STEPS > usual
+    assert steps("a.sog", ratio=0.1) == steps("a.sog", psnr=30.0) == usual
+    assert steps("a.ply", size=30_000) == steps("a.unknown", size=30_000) == usual
+
+
+@pytest.mark.slow
+def test_the_longer_fit_is_made_and_reported(splats):
+    few = {name: value for name, value in FEW.items() if name not in ("steps", "further")}
+    _, report = nanogs.simplify(splats, size=30_000, format=".spz", **few)
+    assert (report.parameters["steps"], report.parameters["further"]) == (SIZED_STEPS, 72)
+    assert sum(each.steps for each in report.refit.rounds) == SIZED_STEPS
+    _, report = nanogs.simplify(splats, size=30_000, format=".spz", **few, steps=2)
+    assert report.parameters["steps"] == 2
+
+
+@pytest.mark.parametrize(("preset", "steps"), [("default", 4), ("best", 12), ("fast", 0)])
+def test_results_that_are_only_compared_take_few_steps_and_no_correction(preset, steps):
+    settings = whole_settings(random_splats(5), PRESETS[preset])
+    given, quick = settings.parameters, brief(settings).parameters
+    assert quick == replace(given, steps=steps, corrections=0)
 
 
 def test_options_set_by_the_user_are_not_chosen(splats):

@@ -192,7 +192,7 @@ class Plan:
             "input": self.name,
             "input_count": self.info.splats,
             "preset": self.method.preset,
-            "parameters": asdict(self.method.chosen),
+            "parameters": asdict(self.request.parameters),
             "memory_bytes": asdict(self.memory()),
             "blocks": self.blocks and asdict(self.blocks),
         }
@@ -273,7 +273,7 @@ def _preset_of_kernels(request: Request) -> str:
 def show_plan(plan: Plan, text: str) -> None:
     """Print a plan on stderr; `text` describes the output."""
     info, memory = plan.info, plan.memory()
-    known = effective(plan.method.chosen).items()
+    known = effective(plan.request.parameters).items()
     rows = {
         "would read": f"{plan.name} ({counted(info.splats, 'splat')}, SH degree {info.sh_degree})",
         "would write": text,

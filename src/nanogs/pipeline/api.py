@@ -23,8 +23,9 @@ from nanogs.pipeline.options.presets import (
     parameters,
     refuse_search,
     renders,
+    sized,
 )
-from nanogs.pipeline.options.target import Goal, count_for_size, is_searched
+from nanogs.pipeline.options.target import Goal, chooses_packing, count_for_size, is_searched
 from nanogs.pipeline.outcome import Outcome
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
@@ -122,8 +123,10 @@ def simplify(
     start, clock = time.perf_counter(), StageClock()
     size = None if size is None else as_bytes(size)
     goal = Goal(ratio, count, size, psnr, draw_cost)
-    chosen, given = parameters(preset, overrides), given_options(format_options)
     path = registry.file_of(format)
+    if chooses_packing(goal, registry.writable(path)):
+        overrides = sized(preset, overrides)
+    chosen, given = parameters(preset, overrides), given_options(format_options)
     refuse_searches(goal, preset, path)
     refuse_reduced(goal, chosen, sh_degree)
     refuse_device(device, preset, chosen, goal)

@@ -30,8 +30,14 @@ from nanogs.pipeline.in_memory import NanPolicy
 from nanogs.pipeline.job.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job.rows import Changes, check_nan, open_parts
 from nanogs.pipeline.options.cameras import are_asked, refuse_unused_views
-from nanogs.pipeline.options.presets import DEFAULT_PRESET, Parameters, parameters, renders
-from nanogs.pipeline.options.target import Goal, is_searched, target_count
+from nanogs.pipeline.options.presets import (
+    DEFAULT_PRESET,
+    Parameters,
+    parameters,
+    renders,
+    sized,
+)
+from nanogs.pipeline.options.target import Goal, chooses_packing, is_searched, target_count
 from nanogs.pipeline.options.views import requested_views
 from nanogs.ranges import as_switch, is_number
 from nanogs.source import Joined
@@ -108,6 +114,9 @@ class Request:
         if not is_number(self.patience) or not self.patience >= 0:
             raise OptionError(f"`patience` must be seconds, 0 or more, not {self.patience!r}.")
         object.__setattr__(self, "format_options", given_options(self.format_options))
+        known = registry.find(self.output)
+        if known is not None and chooses_packing(self.goal, known):
+            object.__setattr__(self, "overrides", sized(self.preset, self.overrides))
         # A job is stored as JSON, which has no NumPy integers.
         for name in ("block", "sh_degree"):
             if (value := getattr(self, name)) is not None:

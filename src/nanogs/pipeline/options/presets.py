@@ -41,6 +41,7 @@ SUMMARIES: Mapping[str, str] = {
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
+SIZED_STEPS = 84  # least steps of the fit, if it fits, of a result whose packing is searched for
 FORESTS: tuple[str, ...] = tuple(
     name
     for _, name in sorted(
@@ -74,6 +75,25 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
                 f" choose from {', '.join(known)}."
             )
     return dataclasses.replace(PRESETS[preset], **given)
+
+
+def sized(preset: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Replace also the steps of a short fit, for a result whose packing is searched for.
+
+    A search makes and measures several results, so `SIZED_STEPS` add little to its time.
+
+    Args:
+        preset: A name in `PRESETS`; any other is left to `parameters`.
+        overrides: Parameters by name. If the steps or views of the fit are among them, they stay.
+    """
+    own = PRESETS.get(preset) if isinstance(preset, str) else None
+    given = {name for name, value in overrides.items() if value is not None}
+    if not isinstance(own, ForestParameters) or given & {"steps", "further", "guided"}:
+        return dict(overrides)
+    more = SIZED_STEPS - own.steps
+    if not 0 < own.steps < SIZED_STEPS:
+        return dict(overrides)
+    return {**overrides, "steps": SIZED_STEPS, "further": own.further + more}
 
 
 def refuse_search(preset: str, target: str) -> None:

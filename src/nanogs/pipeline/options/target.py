@@ -95,6 +95,11 @@ def _share(given: float) -> str:
     return f" ({given:g} percent are {given / 100:g})" if 1 < given <= 100 else ""
 
 
+def chooses_packing(goal: Goal, known: Format) -> bool:
+    """Whether results are made to choose how a file of a given size is packed."""
+    return goal.size is not None and known.file_bytes is None
+
+
 def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:
     """Whether the count can be found only by trying.
 
@@ -107,7 +112,7 @@ def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:
     if goal.size is None:
         return goal.is_measured
     chosen = looks and known.readable and min(degree, known.max_degree) > 0
-    return known.file_bytes is None or chosen
+    return chooses_packing(goal, known) or chosen
 
 
 def target_count(available: int, ratio: float | None, count: int | None) -> int:
