@@ -335,9 +335,10 @@ def test_only_a_packing_that_is_searched_for_gets_a_longer_fit(tmp_path):
         return request.parameters.steps
 
     usual = PRESETS["default"].steps
-    assert steps("a.sog", size=30_000) == steps("a.spz", size=30_000) == SIZED_STEPS > usual
-    assert steps("a.sog", ratio=0.1) == steps("a.sog", psnr=30.0) == usual
-    assert steps("a.ply", size=30_000) == steps("a.unknown", size=30_000) == usual
+    assert steps("a.sog", size=30_000) == steps("a.spz", psnr=30.0) == SIZED_STEPS > usual
+    assert steps("a.sog", ratio=0.1) == steps("a.sog", draw_cost=0.1) == usual
+    assert steps("a.ply", size=30_000) == steps("a.ply", psnr=30.0) == usual
+    assert steps("a.unknown", size=30_000) == usual
 
 
 @pytest.mark.slow

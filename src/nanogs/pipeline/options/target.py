@@ -96,8 +96,8 @@ def _share(given: float) -> str:
 
 
 def chooses_packing(goal: Goal, known: Format) -> bool:
-    """Whether results are made to choose how a file of a given size is packed."""
-    return goal.size is not None and known.file_bytes is None
+    """Whether results are made to choose how the file is packed, for a size or a PSNR."""
+    return (goal.size is not None or goal.psnr is not None) and known.file_bytes is None
 
 
 def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:
