@@ -18,7 +18,7 @@ from nanogs.errors import ModelError, TooSmallError
 from nanogs.fit.shared import SharedHarmonics
 from nanogs.io import registry, round_trip_with_size
 from nanogs.pipeline.one_block import whole_settings
-from nanogs.pipeline.options.presets import PRESETS, SIZED_STEPS, parameters, sized
+from nanogs.pipeline.options.presets import PRESETS, SEARCHED_STEPS, parameters, with_longer_fit
 from nanogs.pipeline.options.settings import Sharing
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
@@ -312,7 +312,7 @@ def test_the_packing_is_chosen_for_a_requested_size(splats):
         ("default", {"steps": 5}, {}),
         ("default", {"steps": 0}, {}),
         ("default", {"further": 3}, {}),
-        ("default", {"guided": False}, {}),
+        ("default", {"guided": False}, {"steps": 84, "further": 72}),
         ("best", {}, {}),
         ("fast", {}, {}),
         ("paper", {}, {}),
@@ -322,7 +322,7 @@ def test_the_packing_is_chosen_for_a_requested_size(splats):
 def test_a_packing_that_is_searched_for_gets_a_longer_fit_with_a_view_for_each_step(
     preset, overrides, more
 ):
-    found = sized(preset, overrides)
+    found = with_longer_fit(preset, overrides)
     assert found == overrides | more
     if preset in PRESETS:
         before, after = parameters(preset, overrides), parameters(preset, found)
@@ -335,7 +335,7 @@ def test_only_a_packing_that_is_searched_for_gets_a_longer_fit(tmp_path):
         return request.parameters.steps
 
     usual = PRESETS["default"].steps
-    assert steps("a.sog", size=30_000) == steps("a.spz", psnr=30.0) == SIZED_STEPS > usual
+    assert steps("a.sog", size=30_000) == steps("a.spz", psnr=30.0) == SEARCHED_STEPS > usual
     assert steps("a.sog", ratio=0.1) == steps("a.sog", draw_cost=0.1) == usual
     assert steps("a.ply", size=30_000) == steps("a.ply", psnr=30.0) == usual
     assert steps("a.unknown", size=30_000) == usual
@@ -345,8 +345,8 @@ def test_only_a_packing_that_is_searched_for_gets_a_longer_fit(tmp_path):
 def test_the_longer_fit_is_made_and_reported(splats):
     few = {name: value for name, value in FEW.items() if name not in ("steps", "further")}
     _, report = nanogs.simplify(splats, size=30_000, format=".spz", **few)
-    assert (report.parameters["steps"], report.parameters["further"]) == (SIZED_STEPS, 72)
-    assert sum(each.steps for each in report.refit.rounds) == SIZED_STEPS
+    assert (report.parameters["steps"], report.parameters["further"]) == (SEARCHED_STEPS, 72)
+    assert sum(each.steps for each in report.refit.rounds) == SEARCHED_STEPS
     _, report = nanogs.simplify(splats, size=30_000, format=".spz", **few, steps=2)
     assert report.parameters["steps"] == 2
 

@@ -23,7 +23,7 @@ from nanogs.pipeline.options.presets import (
     parameters,
     refuse_search,
     renders,
-    sized,
+    with_longer_fit,
 )
 from nanogs.pipeline.options.target import Goal, chooses_packing, count_for_size, is_searched
 from nanogs.pipeline.outcome import Outcome
@@ -125,7 +125,7 @@ def simplify(
     goal = Goal(ratio, count, size, psnr, draw_cost)
     path = registry.file_of(format)
     if chooses_packing(goal, registry.writable(path)):
-        overrides = sized(preset, overrides)
+        overrides = with_longer_fit(preset, overrides)
     chosen, given = parameters(preset, overrides), given_options(format_options)
     refuse_searches(goal, preset, path)
     refuse_reduced(goal, chosen, sh_degree)

@@ -35,7 +35,7 @@ from nanogs.pipeline.options.presets import (
     Parameters,
     parameters,
     renders,
-    sized,
+    with_longer_fit,
 )
 from nanogs.pipeline.options.target import Goal, chooses_packing, is_searched, target_count
 from nanogs.pipeline.options.views import requested_views
@@ -116,7 +116,7 @@ class Request:
         object.__setattr__(self, "format_options", given_options(self.format_options))
         known = registry.find(self.output)
         if known is not None and chooses_packing(self.goal, known):
-            object.__setattr__(self, "overrides", sized(self.preset, self.overrides))
+            object.__setattr__(self, "overrides", with_longer_fit(self.preset, self.overrides))
         # A job is stored as JSON, which has no NumPy integers.
         for name in ("block", "sh_degree"):
             if (value := getattr(self, name)) is not None:

@@ -41,7 +41,7 @@ SUMMARIES: Mapping[str, str] = {
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
-SIZED_STEPS = 84  # least steps of the fit, if it fits, of a result whose packing is searched for
+SEARCHED_STEPS = 84  # least steps of the fit of a result whose packing is searched for
 FORESTS: tuple[str, ...] = tuple(
     name
     for _, name in sorted(
@@ -77,10 +77,11 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
     return dataclasses.replace(PRESETS[preset], **given)
 
 
-def sized(preset: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace also the steps of a short fit, for a result whose packing is searched for.
+def with_longer_fit(preset: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Lengthen a short fit, for a result whose packing is searched for.
 
-    A search makes and measures several results, so `SIZED_STEPS` add little to its time.
+    The search makes and measures several results anyway, so the steps add little to its time. Each
+    gets a view of its own.
 
     Args:
         preset: A name in `PRESETS`; any other is left to `parameters`.
@@ -88,12 +89,14 @@ def sized(preset: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
     """
     own = PRESETS.get(preset) if isinstance(preset, str) else None
     given = {name for name, value in overrides.items() if value is not None}
-    if not isinstance(own, ForestParameters) or given & {"steps", "further", "guided"}:
+    if (
+        not isinstance(own, ForestParameters)
+        or not 0 < own.steps < SEARCHED_STEPS
+        or given & {"steps", "further"}
+    ):
         return dict(overrides)
-    more = SIZED_STEPS - own.steps
-    if not 0 < own.steps < SIZED_STEPS:
-        return dict(overrides)
-    return {**overrides, "steps": SIZED_STEPS, "further": own.further + more}
+    further = own.further + SEARCHED_STEPS - own.steps
+    return {**overrides, "steps": SEARCHED_STEPS, "further": further}
 
 
 def refuse_search(preset: str, target: str) -> None:
