@@ -22,6 +22,7 @@ from nanogs.pipeline.estimates.memory_blocks import FINE, ROUGH, block_stages, m
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.job import stored as job
 from nanogs.pipeline.job.stored import BlockJob
+from nanogs.pipeline.options.presets import with_longer_fit
 from nanogs.pipeline.options.settings import differences
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.options.views import RequestedViews
@@ -175,7 +176,8 @@ def test_a_size_for_an_invisible_scene_is_reported_as_any_other(splats, tmp_path
         tmp_path / "faint.ply", tmp_path / "a.spz", size=8000, block=block
     )
     assert any(note.startswith("Nothing was rendered or measured") for note in report.notes)
-    assert report.parameters == dataclasses.asdict(nanogs.presets["default"])
+    longer = with_longer_fit("default", {})
+    assert report.parameters == dataclasses.asdict(nanogs.presets["default"]) | longer
 
 
 def test_without_measured_views_no_visibility_weights_are_used(scene, tmp_path, monkeypatch):
