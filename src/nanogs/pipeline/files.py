@@ -30,7 +30,7 @@ from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import NanPolicy, import_stages
 from nanogs.pipeline.job.rows import open_parts
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, renders
-from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.options.target import Goal, chooses_packing
 from nanogs.pipeline.reading import read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.progress import Progress, Stage, Tracker
@@ -212,10 +212,8 @@ def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, 
     most = known.max_degree
     if request.sh_degree is not None or degree <= most or not renders(request.parameters):
         return request, ()
-    chosen = goal.psnr is not None and known.file_bytes is None
-    if goal.size is not None:
-        chosen = request.searches(degree)
-    if not chosen:
+    searched = goal.size is not None and request.searches(degree)
+    if not (searched or chooses_packing(goal, known)):
         request = replace(request, sh_degree=most)
     return request, (degree_left_out(known.suffix, most),)
 

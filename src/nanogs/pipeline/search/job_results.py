@@ -83,7 +83,7 @@ class JobResults:
         return replace(self, settings=plain(self.settings, rounds))
 
     def brief(self) -> "JobResults":
-        """Return results that are fitted in few steps; see `Results.brief`."""
+        """Return results that are only compared; see `Results.brief`."""
         return replace(self, settings=brief(self.settings))
 
     def packed(self, sh_degree: int, sharing: Sharing | None) -> "JobResults":

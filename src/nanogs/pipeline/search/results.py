@@ -41,7 +41,7 @@ class Results(Protocol[T]):
         """Return a maker of results that are cut without rendering; see `run.plain`."""
 
     def brief(self) -> Self:
-        """Return a maker of results that are fitted in few steps; see `run.brief`."""
+        """Return a maker of results that are only compared; see `run.brief`."""
 
     def packed(self, sh_degree: int, sharing: Sharing | None) -> Self:
         """Return a maker of results for a packing: of an SH degree, with shared harmonics.
@@ -156,7 +156,7 @@ class HeldResults:
         return replace(self, scene=replace(scene, settings=plain(scene.settings, rounds)))
 
     def brief(self) -> "HeldResults":
-        """Return a maker of results that are fitted in few steps."""
+        """Return a maker of results that are only compared."""
         return replace(self, scene=replace(self.scene, settings=brief(self.scene.settings)))
 
     def packed(self, sh_degree: int, sharing: Sharing | None) -> "HeldResults":
