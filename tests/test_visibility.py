@@ -22,7 +22,7 @@ from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason
 from nanogs.splats import Splats, concatenate
 from nanogs.views.automatic import all_around, automatic_cameras, cameras_of, survey
-from nanogs.views.up_frame import UPRIGHT
+from nanogs.views.up_frame import ALL_AROUND, UPRIGHT
 from views_and_scores import mean_scores, scene_with_views
 
 
@@ -338,6 +338,28 @@ def test_views_from_all_around_look_in_other_directions_than_automatic_ones():
     assert len({camera.name for camera in cameras}) == len(cameras) == 12
     directions = np.array([camera.world_to_camera[2, :3] for camera in cameras])
     assert (directions @ directions.T - 2 * np.eye(12)).max() < 0.999
+
+
+@pytest.mark.parametrize(
+    ("kind", "band", "views", "asked", "small"),
+    [
+        ("orbit", ALL_AROUND, 4, None, 0),
+        ("orbit", ALL_AROUND, 3, None, 4),
+        ("orbit", UPRIGHT, 4, None, 4),
+        ("inside", UPRIGHT, 4, None, 4),
+        ("inside", ALL_AROUND, 4, None, 4),
+        ("orbit", ALL_AROUND, 4, "roam", 4),
+    ],
+)
+def test_no_small_views_where_enough_others_are_from_all_around(
+    monkeypatch, kind, band, views, asked, small
+):
+    """They would show nothing new; three others, or views of a kind, may leave sides unseen."""
+    splats = box_with_something_inside()
+    analysed = dataclasses.replace(survey(splats), kind=kind, band=band)
+    monkeypatch.setattr("nanogs.pipeline.tasks.look.survey", lambda *_, **__: analysed)
+    parameters = view_parameters(views=views, view_size=48, around=4)
+    assert len(scene_with_views(splats, asked, parameters).views.around) == small
 
 
 def test_a_third_of_the_further_views_are_from_all_around():

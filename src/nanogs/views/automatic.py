@@ -51,6 +51,11 @@ class Survey:
     kind: Kind
     band: tuple[float, float]
 
+    @property
+    def looks_all_around(self) -> bool:
+        """Whether its cameras look at the model from all around, from above and below too."""
+        return self.kind == "orbit" and self.band == ALL_AROUND
+
 
 def automatic_cameras(
     model: Splats | Source,

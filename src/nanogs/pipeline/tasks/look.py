@@ -50,10 +50,12 @@ def choose_views(scene: Scene) -> Views:
             analysed = survey(some, habit=False)
             found = fit_cameras(some, asked.source, asked.up, wanted, size)
             kept, further = choose_cameras(found or analysed, parameters.views, more, size)
-            # Of the same sequence as automatic ones, but none of the same directions.
-            first = parameters.views + parameters.further
-            numbers = range(first, first + parameters.around)
-            around = cameras_of(all_around(analysed), numbers, SMALL, SMALL)
+            from_all_sides = analysed.looks_all_around and parameters.views >= parameters.around
+            if found or not from_all_sides:
+                # Of the same sequence as automatic ones, but none of the same directions.
+                first = parameters.views + parameters.further
+                numbers = range(first, first + parameters.around)
+                around = cameras_of(all_around(analysed), numbers, SMALL, SMALL)
     except ModelError as error:
         return Views((), (), (), (f"Nothing was rendered or measured: {error}",))
     notes = tuple(lens_notes(given))
