@@ -229,6 +229,9 @@ def project_splats(
             undefined.
     """
     coefficients = (degree + 1) * (degree + 1)
+    # A splat's 3 K numbers, which `prefetch` treats as 3 rows of K; the first begins with the base
+    # colour.
+    thirds = 1 if degree == 0 else 3
     basis = np.empty(25, np.float32)
     bounds = guard_bounds(intrinsics)
     px, py, pz = position[0], position[1], position[2]
@@ -241,7 +244,7 @@ def project_splats(
     for i in range(start, stop):
         ahead = min(i + AHEAD, len(means) - 1)
         prefetch(geometry, ahead)
-        for third in range(3):  # a splat's 3 K numbers, which `prefetch` treats as 3 rows of K
+        for third in range(thirds):
             prefetch(sh, 3 * ahead + third)
         boxes[i] = HIDDEN
         if not keep[i]:

@@ -28,6 +28,7 @@ from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.project import HIDDEN, SLACK
 
 LOG_255 = math.log(255.0)
+AHEAD = 16  # totals are prefetched this many entries before they are added to
 
 
 @inline
@@ -238,10 +239,12 @@ def sum_entries(
         totals: (runs, N, P) in and out, separate totals for each run.
     """
     for run in range(start, stop):
+        sums = totals[run]
         for e in range(bounds[run], bounds[run + 1]):
+            blocks.prefetch(sums, entries[min(e + AHEAD, len(entries) - 1)])
             i = entries[e]
             for p in range(partial.shape[1]):
-                totals[run, i, p] += partial[e, p]
+                sums[i, p] += partial[e, p]
 
 
 @parallel_kernel("totals")

@@ -18,7 +18,7 @@ from nanogs.source import Layout
 MOST_SEEN = 0.1
 # A job is continued only by the release that began it. The number increases with each change of the
 # job folder's format, or of the results, between releases.
-VERSION = f"{__version__}, 21"
+VERSION = f"{__version__}, 22"
 
 _WISH = "the request (ratio, count, size, PSNR, draw cost)"
 _SIZE = "the memory for blocks, or their size"
