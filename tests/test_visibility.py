@@ -357,7 +357,7 @@ def test_no_small_views_where_enough_others_are_from_all_around(
     """They would show nothing new; three others, or views of a kind, may leave sides unseen."""
     splats = box_with_something_inside()
     analysed = dataclasses.replace(survey(splats), kind=kind, band=band)
-    monkeypatch.setattr("nanogs.pipeline.tasks.look.survey", lambda *_, **__: analysed)
+    monkeypatch.setattr("nanogs.pipeline.tasks.views.survey", lambda *_, **__: analysed)
     parameters = view_parameters(views=views, view_size=48, around=4)
     assert len(scene_with_views(splats, asked, parameters).views.around) == small
 

@@ -35,7 +35,7 @@ from nanogs.pipeline.tasks.cuts import write_cut
 from nanogs.pipeline.tasks.fitting import fit_part
 from nanogs.pipeline.tasks.forests import grow, number_of
 from nanogs.pipeline.tasks.linked import linked_levels, write_tree
-from nanogs.pipeline.tasks.look import choose_views, look_at_block
+from nanogs.pipeline.tasks.look import look_at_block
 from nanogs.pipeline.tasks.partition import partition
 from nanogs.pipeline.tasks.parts import write_rest
 from nanogs.pipeline.tasks.sorted_segments import spill
@@ -55,6 +55,7 @@ from nanogs.pipeline.tasks.trials import (
     try_reassigned,
 )
 from nanogs.pipeline.tasks.unpack import unpack
+from nanogs.pipeline.tasks.views import choose_views
 from nanogs.pipeline.work import Work
 from nanogs.store.tables import Record, write_table
 from nanogs.threads import use_threads

@@ -1,4 +1,4 @@
-"""Choosing the views of a scene, and computing the visibility of each block's splats in them.
+"""Computing the visibility of each block's splats in the views of the scene.
 
 All other blocks are rendered with a block, so that they hide it where they should.
 """
@@ -6,9 +6,7 @@ All other blocks are rendered with a block, so that they hide it where they shou
 from collections.abc import Sequence
 from dataclasses import replace
 
-from nanogs.errors import ModelError, SmallViewError
-from nanogs.fit.views import choose_cameras
-from nanogs.formatting import counted
+from nanogs.errors import SmallViewError
 from nanogs.method.visibility import (
     SHOWN,
     contributions_of,
@@ -17,51 +15,11 @@ from nanogs.method.visibility import (
     visibility_of,
 )
 from nanogs.metrics._ssim import LEAST
-from nanogs.pipeline.options.cameras import fit_cameras
 from nanogs.pipeline.scene import Look, Scene, Task, ViewLight
-from nanogs.pipeline.tasks.views import Views
 from nanogs.raster.camera import Camera
-from nanogs.raster.lens import lens_notes
 from nanogs.raster.light import LightSums
 from nanogs.raster.rendering import concatenated, prepare
 from nanogs.store.tables import Record
-from nanogs.views.automatic import all_around, cameras_of, survey
-
-SMALL = 128  # width and height, pixels, of views that only find hidden splats
-
-
-def choose_views(scene: Scene) -> Views:
-    """Choose the views of the whole scene, or take those that the user gives.
-
-    Views of a kind or up direction that the user asks for are as many as automatic ones.
-
-    Args:
-        scene: The scene, with its coarse levels if it has several blocks.
-    """
-    parameters, asked, some = scene.settings.parameters, scene.settings.asked, scene.sample()
-    given, size = asked.given(), parameters.view_size
-    more = parameters.further if parameters.steps else 0
-    wanted = parameters.views + more
-    found, around = None, list[Camera]()
-    try:
-        if given:
-            kept, further = choose_cameras(given, parameters.views, more, size)
-        else:
-            analysed = survey(some, habit=False)
-            found = fit_cameras(some, asked.source, asked.up, wanted, size)
-            kept, further = choose_cameras(found or analysed, parameters.views, more, size)
-            from_all_sides = analysed.looks_all_around and parameters.views >= parameters.around
-            if found or not from_all_sides:
-                # Of the same sequence as automatic ones, but none of the same directions.
-                first = parameters.views + parameters.further
-                numbers = range(first, first + parameters.around)
-                around = cameras_of(all_around(analysed), numbers, SMALL, SMALL)
-    except ModelError as error:
-        return Views((), (), (), (f"Nothing was rendered or measured: {error}",))
-    notes = tuple(lens_notes(given))
-    if found is not None and len(found) < wanted:
-        notes = (f"Only {len(found)} of {counted(wanted, 'roaming view')} could be found.",)
-    return Views(tuple(kept), tuple(further), tuple(around), notes)
 
 
 def look_at_block(scene: Scene, task: Task) -> Record:

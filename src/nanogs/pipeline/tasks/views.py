@@ -2,19 +2,29 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nanogs._types import Bool
+from nanogs.errors import ModelError
+from nanogs.fit.views import choose_cameras
+from nanogs.formatting import counted
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.project import HIDDEN, unpack_box
 from nanogs.method.visibility import DECIDING
+from nanogs.pipeline.options.cameras import fit_cameras
 from nanogs.pipeline.options.views import camera_of, plain_camera
 from nanogs.raster.camera import Camera, pick_evenly
+from nanogs.raster.lens import lens_notes
 from nanogs.raster.rendering import PreparedSplats, project
+from nanogs.views.automatic import all_around, cameras_of, survey
+
+if TYPE_CHECKING:
+    from nanogs.pipeline.scene import Scene
 
 LEAST = 2 * TILE  # fewest pixels along a side of a part of a view
+SMALL = 128  # width and height, pixels, of views that only find hidden splats
 STRAYS = 0.002  # share of a block's splats that may be outside its part of a view, on each side
 
 
@@ -60,6 +70,40 @@ def views_of(data: Mapping[str, Any]) -> Views:
         tuple(camera_of(each) for each in data[kind]) for kind in ("kept", "further", "around")
     )
     return Views(kept, further, around, tuple(data["notes"]))
+
+
+def choose_views(scene: "Scene") -> Views:
+    """Choose the views of the whole scene, or take those that the user gives.
+
+    Views of a kind or up direction that the user asks for are as many as automatic ones.
+
+    Args:
+        scene: The scene, with its coarse levels if it has several blocks.
+    """
+    parameters, asked, some = scene.settings.parameters, scene.settings.asked, scene.sample()
+    given, size = asked.given(), parameters.view_size
+    more = parameters.further if parameters.steps else 0
+    wanted = parameters.views + more
+    found, around = None, list[Camera]()
+    try:
+        if given:
+            kept, further = choose_cameras(given, parameters.views, more, size)
+        else:
+            analysed = survey(some, habit=False)
+            found = fit_cameras(some, asked.source, asked.up, wanted, size)
+            kept, further = choose_cameras(found or analysed, parameters.views, more, size)
+            from_all_sides = analysed.looks_all_around and parameters.views >= parameters.around
+            if found or not from_all_sides:
+                # Of the same sequence as automatic ones, but none of the same directions.
+                first = parameters.views + parameters.further
+                numbers = range(first, first + parameters.around)
+                around = cameras_of(all_around(analysed), numbers, SMALL, SMALL)
+    except ModelError as error:
+        return Views((), (), (), (f"Nothing was rendered or measured: {error}",))
+    notes = tuple(lens_notes(given))
+    if found is not None and len(found) < wanted:
+        notes = (f"Only {len(found)} of {counted(wanted, 'roaming view')} could be found.",)
+    return Views(tuple(kept), tuple(further), tuple(around), notes)
 
 
 def parts_of(own: PreparedSplats, shown: Bool, cameras: Sequence[Camera]) -> list[Camera | None]:
