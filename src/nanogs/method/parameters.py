@@ -43,7 +43,8 @@ class ForestParameters:
         halves: Whether a step of the fit uses half of its view's pixels, every other block of
             4 x 4: half the work, and a loss of less than 0.1 dB if there are few steps.
         around: Number of small views from all around the model, from above and below too, that are
-            only used to find hidden splats.
+            only used to find hidden splats; there are none beside given cameras, nor where as many
+            `views` or more are from all around already.
         view_size: Pixels along the longer side of a view.
     """
 
