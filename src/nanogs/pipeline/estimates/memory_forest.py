@@ -1,8 +1,7 @@
 """Memory estimate of the presets that grow a forest: bytes per splat of each stage."""
 
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.estimates.stage_weights import fit_parameters
-from nanogs.pipeline.options.presets import renders
+from nanogs.pipeline.options.presets import fit_parameters, renders
 from nanogs.protocol import PIXELS, VIEWS
 from nanogs.slices import pairs_in_flight
 

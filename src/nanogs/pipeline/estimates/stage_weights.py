@@ -1,19 +1,17 @@
 """Weights of the stages for progress: how long they take relative to each other.
 
 Weights are seconds of one machine, to about a factor of two, so that a progress bar moves evenly
-enough. The rounds of the fit are here too. No Numba here: the command plans with them before it is
-imported.
+enough. No Numba here: the command plans with them before it is imported.
 """
 
 from dataclasses import dataclass
 
-from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.stages import refit_stages
 from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.options.presets import fit_parameters
 from nanogs.progress import Stage
 from nanogs.protocol import VIEWS
 
-ROUND = 32  # steps in each round of the fit, about
 SIZES, RESULTS = 4, 2  # expected files of a search for a size: of plain cuts, and of results
 PACKINGS = 4  # expected results of a search for the best packing
 COUNTS = 4  # expected counts of a search for a PSNR: of plain cuts, and again of results
@@ -47,18 +45,6 @@ def fitting_seconds(load: Load) -> float:
     fit = refit_stages(chosen, round(1e6 * load.splats), round(1e6 * load.left))[-1]
     drawn = 0 if parameters.pictured else min(parameters.further, parameters.steps)
     return fit.weight + drawn * _render(load)
-
-
-def fit_parameters(parameters: ForestParameters) -> RefitParameters:
-    """Return the parameters of the fit of a chosen result: its steps divided into rounds."""
-    rounds = max(1, round(parameters.steps / ROUND))
-    return RefitParameters(
-        views=parameters.views,
-        size=parameters.view_size,
-        rounds=rounds,
-        steps=max(-(-parameters.steps // rounds), 1),  # at least 1, also for planning without a fit
-        halves=parameters.halves,
-    )
 
 
 def published_stages(splats: int) -> list[Stage]:

@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Any, TypeAlias
 
 from nanogs.errors import OptionError, did_you_mean
+from nanogs.fit.parameters import RefitParameters
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.ranges import known_parameters
@@ -41,6 +42,7 @@ SUMMARIES: Mapping[str, str] = {
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
+ROUND = 32  # steps in each round of the fit, about
 SEARCHED_STEPS = 84  # least steps of the fit of a result whose packing is searched for
 FORESTS: tuple[str, ...] = tuple(
     name
@@ -97,6 +99,18 @@ def with_longer_fit(preset: str, overrides: Mapping[str, Any]) -> dict[str, Any]
         return dict(overrides)
     further = own.further + SEARCHED_STEPS - own.steps
     return {**overrides, "steps": SEARCHED_STEPS, "further": further}
+
+
+def fit_parameters(parameters: ForestParameters) -> RefitParameters:
+    """Return the parameters of the fit of a chosen result: its steps divided into rounds."""
+    rounds = max(1, round(parameters.steps / ROUND))
+    return RefitParameters(
+        views=parameters.views,
+        size=parameters.view_size,
+        rounds=rounds,
+        steps=max(-(-parameters.steps // rounds), 1),  # at least 1, also for planning without a fit
+        halves=parameters.halves,
+    )
 
 
 def refuse_search(preset: str, target: str) -> None:

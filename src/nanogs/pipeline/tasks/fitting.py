@@ -18,7 +18,7 @@ from nanogs.fit.shared import PaletteSize
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.io.precision import visibility
 from nanogs.method.visibility import SHOWN, light_in, visibility_of, visible_weights
-from nanogs.pipeline.estimates.stage_weights import fit_parameters
+from nanogs.pipeline.options.presets import fit_parameters
 from nanogs.pipeline.scene import FitViews, Scene, Task
 from nanogs.pipeline.tasks.block_visibility import looks_at
 from nanogs.pipeline.tasks.views import deciding_count, parts_of
