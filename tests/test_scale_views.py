@@ -18,12 +18,12 @@ from nanogs.fit.targets import Fitting, make_target
 from nanogs.method.nodes import LIGHTEST
 from nanogs.pipeline import run, stages
 from nanogs.pipeline.estimates.block_plan import plan_blocks
-from nanogs.pipeline.estimates.memory_blocks import FINE, ROUGH, block_stages, most_coarse
+from nanogs.pipeline.estimates.memory_blocks import block_stages
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.job import stored as job
 from nanogs.pipeline.job.stored import BlockJob
 from nanogs.pipeline.options.presets import with_longer_fit
-from nanogs.pipeline.options.settings import differences
+from nanogs.pipeline.options.settings import FINE, ROUGH, differences, most_coarse
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.options.views import RequestedViews
 from nanogs.pipeline.request import Request

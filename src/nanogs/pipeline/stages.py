@@ -16,14 +16,13 @@ from nanogs.block_layouts import Chunked, Linked
 from nanogs.method.choose import GROWTHS
 from nanogs.method.correct import unseen_changes
 from nanogs.method.parameters import MOST_CORRECTIONS
-from nanogs.pipeline.estimates.memory_blocks import COARSE_SHARES
 from nanogs.pipeline.estimates.stage_weights import (
     Load,
     fitting_seconds,
     looking_seconds,
 )
 from nanogs.pipeline.options.presets import renders
-from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.options.settings import COARSE_SHARES, Settings
 from nanogs.pipeline.options.target import target_count
 from nanogs.pipeline.scene import SUMS, Scene, Task
 from nanogs.pipeline.tasks.blocks import leaves_of

@@ -20,9 +20,8 @@ from nanogs.method.correct import Correction, Ordering
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import SHOWN
-from nanogs.pipeline.estimates.memory_blocks import FINE, ROUGH
 from nanogs.pipeline.job.rows import sample
-from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.options.settings import FINE, ROUGH, Settings
 from nanogs.pipeline.scene import Block, FitViews, Look, Members, Scene, Task
 from nanogs.pipeline.tasks.block_visibility import (
     VISIBLE,

@@ -19,31 +19,14 @@ from nanogs.pipeline.estimates.memory_forest import (
     fit_state,
 )
 from nanogs.pipeline.options.presets import renders
-from nanogs.pipeline.options.settings import MOST_SEEN
+from nanogs.pipeline.options.settings import FINE, MOST_SEEN, ROUGH, most_coarse
 from nanogs.source import Layout
 from nanogs.store.columns import row_bytes
 
-FINE, ROUGH = 0, 1  # indices of the coarse levels of the scene
-# Limits on the splats of each coarse level: a share of the scene's splats, and a number for each
-# splat of a block, which fits into memory because they are only rendered. `COARSE_LEAST` splats are
-# always allowed, however small the blocks are.
-COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 18, 1 << 15)
 _CODES = 2 * 8  # bytes a splat: Morton code and sort order
 _HISTOGRAM = 8 << 16  # bytes of the histogram of a forest's scores, for each balance
 _PLACE = 4 * 8  # bytes of a group: its centre and reach
 _TRIED = 2  # models compared with the original at a time; growth candidates differ in scales only
-
-
-def most_coarse(level: int, block: int, splats: int) -> int:
-    """Return the most splats of a coarse level of the scene, enough for it to hide what is behind.
-
-    Args:
-        level: `FINE` or `ROUGH`.
-        block: Largest number of splats of a block.
-        splats: Number of splats of the scene.
-    """
-    beside = max(int(COARSE_OF_BLOCK[level] * block), COARSE_LEAST[level])
-    return min(int(splats * COARSE_SHARES[level]), beside)
 
 
 def block_stages(

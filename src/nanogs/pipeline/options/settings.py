@@ -16,6 +16,11 @@ from nanogs.source import Layout
 
 # Most splats of a block's halo, as a share of its own, to bound memory; the nearest are kept.
 MOST_SEEN = 0.1
+FINE, ROUGH = 0, 1  # indices of the coarse levels of the scene
+# Limits on the splats of each coarse level: a share of the scene's splats, and a number for each
+# splat of a block, which fits into memory because they are only rendered. `COARSE_LEAST` splats are
+# always allowed, however small the blocks are.
+COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 18, 1 << 15)
 # A job is continued only by the release that began it. The number increases with each change of the
 # job folder's format, or of the results, between releases.
 VERSION = f"{__version__}, 22"
@@ -271,6 +276,18 @@ class Settings:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, as `json.dumps` takes it."""
         return {"version": VERSION, **asdict(self)}
+
+
+def most_coarse(level: int, block: int, splats: int) -> int:
+    """Return the most splats of a coarse level of the scene, enough for it to hide what is behind.
+
+    Args:
+        level: `FINE` or `ROUGH`.
+        block: Largest number of splats of a block.
+        splats: Number of splats of the scene.
+    """
+    beside = max(int(COARSE_OF_BLOCK[level] * block), COARSE_LEAST[level])
+    return min(int(splats * COARSE_SHARES[level]), beside)
 
 
 def differences(before: Mapping[str, Any], now: Settings) -> list[str]:

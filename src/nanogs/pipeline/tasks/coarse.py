@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from nanogs.method.store import store_groups
-from nanogs.pipeline.estimates.memory_blocks import COARSE_SHARES, most_coarse
-from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.options.settings import COARSE_SHARES, Settings, most_coarse
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.cuts import cut_block
