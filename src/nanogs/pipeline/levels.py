@@ -16,7 +16,7 @@ from nanogs.pipeline.estimates.stage_weights import level_stage
 from nanogs.pipeline.in_memory import CheckedModel, Deliver, NanPolicy, check_model
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters
 from nanogs.pipeline.options.target import Goal, target_count
-from nanogs.progress import Progress, Stage, Tracker
+from nanogs.progress import Progress, Tracker
 from nanogs.report import SimplifyReport
 from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
@@ -105,13 +105,10 @@ def judged_levels(
 
     with use_threads(threads):
         checked = check_model(as_splats(model), preset, overrides, cameras, up, nan, sh_degree)
-    refuse_misaligned_elements(checked.splats, target_count(len(checked.rows), ratios[-1], None))
     counts = [target_count(len(checked.rows), ratio, None) for ratio in ratios]
+    refuse_misaligned_elements(checked.splats, counts[-1])
     checked.refuse_too_large(counts[0], max_memory, judged=judged)
-    from nanogs.pipeline.estimates.durations import levels_stages
-
-    stages = levels_stages(checked.parameters, len(checked.rows), counts)
-    return _drawn(checked, ratios, device, threads, progress, stages)
+    return _deliver(checked, [*zip(ratios, counts, strict=True)], device, threads, progress)
 
 
 def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
@@ -138,56 +135,34 @@ def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
     return found
 
 
-def _drawn(
+def _deliver(
     checked: CheckedModel,
-    ratios: Sequence[float],
+    goals: Sequence[tuple[float, int]],
     device: str | None,
     threads: int | None,
     progress: Progress | bool | None,
-    stages: Sequence[Stage],
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
-    with show_progress(progress) as on_step:
-        yield from _deliver(checked, ratios, device, threads, Tracker(on_step, stages))
+    """Yield the level of each ratio and count."""
+    from nanogs.pipeline.estimates.durations import delivery_stages, levels_stages
+    from nanogs.threads import use_threads  # imported here because it imports Numba
 
-
-def _deliver(
-    checked: CheckedModel,
-    ratios: Sequence[float],
-    device: str | None,
-    threads: int | None,
-    progress: Tracker,
-) -> Iterator[tuple[Splats, SimplifyReport]]:
+    counts = [count for _, count in goals]
+    chosen, splats = checked.parameters, len(checked.rows)
     deliver: Deliver | None = None
-    for number, ratio in enumerate(ratios):
-        start, clock = time.perf_counter(), StageClock()
-        # Imported here because this imports Numba. It is entered anew for each level, so that the
-        # caller's own number of threads applies between two levels.
-        from nanogs.threads import use_threads
-
-        with use_device(device) as used, use_threads(threads) as threads_used:
-            smallest = target_count(len(checked.rows), ratios[-1], None)
-            deliver = deliver or checked.deliverer(smallest, threads_used, clock, progress)
-            progress.begin(level_stage(number))
-            small, report = _level(checked, deliver, ratio, threads_used, clock, start, progress)
-        report = replace(report, notes=(*report.notes, *device_notes(device, used)))
-        if number == len(ratios) - 1:
-            progress.finish()
-        yield small, report
-        del small  # otherwise it would stay in memory while the next one is made
-
-
-def _level(
-    checked: CheckedModel,
-    deliver: Deliver,
-    ratio: float,
-    threads: int,
-    clock: StageClock,
-    start: float,
-    progress: Tracker,
-) -> tuple[Splats, SimplifyReport]:
-    from nanogs.pipeline.estimates.durations import delivery_stages
-
-    target = target_count(len(checked.rows), ratio, None)
-    stages = delivery_stages(checked.parameters, len(checked.rows), target)
-    outcome = deliver(target, clock, progress.within(0, 1, stages))
-    return outcome.splats, checked.report(Goal(ratio), target, outcome, threads, clock, start)
+    with show_progress(progress) as on_step:
+        tracker = Tracker(on_step, levels_stages(chosen, splats, counts))
+        for number, (ratio, count) in enumerate(goals):
+            start, clock = time.perf_counter(), StageClock()
+            # Entered anew for each level, so that the caller's own number of threads applies
+            # between two levels.
+            with use_device(device) as used, use_threads(threads) as threads_used:
+                deliver = deliver or checked.deliverer(counts[-1], threads_used, clock, tracker)
+                tracker.begin(level_stage(number))
+                stages = delivery_stages(chosen, splats, count)
+                outcome = deliver(count, clock, tracker.within(0, 1, stages))
+            report = checked.report(Goal(ratio), count, outcome, threads_used, clock, start)
+            report = replace(report, notes=(*report.notes, *device_notes(device, used)))
+            if number == len(goals) - 1:
+                tracker.finish()
+            yield outcome.splats, report
+            del outcome  # otherwise it would stay in memory while the next one is made
