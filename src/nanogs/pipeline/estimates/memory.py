@@ -47,6 +47,10 @@ class MemoryPlan:
     stages: dict[str, int]
     peak: int
 
+    def with_stage(self, name: str, held: int) -> "MemoryPlan":
+        """Return the plan with a further stage, which holds `held` bytes."""
+        return replace(self, stages=self.stages | {name: held}, peak=max(self.peak, held))
+
 
 def plan_memory(
     count: int,
@@ -92,8 +96,7 @@ def plan_writing(plan: MemoryPlan, splats: int, target: int, known: Format) -> M
         known: Format of the file.
     """
     small = plan.input_columns // max(splats, 1) * target
-    held = plan.input_columns + small + known.extra_memory(small)
-    return replace(plan, stages=plan.stages | {"write": held}, peak=max(plan.peak, held))
+    return plan.with_stage("write", plan.input_columns + small + known.extra_memory(small))
 
 
 def plan_search(plan: MemoryPlan, splats: int, goal: Goal, known: Format) -> MemoryPlan:
@@ -111,7 +114,7 @@ def plan_search(plan: MemoryPlan, splats: int, goal: Goal, known: Format) -> Mem
     small = plan.input_columns // max(splats, 1) * most
     # `cut` counts a best candidate; here it is the best result so far, which is kept.
     held = plan.stages.get("cut", plan.input_columns) + small + known.extra_memory(small)
-    return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
+    return plan.with_stage("encode", held)
 
 
 def plan_chunks(
@@ -134,12 +137,11 @@ def plan_chunks(
     """
     row = plan.input_columns // max(splats, 1)
     if isinstance(chunks, Linked):
-        held = plan.input_columns + target * chunks.whole(row)
-        return replace(plan, stages=plan.stages | {"tree": held}, peak=max(plan.peak, held))
+        return plan.with_stage("tree", plan.input_columns + target * chunks.whole(row))
     file = chunks.encoding(row, degree, splats, ratios).file
     # Each level is encoded before the next one is cut, while the data for cuts stays in memory.
-    held = int(plan.stages.get("cut", plan.input_columns) + target * (row + PLACED) + file)
-    return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
+    held = plan.stages.get("cut", plan.input_columns) + target * (row + PLACED) + file
+    return plan.with_stage("encode", int(held))
 
 
 def _paper_stages(
