@@ -7,7 +7,7 @@ from nanogs.kernels.policy import parallel_kernel
 
 
 @parallel_kernel("out")
-def reach(start: int, stop: int, points: F64, anchors: F64, radii: F64, out: F64) -> None:
+def least_distances(start: int, stop: int, points: F64, anchors: F64, radii: F64, out: F64) -> None:
     """Compute the least sqrt(r² + d²) over all anchors, with radius r and distance d of each.
 
     points: (N, 3); anchors: (A, 3), A >= 1, and radii: (A,), scene units; out: (N,).

@@ -7,7 +7,7 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, F64
 from nanogs.kernels.project import DILATION
-from nanogs.kernels.viewer_distances import nearness, reach
+from nanogs.kernels.viewer_distances import least_distances, nearness
 from nanogs.splats import RenderMode
 from nanogs.views.occupancy import quantiles
 
@@ -59,7 +59,7 @@ class Dilation:
         units.
         """
         found = np.empty(len(means))
-        reach(np.ascontiguousarray(means), self.anchors, self.radii, found)
+        least_distances(np.ascontiguousarray(means), self.anchors, self.radii, found)
         return found
 
     def added(self, distances: F64) -> F64:

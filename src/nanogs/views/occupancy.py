@@ -136,10 +136,10 @@ def find_core(sampled: SplatSample) -> Core:
         points, alphas = sampled.points[some], sampled.alphas[some]
         centre = np.array([quantiles(column, alphas, 0.5)[0] for column in points.T])
         distance = np.linalg.norm(points - centre, axis=1)
-        reach = TRIM * quantiles(distance, alphas, 0.5)[0]
-        some = some[distance <= reach]
+        farthest = TRIM * quantiles(distance, alphas, 0.5)[0]
+        some = some[distance <= farthest]
     points, alphas = sampled.points[some], sampled.alphas[some]
-    rows = np.flatnonzero(np.linalg.norm(sampled.points - centre, axis=1) <= reach)
+    rows = np.flatnonzero(np.linalg.norm(sampled.points - centre, axis=1) <= farthest)
     # The centre is that of the extent and not the median, so that the core fills a view.
     ends = [quantiles(column, alphas, 0.02, 0.98) for column in points.T]
     centre = np.array(ends).mean(axis=1)

@@ -79,10 +79,10 @@ def _focus(sampled: SplatSample, core: Core) -> tuple[F64, float]:
     points, alphas = sampled.points[core.rows], sampled.alphas[core.rows]
     centre = np.array([quantiles(column, alphas, 0.5)[0] for column in points.T])
     extent = np.linalg.norm(sampled.arms[core.rows], axis=2).max(axis=1)
-    reach = quantiles(np.linalg.norm(points - centre, axis=1) + extent, alphas, HELD)[0]
-    if reach == 0:
-        reach = core.radius
-    return centre, max(reach, FINEST * float(np.abs(centre).max()))
+    radius = quantiles(np.linalg.norm(points - centre, axis=1) + extent, alphas, HELD)[0]
+    if radius == 0:
+        radius = core.radius
+    return centre, max(radius, FINEST * float(np.abs(centre).max()))
 
 
 def _unblocked(
@@ -102,12 +102,12 @@ def _unblocked(
     for pull, climb in DETOURS:
         lift = max(elevation, min(elevation + climb, STEEPEST))
         level = np.array([np.cos(azimuth), np.sin(azimuth)]) * np.cos(lift)
-        reach = pull * distance
-        position = centre + reach * (np.array([*level, np.sin(lift)]) @ frame)
+        away = pull * distance
+        position = centre + away * (np.array([*level, np.sin(lift)]) @ frame)
         pose = look_at(position, centre, frame[2])
-        (hits,) = view_hits(grid, [pose], tangents, reach)
-        blocked = float((hits < TOO_NEAR * reach).mean()) + (not grid.free(position))
-        tried.append((blocked, pose, NEAR * reach))
+        (hits,) = view_hits(grid, [pose], tangents, away)
+        blocked = float((hits < TOO_NEAR * away).mean()) + (not grid.free(position))
+        tried.append((blocked, pose, NEAR * away))
         if blocked <= ACCEPTED:
             break
     _, pose, near = min(tried, key=lambda one: one[0])
