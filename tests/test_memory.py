@@ -11,6 +11,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from nanogs.errors import NotEnoughMemoryError
 from nanogs.io import registry
 from nanogs.memory import LIBRARIES
 from nanogs.method import match as matching
@@ -137,6 +138,24 @@ def test_centres_in_double_precision_take_twelve_bytes_more(needed):
         nanogs.simplify(each, ratio=0.5, preset="fast", max_memory="4GB")
     plans = [plan_memory(500, 1, more, parameters("fast", {}), 250) for more in (0, 12)]
     assert needed == [plan.peak for plan in plans]
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda splats, most: nanogs.simplify(splats, ratio=0.5, preset="fast", max_memory=most),
+        lambda splats, most: nanogs.render(splats, max_memory=most),
+        lambda splats, most: nanogs.compare(splats, splats, max_memory=most),
+    ],
+    ids=["simplify", "render", "compare"],
+)
+def test_a_limit_of_0_counts_the_model_itself_as_any_other_limit_does(work):
+    splats, messages = random_splats(20_000, degree=3), []
+    for most in (0, 1):
+        with pytest.raises(NotEnoughMemoryError) as refused:
+            work(splats, most)
+        messages.append(str(refused.value))
+    assert messages[0] == messages[1]
 
 
 def test_a_search_that_encodes_results_has_memory_for_it(needed):

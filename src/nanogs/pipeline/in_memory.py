@@ -88,7 +88,7 @@ class CheckedModel:
         )
         if search is not None:
             plan = plan_search(plan, len(splats), *search)
-        held = 0 if allowed else plan.input_columns
+        held = plan.input_columns if allowed is None else 0
         refuse_too_large(
             "Simplifying this model", plan.peak - held, allowed_memory(allowed),
             "use nanogs.simplify_blocks, which works on files block by block",

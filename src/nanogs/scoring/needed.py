@@ -37,7 +37,7 @@ def room_for_comparison(
     Raises:
         NotEnoughMemoryError: There is too little memory either way.
     """
-    given, memory = bool(max_memory), allowed_memory(max_memory)
+    given, memory = max_memory is not None, allowed_memory(max_memory)
     if shown:
         infos = [model.info for model in models if isinstance(model, FileSource)]
         remedy += ", or leave the models out of the page (`interactive=False`)"

@@ -56,7 +56,7 @@ def room_for_pictures(
     Raises:
         NotEnoughMemoryError: There is not enough memory even for streaming.
     """
-    given, memory = bool(max_memory), allowed_memory(max_memory)
+    given, memory = max_memory is not None, allowed_memory(max_memory)
     pictures = photographs + shown_bytes(pixels, views)
     held = models_bytes([model], all_of_it=given)
     if held + drawn_bytes(source_of(model).count) + pictures <= memory.bytes:
