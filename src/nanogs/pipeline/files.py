@@ -266,9 +266,9 @@ def _in_blocks(request: Request, on_step: Progress | None) -> SimplifyReport:
 
 
 def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
-    """Return notes on an unused part of the size asked for, if no search was needed for it.
+    """Return notes on an unused part of the size asked for, in formats of known file sizes.
 
-    A search makes its own notes.
+    For others the search for the size makes its own.
     """
     if (sizer := request.sizer) is None or request.goal.size is None:
         return ()

@@ -1,4 +1,4 @@
-"""Render splats on the CPU: a tile rasteriser with the conventions of 3DGS.
+"""Render splats on the device in use; on the CPU by a tile rasteriser with the conventions of 3DGS.
 
 A splat contributes to a pixel if and only if its alpha there is at least 1/255, in whatever tile
 the pixel is (the reference also stops at a square of three standard deviations, rounded up to its

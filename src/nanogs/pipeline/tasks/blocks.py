@@ -92,7 +92,12 @@ def leaves_of(
 ) -> Nodes:
     """Make a merge node for each row, in the units shared by all blocks.
 
-    growing: as a forest needs them, without coverages and with blurred covariances.
+    Args:
+        splats: N splats of a block, and perhaps of its halo.
+        rows: (M,) rows of them, in the nodes' order.
+        units: The units.
+        weighing: The visibility of the splats; by default all count as fully visible.
+        growing: As a forest needs them: without coverages, and with blurred covariances.
     """
     nodes = activate_nodes(
         splats, rows, units.centre(), units.dilation(), units.thinnest, blurred=growing
