@@ -228,6 +228,16 @@ class Table:
             out[run] = some[rows[run] - low]
 
 
+def read_column(scratch: Scratch, record: Record, column: str) -> Array:
+    """Read a whole column of a table.
+
+    Raises:
+        FormatError: The file is shorter than its record says.
+    """
+    with Table(scratch, record) as table:
+        return table.read(column)
+
+
 def _runs(rows: I64) -> Iterator[slice]:
     """Split ascending rows by windows of a file, so that the size of a read is bounded."""
     breaks = np.flatnonzero(np.diff(rows // _WINDOW)) + 1

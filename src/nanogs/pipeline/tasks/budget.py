@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nanogs._types import F32, F64, I64, U32, Array
+from nanogs._types import F32, F64, I64, U32
 from nanogs.pipeline.tasks.forests import BINS, counts_of, histogram_of, keys, scores_of
 from nanogs.store.scratch import Scratch
-from nanogs.store.tables import Record, Table
+from nanogs.store.tables import Record, read_column
 
 
 def budget(
@@ -45,13 +45,13 @@ def budget(
     shifted = np.zeros(len(forests)) if shifts is None else shifts
 
     def keys_in(row: int) -> U32:
-        scores: F32 = _read(scratch, forests[row], scores_of(number))
+        scores: F32 = read_column(scratch, forests[row], scores_of(number))
         return keys(scores + np.float32(shifted[row]))
 
     upper = np.stack([
         np.bincount(keys_in(row) >> 16, minlength=BINS)
         if shifted[row]
-        else _read(scratch, record, histogram_of(number))
+        else read_column(scratch, record, histogram_of(number))
         for row, record in enumerate(forests)
     ])  # fmt: skip
     high, done, left = _select(upper, wanted)
@@ -80,8 +80,3 @@ def _select(histograms: I64, wanted: int) -> tuple[int, I64, int]:
     chosen = int(np.searchsorted(below, wanted))
     done: I64 = histograms[:, :chosen].sum(axis=1)
     return chosen, done, wanted - int(done.sum())
-
-
-def _read(scratch: Scratch, record: Record, column: str) -> Array:
-    with Table(scratch, record) as table:
-        return table.read(column)

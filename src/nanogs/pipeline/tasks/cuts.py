@@ -9,7 +9,7 @@ from nanogs.method.reassign import NEIGHBOURS
 from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.tasks.forests import CHILDREN, scores_of
 from nanogs.store.scratch import Scratch
-from nanogs.store.tables import Record, Sorted, Table, write_table
+from nanogs.store.tables import Record, Sorted, read_column, write_table
 
 LABELS, CENTRES, REACH = "labels", "centres", "reach"
 
@@ -23,10 +23,8 @@ def read_merges(scratch: Scratch, forest: Record, scored: Record, number: int) -
         scored: Record of the table that holds the scores.
         number: Of the scores in it.
     """
-    with Table(scratch, forest) as table:
-        children = table.read(CHILDREN)
-    with Table(scratch, scored) as table:
-        return children, table.read(scores_of(number))
+    children = read_column(scratch, forest, CHILDREN)
+    return children, read_column(scratch, scored, scores_of(number))
 
 
 def cut_block(scratch: Scratch, forest: Record, groups: int, scored: Record, number: int) -> I32:

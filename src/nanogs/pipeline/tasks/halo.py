@@ -10,7 +10,7 @@ from nanogs.neighbours import nearest_to
 from nanogs.pipeline.options.settings import MOST_SEEN
 from nanogs.pipeline.tasks.cuts import CENTRES, LABELS, REACH
 from nanogs.store.scratch import Scratch
-from nanogs.store.tables import Record, Table
+from nanogs.store.tables import Record, Table, read_column
 
 # A splat may be reassigned to groups within the reach of its own group. In the first round, a
 # block's splats depend on groups one reach around it; in the next, these depend on groups one reach
@@ -78,14 +78,13 @@ def near_groups(scratch: Scratch, cuts: Sequence[Record], block: int) -> list[Ne
     for other, record in enumerate(cuts):
         if other == block or not _overlap(record, low, high):
             continue
-        with Table(scratch, record) as table:
-            theirs = table.read(CENTRES)
-            inside = np.flatnonzero(((theirs >= low) & (theirs <= high)).all(axis=1))
-            distances, nearest = nearest_to(theirs[inside], centres)
-            near = distances < REACHES * reach[nearest]
-            if near.any():
-                relative = distances[near] / reach[nearest[near]]
-                found.append(Near(other, inside[near], relative))
+        theirs = read_column(scratch, record, CENTRES)
+        inside = np.flatnonzero(((theirs >= low) & (theirs <= high)).all(axis=1))
+        distances, nearest = nearest_to(theirs[inside], centres)
+        near = distances < REACHES * reach[nearest]
+        if near.any():
+            relative = distances[near] / reach[nearest[near]]
+            found.append(Near(other, inside[near], relative))
     return found
 
 
@@ -97,11 +96,8 @@ def _overlap(record: Record, low: F64, high: F64) -> bool:
 
 def _sizes(scratch: Scratch, cuts: Sequence[Record], found: Sequence[Near]) -> list[I64]:
     """Return, for each entry of `found`, the number of splats of each of its groups."""
-    sizes = []
-    for each in found:
-        with Table(scratch, cuts[each.block]) as table:
-            sizes.append(np.bincount(table.read(LABELS))[each.groups])
-    return sizes
+    every = (read_column(scratch, cuts[each.block], LABELS) for each in found)
+    return [np.bincount(labels)[each.groups] for labels, each in zip(every, found, strict=True)]
 
 
 def _nearest(found: Sequence[Near], counts: Sequence[I64], most: int) -> list[Near]:
@@ -123,8 +119,7 @@ def _nearest(found: Sequence[Near], counts: Sequence[I64], most: int) -> list[Ne
 
 
 def _members(scratch: Scratch, cuts: Sequence[Record], near: Near) -> Halo:
-    with Table(scratch, cuts[near.block]) as table:
-        labels = table.read(LABELS)
+    labels = read_column(scratch, cuts[near.block], LABELS)
     places = np.full(int(cuts[near.block].facts["groups"]), -1, np.int32)
     places[near.groups] = np.arange(len(near.groups), dtype=np.int32)
     found = places[labels]

@@ -18,7 +18,7 @@ from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.tasks.sorted_segments import DIGEST
 from nanogs.store.columns import CODES
 from nanogs.store.scratch import Scratch
-from nanogs.store.tables import Record, Table
+from nanogs.store.tables import Record, read_column
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,9 +83,8 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
     splitters = _splitters(scratch, segments, settings.rows_per_code, -(-splats // room))
     bounds = []
     for record in segments:
-        with Table(scratch, record) as table:
-            inner = np.searchsorted(table.read(CODES), splitters)
-            bounds.append((0, *map(int, inner), len_of(record)))
+        inner = np.searchsorted(read_column(scratch, record, CODES), splitters)
+        bounds.append((0, *map(int, inner), len_of(record)))
     found = _without_empty(np.array(bounds, np.int64))
     most = max(found.count(block) for block in range(found.blocks))
     if most > settings.block + slack:
@@ -107,8 +106,7 @@ def _splitters(
     """Return (blocks - 1,) Morton codes: the lowest that belongs to each block after the first."""
     codes, weights = [], []
     for record in segments:
-        with Table(scratch, record) as table:
-            codes.append(table.read(DIGEST))
+        codes.append(read_column(scratch, record, DIGEST))
         full, rest = divmod(len_of(record), rows_per_code)
         weights.append(np.array([rows_per_code] * full + [rest] * (rest > 0), np.int64))
     merged, heavy = np.concatenate(codes), np.concatenate(weights)
