@@ -59,7 +59,7 @@ class Correction:
     sums: F64
 
 
-def correct_errors(ordering: Ordering, labels: I32, shown: GroupErrors) -> Correction:
+def correct_errors(ordering: Ordering, labels: I32, errors: GroupErrors) -> Correction:
     """Correct the predicted errors of all merges by those that groups show.
 
     The error of a group over its light, divided by its predicted error over its weight, says how
@@ -71,17 +71,17 @@ def correct_errors(ordering: Ordering, labels: I32, shown: GroupErrors) -> Corre
     Args:
         ordering: The forest, and the predicted errors.
         labels: (N,) the group of each splat in a cut of this forest, in [0, G).
-        shown: The errors of these groups.
+        errors: The errors of these groups.
     """
     scores = np.maximum(ordering.scores.astype(np.float64), LEAST)
     ordering = replace(ordering, scores=scores)
     weights = np.bincount(labels, ordering.weights).astype(np.float64, copy=False)
     predicted = _predicted(ordering, labels, len(weights))
-    sums = np.array([each.sum() for each in (shown.squared, shown.light, predicted, weights)])
+    sums = np.array([each.sum() for each in (errors.squared, errors.light, predicted, weights)])
     if not (np.isfinite(sums).all() and sums.all()):
         return Correction(scores, np.zeros(4))
-    ratios = _typical_mean(shown.squared, shown.light) / _typical_mean(predicted, weights)
-    lit = shown.light / shown.light.sum() >= LIT * weights / weights.sum()
+    ratios = _typical_mean(errors.squared, errors.light) / _typical_mean(predicted, weights)
+    lit = errors.light / errors.light.sum() >= LIT * weights / weights.sum()
     ratios[~lit] = 2.0 ** usual_change(sums[None])
     changes = np.log2(_means(ordering, ratios[labels]))
     nodes = np.concatenate([np.full(len(labels), -np.inf), scores + changes])
