@@ -31,7 +31,7 @@ from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.in_memory import NanPolicy
 from nanogs.pipeline.job.rows import open_parts
-from nanogs.pipeline.reading import prepare, read_parts
+from nanogs.pipeline.reading import changed, read_parts
 from nanogs.pipeline.request import Request
 from nanogs.ranges import is_number, value_text
 from nanogs.report import SimplifyReport
@@ -129,7 +129,7 @@ class EnvironmentRequest:
         """
         if divided or self.asked != AUTO:
             return self.in_blocks(request)
-        splats = prepare(read_parts(request.inputs, request.render_mode), request.edits).splats
+        splats = changed(read_parts(request.inputs, request.render_mode), request.edits).splats
         shell = find_environment(InMemory(splats))
         if shell is None:
             return request, None

@@ -38,7 +38,7 @@ from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import import_stages
 from nanogs.pipeline.levels import checked_ratios, judged_levels
 from nanogs.pipeline.options.target import Goal, target_count
-from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_stages
+from nanogs.pipeline.reading import ChangedModel, changed, read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.place import Place
 from nanogs.progress import Progress, Stage, Tracker
@@ -163,7 +163,7 @@ def write_levels(
             known.check_columns(InMemory(whole).columns)
             elements = [each.name for each in whole.elements]
             known.check_elements(elements, request.format_options or {})
-            return _whole(request, prepare(whole, request.edits), sink, on_step, sky)
+            return _whole(request, changed(whole, request.edits), sink, on_step, sky)
 
 
 LevelsSink = LevelsFolder | LevelsTree
@@ -252,9 +252,9 @@ def write_levels_of_files(
     stages = _stages(request, plan.splats, sink)
     tracker = Tracker(on_step, [*reading_stages(request.edits, plan.splats), *stages])
     with use_threads(request.threads):  # limits the threads of reading and writing too
-        prepared = read_changed(request.inputs, request.edits, tracker, StageClock())
-        prepared = prepared._replace(notes=(*prepared.notes, *unstated))
-        manifest, reports = _whole(request, prepared, sink, tracker.passing(), sky)
+        model = read_changed(request.inputs, request.edits, tracker, StageClock())
+        model = model._replace(notes=(*model.notes, *unstated))
+        manifest, reports = _whole(request, model, sink, tracker.passing(), sky)
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
 
 
@@ -284,13 +284,13 @@ def _with(sink: LevelsSink, beside: Environment | None) -> LevelsSink:
 
 def _whole(
     request: Request,
-    prepared: Prepared,
+    model: ChangedModel,
     sink: LevelsSink,
     on_step: Progress | None,
     sky: EnvironmentRequest,
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make and write the levels of a model in memory."""
-    whole, filtered, notes = prepared
+    whole, filtered, notes = model
     request, left_out = limit_degree(request, whole.sh_degree, _file(sink))
     splats, beside = sky.in_memory(request, whole)
     notes = (*notes, *left_out, *sky.notes(beside))
@@ -299,7 +299,7 @@ def _whole(
         whole = Joined([InMemory(whole), InMemory(beside.original())]).load()
     elif not is_measured(request):
         whole = splats  # so that the splats of the environment are not held twice
-    del prepared
+    del model
     tracker = Tracker(on_step, _stages(request, len(splats), sink))
     made = judged_levels(
         splats, request.ratios, judged=is_measured(request), preset=request.preset,

@@ -28,7 +28,7 @@ from nanogs.pipeline.job.folder import MANIFEST
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, effective, renders
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.options.target import Goal
-from nanogs.pipeline.reading import inspect_parts, prepare, read_parts
+from nanogs.pipeline.reading import changed, inspect_parts, read_parts
 from nanogs.pipeline.request import Request, is_measured, memory_of, plan_files
 from nanogs.pipeline.search.file_size import first_two
 from nanogs.threads import most_threads
@@ -124,7 +124,7 @@ class Plan:
             return replace(self, blocks=blocks, info=info, count=left, usable=blocks.splats)
         if not self.read:
             return self
-        splats = prepare(read_parts(request.inputs, request.render_mode), request.edits).splats
+        splats = changed(read_parts(request.inputs, request.render_mode), request.edits).splats
         rows, goal = usable_rows(splats, request.nan), request.goal
         request.refuse_small(splats.take(first_two(splats, rows)))
         count = target_of(

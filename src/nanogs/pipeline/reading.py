@@ -15,17 +15,17 @@ from nanogs.source import Joined
 from nanogs.splats import Splats
 
 
-class Prepared(NamedTuple):
-    """A model that is ready to be simplified.
+class ChangedModel(NamedTuple):
+    """A model after the changes besides making it smaller: filters, and harmonics left out.
 
     Attributes:
         splats: The model.
-        took: Report of each filter.
+        filtered: Report of each filter.
         notes: Other notes for the user, one sentence each.
     """
 
     splats: Splats
-    took: tuple[FilterReport, ...]
+    filtered: tuple[FilterReport, ...]
     notes: tuple[str, ...]
 
 
@@ -37,12 +37,12 @@ def reading_stages(changes: Changes, splats: int) -> list[Stage]:
 
 def read_changed(
     paths: Sequence[Path], changes: Changes, progress: Tracker, clock: StageClock
-) -> Prepared:
-    """Read a model of one or several files, and prepare it.
+) -> ChangedModel:
+    """Read a model of one or several files, and change it.
 
     Args:
         paths: The files, parts of one scene.
-        changes: Changes to the model; see `prepare`.
+        changes: Changes to the model; see `changed`.
         progress: Notified of the stages.
         clock: Gets their seconds.
 
@@ -53,13 +53,13 @@ def read_changed(
     with clock.time("read"):
         splats = read_parts(paths, changes.render_mode)
     if not changes.filters:
-        return prepare(splats, changes)
+        return changed(splats, changes)
     progress.begin("filter")
     with clock.time("filter"):
-        return prepare(splats, changes)
+        return changed(splats, changes)
 
 
-def prepare(splats: Splats, changes: Changes) -> Prepared:
+def changed(splats: Splats, changes: Changes) -> ChangedModel:
     """Apply the filters, and leave out the harmonics that are not wanted.
 
     The frame is not changed here: results are turned, and not the model.
@@ -67,11 +67,11 @@ def prepare(splats: Splats, changes: Changes) -> Prepared:
     Raises:
         ModelError: A filter leaves nothing.
     """
-    left, took = apply(splats, changes.filters)
+    left, filtered = apply(splats, changes.filters)
     degree = changes.sh_degree
     if degree is None or degree >= left.sh_degree:
-        return Prepared(left, took, ())
-    return Prepared(left.with_sh_degree(degree), took, (dropped_first(degree),))
+        return ChangedModel(left, filtered, ())
+    return ChangedModel(left.with_sh_degree(degree), filtered, (dropped_first(degree),))
 
 
 def inspect_parts(paths: Sequence[Path]) -> FileInfo:
