@@ -16,7 +16,7 @@ from nanogs.fit.report import RefitStop
 from nanogs.fit.rounds import fit
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.method.nodes import LIGHTEST
-from nanogs.pipeline import run, stages
+from nanogs.pipeline import run, stages, work
 from nanogs.pipeline.estimates.block_plan import plan_blocks
 from nanogs.pipeline.estimates.memory_blocks import block_stages
 from nanogs.pipeline.in_blocks import plan_job
@@ -99,6 +99,26 @@ def test_the_fit_of_blocks_reports_why_it_stopped_and_what_it_noted(
     assert report.refit.stop is (RefitStop.OPTIMUM if reached == 9 else RefitStop.ROUNDS)
     assert report.refit.improved == (reached < 9)
     assert report.refit.notes == (("Nothing improved.",) if reached == 9 else ())
+
+
+def test_a_task_reads_the_rest_of_the_scene_once(scene, tmp_path, monkeypatch):
+    reads, counts, read, original_do = [], {}, work.surroundings, run.do
+
+    def surroundings(*given):
+        reads.append(given)
+        return read(*given)
+
+    def do(job, task):
+        reads.clear()
+        record = original_do(job, task)
+        counts.setdefault(task.stage, set()).add(len(reads))
+        return record
+
+    monkeypatch.setattr(work, "surroundings", surroundings)
+    monkeypatch.setattr(run, "do", do)
+    nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **BLOCKS)
+    for stage in ("look", "trial", "correct_1", "trial_1", "judge", "growth_1", "fit"):
+        assert counts[stage] == {1}
 
 
 def test_threads_do_not_change_the_bytes(scene, blocks_result, tmp_path):

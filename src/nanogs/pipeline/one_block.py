@@ -315,7 +315,7 @@ class OneBlock(Scene):
         self._corrected = {number: correction.scores}
         return self.write(task.name, {}, {SUMS: correction.sums.tolist()})
 
-    def compared(self, block: int, own: Block) -> Iterable[Target]:
+    def compared(self, block: int, own: Block, others: PreparedSplats | None) -> Iterable[Target]:
         """Return the original on the views that are kept for the fit."""
         return self.fitting
 
@@ -362,7 +362,7 @@ class OneBlock(Scene):
         """The cameras of the views that results are chosen by."""
         return [target.camera for group in self.view_groups for target in group.targets]
 
-    def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
+    def pictures(self, own: Block, others: PreparedSplats | None) -> Sequence[Target | None]:
         """Return the original on each of the deciding views."""
         return [target for group in self.view_groups for target in group.targets]
 

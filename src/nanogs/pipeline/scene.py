@@ -256,8 +256,14 @@ class Scene(ABC):
         """
 
     @abstractmethod
-    def compared(self, block: int, own: Block) -> Iterable[Target]:
-        """Return the original on views that do not decide, or the parts that show a block."""
+    def compared(self, block: int, own: Block, others: PreparedSplats | None) -> Iterable[Target]:
+        """Return the original on views that do not decide, or the parts that show a block.
+
+        Args:
+            block: Number of the block.
+            own: The block.
+            others: Its `surroundings`.
+        """
 
     @abstractmethod
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
@@ -280,10 +286,14 @@ class Scene(ABC):
         """The views by which results are chosen."""
 
     @abstractmethod
-    def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
+    def pictures(self, own: Block, others: PreparedSplats | None) -> Sequence[Target | None]:
         """Return the original on each deciding view, or the part of it that shows a block.
 
         An entry is None if its view does not show the block.
+
+        Args:
+            own: The block.
+            others: Its `surroundings`.
         """
 
     @abstractmethod

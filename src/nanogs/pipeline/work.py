@@ -233,7 +233,7 @@ class Work(Scene):
             self.scratch, task.name, self.partition.count(task.number), correction
         )
 
-    def compared(self, block: int, own: Block) -> Iterator[Target]:
+    def compared(self, block: int, own: Block, others: PreparedSplats | None) -> Iterator[Target]:
         """Render the part of each view that shows a block, except for the deciding views.
 
         As in memory, views that only the fit uses have half of their pixels if it uses half.
@@ -243,7 +243,7 @@ class Work(Scene):
         cameras += [camera for camera, _ in looks_at(self, block)[len(views.kept) :]]
         whole = len(cameras)
         cameras += views.further if parameters.pictured else ()
-        drawn, parts = self._crops(block, own, cameras)
+        drawn, parts = self._crops(own, others, cameras)
         for number, part in enumerate(parts, -whole):
             if part:
                 half = parameters.halves and number >= 0
@@ -392,19 +392,19 @@ class Work(Scene):
         """The cameras by which results are chosen."""
         return self.views.deciding
 
-    def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
+    def pictures(self, own: Block, others: PreparedSplats | None) -> Sequence[Target | None]:
         """Render the part of each deciding view that shows a block, or None if none does."""
-        drawn, parts = self._crops(block, own, self.deciding)
+        drawn, parts = self._crops(own, others, self.deciding)
         return [make_target(drawn, part, depth=False) if part else None for part in parts]
 
     def _crops(
-        self, block: int, own: Block, cameras: Sequence[Camera]
+        self, own: Block, others: PreparedSplats | None, cameras: Sequence[Camera]
     ) -> tuple[PreparedSplats, list[Camera | None]]:
         """Return a block with its surroundings, and the part of each view that shows the block."""
         assert own.visible is not None  # noqa: S101 - this job renders
         drawn = prepare(own.splats)
         parts = parts_of(drawn, own.visible >= SHOWN, cameras)
-        return concatenated(drawn, self.surroundings(block)).with_buffers(), parts
+        return concatenated(drawn, others).with_buffers(), parts
 
     def fit_views(self, block: int, level: int) -> FitViews | None:
         """Return the views to fit a block to; None if too few show it."""

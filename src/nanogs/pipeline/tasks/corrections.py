@@ -28,9 +28,10 @@ def correct(step: int, scene: Scene, task: Task) -> Record:
     number = best_cut(scene, task.level, step)
     labels = scene.cut(task.number, task.level, number)
     groups = groups_of(scene, block, labels)
-    drawn = concatenated(prepare(grown(scene, groups)), scene.surroundings(task.number))
+    others = scene.surroundings(task.number)
+    drawn = concatenated(prepare(grown(scene, groups)), others)
     views = len(scene.views.kept) + scene.settings.parameters.pictured  # about as many are compared
-    targets = scene.compared(task.number, block)
+    targets = scene.compared(task.number, block, others)
     sums = summed_errors(drawn.with_buffers(), targets, lambda done: scene.on_progress(done, views))
     by_label = np.empty((len(groups.labels), 2))
     by_label[groups.labels] = sums[: len(groups.labels)]
