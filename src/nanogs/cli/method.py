@@ -101,8 +101,8 @@ class Method(options.Reporting):
         Literal["drop", "error"],
         typer.Option(
             metavar="drop|error",
-            help="What to do with splats that have a NaN or infinite value (an opacity of exactly 0"
-            " or 1 and a scale of 0 are none): drop leaves them out, error stops.",
+            help="What to do with splats that have a NaN or infinite value (opacities of exactly 0"
+            " or 1 and scales of 0 are allowed): drop leaves them out, error stops.",
         ),
     ] = "drop"
     threads: options.Threads = None

@@ -93,8 +93,8 @@ def simplify(
         cameras: Views that matter, for presets that render: "auto", "orbit", "inside", "roam", a
             file or folder of cameras, or cameras; by default automatic.
         up: (3,) up direction of views that are found; by default found from the model too.
-        nan: What to do with splats that hold a NaN or an infinity (an opacity of exactly 0 or 1 and
-            a scale of 0 are none): "drop" them and say so in the report, or raise an "error".
+        nan: What to do with splats that hold a NaN or an infinity (opacities of exactly 0 or 1 and
+            scales of 0 are allowed): "drop" them and say so in the report, or raise an "error".
         device: Where presets that render look and fit: "cpu", which is the default; "cuda" for a
             graphics card; "auto" for a graphics card if there is one. Merging always runs on the
             CPU. Results differ in the last digits; the notes name a device other than the CPU.
