@@ -11,7 +11,7 @@ import nanogs
 from builders import random_splats
 from launch import run
 from nanogs.errors import CrowdedError, TooSmallError, UnstorableError
-from nanogs.io import registry
+from nanogs.io import encoded_bytes, registry
 from nanogs.pipeline.files import limit_degree
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
@@ -154,6 +154,41 @@ def test_a_note_gives_the_size_with_one_more_splat(tmp_path, suffix, block):
     whole = {"size": "1MB", "preset": "fast", "block": block, "overwrite": True}
     report = nanogs.simplify_blocks(source, out, **whole)
     assert any("whole model fits" in note for note in report.notes)
+
+
+@pytest.mark.parametrize(("suffix", "block"), [(".splat", None), (".ply", 40)])
+def test_a_report_says_whether_one_more_splat_is_too_large_in_formats_of_known_size(
+    tmp_path, suffix, block
+):
+    splats = random_splats(40, degree=0)
+    file_bytes = registry.writable(Path(f"a{suffix}")).file_bytes
+    source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
+    nanogs.save(splats, source)
+    for size, count, stop in (
+        (file_bytes(splats, 3) - 1, 2, "step"),
+        (file_bytes(splats, 3), 3, "target"),
+        (2 * file_bytes(splats, 40), 40, "target"),
+    ):
+        report = nanogs.simplify_blocks(
+            source, out, size=size, preset="fast", block=block, overwrite=True
+        )
+        assert (report.achieved_count, report.stop) == (count, stop)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".usda"])
+@pytest.mark.parametrize("block", [None, 40])
+def test_a_note_does_not_call_a_model_whole_whose_harmonics_do_not_fit(tmp_path, suffix, block):
+    splats = random_splats(12, degree=1)
+    splats.sh[:, 1:] *= 0.01
+    source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
+    nanogs.save(splats, source)
+    bare = encoded_bytes(splats.with_sh_degree(0), out)
+    report = nanogs.simplify_blocks(source, out, size=bare + 100, block=block, **FEW_VIEWS)
+    assert (report.achieved_count, nanogs.open(out).columns.sh_degree) == (12, 0)
+    start = "Without the harmonics that are left out, the whole model fits into the requested size;"
+    assert [note for note in report.notes if "whole model fits" in note] == [
+        f"{start} nothing was merged."
+    ]
 
 
 def test_a_splat_too_small_for_its_coordinates_has_a_first_view():

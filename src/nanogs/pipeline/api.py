@@ -171,22 +171,27 @@ def simplify(
         target = len(outcome.splats) if target is None else target
         tracker.finish()
     if size is not None:
-        outcome = _with_size_notes(outcome, size, len(checked.rows), path)
+        outcome = _with_size_ending(outcome, size, checked, path)
     small = turned(outcome.splats, frame)
     report = checked.report(goal, target, outcome, threads_used, clock, start)
     return small, replace(report, notes=(*report.notes, *device_notes(device, used)))
 
 
-def _with_size_notes(outcome: Outcome, size: int, available: int, path: Path) -> Outcome:
-    """Add a note on why much of the size is unused, if it is."""
-    from nanogs.pipeline.search.file_size import WHOLE_FITS, notes_on_known
+def _with_size_ending(outcome: Outcome, size: int, checked: CheckedModel, path: Path) -> Outcome:
+    """Add why the count is the largest: a note if much of the size is unused, and `stop`."""
+    from nanogs.pipeline.search.file_size import ending_on_known, whole_fits
 
-    small, file_bytes = outcome.splats, registry.writable(path).file_bytes
-    notes: tuple[str, ...] = (WHOLE_FITS,) if len(small) == available else ()
-    if file_bytes is not None:
-        known = file_bytes
-        notes = notes_on_known(size, len(small), available, lambda count: known(small, count))
-    return replace(outcome, notes=(*outcome.notes, *notes))
+    small, available = outcome.splats, len(checked.rows)
+    left_out = small.sh_degree < checked.splats.sh_degree
+    if (known := registry.writable(path).file_bytes) is None:
+        if len(small) < available:  # the search has said why
+            return outcome
+        return replace(outcome, notes=(*outcome.notes, whole_fits(left_out=left_out)))
+    stop, notes = ending_on_known(
+        size, len(small), available, lambda count: known(small, count), left_out=left_out
+    )
+    stop = stop if outcome.stop is StopReason.TARGET else outcome.stop
+    return replace(outcome, stop=stop, notes=(*outcome.notes, *notes))
 
 
 def refuse_device(device: str | None, preset: str, chosen: Parameters, goal: Goal) -> None:

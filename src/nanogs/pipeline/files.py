@@ -35,7 +35,7 @@ from nanogs.pipeline.reading import read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
-from nanogs.report import SimplifyReport
+from nanogs.report import SimplifyReport, StopReason
 from nanogs.scoring.file_judge import file_costs, file_judge
 from nanogs.sink import OneFile
 from nanogs.source import joined_layout
@@ -190,7 +190,8 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
     if plan.divided:
         request.refuse_device_in_blocks()
         notes = (*notes, *device_notes(request.device, CPU))
-    report = _in_blocks(request, on_step) if plan.divided else _in_memory(request, plan, on_step)
+    carry_out = _in_blocks if plan.divided else _in_memory
+    report = carry_out(request, plan, on_step)
     return replace(report, notes=tuple(dict.fromkeys((*report.notes, *notes))))
 
 
@@ -253,32 +254,40 @@ def checked_options(
         return options, (*guessed, *notes)
 
 
-def _in_blocks(request: Request, on_step: Progress | None) -> SimplifyReport:
+def _in_blocks(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:
     """Simplify and write, block by block."""
     sink = OneFile(request.output, request.overwrite, request.format_options)
     with use_threads(request.threads):  # limits the threads of planning, too
         [written], [report] = fill_in_blocks(request, sink, on_step)
     report = replace(report, notes=(*report.notes, *written.losses))
-    if request.goal.size is not None:
-        notes = (*report.notes, *_size_notes(request, report))
-        return replace(report, achieved_size=bytes_on_disk(request.output), notes=notes)
-    return report
+    if request.goal.size is None:
+        return report
+    report = replace(report, achieved_size=bytes_on_disk(request.output))
+    return _with_size_ending(request, plan, request.goal.size, report)
 
 
-def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
-    """Return notes on an unused part of the size asked for, in formats of known file sizes.
+def _with_size_ending(
+    request: Request, plan: Plan, size: int, report: SimplifyReport
+) -> SimplifyReport:
+    """Add why the count is the largest that fits, for formats of known file sizes.
 
-    For others the search for the size makes its own.
+    For others, the search for the size does.
     """
-    if (sizer := request.sizer) is None or request.goal.size is None:
-        return ()
-    from nanogs.pipeline.search.file_size import notes_on_known
+    if (sizer := request.sizer) is None:
+        return report
+    from nanogs.pipeline.search.file_size import ending_on_known
 
     with open_model(request.output) as file:
         like = no_splats(file.columns)
-    available = report.input_count - report.dropped_nonfinite
-    size, count = request.goal.size, report.achieved_count
-    return notes_on_known(size, count, available, lambda n: sizer(like, n))
+    stop, notes = ending_on_known(
+        size,
+        report.achieved_count,
+        report.input_count - report.dropped_nonfinite,
+        lambda count: sizer(like, count),
+        left_out=like.sh_degree < plan.sh_degree,
+    )
+    stop = stop if report.stop is StopReason.TARGET else report.stop
+    return replace(report, stop=stop, notes=(*report.notes, *notes))
 
 
 def _in_memory(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:

@@ -82,20 +82,33 @@ def little_used(size: int, taken: int, over: Probe, around: int = 0) -> tuple[st
     return (f"The file takes only {taken / size:.0%} of the requested size, because {more}.",)
 
 
-def notes_on_known(
-    size: int, count: int, available: int, file_bytes: Callable[[int], int]
-) -> tuple[str, ...]:
-    """Return a note if much of the size is unused, for formats whose file sizes are known.
+def whole_fits(*, left_out: bool) -> str:
+    """Return the note that all splats fit; `left_out` is whether some of their harmonics do not."""
+    if left_out:
+        return f"Without the harmonics that are left out, {WHOLE_FITS[0].lower()}{WHOLE_FITS[1:]}"
+    return WHOLE_FITS
+
+
+def ending_on_known(
+    size: int, count: int, available: int, file_bytes: Callable[[int], int], *, left_out: bool
+) -> tuple[StopReason, tuple[str, ...]]:
+    """Return why the largest count that fits ends the search, for formats of known file sizes.
 
     Args:
         size: Largest allowed size of the file in bytes.
         count: Number of splats in the file.
         available: Number of splats of the whole model.
         file_bytes: Computes the size of the file from the count.
+        left_out: Whether harmonics of the model are left out of the file.
+
+    Returns:
+        The reason, and a note if all splats fit or if much of the size is unused.
     """
     if count == available:
-        return (WHOLE_FITS,)
-    return little_used(size, file_bytes(count), SizeProbeReport(count + 1, file_bytes(count + 1)))
+        return StopReason.TARGET, (whole_fits(left_out=left_out),)
+    over = SizeProbeReport(count + 1, file_bytes(count + 1))
+    notes = little_used(size, file_bytes(count), over)
+    return StopReason.STEP if notes else StopReason.TARGET, notes
 
 
 def search_fit(

@@ -18,7 +18,7 @@ from nanogs.pipeline.job.rows import opened, sample
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.run import Done, Run
 from nanogs.pipeline.search.draw_cost import search_draw_cost
-from nanogs.pipeline.search.file_size import SIZE_SAMPLE, WHOLE_FITS
+from nanogs.pipeline.search.file_size import SIZE_SAMPLE, whole_fits
 from nanogs.pipeline.search.filled import fill_size
 from nanogs.pipeline.search.job_results import JobResults, Result
 from nanogs.pipeline.search.packer import Packer, PackingForPsnr
@@ -146,7 +146,8 @@ class Search:
         fitted, packed = found.fitted, found.packed
         notes = fitted.leap(size, results.available, known.overhead_bytes()) + packed.notes
         if fitted.count == results.available and known.file_bytes is None:
-            notes += (WHOLE_FITS,)
+            left_out = packed.packing.sh_degree < work.settings.layout.sh_degree
+            notes += (whole_fits(left_out=left_out),)
         entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}
         entries |= {"stop": fitted.stop}
         return _Found(result, entries | packed.entries(files.count(result)), notes)
