@@ -14,12 +14,12 @@ import nanogs
 from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.datasets.synthetic import make_scene
-from nanogs.errors import ModelError, TooSmallError
+from nanogs.errors import ModelError, OptionError, TooSmallError
 from nanogs.fit.shared import SharedHarmonics
 from nanogs.io import registry, round_trip_with_size
+from nanogs.io.format import Sharing
 from nanogs.pipeline.one_block import whole_settings
 from nanogs.pipeline.options.presets import PRESETS, SEARCHED_STEPS, parameters, with_longer_fit
-from nanogs.pipeline.options.settings import Sharing
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
 from nanogs.pipeline.run import brief
@@ -42,6 +42,7 @@ from nanogs.scoring.held_out import held_out
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.decimated import decimated
 from nanogs.views.roam import roaming_cameras
+from views_and_scores import mean_psnr_ssim
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -380,6 +381,71 @@ def test_a_palette_of_a_given_size_is_fitted_at_that_size(splats):
     assert distinct_sets(small) == 700
 
 
+@pytest.mark.parametrize("goal", [{"count": 2400}, {"ratio": 0.6}, {"draw_cost": 0.5}])
+@pytest.mark.parametrize(
+    ("suffix", "options", "most"),
+    [
+        (".sog", {}, lambda count: min(max(count * 2 // 3, 1024), count)),
+        (".sog", {"palette": 70}, lambda _: 70),
+        (".spz", {"palette": 70}, lambda _: 70),
+        (".spz", {}, None),
+        (".ply", {}, None),
+    ],
+)
+def test_a_result_is_fitted_to_the_palette_of_its_file(splats, goal, suffix, options, most):
+    small, report = nanogs.simplify(splats, **goal, format=suffix, format_options=options, **FEW)
+    count = len(small)
+    assert count > 700
+    expected = most(count) if most else count
+    assert distinct_sets(small) == expected
+    assert report.format_options == {}
+    file, _ = round_trip_with_size(small, f"a{suffix}", options)
+    assert distinct_sets(file) <= expected
+
+
+def test_small_models_and_presets_without_a_fit_share_no_harmonics(splats):
+    """The writer makes their palette; small models need none."""
+    small, _ = nanogs.simplify(splats, count=900, format=".sog", **FEW)
+    assert distinct_sets(small) == 900
+    small, _ = nanogs.simplify(splats, count=1500, format=".sog", preset="fast")
+    assert distinct_sets(small) == 1500
+
+
+@pytest.mark.parametrize(
+    ("suffix", "options", "said"),
+    [
+        (".sog", {"palette": 0}, "must be a whole number from 1"),
+        (".sog", {"palette": "many"}, "must be a whole number from 1"),
+        (".ply", {"palette": 9}, "not for .ply"),
+        (".sog", {"pallete": 9}, "palette"),
+    ],
+)
+def test_options_that_the_format_does_not_have_are_refused_for_a_count_too(
+    splats, suffix, options, said
+):
+    with pytest.raises(OptionError, match=said):
+        nanogs.simplify(splats, count=9, format=suffix, format_options=options, **FEW)
+
+
+@pytest.mark.parametrize("blocks", [{}, {"block": 1500}])
+def test_files_are_fitted_to_their_palette(tmp_path, splats, blocks):
+    """Fewer entries cost less than if the writer alone reduced them."""
+    nanogs.save(splats, tmp_path / "in.ply")
+    options, more = {"palette": 60}, {**FEW, "views": 6, "further": 10, "steps": 16}
+    report = nanogs.simplify_blocks(
+        tmp_path / "in.ply", tmp_path / "out.spz", count=1200, format_options=options, **more,
+        **blocks,
+    )  # fmt: skip
+    assert (report.achieved_count, report.format_options) == (1200, {})
+    fitted = nanogs.load(tmp_path / "out.spz")
+    assert 30 < distinct_sets(fitted) <= 60
+    nanogs.simplify_blocks(tmp_path / "in.ply", tmp_path / "own.ply", count=1200, **more, **blocks)
+    written, _ = round_trip_with_size(nanogs.load(tmp_path / "own.ply"), "a.spz", options)
+    cameras = automatic_cameras(splats, 4, width=64, height=64, split="test")
+    before, after = (mean_psnr_ssim(splats, each, cameras)[0] for each in (written, fitted))
+    assert after > before + 0.1
+
+
 @pytest.mark.parametrize(
     ("part_size", "max_entries", "entries"), [(8, 1000, 100), (1, 50, 50), (2000, 9, 1)]
 )
@@ -387,6 +453,15 @@ def test_parts_of_a_result_get_a_proportional_share_of_its_palette(part_size, ma
     sharing = Sharing(part_size, max_entries)
     assert sharing.entries(800) == sharing.entries(800, 800) == entries
     assert sharing.entries(200, 800) == max(entries // 4, 1)
+
+
+@pytest.mark.parametrize(
+    ("count", "entries"), [(1, 1), (600, 600), (800, 700), (1050, 700), (1500, 1000), (9000, 2000)]
+)
+def test_small_results_may_have_a_set_for_each_splat(count, entries):
+    sharing = Sharing(1.5, 2000, own=700)
+    assert min(sharing.entries(count), count) == entries
+    assert sharing.entries(count, 4 * count) == max(sharing.entries(4 * count) // 4, 1)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".glb"])

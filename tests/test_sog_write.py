@@ -371,7 +371,7 @@ def test_the_palette_has_the_requested_number_of_entries(tmp_path, size):
 
 def test_the_default_palette_size_grows_with_the_model():
     counts = [1, 1000, 1500, 1650, 98_304, 10**7]
-    sizes = [sog_write.usual_palette(count) for count in counts]
+    sizes = [sog_write.USUAL_PALETTE.entries(count) for count in counts]
     assert sizes == [1024, 1024, 1024, 1100, 65_536, 65_536]
 
 

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from nanogs.errors import FormatError, OptionError
 from nanogs.frames import TRAINED
@@ -13,6 +13,7 @@ from nanogs.io.parts import FileSource
 from nanogs.source import Layout, Source
 from nanogs.splats import MAX_SH_DEGREE, Splats
 
+PALETTE = "palette"  # name of the option for the number of sets of harmonics in a file
 UNSTATED = "not stated in the file; y down (rdf) by convention"
 FormatOptions = Mapping[str, Any]
 """Options for writing one format, by name, such as `spz_version`; None means the default."""
@@ -55,6 +56,28 @@ def unread(path: Path) -> NoReturn:
         FormatError: Always.
     """
     raise FormatError(f"{path}: nanogs writes this format but does not read it; name another file.")
+
+
+class Sharing(NamedTuple):
+    """The number of sets of higher harmonics that a result has, as a palette has entries.
+
+    Attributes:
+        share: Number of splats for each set.
+        most: Most sets of the whole result.
+        own: In a result of up to so many splats, each has a set of its own.
+    """
+
+    share: float
+    most: int
+    own: int = 1
+
+    def entries(self, count: int, whole: int = 0) -> int:
+        """Return the number of sets for `count` splats.
+
+        These are all splats of a result, or a part of one of `whole` splats.
+        """
+        part = count / max(whole, count, 1)
+        return max(int(min(max(count / self.share, self.own * part), self.most * part)), 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +153,8 @@ class Format:
         named_files: Lists the other files that a file names, before they are there: for downloads.
         overhead_bytes: Number of bytes that every file has in addition to its splats, where it is
             large.
+        sharing: How splats share sets of higher harmonics in files written without the option
+            `palette`; None if each has its own.
     """
 
     suffix: str
@@ -160,6 +185,12 @@ class Format:
     zip_member: str = ""
     named_files: Callable[[Path], Sequence[Path]] = lambda _path: ()
     overhead_bytes: Callable[[], int] = lambda: 0
+    sharing: Sharing | None = None
+
+    def sharing_with(self, options: FormatOptions) -> Sharing | None:
+        """Return how splats share sets of higher harmonics in files written with given options."""
+        palette = options.get(PALETTE)
+        return self.sharing if palette is None else Sharing(1.0, int(palette))
 
     @property
     def readable(self) -> bool:
@@ -173,7 +204,7 @@ class Format:
 
     def extra_memory(self, model: int) -> int:
         """Estimate the bytes of memory that writing takes beside a held model of `model` bytes."""
-        return int(model * (_PALETTE if "palette" in self.options else _PACKED))
+        return int(model * (_PALETTE if PALETTE in self.options else _PACKED))
 
     @property
     def writable(self) -> bool:

@@ -25,7 +25,13 @@ from nanogs.pipeline.options.presets import (
     renders,
     with_longer_fit,
 )
-from nanogs.pipeline.options.target import Goal, chooses_packing, count_for_size, is_searched
+from nanogs.pipeline.options.target import (
+    Goal,
+    chooses_packing,
+    count_for_size,
+    is_searched,
+    shared_in_file,
+)
 from nanogs.pipeline.outcome import Outcome
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
@@ -83,7 +89,9 @@ def simplify(
             per pixel (see `draw_cost`), on the views of `compare` at its defaults: the largest
             count that stays within it is searched for, until the cost is at most 2 % below it, or
             half a per cent more splats exceed it.
-        format: Suffix of the file that `size`, `psnr` and `draw_cost` refer to.
+        format: Suffix of the file that the result will be saved as, to which `size`, `psnr` and
+            `draw_cost` refer. If its splats share harmonics, as in .sog, presets that fit let them
+            share as many before the fit, which makes good a part of the loss.
         format_options: Options that the file will be saved with, as `save` takes them.
         preset: Name of a preset.
         sh_degree: Degree of the result's spherical harmonics, which are fitted for it; by default
@@ -123,10 +131,12 @@ def simplify(
     start, clock = time.perf_counter(), StageClock()
     size = None if size is None else as_bytes(size)
     goal = Goal(ratio, count, size, psnr, draw_cost)
-    path = registry.file_of(format)
-    if chooses_packing(goal, registry.writable(path)):
+    path, given = registry.file_of(format), given_options(format_options)
+    known = registry.writable(path)
+    registry.keywords(known, given)  # refuses options that the format does not have
+    if chooses_packing(goal, known):
         overrides = with_longer_fit(preset, overrides)
-    chosen, given = parameters(preset, overrides), given_options(format_options)
+    chosen = parameters(preset, overrides)
     refuse_searches(goal, preset, path)
     refuse_reduced(goal, chosen, sh_degree)
     refuse_device(device, preset, chosen, goal)
@@ -145,10 +155,11 @@ def simplify(
         splats = as_splats(model)
         with clock.time("check"):
             checked = check_model(splats, preset, overrides, cameras, up, nan, sh_degree)
+            checked = replace(checked, sharing=shared_in_file(goal, known, given))
             splats = checked.splats
             target = target_of(goal, splats, len(checked.rows), path, checked.parameters, sh_degree)
             refuse_misaligned_elements(splats, 1 if target is None else target)
-            search = (goal, registry.writable(path)) if target is None else None
+            search = (goal, known) if target is None else None
             checked.refuse_too_large(target, max_memory, judged=target is None, search=search)
         tracker = Tracker(
             on_step,

@@ -217,6 +217,7 @@ def plan_job(
         frame=changes.frame,
         sh_degree=request.sh_degree,
         asked=changes.asked,
+        sharing=request.sharing,
         search=sought,
         environment=request.environment,
         at_most=request.goal.size is not None,

@@ -12,7 +12,7 @@ from nanogs.clock import StageClock
 from nanogs.errors import NONE_USABLE, ModelError
 from nanogs.formatting import counted
 from nanogs.io.files import splat_bytes
-from nanogs.io.format import Format
+from nanogs.io.format import Format, Sharing
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
@@ -50,6 +50,7 @@ class CheckedModel:
         parameters: Parameters of the method.
         asked: The views that the user asks for.
         sh_degree: Degree of the result's harmonics, or None if none is asked for.
+        sharing: How the result's splats share harmonics, or None if each has its own.
     """
 
     splats: Splats
@@ -58,6 +59,7 @@ class CheckedModel:
     parameters: Parameters
     asked: RequestedViews
     sh_degree: int | None = None
+    sharing: Sharing | None = None
 
     def refuse_too_large(
         self,
@@ -109,7 +111,9 @@ class CheckedModel:
 
         assert isinstance(self.parameters, ForestParameters)  # noqa: S101 - the caller's choice
         settings = whole_settings(self.splats, self.parameters)
-        settings = replace(settings, asked=self.asked, sh_degree=self.sh_degree)
+        settings = replace(
+            settings, asked=self.asked, sh_degree=self.sh_degree, sharing=self.sharing
+        )
         scene = OneBlock(self.splats, self.rows, settings, threads)
         build(scene, clock, progress)
         return scene

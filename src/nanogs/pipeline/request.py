@@ -14,7 +14,7 @@ from nanogs.filters import Filter, checked_filters
 from nanogs.frames import checked_frames
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
-from nanogs.io.format import FormatOptions, Sizer, given_options
+from nanogs.io.format import FormatOptions, Sharing, Sizer, given_options
 from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.memory import allowed_memory
@@ -37,7 +37,13 @@ from nanogs.pipeline.options.presets import (
     renders,
     with_longer_fit,
 )
-from nanogs.pipeline.options.target import Goal, chooses_packing, is_searched, target_count
+from nanogs.pipeline.options.target import (
+    Goal,
+    chooses_packing,
+    is_searched,
+    shared_in_file,
+    target_count,
+)
 from nanogs.pipeline.options.views import requested_views
 from nanogs.ranges import as_switch, is_number
 from nanogs.source import Joined
@@ -162,6 +168,13 @@ class Request:
     def sizer(self) -> Sizer | None:
         """Computes the size of the output for a count; None if a file must be written for it."""
         return None if self.ratios else registry.writable(self.output).file_bytes
+
+    @property
+    def sharing(self) -> Sharing | None:
+        """How splats share harmonics in the output; None if each has its own, as in levels."""
+        if self.ratios:
+            return None
+        return shared_in_file(self.goal, registry.writable(self.output), self.format_options or {})
 
     def searches(self, degree: int) -> bool:
         """Whether the count of a result, of a model of an SH degree, is found only by trying."""

@@ -40,6 +40,7 @@ FORMATS = (
         max_degree=write.MAX_DEGREE,
         rounds=True,
         zip_member=META,
+        sharing=write.USUAL_PALETTE,
     ),
     Format(
         META,
@@ -53,6 +54,7 @@ FORMATS = (
         write_folder=write.write_folder,
         named_files=lambda path: SogSource(path).files[1:],
         ours=write.ours,
+        sharing=write.USUAL_PALETTE,
     ),
     Format(LEVELS, open_level, open_level=open_level, rounds=True),
     Format(ARCHIVE, open_level, open_level=open_level, rounds=True, zip_member=LEVELS),

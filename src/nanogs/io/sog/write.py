@@ -25,6 +25,7 @@ from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.container import plain_entry
 from nanogs.io.folder import atomic_folder
+from nanogs.io.format import Sharing
 from nanogs.io.generator import GENERATOR, read_own
 from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
@@ -45,7 +46,10 @@ _BLOCK = 4  # width and height of textures are multiples of it
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
 # Entries of the codebook for an exact palette, and for one of merged values, which needs fewer.
 _EXACT, _ROUNDED = 64, 32
-_SMALL_PALETTE = 1024  # models of up to so many splats get a palette entry per splat
+# By default a palette has two entries for three splats, and one each in small models. Files then
+# look better than those of PlayCanvas' own tool. With a smaller palette, a file of the same size
+# can hold more splats, which often looks better still.
+USUAL_PALETTE = Sharing(1.5, sog_meta.PALETTE_MAX, 1024)
 _LARGEST_LOGARITHM = math.log1p(float(np.finfo(np.float32).max))  # of a centre, log(1 + |x|)
 _FARTHEST = 1e18  # largest magnitude of a value: squared differences must not overflow float32
 _VALUES = f"colour coefficients or log-scales beyond ±{_FARTHEST:g}"
@@ -63,7 +67,7 @@ class Packing:
 
     Attributes:
         palette_size: Largest number of entries of the palette of the higher coefficients, 1 to
-            65,536; by default `usual_palette`.
+            65,536; by default `USUAL_PALETTE`.
         precision: Precision of all other values.
     """
 
@@ -90,7 +94,7 @@ def write(
         file: The file to write to.
         on_progress: Progress callback for computing the palette.
         palette_size: Largest number of entries of the palette of the higher coefficients, 1 to
-            65,536; by default `usual_palette`.
+            65,536; by default `USUAL_PALETTE`.
         bits: Bits of a component of a rotation, 4 to 8; all else follows, see `Precision`.
         spare: Bits that are dropped from centres, 0 to 6; by default the smaller the splats, the
             fewer.
@@ -427,7 +431,7 @@ def _higher(
     degree = min(splats.sh_degree, MAX_DEGREE)
     coefficients = (degree + 1) ** 2 - 1
     points = splats.sh[:, 1 : coefficients + 1].reshape(len(splats), -1)
-    size = packing.palette_size or usual_palette(len(splats))
+    size = packing.palette_size or USUAL_PALETTE.entries(len(splats))
     found = palette(points, size, visibility(splats), on_progress)
     entries = len(found.entries)
     # A full palette may be one of merged harmonics, which came from rounded values.
@@ -458,15 +462,6 @@ def _higher(
 def _few_values(entries: F32) -> bool:
     """Whether the values of the entries come from a codebook already and are not means."""
     return len(np.unique(entries)) <= CODES
-
-
-def usual_palette(count: int) -> int:
-    """Return the default palette size: two entries for three splats, one each in small models.
-
-    Files then look better than those of PlayCanvas' own tool. With a smaller palette, a file of the
-    same size can hold more splats, which often looks better still.
-    """
-    return min(max(count * 2 // 3, _SMALL_PALETTE), sog_meta.PALETTE_MAX)
 
 
 def _picture(texels: U8) -> U8:

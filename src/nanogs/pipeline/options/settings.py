@@ -4,11 +4,12 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 from nanogs._version import __version__
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.filters import Plain
+from nanogs.io.format import Sharing
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.options.views import AUTOMATIC, RequestedViews
@@ -128,26 +129,6 @@ class SearchTarget:
     def is_measured(self) -> bool:
         """Whether results are rendered and compared with the original."""
         return self.psnr is not None or self.draw_cost is not None
-
-
-class Sharing(NamedTuple):
-    """The number of sets of higher harmonics that a result has, as a palette has entries.
-
-    Attributes:
-        share: Number of splats for each set.
-        most: Most sets of the whole result.
-    """
-
-    share: float
-    most: int
-
-    def entries(self, count: int, whole: int = 0) -> int:
-        """Return the number of sets for `count` splats.
-
-        These are all splats of a result, or a part of one of `whole` splats.
-        """
-        part = count / max(whole, count, 1)
-        return max(int(min(count / self.share, self.most * part)), 1)
 
 
 @dataclass(frozen=True, slots=True)

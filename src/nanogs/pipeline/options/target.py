@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from nanogs.errors import OptionError, TooManyError, TooSmallError
 from nanogs.formatting import counted
-from nanogs.io.format import Format
+from nanogs.io.format import Format, FormatOptions, Sharing
 from nanogs.ranges import is_number
 
 _KINDS = {"count": int, "size": int, "ratio": float, "psnr": float, "draw_cost": float}
@@ -98,6 +98,19 @@ def _share(given: float) -> str:
 def chooses_packing(goal: Goal, known: Format) -> bool:
     """Whether results are made to choose how the file is packed, for a size or a PSNR."""
     return (goal.size is not None or goal.psnr is not None) and known.file_bytes is None
+
+
+def shared_in_file(goal: Goal, known: Format, options: FormatOptions) -> Sharing | None:
+    """Return how splats will share harmonics in the file of a result, for it to be fitted so.
+
+    None if each has its own, or if the search for a size or a PSNR decides.
+
+    Args:
+        goal: What is asked.
+        known: The format of the file.
+        options: Options that it will be written with, those that are given.
+    """
+    return None if chooses_packing(goal, known) else known.sharing_with(options)
 
 
 def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:

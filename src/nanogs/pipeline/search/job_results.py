@@ -4,8 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from nanogs.errors import OutputError
+from nanogs.io.format import Sharing
 from nanogs.pipeline.estimates.durations import result_stages
-from nanogs.pipeline.options.settings import Settings, Sharing
+from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.run import Run, brief, is_done, plain
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.search.results import M

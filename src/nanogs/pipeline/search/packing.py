@@ -13,12 +13,11 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+from nanogs.io.format import PALETTE, Sharing
 from nanogs.method.choose import quality
-from nanogs.pipeline.options.settings import Sharing
 from nanogs.pipeline.search.file_size import AIM
 from nanogs.report import PackingReport
 
-PALETTE = "palette"  # name of the format's option
 # Splats for each entry of the palette: the first try, then larger and smaller palettes.
 FIRST_SHARE = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, Self, TypeVar
 
 from nanogs.clock import StageClock
+from nanogs.io.format import Sharing
 from nanogs.pipeline.estimates.durations import delivery_stages
 from nanogs.pipeline.one_block import OneBlock
-from nanogs.pipeline.options.settings import Sharing
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import brief, deliver, plain
 from nanogs.progress import Stage, Tracker

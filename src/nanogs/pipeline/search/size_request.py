@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from nanogs.io.format import Format
+from nanogs.io.format import PALETTE, Format, Sharing
 from nanogs.pipeline.estimates.memory import LEAST_BYTES
-from nanogs.pipeline.options.settings import Sharing
-from nanogs.pipeline.search.packing import PALETTE, SMALLER, Bits, Choices, Packing
+from nanogs.pipeline.search.packing import SMALLER, Bits, Choices, Packing
 from nanogs.report import PackingReport
 from nanogs.splats import Splats
 
@@ -101,7 +100,7 @@ class SizeRequest(NamedTuple):
     def sharing(self, packing: Packing) -> Sharing | None:
         """Return how splats share entries of the palette; None without one."""
         if PALETTE in self.given and packing.sh_degree:
-            return Sharing(1.0, int(self.given[PALETTE]))
+            return self.known.sharing_with(self.given)
         return packing.sharing
 
     def smallest(self, degree: int) -> Packing:
