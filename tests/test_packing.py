@@ -100,6 +100,25 @@ def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
     assert len(model.made) <= 2 * (len(SHARES) + 4)
 
 
+def test_room_that_all_splats_cannot_fill_is_used_for_bits():
+    available = 2800
+
+    class NearlyWhole(SyntheticModel):
+        """With the largest palette and 7 bits, all splats fit into the size; with 8 they do not."""
+
+        def seen(self, packing, count):
+            psnr = 60 + 30 * math.log(count / available) - 3 * math.log2(packing.share)
+            psnr += 0.1 * dict(packing.bits)["bits"]
+            found = super().seen(packing, count)
+            return replace(found, psnr=psnr)
+
+    model = NearlyWhole(3, 1.5, 7)
+    choices = Choices([3], palettes=True, bits=BITS, own_share=1.0)
+    given = model.guess, model.attempt, available
+    found, count, _ = choose_packing(choices, SIZE, 30.0, *given)
+    assert (found.share, found.bits, count) == (1.5, (("bits", 7),), available)
+
+
 def test_bits_of_harmonics_are_no_choice_for_files_without_harmonics():
     known = registry.writable(Path("a.spz"))
     without, with_some = (SizeRequest(9000, known, {}, degree).choices(3).bits for degree in (0, 1))

@@ -437,10 +437,8 @@ class _Search:
         return self.choices.quality(found) - self.slope * self._over(found)
 
     def _over(self, found: PackingReport) -> float:
-        """Return log(bytes / size) of a file, at least 0 if it holds the whole model."""
-        over = math.log(found.bytes / self.size)
-        # More splats would fill the room that is left, unless these are all.
-        return over if found.count < self.available else max(over, 0)
+        """Return log(bytes / size) of a file, as far below 0 as more splats can fill the room."""
+        return max(math.log(found.bytes / self.size), math.log(found.count / self.available))
 
     def _tried(
         self, packing: Packing, count: int, measure_files: MeasureFiles
