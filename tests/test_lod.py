@@ -196,6 +196,19 @@ def inputs(splats, tmp_path_factory):
 KINDS = pytest.mark.parametrize("kind", ["splats", "path", "source"])
 
 
+def test_level_files_are_those_of_simplify_fitted_to_their_palette(inputs, tmp_path, small_views):
+    options = {"palette": 30}
+    write_levels(inputs["path"], tmp_path / "l", [0.5, 0.2], suffix=".sog", format_options=options)
+    for number, count in enumerate((200, 80)):
+        small, _ = nanogs.simplify(
+            inputs["splats"], count=count, format=".sog", format_options=options
+        )
+        assert len(np.unique(small.sh[:, 1:].reshape(count, -1), axis=0)) == 30
+        nanogs.save(small, tmp_path / "one.sog", overwrite=True, format_options=options)
+        level = tmp_path / "l" / f"level_{number}.sog"
+        assert level.read_bytes() == (tmp_path / "one.sog").read_bytes()
+
+
 @KINDS
 def test_levels_are_written_with_the_format_options(inputs, tmp_path, kind):
     options = {"suffix": ".sog", "preset": "fast", "format_options": {"bits": 4}}

@@ -10,6 +10,7 @@ from nanogs.bar import show_progress, wants_bar
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
+from nanogs.io.format import Sharing
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.estimates.stage_weights import level_stage
@@ -71,9 +72,9 @@ def levels(
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     return judged_levels(
-        model, ratios, judged=False, preset=preset, sh_degree=sh_degree, cameras=cameras, up=up,
-        nan=nan, device=device, threads=threads, max_memory=max_memory, progress=progress,
-        **overrides,
+        model, ratios, judged=False, sharing=None, preset=preset, sh_degree=sh_degree,
+        cameras=cameras, up=up, nan=nan, device=device, threads=threads, max_memory=max_memory,
+        progress=progress, **overrides,
     )  # fmt: skip
 
 
@@ -82,6 +83,7 @@ def judged_levels(
     ratios: Sequence[float],
     *,
     judged: bool,
+    sharing: Sharing | None,
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
     cameras: "Cameras | None" = None,
@@ -95,7 +97,8 @@ def judged_levels(
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
     """Make levels as `levels` does, with memory for measuring them against the model if `judged`.
 
-    The other arguments and the errors are those of `levels`.
+    `sharing` is how the splats of each level share harmonics, or None if each has its own. The
+    other arguments and the errors are those of `levels`.
     """
     ratios = checked_ratios(ratios)
     wants_bar(progress)  # refuses what is no progress: the bar itself begins with the first level
@@ -105,6 +108,7 @@ def judged_levels(
 
     with use_threads(threads):
         checked = check_model(as_splats(model), preset, overrides, cameras, up, nan, sh_degree)
+        checked = replace(checked, sharing=sharing)
     counts = [target_count(len(checked.rows), ratio, None) for ratio in ratios]
     refuse_misaligned_elements(checked.splats, counts[-1])
     checked.refuse_too_large(counts[0], max_memory, judged=judged)

@@ -14,7 +14,7 @@ from nanogs.filters import Filter, checked_filters
 from nanogs.frames import checked_frames
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
-from nanogs.io.format import FormatOptions, Sharing, Sizer, given_options
+from nanogs.io.format import Format, FormatOptions, Sharing, Sizer, given_options
 from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.memory import allowed_memory
@@ -170,11 +170,17 @@ class Request:
         return None if self.ratios else registry.writable(self.output).file_bytes
 
     @property
+    def written_format(self) -> Format:
+        """The format of the output, or of the files of levels that are not divided or linked."""
+        level = Path(f"level{self.level_suffix}")
+        return registry.writable(level if self.ratios else self.output)
+
+    @property
     def sharing(self) -> Sharing | None:
-        """How splats share harmonics in the output; None if each has its own, as in levels."""
-        if self.ratios:
+        """How splats share harmonics in each file; None if each has its own or files hold parts."""
+        if self.chunks is not None:
             return None
-        return shared_in_file(self.goal, registry.writable(self.output), self.format_options or {})
+        return shared_in_file(self.goal, self.written_format, self.format_options or {})
 
     def searches(self, degree: int) -> bool:
         """Whether the count of a result, of a model of an SH degree, is found only by trying."""
@@ -330,8 +336,7 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
     if searched:
         plan = plan_search(plan, splats, request.goal, registry.writable(request.output))
     if request.chunks is None:
-        level = Path(f"level{request.level_suffix}")
-        known = registry.writable(level if request.ratios else request.output)
+        known = request.written_format
         if known.needs_whole_model(request.format_options or {}):
             return plan_writing(plan, splats, target, known)
         return plan
