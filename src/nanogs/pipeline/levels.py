@@ -72,9 +72,9 @@ def levels(
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     return judged_levels(
-        model, ratios, judged=False, sharing=None, preset=preset, sh_degree=sh_degree,
-        cameras=cameras, up=up, nan=nan, device=device, threads=threads, max_memory=max_memory,
-        progress=progress, **overrides,
+        model, ratios, judged=False, preset=preset, sh_degree=sh_degree, cameras=cameras, up=up,
+        nan=nan, device=device, threads=threads, max_memory=max_memory, progress=progress,
+        **overrides,
     )  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def judged_levels(
     ratios: Sequence[float],
     *,
     judged: bool,
-    sharing: Sharing | None,
+    sharing: Sharing | None = None,
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
     cameras: "Cameras | None" = None,
