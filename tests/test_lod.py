@@ -278,7 +278,7 @@ def test_threads_are_limited_while_a_model_is_filtered_and_levels_are_written(
     import numba
 
     used = []
-    for module, name in ((levels_of_detail, "prepare"), (levels_folder, "save")):
+    for module, name in ((levels_of_detail, "changed"), (levels_folder, "save")):
         call = getattr(module, name)
 
         def noted(*given, call=call, **options):
