@@ -303,10 +303,9 @@ def _whole(
     tracker = Tracker(on_step, _stages(request, len(splats), sink))
     made = judged_levels(
         splats, request.ratios, judged=is_measured(request), sharing=request.sharing,
-        preset=request.preset,
-        sh_degree=request.sh_degree, cameras=request.cameras, up=request.up, nan=request.nan,
-        device=request.device, threads=request.threads, max_memory=request.max_memory,
-        progress=tracker.passing(), **request.overrides,
+        preset=request.preset, sh_degree=request.sh_degree, cameras=request.cameras,
+        up=request.up, nan=request.nan, device=request.device, threads=request.threads,
+        max_memory=request.max_memory, progress=tracker.passing(), **request.overrides,
     )  # fmt: skip
     judge, reports = None, []
     if is_measured(request):

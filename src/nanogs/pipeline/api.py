@@ -14,7 +14,7 @@ from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
 from nanogs.frames import checked_frames, turned
 from nanogs.io import registry
-from nanogs.io.format import FormatOptions, given_options
+from nanogs.io.format import Format, FormatOptions, given_options
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.in_memory import CheckedModel, NanPolicy, check_model
 from nanogs.pipeline.options.presets import (
@@ -154,8 +154,8 @@ def simplify(
     ):
         splats = as_splats(model)
         with clock.time("check"):
-            checked = check_model(splats, preset, overrides, cameras, up, nan, sh_degree)
-            checked = replace(checked, sharing=shared_in_file(goal, known, given))
+            sharing = shared_in_file(goal, known, given)
+            checked = check_model(splats, preset, overrides, cameras, up, nan, sh_degree, sharing)
             splats = checked.splats
             target = target_of(goal, splats, len(checked.rows), path, checked.parameters, sh_degree)
             refuse_misaligned_elements(splats, 1 if target is None else target)
@@ -182,27 +182,25 @@ def simplify(
         target = len(outcome.splats) if target is None else target
         tracker.finish()
     if size is not None:
-        outcome = _with_size_ending(outcome, size, checked, path)
+        outcome = _with_size_ending(outcome, size, checked, known)
     small = turned(outcome.splats, frame)
     report = checked.report(goal, target, outcome, threads_used, clock, start)
     return small, replace(report, notes=(*report.notes, *device_notes(device, used)))
 
 
-def _with_size_ending(outcome: Outcome, size: int, checked: CheckedModel, path: Path) -> Outcome:
+def _with_size_ending(outcome: Outcome, size: int, checked: CheckedModel, known: Format) -> Outcome:
     """Add why the count is the largest: a note if much of the size is unused, and `stop`."""
-    from nanogs.pipeline.search.file_size import ending_on_known, whole_fits
+    from nanogs.pipeline.search.file_size import whole_fits, with_ending_on_known
 
     small, available = outcome.splats, len(checked.rows)
     left_out = small.sh_degree < checked.splats.sh_degree
-    if (known := registry.writable(path).file_bytes) is None:
+    if (sizer := known.file_bytes) is None:
         if len(small) < available:  # the search has said why
             return outcome
         return replace(outcome, notes=(*outcome.notes, whole_fits(left_out=left_out)))
-    stop, notes = ending_on_known(
-        size, len(small), available, lambda count: known(small, count), left_out=left_out
+    return with_ending_on_known(
+        outcome, size, len(small), available, lambda count: sizer(small, count), left_out=left_out
     )
-    stop = stop if outcome.stop is StopReason.TARGET else outcome.stop
-    return replace(outcome, stop=stop, notes=(*outcome.notes, *notes))
 
 
 def refuse_device(device: str | None, preset: str, chosen: Parameters, goal: Goal) -> None:

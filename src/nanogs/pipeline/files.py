@@ -35,7 +35,7 @@ from nanogs.pipeline.reading import read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
-from nanogs.report import SimplifyReport, StopReason
+from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import file_costs, file_judge
 from nanogs.sink import OneFile
 from nanogs.source import joined_layout
@@ -275,19 +275,18 @@ def _with_size_ending(
     """
     if (sizer := request.sizer) is None:
         return report
-    from nanogs.pipeline.search.file_size import ending_on_known
+    from nanogs.pipeline.search.file_size import with_ending_on_known
 
     with open_model(request.output) as file:
         like = no_splats(file.columns)
-    stop, notes = ending_on_known(
+    return with_ending_on_known(
+        report,
         size,
         report.achieved_count,
         report.input_count - report.dropped_nonfinite,
         lambda count: sizer(like, count),
         left_out=like.sh_degree < plan.sh_degree,
     )
-    stop = stop if report.stop is StopReason.TARGET else report.stop
-    return replace(report, stop=stop, notes=(*report.notes, *notes))
 
 
 def _in_memory(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:

@@ -200,10 +200,12 @@ def check_model(
     up: Sequence[float] | None,
     nan: NanPolicy,
     sh_degree: int | None,
+    sharing: Sharing | None = None,
 ) -> CheckedModel:
     """Do all checks that are possible before anything is computed, and find the usable rows.
 
-    For a method that does not render, harmonics above `sh_degree` are removed here.
+    For a method that does not render, harmonics above `sh_degree` are removed here. `sharing` is
+    that of the checked model.
 
     Raises:
         OptionError: There is no such preset, parameter or policy for NaN; or views are given that
@@ -216,7 +218,7 @@ def check_model(
     if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(sh_degree)
     rows, asked = usable_rows(splats, nan), requested_views(cameras, up)
-    return CheckedModel(splats, rows, preset, chosen, asked, sh_degree)
+    return CheckedModel(splats, rows, preset, chosen, asked, sh_degree, sharing)
 
 
 def import_stages(chosen: Parameters) -> None:

@@ -107,8 +107,9 @@ def judged_levels(
     from nanogs.threads import use_threads  # imported here because it imports Numba
 
     with use_threads(threads):
-        checked = check_model(as_splats(model), preset, overrides, cameras, up, nan, sh_degree)
-        checked = replace(checked, sharing=sharing)
+        checked = check_model(
+            as_splats(model), preset, overrides, cameras, up, nan, sh_degree, sharing
+        )
     counts = [target_count(len(checked.rows), ratio, None) for ratio in ratios]
     refuse_misaligned_elements(checked.splats, counts[-1])
     checked.refuse_too_large(counts[0], max_memory, judged=judged)

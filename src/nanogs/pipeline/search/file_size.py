@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -9,9 +10,10 @@ from nanogs._types import I32, I64
 from nanogs.errors import ModelError, TooSmallError
 from nanogs.formatting import counted
 from nanogs.pipeline.estimates.stage_weights import RESULTS, SIZES, write_weight
+from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.search.results import Attempts, Results, T
 from nanogs.progress import Stage, Tracker
-from nanogs.report import SizeProbeReport, StopReason
+from nanogs.report import SimplifyReport, SizeProbeReport, StopReason
 from nanogs.splats import Splats
 from nanogs.views.occupancy import FAINTEST
 
@@ -31,6 +33,7 @@ WHOLE_FITS = "The whole model fits into the requested size; nothing was merged."
 Encode = Callable[[Splats], int]
 """Writes a model's file and returns its size in bytes."""
 Probe = SizeProbeReport | None
+Found = TypeVar("Found", Outcome, SimplifyReport)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,26 +92,34 @@ def whole_fits(*, left_out: bool) -> str:
     return WHOLE_FITS
 
 
-def ending_on_known(
-    size: int, count: int, available: int, file_bytes: Callable[[int], int], *, left_out: bool
-) -> tuple[StopReason, tuple[str, ...]]:
-    """Return why the largest count that fits ends the search, for formats of known file sizes.
+def with_ending_on_known(
+    found: Found,
+    size: int,
+    count: int,
+    available: int,
+    file_bytes: Callable[[int], int],
+    *,
+    left_out: bool,
+) -> Found:
+    """Add why a count is the largest that fits, for formats of known file sizes.
+
+    That is `stop`, unless something else ended the work, and a note if all splats fit or if much
+    of the size is unused.
 
     Args:
+        found: The result or its report.
         size: Largest allowed size of the file in bytes.
         count: Number of splats in the file.
         available: Number of splats of the whole model.
         file_bytes: Computes the size of the file from the count.
         left_out: Whether harmonics of the model are left out of the file.
-
-    Returns:
-        The reason, and a note if all splats fit or if much of the size is unused.
     """
     if count == available:
-        return StopReason.TARGET, (whole_fits(left_out=left_out),)
+        return replace(found, notes=(*found.notes, whole_fits(left_out=left_out)))
     over = SizeProbeReport(count + 1, file_bytes(count + 1))
-    notes = little_used(size, file_bytes(count), over)
-    return StopReason.STEP if notes else StopReason.TARGET, notes
+    notes: tuple[str, ...] = little_used(size, file_bytes(count), over)
+    stop = StopReason.STEP if notes and found.stop is StopReason.TARGET else found.stop
+    return replace(found, stop=stop, notes=(*found.notes, *notes))
 
 
 def search_fit(

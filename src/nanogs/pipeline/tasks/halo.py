@@ -96,8 +96,9 @@ def _overlap(record: Record, low: F64, high: F64) -> bool:
 
 def _sizes(scratch: Scratch, cuts: Sequence[Record], found: Sequence[Near]) -> list[I64]:
     """Return, for each entry of `found`, the number of splats of each of its groups."""
-    every = (read_column(scratch, cuts[each.block], LABELS) for each in found)
-    return [np.bincount(labels)[each.groups] for labels, each in zip(every, found, strict=True)]
+    return [
+        np.bincount(read_column(scratch, cuts[each.block], LABELS))[each.groups] for each in found
+    ]
 
 
 def _nearest(found: Sequence[Near], counts: Sequence[I64], most: int) -> list[Near]:
