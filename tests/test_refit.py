@@ -13,11 +13,11 @@ import reference_refit
 from builders import cloud_pair, model_bytes
 from conftest import peer_path, scene_path
 from nanogs import RefitParameters, refit
-from nanogs.errors import ModelError, OptionError
+from nanogs.errors import ModelError, OptionError, OutputError
 from nanogs.fit.descent import Descent
 from nanogs.fit.groups import EXACT, ViewGroup, grouped, hold_out, split
 from nanogs.fit.report import RefitStop
-from nanogs.fit.shared import PaletteSize, fit_shared
+from nanogs.fit.shared import fit_shared
 from nanogs.fit.state import (
     LOWEST_LOG_SCALE,
     MeanState,
@@ -567,13 +567,44 @@ def test_the_model_with_a_palette_is_validated_as_it_is_delivered():
     prepared = prepare(original).with_buffers()
     part = make_target(prepared, cameras[0].cropped(0, 0, 32, 32))
     deciding = [ViewGroup("all", tuple(make_target(prepared, camera) for camera in cameras[1:]))]
-    palette_size = PaletteSize(3, np.ones(len(small)))
-    fitted, outcome = fit_shared(
-        small, palette_size, Fitting((part,)), deciding, QUICK, ignore_progress
-    )
+    fitted, outcome = fit_shared(small, 3, Fitting((part,)), deciding, QUICK, ignore_progress)
     assert outcome.improved
     assert outcome.psnr_after == deciding[0].psnr(prepare(fitted))
     assert len(np.unique(fitted.sh[:, 1:].reshape(len(fitted), -1), axis=0)) == 3
+
+
+def noisy_pair(n=400):
+    """Return `cloud_pair` of degree 2; each splat of the small model has harmonics of its own."""
+    original, small = cloud_pair(n, degree=2)
+    small.sh[:, 1:] += np.random.default_rng(0).normal(0, 0.1, small.sh[:, 1:].shape)
+    return original, small
+
+
+def sets_of_harmonics(splats):
+    return len(np.unique(splats.sh[:, 1:].reshape(len(splats), -1), axis=0))
+
+
+def test_a_refit_for_a_file_with_a_palette_shares_harmonics():
+    pair = noisy_pair()
+    alone, _ = refit(*pair, parameters=QUICK)
+    asked = {"format": ".sog", "format_options": {"palette": 3}}
+    shared, report = refit(*pair, parameters=QUICK, **asked)
+    assert report.psnr_after > report.psnr_before
+    assert sets_of_harmonics(alone) == 100
+    assert sets_of_harmonics(shared) == 3
+    usual, _ = refit(*pair, parameters=QUICK, format="sog")  # small files need no sharing
+    assert model_bytes(usual) == model_bytes(alone)
+
+
+def test_values_that_cannot_be_shared_are_refused_before_a_refit():
+    original, small = noisy_pair()
+    small.sh[7, 4, 1] = np.nan
+    with pytest.raises(OutputError, match=r"1 splat holds NaN .* row 7, which \.sog cannot store"):
+        refit(original, small, parameters=QUICK, format=".sog")
+    with pytest.raises(OptionError, match="no option 'palete' \\(did you mean"):
+        refit(original, small, parameters=QUICK, format_options={"palete": 3})
+    fitted, _ = refit(original, small, parameters=QUICK)
+    assert np.isnan(fitted.sh[7, 4, 1])
 
 
 @pytest.mark.parametrize("mode", [RenderMode.MIP, RenderMode.SURFEL])

@@ -54,6 +54,21 @@ def test_given_cameras_set_the_size_of_the_views(files, tmp_path):
     assert "2 views held out for validation, of 64 pixels" in result.stderr
 
 
+def test_splats_share_harmonics_as_the_file_stores_them(tmp_path):
+    original, small = cloud_pair(6000, degree=2)
+    small.sh[:, 1:] += np.random.default_rng(0).normal(0, 0.1, small.sh[:, 1:].shape)
+    nanogs.save(original, tmp_path / "original.ply")
+    nanogs.save(small, tmp_path / "small.ply")
+    paths = [tmp_path / name for name in ("original.ply", "small.ply", "out.sog")]
+    result = run("refit", *paths, "--rounds", "1", "--views", "4", "--pixels", "64")
+    assert result.returncode == 0, result.stderr
+    parameters = nanogs.RefitParameters(rounds=1, views=4, size=64)
+    fitted, _ = nanogs.refit(original, small, parameters=parameters, format=".sog")
+    assert len(np.unique(fitted.sh[:, 1:].reshape(len(fitted), -1), axis=0)) == 1024  # of 1,500
+    nanogs.save(fitted, tmp_path / "same.sog")
+    assert paths[-1].read_bytes() == (tmp_path / "same.sog").read_bytes()
+
+
 @pytest.mark.parametrize(
     ("small_name", "arguments", "message"),
     [

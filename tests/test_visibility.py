@@ -8,6 +8,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
+from nanogs.fit.shared import HIDDEN, weights_of_colours
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.fit.views import choose_cameras
 from nanogs.io import precision
@@ -15,13 +16,13 @@ from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method import visibility
 from nanogs.method.parameters import PICTURES, ForestParameters
 from nanogs.pipeline import run
-from nanogs.pipeline.tasks.fitting import HIDDEN, weights_of_colours
 from nanogs.raster.camera import Camera
 from nanogs.raster.light import HostLight, LightSums
 from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason
 from nanogs.splats import Splats, concatenate
 from nanogs.views.automatic import all_around, automatic_cameras, cameras_of, survey
+from nanogs.views.light import contributions_of, visible_weights
 from nanogs.views.up_frame import ALL_AROUND, UPRIGHT
 from views_and_scores import mean_scores, scene_with_views
 
@@ -62,7 +63,7 @@ def test_light_is_added_in_all_slices(monkeypatch, rows):
     assert np.array_equal(light.whole(), 3 * whole)
     assert light.times().tolist() == [0] + [2] * 19
     views = [Camera(3, 2, 1.0, 1.0, 0.0, 0.0, np.eye(4))] * 3
-    summed = visibility.contributions_of(light, views)
+    summed = contributions_of(light, views)
     assert (summed.views, summed.pixels) == (3, 18)
 
 
@@ -138,7 +139,7 @@ def test_the_report_gives_the_visible_share_of_the_model():
 
 
 def test_weights_of_hidden_splats_are_a_hundredth():
-    weights = visibility.visible_weights(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.0]), 0.01)
+    weights = visible_weights(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.0]), 0.01)
     assert weights == pytest.approx([2.0, 1.01, 0.02])
 
 
@@ -458,7 +459,7 @@ def test_missed_light_is_estimated_from_splats_in_a_single_view():
         for contributions, unoccluded in views:
             light.add(HostLight(np.array(contributions, float), np.array(unoccluded)), 0.01)
         cameras = [Camera(pixels, 1, 1.0, 1.0, 0.0, 0.0, np.eye(4))] * len(views)
-        return visibility.contributions_of(light, cameras)
+        return contributions_of(light, cameras)
 
     # Splats: in two views; in one; in none; almost hidden (below 0.01); of another block.
     unoccluded = [50, 20, 30, 40, 9]

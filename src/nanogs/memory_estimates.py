@@ -136,18 +136,21 @@ def page_bytes(infos: Sequence[FileInfo]) -> int:
     return sum(model_bytes(info) + info.splats * _PACKED for info in infos)
 
 
-def refit_bytes(original: FileInfo, small: FileInfo, pixels: int, views: int) -> int:
-    """Estimate the bytes for fitting a model to renders of the original.
+def refit_bytes(original: FileInfo, small: FileInfo, target: Path, pixels: int, views: int) -> int:
+    """Estimate the bytes for fitting a model to renders of the original, and for writing it.
 
     Args:
         original: The original.
         small: The model.
+        target: The file to write. If it has a palette, that is computed before the fit.
         pixels: Number of pixels of a view.
         views: Number of views, to fit to and to validate.
     """
     held = model_bytes(original) + 2 * model_bytes(small)
     stepping = original.splats * _ROOM + small.splats * _FITTING
-    working = original.splats * _PREPARED + max(original.splats * _FITTED, stepping)
+    known = registry.writable(target)
+    packing = known.extra_memory(model_bytes(small)) if known.needs_whole_model({}) else 0
+    working = original.splats * _PREPARED + max(original.splats * _FITTED, stepping, packing)
     return held + working + pixels * (_PICTURE + _FIT_KEPT * views)
 
 

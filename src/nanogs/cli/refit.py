@@ -80,9 +80,10 @@ def refit(
     ) as near:
         inputs, made = near
         first, second = (model_in(file) for file in inputs)
+        views = chosen.kept + chosen.held
         refuse_too_large(
             f"Fitting {small}",
-            refit_bytes(inspect(first), inspect(second), chosen.size**2, chosen.kept + chosen.held),
+            refit_bytes(inspect(first), inspect(second), made or target, chosen.size**2, views),
             allowed_memory(run.max_memory),
             "take fewer or smaller views (--views, --pixels)",
         )
@@ -109,7 +110,7 @@ def _refit_files(
     from nanogs.cli.progress import shown
     from nanogs.clock import StageClock
     from nanogs.fit.api import refit as library_refit
-    from nanogs.io import losses, save
+    from nanogs.io import losses, registry, save
     from nanogs.io import open as open_model
     from nanogs.pipeline.options.cameras import fit_cameras
     from nanogs.progress import Tracker
@@ -130,6 +131,7 @@ def _refit_files(
             model,
             cameras=views,
             parameters=parameters,
+            format=registry.writable(target).suffix,
             device=device,
             threads=run.threads,
             progress=progress.passing(),

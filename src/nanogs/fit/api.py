@@ -12,6 +12,9 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import RefitReport
 from nanogs.fit.stages import refit_stages
+from nanogs.io import registry
+from nanogs.io.format import Format, FormatOptions, Sharing, given_options
+from nanogs.io.limits import refuse_unstorable
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import PartProgress, Progress, Tracker
 from nanogs.ranges import one_or_several
@@ -19,7 +22,6 @@ from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.fit.groups import ViewGroup
-    from nanogs.fit.shared import PaletteSize
     from nanogs.fit.targets import Fitting
     from nanogs.raster.camera import Camera
 
@@ -30,6 +32,8 @@ def refit(
     *,
     cameras: Sequence["Camera"] | None = None,
     parameters: RefitParameters | None = None,
+    format: str = ".ply",  # noqa: A002 - the name in `load`
+    format_options: FormatOptions | None = None,
     device: str | None = None,
     threads: int | None = None,
     progress: Progress | bool | None = None,
@@ -47,6 +51,10 @@ def refit(
         cameras: Views of the scene, of any sizes and distances; by default they are chosen from the
             original.
         parameters: See `RefitParameters`.
+        format: Suffix of the file that the result will be saved as. If splats share harmonics
+            there, as in .sog, they do so in the result, and the fit makes good a part of the loss;
+            the input then counts as if it were shared already.
+        format_options: Options that the file will be saved with, as `save` takes them.
         device: The device that renders and fits, as in `nanogs.simplify`.
         threads: Number of threads; all by default. The result does not depend on it.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
@@ -59,7 +67,9 @@ def refit(
     Raises:
         FormatError: A path cannot be read as a model.
         OptionError: An option is out of range, there are fewer than two cameras, or there is no
-            such device.
+            such device or format.
+        OutputError: Splats are to share harmonics, and some of the small model's values cannot be
+            stored in the format.
         ModelError: A model has no visible splat, or the two do not show the same scene.
     """
     begin, clock = time.perf_counter(), StageClock()
@@ -70,6 +80,9 @@ def refit(
             " dictionary becomes them by RefitParameters(**dictionary)."
         )
     cameras = None if cameras is None else _listed(cameras)
+    known, options = registry.writable(registry.file_of(format)), given_options(format_options)
+    registry.keywords(known, options)  # refuses options that the format does not have
+    sharing = known.sharing_with(options)
     # Imported here because these import Numba, which `--help` must not wait for.
     from nanogs.fit.views import view_targets
     from nanogs.raster.lens import lens_notes
@@ -83,13 +96,14 @@ def refit(
         large, given = as_splats(original, "the original"), as_splats(small, "the small model")
         _refuse_unusable(large, "original")
         _refuse_unusable(given, "small")
+        entries = _shared_entries(given, known, sharing)
         tracker = Tracker(on_step, refit_stages(chosen, len(large), len(given)))
         tracker.begin("render")
         with clock.time("targets"):
             fitting, deciding, unseen = view_targets(large, given, cameras, chosen, tracker.part)
         tracker.begin("fit")
         fitted, report = fit_to_views(
-            given, fitting, deciding, chosen, len(large), threads_used, tracker.part
+            given, fitting, deciding, chosen, len(large), threads_used, tracker.part, entries
         )
         tracker.finish()
     return fitted, replace(
@@ -108,7 +122,7 @@ def fit_to_views(
     original_count: int,
     threads: int,
     on_progress: PartProgress,
-    palette_size: "PaletteSize | None" = None,
+    entries: int | None = None,
 ) -> tuple[Splats, RefitReport]:
     """Fit a small model to given views.
 
@@ -120,19 +134,18 @@ def fit_to_views(
         original_count: Number of splats of the original, for the report.
         threads: Number of threads in use, for the report.
         on_progress: Progress callback: number of steps made, and their largest possible number.
-        palette_size: Palette of higher harmonics that the splats are to share; None for no palette.
+        entries: Largest number of sets of higher harmonics that the splats are to share; None if
+            each has its own.
     """
     from nanogs.fit.rounds import fit
     from nanogs.fit.shared import fit_shared
 
     clock = StageClock()
     with clock.time("fit"):
-        if palette_size is None:
+        if entries is None:
             fitted, outcome = fit(small, fitting, deciding, parameters, on_progress)
         else:
-            fitted, outcome = fit_shared(
-                small, palette_size, fitting, deciding, parameters, on_progress
-            )
+            fitted, outcome = fit_shared(small, entries, fitting, deciding, parameters, on_progress)
     report = RefitReport(
         parameters=asdict(parameters),
         original_count=original_count,
@@ -168,6 +181,18 @@ def _listed(cameras: "Sequence[Camera] | Camera") -> "list[Camera]":
         raise OptionError("`cameras` of a refit must be a list of at least two nanogs.Camera.")
     check_cameras(found)
     return found
+
+
+def _shared_entries(small: Splats, known: Format, sharing: Sharing | None) -> int | None:
+    """Return how many sets of higher harmonics splats share in a file; None if each has its own.
+
+    Raises:
+        OutputError: Some value cannot be stored, so that it cannot be part of a shared set either.
+    """
+    if sharing is None or small.sh_degree == 0:
+        return None
+    refuse_unstorable(small, known.suffix)
+    return sharing.shared_entries(len(small))
 
 
 def _refuse_unusable(splats: Splats, name: str) -> None:

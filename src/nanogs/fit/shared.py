@@ -7,7 +7,6 @@ colours and shapes, which are each splat's own, compensate for what a shared ent
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,21 +17,18 @@ from nanogs.fit.rounds import FitOutcome, fit
 from nanogs.fit.targets import Fitting
 from nanogs.io.cells import by_label
 from nanogs.io.palette import palette
+from nanogs.io.precision import visibility
 from nanogs.kernels.kmeans import weighted_means
 from nanogs.progress import PartProgress
+from nanogs.raster.camera import pick_evenly
+from nanogs.raster.rendering import concatenated, prepare
 from nanogs.splats import Splats
+from nanogs.views.light import light_in, visibility_of, visible_weights
 
-
-class PaletteSize(NamedTuple):
-    """The palette to build: how many sets of higher harmonics the splats are to share.
-
-    Attributes:
-        most: Largest number of sets, the palette's entries.
-        weights: (N,) float64, positive, weight of an error of each splat's colour.
-    """
-
-    most: int
-    weights: F64
+# Number of views by which colours are weighted, and their pixels along the longer side. They do not
+# show everything: a splat hidden in all of them has this share of the weight of a visible one.
+GLANCES, GLANCE = 12, 256
+HIDDEN = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,9 +79,23 @@ class SharedHarmonics:
         return _with(fitted, entries[self.labels])
 
 
+def weights_of_colours(splats: Splats, fitting: Fitting) -> F64:
+    """Return (N,) the weight of an error of each splat's colour, less if views hardly show it.
+
+    Args:
+        splats: N splats.
+        fitting: The views, and the surroundings that are rendered with the splats.
+    """
+    cameras = [view.camera for view in pick_evenly(fitting.kept, GLANCES)]
+    small = [each if each.whole else each.reduced(GLANCE) for each in cameras]
+    light = light_in(concatenated(prepare(splats), fitting.surroundings), small)
+    visible, _ = visibility_of(light, None)
+    return visible_weights(visibility(splats), visible[: len(splats)], HIDDEN)
+
+
 def fit_shared(
     small: Splats,
-    palette_size: PaletteSize,
+    entries: int,
     fitting: Fitting,
     deciding: Sequence[ViewGroup],
     parameters: RefitParameters,
@@ -95,7 +105,7 @@ def fit_shared(
 
     Args:
         small: N splats with harmonics.
-        palette_size: Size and weights of the palette.
+        entries: Largest number of sets of higher harmonics that the splats are to share.
         fitting: Views to fit to.
         deciding: Validation views, which decide how much of each round is kept.
         parameters: Parameters of the fit.
@@ -104,10 +114,9 @@ def fit_shared(
     Returns:
         The fitted model, with no more sets of higher harmonics than asked for, and the outcome.
     """
-    found = palette(
-        small.sh[:, 1:].reshape(len(small), -1), palette_size.most, palette_size.weights
-    )
-    shared = SharedHarmonics.of(found.labels, len(found.entries), palette_size.weights)
+    weights = weights_of_colours(small, fitting)
+    found = palette(small.sh[:, 1:].reshape(len(small), -1), entries, weights)
+    shared = SharedHarmonics.of(found.labels, len(found.entries), weights)
     begun = _with(small, found.entries[found.labels])
     return fit(begun, fitting, deciding, parameters, on_progress, shared)
 

@@ -79,6 +79,11 @@ class Sharing(NamedTuple):
         part = count / max(whole, count, 1)
         return max(int(min(max(count / self.share, self.own * part), self.most * part)), 1)
 
+    def shared_entries(self, count: int, whole: int = 0) -> int | None:
+        """Return `entries`, or None if there are enough for each splat to have a set of its own."""
+        entries = self.entries(count, whole)
+        return entries if entries < count else None
+
 
 @dataclass(frozen=True, slots=True)
 class WriteOption:

@@ -1,44 +1,15 @@
-"""Visibility of splats in views of the original, and weights that depend on it."""
+"""How much of a model its views show, and how much they have missed."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import F64, U8, Bool
-from nanogs.raster.camera import Camera
-from nanogs.raster.light import LightSums, light_in_view
-from nanogs.raster.rendering import PreparedSplats
+from nanogs._types import F64, Bool
+from nanogs.views.light import SHOWN, SplatContributions
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; grey takes a third of the work
-SHOWN = 0.01  # visibility from which a splat counts as shown
 NEW = 0.01  # share of light seen by only one view, above which the views are taken as incomplete
 DECIDING = 6  # one view in six is held out, to choose a candidate and to accept a fit
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SplatContributions:
-    """The light of N splats, summed over views: contributions, with and without occlusion.
-
-    Attributes:
-        seen: (N,) float64, sum of transmittance x alpha over all pixels.
-        whole: (N,) float64, about the same without other splats in front.
-        times: (N,) uint8, number of views that show each, more than one as 2.
-        views: Number of views.
-        pixels: Number of pixels of all views.
-    """
-
-    seen: F64
-    whole: F64
-    times: U8
-    views: int
-    pixels: int
-
-    def shares(self) -> F64:
-        """Return (N,) float64 visibilities in [0, 1]: `seen` over `whole`; 0 outside all views."""
-        shares = np.zeros(len(self.seen))
-        np.divide(self.seen, self.whole, out=shares, where=self.whole > 0)
-        return np.minimum(shares, 1.0, out=shares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,52 +65,6 @@ def missed_light_of(looked: SplatContributions, count: int) -> MissedLight:
     return MissedLight(
         float(seen[times == 1].sum()), float(seen.sum()), float(whole[times == 0].sum())
     )
-
-
-def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> SplatContributions:
-    """Sum up the light of each splat in some views, whose pictures are not needed."""
-    light = LightSums(len(prepared))
-    for camera in cameras:
-        light.add(light_in_view(prepared, camera), SHOWN)
-    return contributions_of(light, cameras)
-
-
-def contributions_of(light: LightSums, cameras: Sequence[Camera]) -> SplatContributions:
-    """Return the sums of the light in the views of some cameras."""
-    pixels = sum(camera.width * camera.height for camera in cameras)
-    return SplatContributions(light.seen(), light.whole(), light.times(), len(cameras), pixels)
-
-
-def visibility_of(
-    looked: SplatContributions, around: SplatContributions | None
-) -> tuple[F64, Bool]:
-    """Compute the visibility of splats, and which are outside all views.
-
-    Args:
-        looked: Light in the views of the model; a splat outside all of them counts as visible.
-        around: Light in views from all around, which can only increase visibilities; or None.
-
-    Returns:
-        (N,) float64 visibilities in [0, 1], and (N,) bool, True outside all views.
-    """
-    visible, missed = looked.shares(), looked.whole == 0
-    visible[missed] = 1.0
-    if around is not None:
-        np.maximum(visible, around.shares(), out=visible)
-        missed &= around.whole == 0
-    return visible, missed
-
-
-def visible_weights(prominences: F64, visible: F64, hidden: float) -> F64:
-    """Compute the (N,) float64 weights of splats: prominence, reduced by occlusion.
-
-    Args:
-        prominences: (N,) from `nodes.prominence`.
-        visible: (N,) visibilities in [0, 1].
-        hidden: Weight of a splat that is not visible at all, relative to a fully visible one.
-    """
-    weights: F64 = prominences * (hidden + (1 - hidden) * visible)
-    return weights
 
 
 def shown_share(prominences: F64, visible: F64, missed: Bool) -> float:

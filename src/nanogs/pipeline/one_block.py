@@ -24,7 +24,7 @@ from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
-from nanogs.method.visibility import MissedLight, shown_share, visible_weights
+from nanogs.method.visibility import MissedLight, shown_share
 from nanogs.pipeline.options.settings import Access, InputFile, Segment, Settings
 from nanogs.pipeline.options.views import AUTOMATIC
 from nanogs.pipeline.scene import (
@@ -50,6 +50,7 @@ from nanogs.slices import SLICE_STEPS, slices
 from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
+from nanogs.views.light import visible_weights
 
 
 class _Placement(NamedTuple):

@@ -19,7 +19,6 @@ from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method.correct import Correction, Ordering
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups, store_groups
-from nanogs.method.visibility import SHOWN
 from nanogs.pipeline.job.rows import sample
 from nanogs.pipeline.options.settings import FINE, ROUGH, Settings
 from nanogs.pipeline.scene import Block, FitViews, Look, Members, Scene, Task
@@ -78,6 +77,7 @@ from nanogs.store.columns import (
 )
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table, read_record, write_table
+from nanogs.views.light import SHOWN
 
 UNPACK = "unpack"
 BEGUN = Task("job")  # written by the caller: a worker that cannot read it sees another folder

@@ -196,7 +196,7 @@ class Settings:
         """
         if self.sharing is None or self.result_layout.sh_degree == 0:
             return None
-        return self.sharing.entries(count, whole)
+        return self.sharing.shared_entries(count, whole)
 
     @property
     def read_count(self) -> int:

@@ -8,13 +8,13 @@ import numpy as np
 
 from nanogs._types import F64, I32, I64, Array
 from nanogs.method.nodes import LIGHTEST, Nodes, activate_nodes, prominence, without_coverages
-from nanogs.method.visibility import visible_weights
 from nanogs.pipeline.tasks.partition import Partition
 from nanogs.pipeline.tasks.units import Units
 from nanogs.splats import Splats
 from nanogs.store.columns import CODES, read_rows
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table
+from nanogs.views.light import visible_weights
 
 
 def read_block(

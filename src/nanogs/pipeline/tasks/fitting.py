@@ -9,34 +9,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nanogs._types import F64
 from nanogs.findings import join_findings, of_plain, to_plain
 from nanogs.fit.api import fit_to_views
 from nanogs.fit.groups import ViewGroup
 from nanogs.fit.report import GroupReport, RefitReport, RefitStop
-from nanogs.fit.shared import PaletteSize
 from nanogs.fit.targets import Fitting, make_target
-from nanogs.io.precision import visibility
-from nanogs.method.visibility import SHOWN, light_in, visibility_of, visible_weights
 from nanogs.pipeline.options.presets import fit_parameters
 from nanogs.pipeline.scene import FitViews, Scene, Task
 from nanogs.pipeline.tasks.block_visibility import looks_at
 from nanogs.pipeline.tasks.views import deciding_count, parts_of
 from nanogs.raster.camera import Camera, pick_evenly
 from nanogs.raster.rendering import concatenated, prepare
-from nanogs.splats import Splats
 from nanogs.store.columns import count_of
 from nanogs.store.tables import Record
+from nanogs.views.light import SHOWN
 
 if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
 FITTED = "fitted"  # fact of stage `fit`: `facts_of_fit`, or None if the block was not fitted
 LEAST = 16.0  # pixels of a block that a view has to show
-# Number of views by which colours are weighted, and their pixels along the longer side. They do not
-# show everything: a splat hidden in all of them has this share of the weight of a visible one.
-GLANCES, GLANCE = 12, 256
-HIDDEN = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,27 +51,12 @@ def fit_part(scene: Scene, task: Task) -> Record:
         views=len(views.fitting),
         validation=sum(len(group.targets) for group in views.deciding),
     )
-    most = scene.settings.entries(len(part), scene.target(level))
-    palette_size = PaletteSize(most, weights_of_colours(part, views.fitting)) if most else None
+    entries = scene.settings.entries(len(part), scene.target(level))
     fitted, report = fit_to_views(
         part, views.fitting, views.deciding, parameters, views.count, scene.threads,
-        scene.on_progress, palette_size,
+        scene.on_progress, entries,
     )  # fmt: skip
     return scene.keep_fit(task.name, level, fitted, report)
-
-
-def weights_of_colours(part: Splats, fitting: Fitting) -> F64:
-    """Return (N,) the weight of an error of each splat's colour, less if views hardly show it.
-
-    Args:
-        part: N splats.
-        fitting: The views, and the surroundings that are rendered with the splats.
-    """
-    cameras = [view.camera for view in pick_evenly(fitting.kept, GLANCES)]
-    small = [each if each.whole else each.reduced(GLANCE) for each in cameras]
-    light = light_in(concatenated(prepare(part), fitting.surroundings), small)
-    visible, _ = visibility_of(light, None)
-    return visible_weights(visibility(part), visible[: len(part)], HIDDEN)
 
 
 def fit_report(work: "Work", level: int) -> RefitReport | None:

@@ -7,19 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from nanogs.errors import SmallViewError
-from nanogs.method.visibility import (
-    SHOWN,
-    contributions_of,
-    light_in,
-    missed_light_of,
-    visibility_of,
-)
+from nanogs.method.visibility import missed_light_of
 from nanogs.metrics._ssim import LEAST
 from nanogs.pipeline.scene import Look, Scene, Task, ViewLight
 from nanogs.raster.camera import Camera
 from nanogs.raster.light import LightSums
 from nanogs.raster.rendering import concatenated, prepare
 from nanogs.store.tables import Record
+from nanogs.views.light import SHOWN, contributions_of, light_in, visibility_of
 
 
 def look_at_block(scene: Scene, task: Task) -> Record:
