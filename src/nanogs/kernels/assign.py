@@ -93,8 +93,9 @@ def assign_nearest(
             a, b, c, d, e, f = symmetric(inverses, g)
             spread = a * (xx + x * x) + d * (yy + y * y) + f * (zz + z * z)
             spread += 2.0 * (b * (xy + x * y) + c * (xz + x * z) + e * (yz + y * z))
-            distance = _apart(features, rows[i], colours, g)
-            total = 0.5 * (spread + log_dets[g]) + lambda_app * distance
+            total = 0.5 * (spread + log_dets[g])
+            if total < best:
+                total += lambda_app * _apart(features, rows[i], colours, g)
             if total < best:
                 best, chosen = total, g
         out[i], distances[i] = chosen, best - 0.5 * (3.0 + log_determinant(sigma))
