@@ -3,14 +3,12 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import show_progress
 from nanogs.card.device import AUTO, CPU, check_device, device_notes, use_device
 from nanogs.clock import StageClock
-from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
 from nanogs.frames import checked_frames, turned
 from nanogs.io import registry
@@ -166,20 +164,16 @@ def simplify(
             simplify_stages(checked.parameters, goal, len(checked.rows), target, path.suffix),
         )
         files = HeldFiles(path, given, checked.splats, clock, frame, by_psnr=psnr is not None)
-        if target is not None:
+        if target is None:
+            outcome = _searched(checked, goal, files, threads_used, tracker)
+            target = len(outcome.splats)
+        else:
             outcome = checked.deliverer(target, threads_used, clock, tracker)(
                 target, clock, tracker
             )
             if size is not None:
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, achieved_size=achieved)
-        elif size is not None:
-            outcome = _search_size(checked, size, files, threads_used, tracker)
-        elif draw_cost is not None:
-            outcome = _search_draw_cost(checked, draw_cost, files, threads_used, tracker)
-        else:
-            outcome = _search_psnr(checked, goal.psnr or 0.0, files, threads_used, tracker)
-        target = len(outcome.splats) if target is None else target
         tracker.finish()
     if size is not None:
         outcome = _with_size_ending(outcome, size, checked, known)
@@ -189,17 +183,22 @@ def simplify(
 
 
 def _with_size_ending(outcome: Outcome, size: int, checked: CheckedModel, known: Format) -> Outcome:
-    """Add why the count is the largest: a note if much of the size is unused, and `stop`."""
-    from nanogs.pipeline.search.file_size import whole_fits, with_ending_on_known
+    """Add why the count is the largest that fits, for formats of known file sizes.
 
-    small, available = outcome.splats, len(checked.rows)
-    left_out = small.sh_degree < checked.splats.sh_degree
-    if (sizer := known.file_bytes) is None:
-        if len(small) < available:  # the search has said why
-            return outcome
-        return replace(outcome, notes=(*outcome.notes, whole_fits(left_out=left_out)))
+    For others, the search for the size does.
+    """
+    if (file_bytes := known.file_bytes) is None:
+        return outcome
+    from nanogs.pipeline.search.file_size import with_ending_on_known
+
+    small = outcome.splats
     return with_ending_on_known(
-        outcome, size, len(small), available, lambda count: sizer(small, count), left_out=left_out
+        outcome,
+        size,
+        len(small),
+        len(checked.rows),
+        lambda count: file_bytes(small, count),
+        left_out=small.sh_degree < checked.splats.sh_degree,
     )
 
 
@@ -329,30 +328,44 @@ def refuse_small(request: "SizeRequest", some: Splats, files: "HeldFiles") -> No
         )
 
 
-def _search_size(
-    checked: CheckedModel, size: int, files: "HeldFiles", threads: int, progress: Tracker
+def _searched(
+    checked: CheckedModel, goal: Goal, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
+    """Search for the result that meets a size, a PSNR or a draw cost."""
+    from nanogs.pipeline.search.draw_cost import search_draw_cost
     from nanogs.pipeline.search.filled import fill_size
-    from nanogs.pipeline.search.packer import Packer
+    from nanogs.pipeline.search.packer import Packer, PackingForPsnr
+    from nanogs.pipeline.search.psnr import search_psnr
     from nanogs.pipeline.search.results import HeldResults
     from nanogs.pipeline.search.size_request import SizeRequest
+    from nanogs.scoring.draw_views import draw_views
+    from nanogs.scoring.held_out import held_out
 
-    some, clock = _sample(checked), files.clock
-    known, looks = registry.writable(files.path), renders(checked.parameters)
-    request = SizeRequest(size, known, files.given, checked.sh_degree, looks=looks)
-    refuse_small(request, some, files)
-    results = HeldResults(checked.build(threads, clock, progress), clock)
-    outcome, found = fill_size(Packer(results, request, some, files, progress))
-    fitted, packed = found.fitted, found.packed
-    left_over = fitted.leap(size, results.available, known.overhead_bytes())
-    return replace(
-        outcome,
-        stop=fitted.stop if outcome.stop is StopReason.TARGET else outcome.stop,
-        achieved_size=fitted.bytes,
-        size_probes=fitted.probes,
-        notes=(*outcome.notes, *left_over, *packed.notes),
-        **packed.entries(len(outcome.splats)),
-    )
+    some, clock, looks = _sample(checked), files.clock, renders(checked.parameters)
+    known = registry.writable(files.path)
+    request = SizeRequest(goal.size or 0, known, files.given, checked.sh_degree, looks=looks)
+
+    def grown() -> HeldResults:
+        return HeldResults(checked.build(threads, clock, progress), clock)
+
+    if goal.size is not None:
+        refuse_small(request, some, files)
+        found = fill_size(Packer(grown(), request, some, files, progress))
+    elif goal.psnr is not None:
+        progress.begin("measure")
+        with clock.time("measure"):
+            views = held_out(checked.splats, progress.part)
+        pack = PackingForPsnr(grown(), request, lambda: some, files, progress)
+        found = search_psnr(pack, goal.psnr, views)
+    else:
+        progress.begin("measure")
+        with clock.time("measure"):
+            drawn = draw_views(checked.splats, progress.part)
+        found = search_draw_cost(grown(), goal.draw_cost or 1.0, drawn, files, progress)
+    outcome, fields, notes = found
+    if goal.size is not None and outcome.stop is not StopReason.TARGET:
+        fields["stop"] = outcome.stop
+    return replace(outcome, **fields, notes=(*outcome.notes, *notes))
 
 
 def _sample(checked: CheckedModel) -> Splats:
@@ -361,75 +374,3 @@ def _sample(checked: CheckedModel) -> Splats:
 
     every = -(-len(checked.rows) // SIZE_SAMPLE)
     return checked.splats.take(checked.rows[::every])
-
-
-def _search_psnr(
-    checked: CheckedModel, psnr: float, files: "HeldFiles", threads: int, progress: Tracker
-) -> Outcome:
-    from nanogs.pipeline.search.packer import PackingForPsnr
-    from nanogs.pipeline.search.psnr import reach_psnr
-    from nanogs.pipeline.search.results import HeldResults
-    from nanogs.pipeline.search.size_request import SizeRequest
-    from nanogs.scoring.held_out import held_out
-
-    clock = files.clock
-    progress.begin("measure")
-    with clock.time("measure"):
-        views = held_out(checked.splats, progress.part)
-
-    def stored(outcome: Outcome) -> Splats:
-        return files.stored(outcome.splats, pack.options(outcome))
-
-    def psnr_of(outcome: Outcome) -> float:
-        with clock.time("measure"):
-            return views.psnr(stored(outcome))
-
-    results = HeldResults(checked.build(threads, clock, progress), clock)
-    request = SizeRequest(0, registry.writable(files.path), files.given, checked.sh_degree)
-    pack = PackingForPsnr(results, request, partial(_sample, checked), files, progress)
-    outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack, pack.smaller)
-    if found.stop is StopReason.UNREACHED:  # then the whole model is written unchanged
-        pack.packed = None
-    with clock.time("measure"):
-        judged = views.judge(stored(outcome))
-    entries = pack.entries(outcome)
-    notes = (*outcome.notes, *pack.notes)
-    return replace(
-        outcome, probes=found.probes, stop=found.stop, judged=judged, notes=notes, **entries
-    )
-
-
-def _search_draw_cost(
-    checked: CheckedModel, asked: float, files: "HeldFiles", threads: int, progress: Tracker
-) -> Outcome:
-    from nanogs.pipeline.search.draw_cost import search_draw_cost
-    from nanogs.pipeline.search.results import HeldResults
-    from nanogs.scoring.draw_views import draw_views
-
-    clock = files.clock
-    progress.begin("measure")
-    with clock.time("measure"):
-        views = draw_views(checked.splats, progress.part)
-
-    costs: dict[int, DrawCost] = {}  # of the full results, by count: each is measured once
-
-    def cost_of(outcome: Outcome) -> DrawCost:
-        count = len(outcome.splats)
-        if count not in costs:
-            with clock.time("measure"):
-                costs[count] = views.cost(files.stored(outcome.splats, {}))
-        return costs[count]
-
-    def share_of(outcome: Outcome) -> float:
-        return cost_of(outcome).share_of(views.original)
-
-    def quick_share_of(outcome: Outcome) -> float:
-        with clock.time("measure"):
-            return views.share(outcome.splats)
-
-    results = HeldResults(checked.build(threads, clock, progress), clock)
-    outcome, found = search_draw_cost(results, asked, share_of, quick_share_of, progress)
-    return replace(
-        outcome, draw_probes=found.probes, stop=found.stop, cost=cost_of(outcome),
-        original_cost=views.original,
-    )  # fmt: skip

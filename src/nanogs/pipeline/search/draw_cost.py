@@ -6,14 +6,17 @@ forest, to get near the count; then with full results, measured as they are deli
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from nanogs.costs import DrawCost
 from nanogs.errors import TooSmallError
 from nanogs.formatting import counted
 from nanogs.pipeline.estimates.stage_weights import COUNTS
-from nanogs.pipeline.search.results import Attempts, Results, T
+from nanogs.pipeline.search.results import Attempts, Delivered, Results, T
+from nanogs.pipeline.search.size_request import Files
 from nanogs.progress import Stage, Tracker
 from nanogs.report import DrawProbeReport, StopReason
+from nanogs.scoring.draw_views import DrawViews
 
 NEAR_SHARE = 0.02  # relative tolerance below the share asked for
 MOST_PROBES = 16
@@ -132,48 +135,59 @@ def _power(probes: "list[DrawProbeReport] | tuple[DrawProbeReport, ...]") -> flo
 
 
 def search_draw_cost(
-    results: Results[T],
-    asked: float,
-    share_of: Callable[[T], float],
-    quick_share_of: Callable[[T], float],
-    progress: Tracker,
-) -> tuple[T, Found]:
+    results: Results[T], asked: float, views: DrawViews, files: Files[T], progress: Tracker
+) -> Delivered[T]:
     """Make the largest result that the search finds with a draw cost of at most `asked`.
 
     Args:
         results: Makes results of the model.
         asked: Share of the original's draw cost, above 0 and at most 1.
-        share_of: Measures the draw cost of a full result, as such a share.
-        quick_share_of: Measures that of a quick result.
+        views: The views that the cost is measured on.
+        files: Writes full results, which are measured as their files hold them.
         progress: Receives each stage.
-
-    Returns:
-        The result, and the search that found it.
 
     Raises:
         TooSmallError: Even the fewest splats cost more.
     """
-    available = results.available
+    costs: dict[int, DrawCost] = {}  # of full results, by count: each is measured once
+
+    def cost_of(result: T) -> DrawCost:
+        count = files.count(result)
+        if count not in costs:
+            with files.clock.time("measure"), files.stored(result, {}) as small:
+                costs[count] = views.cost(small)
+        return costs[count]
+
+    def share_of(result: T) -> float:
+        return cost_of(result).share_of(views.original)
+
+    def quick_share_of(result: T) -> float:
+        with files.clock.time("measure"), files.unwritten(result) as small:
+            return views.share(small)
 
     def attempts(some: Results[T], measure: Callable[[T], float]) -> Attempts[T, float]:
         return Attempts(some, measure, lambda share: share <= asked, _measuring, COUNTS, progress)
 
+    available = results.available
+    probes: tuple[DrawProbeReport, ...] = ()
     progress.begin("search")
     if asked >= 1:
-        whole = results.make(available, progress)
-        return whole, Found(available, (), StopReason.TARGET)
-    limits = results.fewest, available
-    guess, power = round(available * asked ** (1 / POWER)), POWER
-    probes: tuple[DrawProbeReport, ...] = ()
-    if results.looks:
-        quick = attempts(results.plain(rounds=0), quick_share_of)
-        near = search_share(quick, asked, *limits, guess, quick=True)
-        del quick  # frees the result that it holds
-        probes, guess, power = near.probes, near.count, near.power
-        progress.begin("deliver")
-    tried = attempts(results, share_of)
-    found = search_share(tried, asked, *limits, guess, power)
-    return tried.found(), replace(found, probes=probes + found.probes)
+        result, found = results.make(available, progress), Found(available, (), StopReason.TARGET)
+    else:
+        limits = results.fewest, available
+        guess, power = round(available * asked ** (1 / POWER)), POWER
+        if results.looks:
+            quick = attempts(results.plain(rounds=0), quick_share_of)
+            near = search_share(quick, asked, *limits, guess, quick=True)
+            del quick  # frees the result that it holds
+            probes, guess, power = near.probes, near.count, near.power
+            progress.begin("deliver")
+        tried = attempts(results, share_of)
+        found = search_share(tried, asked, *limits, guess, power)
+        result = tried.found()
+    results.verify(result, progress)
+    fields = {"draw_probes": probes + found.probes, "stop": found.stop, "cost": cost_of(result)}
+    return Delivered(result, fields | {"original_cost": views.original})
 
 
 def _measuring(_count: int) -> Stage:

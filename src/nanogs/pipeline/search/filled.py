@@ -2,40 +2,24 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, TypeVar
 
 from nanogs.errors import TooSmallError
 from nanogs.pipeline.options.target import count_for_size
-from nanogs.pipeline.search.file_size import FittedSize, fit_size, too_small
+from nanogs.pipeline.search.file_size import FittedSize, fit_size, too_small, whole_fits
 from nanogs.pipeline.search.packer import Packed, Packer
 from nanogs.pipeline.search.packing import Packing
+from nanogs.pipeline.search.results import Delivered, T
 
-T = TypeVar("T")
 # If this many times the fewest splats fit by the guess, the fewest certainly fit, and no file is
 # made to check it.
 FEW = 8
 
 
-class Filled(NamedTuple):
-    """The outcome of a search for a result that fills a size.
-
-    Attributes:
-        fitted: The counts that were tried.
-        packed: The packing.
-    """
-
-    fitted: FittedSize
-    packed: Packed
-
-
-def fill_size(packer: Packer[T]) -> tuple[T, Filled]:
+def fill_size(packer: Packer[T]) -> Delivered[T]:
     """Make the result of a model that is packed best and fills a size.
 
     Args:
         packer: Of the model's results, with what is asked.
-
-    Returns:
-        The result, and what was tried.
 
     Raises:
         TooSmallError: Not even the fewest splats fit.
@@ -43,10 +27,19 @@ def fill_size(packer: Packer[T]) -> tuple[T, Filled]:
     smallest = _smallest(packer)
     packed = packer.pack()
     try:
-        return _filled(packer, packed)
+        result, fitted = _filled(packer, packed)
     except TooSmallError:
         fewest = packer.results.fewest
-        return _filled(packer, replace(packed, packing=smallest, count=fewest, tight=True))
+        packed = replace(packed, packing=smallest, count=fewest, tight=True)
+        result, fitted = _filled(packer, packed)
+    packer.results.verify(result, packer.progress)
+    known, available = packer.request.known, packer.results.available
+    notes = fitted.leap(packer.request.size, available, known.overhead_bytes()) + packed.notes
+    if fitted.count == available and known.file_bytes is None:
+        left_out = packed.packing.sh_degree < packer.sample.sh_degree
+        notes += (whole_fits(left_out=left_out),)
+    fields = {"achieved_size": fitted.bytes, "size_probes": fitted.probes, "stop": fitted.stop}
+    return Delivered(result, fields | packed.entries(packer.files.count(result)), notes)
 
 
 def _smallest(packer: Packer[T]) -> Packing:
@@ -75,8 +68,8 @@ def _smallest(packer: Packer[T]) -> Packing:
     return packing
 
 
-def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
-    """Make the result that fills a size in a given packing.
+def _filled(packer: Packer[T], packed: Packed) -> tuple[T, FittedSize]:
+    """Make the result that fills a size in a given packing, and tell which counts were tried.
 
     Raises:
         TooSmallError: Not even the fewest splats fit in this packing.
@@ -92,14 +85,12 @@ def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
         if fitted.bytes > request.size:
             raise too_small(request.size, count, fitted.bytes)
         progress.begin("deliver")
-        result = chosen.make(count, progress.within(0, 1, chosen.stages(count)))
-        return result, Filled(fitted, packed)
+        return chosen.make(count, progress.within(0, 1, chosen.stages(count))), fitted
 
     def bytes_of(result: T) -> int:
         return files.bytes_of(result, packing.options(files.count(result)))
 
     near, around = packed.tight or bool(packed.packings), request.known.overhead_bytes()
-    result, fitted = fit_size(
+    return fit_size(
         chosen, request.size, packed.count, bytes_of, progress, near=near, around=around
     )
-    return result, Filled(fitted, packed)

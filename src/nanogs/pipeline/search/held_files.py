@@ -1,6 +1,7 @@
 """Encoding results in memory, to measure their file size and their quality when read back."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -68,8 +69,14 @@ class HeldFiles:
             psnr, ssim = self.views.judge(turned(small, back(self.frame)))
         return PackingReport(sh_degree, options, len(bare), size, psnr, ssim)
 
-    def stored(self, splats: Splats, options: Mapping[str, Any]) -> Splats:
-        """Return splats as read back from their encoded file, in the frame of the original."""
+    @contextmanager
+    def stored(self, result: Outcome, options: Mapping[str, Any]) -> Iterator[Splats]:
+        """Encode a result and read it back; see `Files.stored`."""
         given = {**self.given, **options}
-        stored = round_trip(turned(splats, self.frame), self.path, given)
-        return turned(stored, back(self.frame))
+        yield turned(
+            round_trip(turned(result.splats, self.frame), self.path, given), back(self.frame)
+        )
+
+    def unwritten(self, result: Outcome) -> AbstractContextManager[Splats]:
+        """Return the splats of a result, which are turned only when they are encoded."""
+        return nullcontext(result.splats)

@@ -1,14 +1,13 @@
 """The search for the count of a job in blocks: results are made, written and measured."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from nanogs.clock import StageClock
-from nanogs.costs import DrawCost
 from nanogs.frames import back, turned
 from nanogs.io import bytes_on_disk, derived_options, encoded_bytes, registry, save
 from nanogs.io import open as open_model
@@ -18,15 +17,15 @@ from nanogs.pipeline.job.rows import opened, sample
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.run import Done, Run
 from nanogs.pipeline.search.draw_cost import search_draw_cost
-from nanogs.pipeline.search.file_size import SIZE_SAMPLE, whole_fits
+from nanogs.pipeline.search.file_size import SIZE_SAMPLE
 from nanogs.pipeline.search.filled import fill_size
 from nanogs.pipeline.search.job_results import JobResults, Result
 from nanogs.pipeline.search.packer import Packer, PackingForPsnr
-from nanogs.pipeline.search.psnr import reach_psnr
+from nanogs.pipeline.search.psnr import search_psnr
 from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.pipeline.work import SHORT_RUN, Work
 from nanogs.progress import Tracker
-from nanogs.report import PackingReport, StopReason
+from nanogs.report import PackingReport
 from nanogs.scoring.draw_views import draw_views
 from nanogs.scoring.held_out import SelectionViews, held_out, selection_views
 from nanogs.sink import refuse_large
@@ -35,14 +34,6 @@ from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
 
 TRIED = ".nanogs-tried"  # a file that is written to be measured; the job deletes it
-
-
-class _Found(NamedTuple):
-    """A result, the entries of its report, and notes."""
-
-    result: Result
-    entries: Mapping[str, Any]
-    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,115 +65,37 @@ class Search:
             OptionError: A result is too large to be written.
             ModelError: A PSNR or a draw cost is asked of a model that shows nothing.
         """
-        results, sought = JobResults.of(work, run), work.settings.search
-        assert sought is not None  # noqa: S101 - a search has a target
-        if sought.psnr is not None:
-            found = self._reach(results, sought.psnr, run.clock, progress)
-        elif sought.draw_cost is not None:
-            found = self._lighten(results, sought.draw_cost, run.clock, progress)
-        else:
-            found = self._fit(results, sought.size or 0, run.clock, progress)
-        result, entries, notes = found
-        return Done(result.work, run.kept, (result.level,), entries, notes)
-
-    def _reach(
-        self, results: JobResults, psnr: float, clock: StageClock, progress: Tracker
-    ) -> _Found:
-        work = results.work
-        progress.begin("measure")
-        with clock.time("measure"), opened(work.settings, work.unpacked()) as original:
-            views = held_out(original, progress.part, self.max_memory)
-
-        def psnr_of(result: Result) -> float:
-            with clock.time("measure"), self._stored(result, pack.options(result)) as small:
-                return views.psnr(small)
-
-        files = _Files(self, work, clock)
-        request = self._request(work, 0)
-        pack = PackingForPsnr(results, request, partial(_sample, work), files, progress)
-        result, found = reach_psnr(results, psnr, psnr_of, progress, pack, pack.smaller)
-        if found.stop is StopReason.UNREACHED:  # the whole model is written, without the packing
-            pack.packed = None
-        results.verify(result, progress)
-        with clock.time("measure"), self._stored(result, pack.options(result)) as small:
-            judged = views.judge(small)
-        entries = {"probes": found.probes, "stop": found.stop, "judged": judged}
-        return _Found(result, entries | pack.entries(result), pack.notes)
-
-    def _lighten(
-        self, results: JobResults, asked: float, clock: StageClock, progress: Tracker
-    ) -> _Found:
-        work = results.work
-        progress.begin("measure")
-        with clock.time("measure"), opened(work.settings, work.unpacked()) as original:
-            views = draw_views(original, progress.part)
-
-        costs: dict[int, DrawCost] = {}  # by level, of the full results measured in this run
-
-        def cost_of(result: Result) -> DrawCost:
-            if result.level not in costs:
-                with clock.time("measure"), self._stored(result, {}) as small:
-                    costs[result.level] = views.cost(small)
-            return costs[result.level]
-
-        def share_of(result: Result) -> float:
-            return cost_of(result).share_of(views.original)
-
-        def quick_share_of(result: Result) -> float:
-            with clock.time("measure"), result_of(result.work, result.level) as small:
-                return views.share(turned_back(small, result))
-
-        result, found = search_draw_cost(results, asked, share_of, quick_share_of, progress)
-        results.verify(result, progress)
-        entries = {"draw_probes": found.probes, "stop": found.stop, "cost": cost_of(result)}
-        return _Found(result, entries | {"original_cost": views.original})
-
-    def _fit(self, results: JobResults, size: int, clock: StageClock, progress: Tracker) -> _Found:
-        work = results.work
-        files, known = _Files(self, work, clock), registry.writable(self.output)
-        request = self._request(work, size)
-        result, found = fill_size(Packer(results, request, _sample(work), files, progress))
-        results.verify(result, progress)
-        fitted, packed = found.fitted, found.packed
-        notes = fitted.leap(size, results.available, known.overhead_bytes()) + packed.notes
-        if fitted.count == results.available and known.file_bytes is None:
-            left_out = packed.packing.sh_degree < work.settings.layout.sh_degree
-            notes += (whole_fits(left_out=left_out),)
-        entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}
-        entries |= {"stop": fitted.stop}
-        return _Found(result, entries | packed.entries(files.count(result)), notes)
-
-    def _request(self, work: Work, size: int) -> SizeRequest:
         settings, sought = work.settings, work.settings.search
         assert sought is not None  # noqa: S101 - a search has a target
-        return SizeRequest(
-            size,
+        request = SizeRequest(
+            sought.size or 0,
             registry.writable(self.output),
             self.options or {},
             settings.sh_degree,
             looks=renders(settings.parameters),
             most=sought.most,
         )
-
-    @contextmanager
-    def _stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
-        """Open a result as its file holds or shows it, in the frame of the inputs."""
-        known = registry.writable(self.output)
-        with result_of(result.work, result.level) as source:
-            if known.suffix == ".ply":
-                yield turned_back(source, result)
-                return
-            if known.shown is not None:
-                self._refuse_large(source, options)
-                yield turned_back(InMemory(known.shown(source.load())), result)
-                return
-            with self.written(source, options) as path, open_model(path) as file:
-                yield turned_back(file, result)
+        results, files = JobResults.of(work, run), _Files(self, work, run.clock)
+        if sought.size is not None:
+            found = fill_size(Packer(results, request, _sample(work), files, progress))
+        elif sought.psnr is not None:
+            progress.begin("measure")
+            with run.clock.time("measure"), files.original() as original:
+                views = held_out(original, progress.part, self.max_memory)
+            pack = PackingForPsnr(results, request, partial(_sample, work), files, progress)
+            found = search_psnr(pack, sought.psnr, views)
+        else:
+            progress.begin("measure")
+            with run.clock.time("measure"), files.original() as original:
+                drawn = draw_views(original, progress.part)
+            found = search_draw_cost(results, sought.draw_cost or 1.0, drawn, files, progress)
+        result, fields, notes = found
+        return Done(result.work, run.kept, (result.level,), fields, notes)
 
     @contextmanager
     def written(self, source: Source, options: Mapping[str, Any]) -> Iterator[Path]:
         """Write a file of a result, with further options of the format; delete it afterwards."""
-        self._refuse_large(source, options)
+        self.refuse_large(source, options)
         path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
         try:
             save(source, path, overwrite=True, format_options=self.with_given(options))
@@ -190,7 +103,7 @@ class Search:
         finally:
             path.unlink(missing_ok=True)
 
-    def _refuse_large(self, source: Source, options: Mapping[str, Any]) -> None:
+    def refuse_large(self, source: Source, options: Mapping[str, Any]) -> None:
         """Refuse a result whose file would have to be written from more memory than is allowed."""
         row, given = row_bytes(source.columns), self.with_given(options)
         refuse_large(self.output, source.count, row, self.max_memory, given)
@@ -222,8 +135,12 @@ class _Files:
         """The original on the views to choose by, which are not those that judge the result."""
         sought, most = self.work.settings.search, self.search.max_memory
         by_psnr = sought is not None and sought.psnr is not None
-        with opened(self.work.settings, self.work.unpacked()) as original:
+        with self.original() as original:
             return selection_views(original, most, automatic=by_psnr)
+
+    def original(self) -> AbstractContextManager[Source]:
+        """Open the model of the job."""
+        return opened(self.work.settings, self.work.unpacked())
 
     def count(self, result: Result) -> int:
         """Return the number of splats of a result."""
@@ -263,3 +180,24 @@ class _Files:
             with self.clock.time("measure"):
                 psnr, ssim = self.views.judge(turned_back(file, result))
         return PackingReport(sh_degree, options, self.count(result), size, psnr, ssim)
+
+    @contextmanager
+    def stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
+        """Open a result as its file holds or shows it; see `Files.stored`."""
+        known = registry.writable(self.search.output)
+        with result_of(result.work, result.level) as source:
+            if known.suffix == ".ply":
+                yield turned_back(source, result)
+                return
+            if known.shown is not None:
+                self.search.refuse_large(source, options)
+                yield turned_back(InMemory(known.shown(source.load())), result)
+                return
+            with self.search.written(source, options) as path, open_model(path) as file:
+                yield turned_back(file, result)
+
+    @contextmanager
+    def unwritten(self, result: Result) -> Iterator[Source]:
+        """Open a result as it is in the files of the job; see `Files.unwritten`."""
+        with result_of(result.work, result.level) as source:
+            yield turned_back(source, result)

@@ -9,10 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from nanogs.pipeline.estimates.stage_weights import COUNTS
-from nanogs.pipeline.search.results import Attempts, Results, T
+from nanogs.pipeline.search.packer import PackingForPsnr
+from nanogs.pipeline.search.results import Attempts, Delivered, M, Results, T
 from nanogs.progress import Stage, Tracker
 from nanogs.protocol import VIEWS
 from nanogs.report import ProbeReport, StopReason
+from nanogs.scoring.held_out import HeldOut
+from nanogs.source import Source
+from nanogs.splats import Splats
 
 NEAR_DB = 0.3  # dB above what is asked within which a result is near enough
 MOST_PROBES = 24
@@ -176,6 +180,31 @@ def _slope(probes: "list[ProbeReport] | tuple[ProbeReport, ...]") -> float:
     if not math.isfinite(rise):
         return SLOPES[1]
     return min(max(rise / math.log(second.count / first.count), SLOPES[0]), SLOPES[1])
+
+
+def search_psnr(pack: PackingForPsnr[T], asked: float, views: HeldOut) -> Delivered[T]:
+    """Make the smallest result that the search finds to reach a PSNR, as its file holds it.
+
+    Args:
+        pack: Chooses the packing of the model's results.
+        asked: dB.
+        views: The views that it is measured on.
+    """
+    results, files, progress = pack.results, pack.files, pack.progress
+
+    def measured(result: T, measure: Callable[[Splats | Source], M]) -> M:
+        with files.clock.time("measure"), files.stored(result, pack.options(result)) as small:
+            return measure(small)
+
+    def psnr_of(result: T) -> float:
+        return measured(result, views.psnr)
+
+    result, found = reach_psnr(results, asked, psnr_of, progress, pack, pack.smaller)
+    if found.stop is StopReason.UNREACHED:  # the whole model is written, without the packing
+        pack.packed = None
+    results.verify(result, progress)
+    fields = {"probes": found.probes, "stop": found.stop, "judged": measured(result, views.judge)}
+    return Delivered(result, fields | pack.entries(result), pack.notes)
 
 
 def reach_psnr(

@@ -5,7 +5,7 @@ The one of a scene in blocks is in `job_results`.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from nanogs.clock import StageClock
 from nanogs.io.format import Sharing
@@ -72,6 +72,23 @@ class Results(Protocol[T]):
 
     def keep(self, result: T) -> None:
         """Keep what is needed of this result; one that was kept before may be discarded."""
+
+    def verify(self, result: T, progress: Tracker) -> None:
+        """Make damaged or missing files of a result again, if an earlier run made them."""
+
+
+class Delivered(NamedTuple, Generic[T]):
+    """The outcome of a search: the result that meets the target, and what is reported about it.
+
+    Attributes:
+        result: The result.
+        fields: Fields of its report, by name.
+        notes: Notes of its report, one sentence each.
+    """
+
+    result: T
+    fields: dict[str, Any]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(slots=True, eq=False)
@@ -181,3 +198,6 @@ class HeldResults:
 
     def keep(self, result: Outcome) -> None:
         """Do nothing: the caller holds the result itself."""
+
+    def verify(self, result: Outcome, progress: Tracker) -> None:
+        """Do nothing: there are no files."""

@@ -1,12 +1,15 @@
 """A request for a file of a given size, and the interface that writes and measures results."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+from nanogs.clock import StageClock
 from nanogs.io.format import PALETTE, Format, Sharing
 from nanogs.pipeline.estimates.memory import LEAST_BYTES
 from nanogs.pipeline.search.packing import SMALLER, Bits, Choices, Packing
 from nanogs.report import PackingReport
+from nanogs.source import Source
 from nanogs.splats import Splats
 
 R_contra = TypeVar("R_contra", contravariant=True)
@@ -15,7 +18,13 @@ Options = Mapping[str, Any]
 
 
 class Files(Protocol[R_contra]):
-    """Writes results to measure how large their files are, and how good they look."""
+    """Writes results to measure how large their files are, and how good they look.
+
+    Attributes:
+        clock: Gets the seconds of each stage.
+    """
+
+    clock: StageClock
 
     def count(self, result: R_contra) -> int:
         """Return the number of splats of a result."""
@@ -37,6 +46,12 @@ class Files(Protocol[R_contra]):
             sh_degree: Degree of the harmonics that are written, as far as the result has them.
             options: Of the format; the report also has those that are derived from the result.
         """
+
+    def stored(self, result: R_contra, options: Options) -> AbstractContextManager[Splats | Source]:
+        """Open a result as its file holds or shows it, in the frame of the original."""
+
+    def unwritten(self, result: R_contra) -> AbstractContextManager[Splats | Source]:
+        """Open a result as it is before it is written, in the frame of the original."""
 
 
 class SizeRequest(NamedTuple):
