@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 from nanogs.errors import OutputError
-from nanogs.io.format import Sharing
 from nanogs.pipeline.estimates.durations import result_stages
 from nanogs.pipeline.options.settings import Settings
-from nanogs.pipeline.run import Run, brief, is_done, plain
+from nanogs.pipeline.run import Run, is_done
 from nanogs.pipeline.scene import Task
-from nanogs.pipeline.search.results import M
+from nanogs.pipeline.search.results import M, Results
 from nanogs.pipeline.stages import level_stages
 from nanogs.pipeline.work import Work
 from nanogs.progress import Stage, Tracker
@@ -40,8 +40,8 @@ class _Tried:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JobResults:
-    """Results of a scene in blocks; see `results.Results`.
+class JobResults(Results[Result]):
+    """Results of a scene in blocks.
 
     Each result is a further level of the job. Files of at most two results are kept: of the latest,
     and of the best so far. A resumed run repeats the search from the start, which tries the same
@@ -79,17 +79,9 @@ class JobResults:
         """Whether a result takes rendering; see `Results`."""
         return self.work.looks
 
-    def plain(self, rounds: int | None = None) -> "JobResults":
-        """Return results that are cut without rendering; see `Results.plain`."""
-        return replace(self, settings=plain(self.settings, rounds))
-
-    def brief(self) -> "JobResults":
-        """Return results that are only compared; see `Results.brief`."""
-        return replace(self, settings=brief(self.settings))
-
-    def packed(self, sh_degree: int, sharing: Sharing | None) -> "JobResults":
-        """Return results with limited or shared harmonics; see `Results.packed`."""
-        return replace(self, settings=replace(self.settings, sh_degree=sh_degree, sharing=sharing))
+    def changed(self, change: Callable[[Settings], Settings]) -> Self:
+        """Return results with other settings; see `Results.changed`."""
+        return replace(self, settings=change(self.settings))
 
     def stages(self, count: int) -> list[Stage]:
         """List the stages of one result."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
 
 from nanogs.pipeline.estimates.stage_weights import PACKINGS
 from nanogs.pipeline.options.target import count_for_size
@@ -16,13 +16,12 @@ from nanogs.pipeline.search.packing import (
     slope_of,
     unseen_packing,
 )
-from nanogs.pipeline.search.results import Results
+from nanogs.pipeline.search.results import Results, T
 from nanogs.pipeline.search.size_request import Files, SizeRequest
 from nanogs.progress import Stage, Tracker
 from nanogs.report import PackingReport
 from nanogs.splats import Splats
 
-T = TypeVar("T")
 BLIND = "No view shows the model, so the packing of the file was not chosen by how it looks."
 CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
 

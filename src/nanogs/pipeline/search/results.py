@@ -11,6 +11,7 @@ from nanogs.clock import StageClock
 from nanogs.io.format import Sharing
 from nanogs.pipeline.estimates.durations import delivery_stages
 from nanogs.pipeline.one_block import OneBlock
+from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import brief, deliver, plain
 from nanogs.progress import Stage, Tracker
@@ -24,7 +25,7 @@ class Results(Protocol[T]):
 
     @property
     def available(self) -> int:
-        """Splats of the whole scene."""
+        """Splats of the whole scene that are usable."""
 
     @property
     def fewest(self) -> int:
@@ -37,11 +38,20 @@ class Results(Protocol[T]):
         Quick results then lead the search.
         """
 
+    def changed(self, change: Callable[[Settings], Settings]) -> Self:
+        """Return a maker of results with other settings.
+
+        Args:
+            change: Takes the settings, and returns those to use in their place.
+        """
+
     def plain(self, rounds: int | None = None) -> Self:
         """Return a maker of results that are cut without rendering; see `run.plain`."""
+        return self.changed(lambda settings: plain(settings, rounds))
 
     def brief(self) -> Self:
         """Return a maker of results that are only compared; see `run.brief`."""
+        return self.changed(brief)
 
     def packed(self, sh_degree: int, sharing: Sharing | None) -> Self:
         """Return a maker of results for a packing: of an SH degree, with shared harmonics.
@@ -51,6 +61,7 @@ class Results(Protocol[T]):
             sharing: Number of sets of higher harmonics, as entries of a palette, that the fit keeps
                 to; None if each splat has its own.
         """
+        return self.changed(lambda given: replace(given, sh_degree=sh_degree, sharing=sharing))
 
     def stages(self, count: int) -> list[Stage]:
         """Return the stages of making one result."""
@@ -141,8 +152,8 @@ class Attempts(Generic[T, M]):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeldResults:
-    """Results of a model in memory; see `Results`.
+class HeldResults(Results[Outcome]):
+    """Results of a model in memory.
 
     Attributes:
         scene: The model, rendered if its preset does so, and its forest.
@@ -167,19 +178,10 @@ class HeldResults:
         """Whether making a result includes rendering; see `Results.looks`."""
         return self.scene.looks
 
-    def plain(self, rounds: int | None = None) -> "HeldResults":
-        """Return a maker of results that are cut without rendering."""
+    def changed(self, change: Callable[[Settings], Settings]) -> Self:
+        """Return a maker of results with other settings; see `Results.changed`."""
         scene = self.scene
-        return replace(self, scene=replace(scene, settings=plain(scene.settings, rounds)))
-
-    def brief(self) -> "HeldResults":
-        """Return a maker of results that are only compared."""
-        return replace(self, scene=replace(self.scene, settings=brief(self.scene.settings)))
-
-    def packed(self, sh_degree: int, sharing: Sharing | None) -> "HeldResults":
-        """Return a maker of results for a packing; see `Results.packed`."""
-        settings = replace(self.scene.settings, sh_degree=sh_degree, sharing=sharing)
-        return replace(self, scene=replace(self.scene, settings=settings))
+        return replace(self, scene=replace(scene, settings=change(scene.settings)))
 
     def stages(self, count: int) -> list[Stage]:
         """Return the stages of making one result."""
