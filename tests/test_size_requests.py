@@ -106,7 +106,7 @@ def test_harmonics_are_dropped_if_nothing_fits_otherwise(tmp_path, suffix, block
 )
 def test_only_a_search_that_chooses_the_degree_is_not_limited_before(goal, suffix, degree):
     request = FileRequest(goal=Goal(**goal), output=Path(f"a{suffix}"))
-    limited, notes = limit_degree(request, 4, request.output)
+    limited, notes = limit_degree(request, 4)
     assert (limited.sh_degree, len(notes)) == (degree, 1)
 
 

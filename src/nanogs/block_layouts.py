@@ -85,6 +85,10 @@ class Chunked(Protocol):
     """A layout that divides results into chunks; instances are plain data, for any worker."""
 
     @property
+    def suffix(self) -> str:
+        """Suffix of the files that hold splats."""
+
+    @property
     def weight(self) -> float:
         """Seconds that a machine takes for a million splats."""
 
@@ -148,6 +152,10 @@ class BlockTree:
 @runtime_checkable
 class Linked(Protocol):
     """A layout that links results into a tree; instances are plain data, for any worker."""
+
+    @property
+    def suffix(self) -> str:
+        """Suffix of the files that hold splats."""
 
     @property
     def weight(self) -> float:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 from nanogs._types import F64
@@ -25,7 +24,7 @@ from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import local_path, path_text, places
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
-from nanogs.lod.folder import PLY, LevelsFolder, level_name
+from nanogs.lod.folder import PLY, LevelsFolder
 from nanogs.lod.layout import Layout, chunks_of, refuse_misnamed
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
@@ -159,7 +158,7 @@ def write_levels(
             raise OptionError(f"{for_files[0]} is for files; give the model's path in its place.")
         with use_threads(request.threads):  # limits the threads of filtering and writing too
             whole = in_mode(as_splats(model), request.edits.render_mode, "The model")
-            known = registry.writable(_file(sink))
+            known = request.written_format
             known.check_columns(InMemory(whole).columns)
             elements = [each.name for each in whole.elements]
             known.check_elements(elements, request.format_options or {})
@@ -212,13 +211,12 @@ def sink_of(
         return LevelsTree(request.output, request.overwrite, name)
     chunks = request.chunks if isinstance(request.chunks, ChunkLayout) else None
     sink = LevelsArchive if layout == Layout.ARCHIVE else LevelsFolder
-    options, suffix = request.format_options, request.level_suffix
-    file = Path(level_name(0, chunks.suffix if chunks else suffix))
+    options = request.format_options
     if request.frame is not None:
-        refuse_frame_written(request.frame, file)
+        refuse_frame_written(request.frame, request.file)
     if chunks is None:
-        options = registry.add_target_frame(file, options, request.frame)
-    return sink(request.output, request.overwrite, name, chunks, suffix, options)
+        options = registry.add_target_frame(request.file, options, request.frame)
+    return sink(request.output, request.overwrite, name, chunks, request.level_suffix, options)
 
 
 def write_levels_of_files(
@@ -237,7 +235,7 @@ def write_levels_of_files(
     """
     refuse_device(request.device, request.preset, request.parameters, request.goal)
     plan = plan_files(request)
-    options, unstated = checked_options(request, _file(sink), divided=plan.divided)
+    options, unstated = checked_options(request, divided=plan.divided)
     if plan.divided:
         request.refuse_device_in_blocks()
         unstated = (*unstated, *device_notes(request.device, CPU))
@@ -249,7 +247,7 @@ def write_levels_of_files(
             return _in_blocks(request, plan, sink, on_step, sky, unstated)
     sink.check()
     import_stages(request.parameters)
-    stages = _stages(request, plan.splats, sink)
+    stages = _stages(request, plan.splats)
     tracker = Tracker(on_step, [*reading_stages(request.edits, plan.splats), *stages])
     with use_threads(request.threads):  # limits the threads of reading and writing too
         model = read_changed(request.inputs, request.edits, tracker, StageClock())
@@ -266,7 +264,7 @@ def _in_blocks(
     sky: EnvironmentRequest,
     notes: tuple[str, ...],
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
-    request, left_out = limit_degree(request, plan.sh_degree, _file(sink))
+    request, left_out = limit_degree(request, plan.sh_degree)
     request, beside = sky.in_blocks(request)
     sink = _with(sink, beside)
     notes = (*left_out, *sky.notes(beside), *notes)
@@ -291,7 +289,7 @@ def _whole(
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make and write the levels of a model in memory."""
     whole, filtered, notes = model
-    request, left_out = limit_degree(request, whole.sh_degree, _file(sink))
+    request, left_out = limit_degree(request, whole.sh_degree)
     splats, beside = sky.in_memory(request, whole)
     notes = (*notes, *left_out, *sky.notes(beside))
     sink = _with(sink, beside)
@@ -300,7 +298,7 @@ def _whole(
     elif not is_measured(request):
         whole = splats  # so that the splats of the environment are not held twice
     del model
-    tracker = Tracker(on_step, _stages(request, len(splats), sink))
+    tracker = Tracker(on_step, _stages(request, len(splats)))
     made = judged_levels(
         splats, request.ratios, judged=is_measured(request), sharing=request.sharing,
         preset=request.preset, sh_degree=request.sh_degree, cameras=request.cameras,
@@ -332,17 +330,7 @@ def _whole(
     return manifest, scored
 
 
-def _suffix(sink: LevelsSink) -> str:
-    """Return the suffix of the files that hold the levels."""
-    return sink.chunks.suffix if sink.chunks else sink.suffix
-
-
-def _file(sink: LevelsSink) -> Path:
-    """Return an example of the name of a level's file, by which its format is recognised."""
-    return Path(f"level{_suffix(sink)}")
-
-
-def _stages(request: Request, splats: int, sink: LevelsSink) -> list[Stage]:
+def _stages(request: Request, splats: int) -> list[Stage]:
     """List the progress stages of `_whole`: those of `levels`, and a "write" after each level.
 
     If levels are measured, a stage "measure" comes first, in which the original is rendered; the
@@ -351,7 +339,8 @@ def _stages(request: Request, splats: int, sink: LevelsSink) -> list[Stage]:
     measure = [measure_stage(splats)] if is_measured(request) else []
     counts = [target_count(splats, ratio, None) for ratio in request.ratios]
     stages = levels_stages(request.parameters, splats, counts)
-    writes = [Stage("write", write_weight(_suffix(sink), count)) for count in counts]
+    suffix = request.file.suffix
+    writes = [Stage("write", write_weight(suffix, count)) for count in counts]
     first = len(stages) - len(counts)
     pairs = zip(stages[first:], writes, strict=True)
     return [*measure, *stages[:first], *(stage for pair in pairs for stage in pair)]

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import show_progress
@@ -183,9 +182,9 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
     if request.frame is not None:
         refuse_frame_written(request.frame, request.output)
     plan = plan_files(request)
-    options, notes = checked_options(request, request.output, divided=plan.divided)
+    options, notes = checked_options(request, divided=plan.divided)
     request = replace(request, format_options=options)
-    request, left_out = limit_degree(request, plan.sh_degree, request.output)
+    request, left_out = limit_degree(request, plan.sh_degree)
     notes = (*notes, *left_out)
     if plan.divided:
         request.refuse_device_in_blocks()
@@ -195,7 +194,7 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
     return replace(report, notes=tuple(dict.fromkeys((*report.notes, *notes))))
 
 
-def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, tuple[str, ...]]:
+def limit_degree(request: Request, degree: int) -> tuple[Request, tuple[str, ...]]:
     """Lower the degree of the result's harmonics to the highest that the format can store.
 
     The result is then fitted at this degree, which makes up for the harmonics left out. A search
@@ -204,12 +203,11 @@ def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, 
     Args:
         request: All arguments of the call.
         degree: Degree of the model's harmonics.
-        output: The output file, whose suffix names the format.
 
     Returns:
         The request, and a note if the format can store less than the model's degree.
     """
-    known, goal = registry.writable(output), request.goal
+    known, goal = request.written_format, request.goal
     most = known.max_degree
     if request.sh_degree is not None or degree <= most or not renders(request.parameters):
         return request, ()
@@ -220,7 +218,7 @@ def limit_degree(request: Request, degree: int, output: Path) -> tuple[Request, 
 
 
 def checked_options(
-    request: Request, output: Path, *, divided: bool
+    request: Request, *, divided: bool
 ) -> tuple["FormatOptions | None", tuple[str, ...]]:
     """Check that the output can hold what the inputs have, and return format options and notes.
 
@@ -228,7 +226,6 @@ def checked_options(
 
     Args:
         request: All arguments of the call.
-        output: The output file, whose suffix names the format.
         divided: Whether the model is processed in blocks, which leave further elements out.
 
     Raises:
@@ -241,7 +238,7 @@ def checked_options(
     with ExitStack() as stack:
         opened = open_parts(request.inputs, request.render_mode)
         files = [stack.enter_context(file) for file in opened]
-        known = registry.writable(output)
+        known = request.written_format
         known.check_columns(joined_layout(files))
         if len(files) == 1 and not divided:
             elements = [name for name, _ in files[0].elements]
@@ -250,7 +247,7 @@ def checked_options(
         if request.frame is not None:
             refuse_frame_read(request.frame, files)
             return request.format_options, guessed
-        options, notes = keep_stated_frame(output, request.format_options, files)
+        options, notes = keep_stated_frame(request.file, request.format_options, files)
         return options, (*guessed, *notes)
 
 

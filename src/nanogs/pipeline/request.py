@@ -170,10 +170,15 @@ class Request:
         return None if self.ratios else registry.writable(self.output).file_bytes
 
     @property
+    def file(self) -> Path:
+        """The output, or for levels an example of the name of a file that holds splats."""
+        suffix = self.chunks.suffix if self.chunks else self.level_suffix
+        return Path(f"level_0{suffix}") if self.ratios else self.output
+
+    @property
     def written_format(self) -> Format:
-        """The format of the output, or of the files of levels that are not divided or linked."""
-        level = Path(f"level{self.level_suffix}")
-        return registry.writable(level if self.ratios else self.output)
+        """The format of `file`."""
+        return registry.writable(self.file)
 
     @property
     def sharing(self) -> Sharing | None:

@@ -97,7 +97,7 @@ class SaveRequest:
         chunks = chunks_of(output.layout, None, plain=False)
         request = Request(
             goal=finest, output=output.folder, overwrite=self.overwrite, chunks=chunks,
-            level_suffix=output.suffix,
+            ratios=self.choice.levels, level_suffix=output.suffix,
         )  # fmt: skip
         sink_of(request, layout=output.layout).check()
 
